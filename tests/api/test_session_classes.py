@@ -1,4 +1,4 @@
-"""What a notebook defines can be named in a scenario, although no file holds it."""
+"""Scenarios can name classes defined in a notebook, outside any file."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def attack(selection=Many, metric=Twice, node=Counter, start=0):
 
 
 def session(code: str, folder: Path) -> Any:
-    """What the last line of code prints as JSON, in a session without a file."""
+    """The JSON printed by the last line of code in a session without a file."""
     done = subprocess.run(
         [sys.executable, "-"], input=DEFINITIONS + code, cwd=folder, capture_output=True, text=True, check=False
     )
@@ -67,7 +67,7 @@ def session(code: str, folder: Path) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_classes_and_functions_of_a_session_run_in_process(tmp_path: Path) -> None:
+def test_classes_and_functions_of_a_session_run_in_one_process(tmp_path: Path) -> None:
     code = """
 one = mast.run(attack, frames=20, seed=3, start=5)
 same = mast.run(attack, frames=20, seed=3, selection="Many", metric="Twice", node="Counter", start=5)
@@ -96,7 +96,7 @@ print(json.dumps(dict(
     assert attack["selection"] == {"type": "Many"}
 
 
-def test_a_class_that_is_defined_again_is_the_new_one(tmp_path: Path) -> None:
+def test_a_redefined_class_replaces_the_old_one(tmp_path: Path) -> None:
     code = """
 old = Twice
 first = mast.run(attack, frames=8, seed=3)
@@ -114,11 +114,11 @@ print(json.dumps(dict(sums=sums, positions=[run.truth["x"][0].as_py() for run in
     found = session(code, tmp_path)
     assert found["sums"][1] == 7.0
     assert found["sums"][2] != 7.0
-    assert found["positions"][0] != found["positions"][1], "a scene of the session is not taken from the cache"
+    assert found["positions"][0] != found["positions"][1], "a scene defined in the session is not taken from the cache"
 
 
 @pytest.mark.parametrize("named", ["Many", "'Many'"])
-def test_processes_of_a_mesh_cannot_load_what_only_a_session_has(named: str, tmp_path: Path) -> None:
+def test_classes_defined_only_in_a_session_are_refused_on_a_mesh(named: str, tmp_path: Path) -> None:
     code = f"""
 try:
     mast.run(attack, frames=5, runtime="mesh", selection={named}, node="Counter")

@@ -1,4 +1,4 @@
-"""Columnar states: rows are picked, joined and moved without a Python object per row."""
+"""Columnar states: selected, concatenated and propagated without row objects."""
 
 from itertools import pairwise
 
@@ -45,7 +45,7 @@ def assert_equal(a: ObjectStates, b: ObjectStates) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, 4])
-def test_what_is_not_given_is_zero_and_has_its_shape_and_dtype(n: int) -> None:
+def test_missing_columns_are_zeros_of_their_shape_and_dtype(n: int) -> None:
     states = ObjectStates.of(np.ones((n, 3)))
     assert len(states) == n
     assert states.id.tolist() == list(range(n))
@@ -73,7 +73,7 @@ def test_columns_are_shared_not_copied() -> None:
 
 
 @given(st.lists(st.booleans(), min_size=6, max_size=6))
-def test_rows_are_picked_by_mask_index_or_slice(mask: list[bool]) -> None:
+def test_rows_are_selected_by_mask_index_or_slice(mask: list[bool]) -> None:
     states = some(6)
     rows = np.flatnonzero(mask)
     assert_equal(states.select(np.array(mask)), states.select(rows))
@@ -82,14 +82,14 @@ def test_rows_are_picked_by_mask_index_or_slice(mask: list[bool]) -> None:
 
 
 @given(st.lists(st.integers(0, 4), max_size=5))
-def test_joining_what_was_taken_apart_gives_it_back(sizes: list[int]) -> None:
+def test_concatenating_split_states_restores_them(sizes: list[int]) -> None:
     whole = some(sum(sizes))
     ends = np.cumsum([0, *sizes])
     parts = [whole.select(slice(a, b)) for a, b in pairwise(ends)]
     assert_equal(concatenate(parts), whole)
 
 
-def test_joining_nothing_gives_nothing() -> None:
+def test_concatenating_nothing_gives_no_states() -> None:
     assert_equal(concatenate([]), ObjectStates.empty())
     assert len(concatenate([ObjectStates.empty(), some(2)])) == 2
 
@@ -105,7 +105,7 @@ def test_a_column_can_be_replaced_in_a_copy() -> None:
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5))
-def test_moving_twice_is_moving_once_by_the_sum(first: float, second: float) -> None:
+def test_propagating_twice_equals_once_over_the_total_time(first: float, second: float) -> None:
     states = some(4)
     twice, once = propagate(propagate(states, first), second), propagate(states, first + second)
     np.testing.assert_allclose(twice.position, once.position, atol=1e-9)
@@ -114,7 +114,7 @@ def test_moving_twice_is_moving_once_by_the_sum(first: float, second: float) -> 
 
 
 @given(st.floats(-3, 3))
-def test_a_moved_covariance_is_that_of_moved_samples(dt: float) -> None:
+def test_a_propagated_covariance_equals_that_of_propagated_samples(dt: float) -> None:
     states = some(1)
     vx, x = COVARIANCE_ORDER.index("vx"), COVARIANCE_ORDER.index("x")
     before, after = states.covariance[0], propagate(states, dt).covariance[0]
@@ -124,13 +124,13 @@ def test_a_moved_covariance_is_that_of_moved_samples(dt: float) -> None:
     np.linalg.cholesky(after)
 
 
-def test_what_does_not_move_is_the_same() -> None:
+def test_propagating_over_no_time_or_no_states_returns_the_same_object() -> None:
     states = some(3)
     assert propagate(states, 0.0) is states
     nothing = ObjectStates.empty()
     assert propagate(nothing, 1.0) is nothing
 
 
-def test_classes_are_known_by_name_and_index() -> None:
+def test_classes_have_a_name_and_an_index() -> None:
     assert [CLASSES[CLASS_INDEX[name]] for name in CLASSES] == list(CLASSES)
-    assert CLASSES[0] == "unknown", "an index of 0 says nothing"
+    assert CLASSES[0] == "unknown", "index 0 is the unknown class"

@@ -1,4 +1,4 @@
-"""Applying targets: insert, hide and displace, whatever the order of the rows; and say so."""
+"""Insert, hide and displace targets in any row order, and report the changes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def targets(add=NONE, remove=NONE, move=NONE, offset=None) -> Targets:
 
 
 def applied(wanted: Targets, objects: ObjectStates, remove=(), move=(), order=None):
-    """Apply to objects in order; remove, move: the row of each target."""
+    """Apply to the objects in `order`; remove, move: the row of each target."""
     order = np.arange(len(objects)) if order is None else np.asarray(order, int)
     rows = (np.asarray(remove, np.int64), np.asarray(move, np.int64))
     return carry_out(wanted, wanted.add, objects.select(order), order, *rows)
@@ -35,13 +35,13 @@ def test_no_targets_change_nothing():
     assert len(tampering.report) == 0
 
 
-def test_the_rows_of_the_targets_vanish_and_targets_without_a_row_hide_nothing():
+def test_rows_of_targets_are_removed_and_targets_without_a_row_hide_nothing():
     objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0))
     tampering = applied(targets(remove=at((3.0, 0.0), (27.0, 0.0))), objects, remove=(1, -1))
     assert tampering.keep.tolist() == [True, False, True]
 
 
-def test_a_displaced_object_keeps_all_but_its_position_and_its_target_stays_with_the_real_one():
+def test_a_displaced_object_changes_only_its_position_and_its_target_follows_the_real_one():
     objects = world(4)
     goal = objects.select(slice(2, 3))
     tampering = applied(targets(move=goal, offset=[[0.0, 3.0, 0.0]]), objects, move=(2,))
@@ -64,7 +64,7 @@ def test_targets_at_known_positions_take_the_nearest_objects():
     tampering = apply(wanted, objects.select(order), np.zeros(3), assign_radius_m=3.0)
     seen = tampering.applied_to(objects.select(order))
     assert sorted(map(tuple, seen.position[:, :2].tolist())) == [(0.0, 90.0), (10.0, 0.0), (20.0, 5.0)]
-    assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the others"
+    assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the other objects"
 
 
 def test_the_report_has_positions_before_and_after_each_change():
@@ -83,7 +83,7 @@ def test_the_report_has_positions_before_and_after_each_change():
     assert report.velocity[:, 0].tolist() == [3.0, 1.0, 2.0]
 
 
-def test_an_attack_can_say_which_rows_it_hides_and_moves():
+def test_an_attack_can_name_the_rows_that_it_hides_and_moves():
     objects = world(5)
     tampering = alter(objects, insert=at((1.0, 2.0)), hide=[3], move=[1], offset=np.array([[5.0, 0.0, 0.0]]))
     seen = tampering.applied_to(objects)
@@ -101,7 +101,7 @@ def test_the_report_has_the_columns_of_its_message():
 
 @settings(max_examples=50)
 @given(st.integers(2, 15), st.randoms(use_true_random=False))
-def test_rows_are_those_of_the_message_whatever_the_order(n, random):
+def test_targets_refer_to_the_same_rows_in_any_order(n, random):
     message = world(n, seed=n)
     order = np.array(random.sample(range(n), n), int)
     wanted = targets(remove=world(1), move=world(1), offset=[[1.0, 2.0, 0.0]])

@@ -1,4 +1,4 @@
-"""Checks pass on the record of a run that went well, and each finds its kind of fault."""
+"""Checks pass on a sound record, and each check finds its kind of fault."""
 
 import json
 import subprocess
@@ -41,10 +41,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return recorded(tmp_path_factory.mktemp("run") / "faulted", faults=FAULTS)
 
 
-# -- a run that went well --------------------------------------------------------------------------------------------
+# -- a sound run -----------------------------------------------------------------------------------------------------
 
 
-def test_all_checks_pass_on_a_run_with_faults_only(run: Run) -> None:
+def test_all_checks_pass_on_a_run_with_faults_but_no_attack(run: Run) -> None:
     found = checked(*run)
     assert list(found) == NAMES
     assert all(check.ok for check in found.values()), found
@@ -98,7 +98,7 @@ def test_an_incomplete_record_is_not_checked(run: Run, tmp_path: Path, told: dic
     assert {name: found[name].detail for name in NAMES[:3]} == dict.fromkeys(NAMES[:3], f"not checked: {reason}")
 
 
-# -- what must be found ----------------------------------------------------------------------------------------------
+# -- faults that must be found ---------------------------------------------------------------------------------------
 
 
 def problems(run: Run, out: Path, change: Any) -> dict[str, str]:
@@ -115,7 +115,7 @@ def test_a_copy_of_a_record_passes_all_checks(run: Run, tmp_path: Path) -> None:
     assert problems(run, tmp_path, lost()) == {}
 
 
-def test_an_agent_that_is_left_out_of_a_collation_is_found(run: Run, tmp_path: Path) -> None:
+def test_an_agent_missing_from_a_collation_is_found(run: Run, tmp_path: Path) -> None:
     def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
         return without_agent(body, "infra_2") if frame == 30 else None
 
@@ -124,12 +124,12 @@ def test_an_agent_that_is_left_out_of_a_collation_is_found(run: Run, tmp_path: P
     assert found["collation"].startswith("frame 30: infra_2 delivered")
 
 
-def test_a_track_that_is_left_out_of_a_collation_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_track_missing_from_a_collation_is_found(run: Run, tmp_path: Path) -> None:
     found = problems(run, tmp_path, changed("cc/collated", lambda f, body: without_row(body) if f == 30 else None))
     assert found.keys() == {"collation"}
 
 
-def test_an_agent_that_is_in_a_collation_with_old_tracks_is_found(run: Run, tmp_path: Path) -> None:
+def test_outdated_tracks_in_a_collation_are_found(run: Run, tmp_path: Path) -> None:
     def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
         return body | {"age_ns": body["age_ns"] + 100_000_000} if frame == 30 else None
 
@@ -168,7 +168,7 @@ def test_a_duplicate_message_is_found(run: Run, tmp_path: Path, key: str) -> Non
 
 
 def test_a_loss_without_a_link_report_is_found(run: Run, tmp_path: Path) -> None:
-    """Without the reports of links, nothing explains the partition."""
+    """Without link reports, nothing explains the partition."""
     found = problems(run, tmp_path, lambda message: [] if message.message == "link_report" else [None])
     assert "link_infra_1 did not forward sequence 5 of frame 5" in found["sequences"]
 
@@ -197,7 +197,7 @@ def astray(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
     return body | {"position": body["position"] + 3.0} if frame >= 25 else None
 
 
-def test_a_picture_that_stays_wrong_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_picture_that_does_not_recover_is_found(run: Run, tmp_path: Path) -> None:
     found = problems(run, tmp_path, changed("cc/picture", astray))
     assert "the picture has not converged: the distance is" in found["convergence"]
     assert "2.9 s after the last heal, expected less than 0.5 m" in found["convergence"]
@@ -230,7 +230,7 @@ def test_a_process_left_running_is_found(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("late", "ok"), [({"infra_2": 1}, True), ({"ego": 1}, False), ({}, False)])
-def test_in_real_time_as_many_messages_may_be_missing_as_the_broker_counts_late(
+def test_in_real_time_messages_that_the_broker_counted_as_late_may_be_missing(
     run: Run, tmp_path: Path, late: dict[str, int], ok: bool
 ) -> None:
     def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
@@ -243,7 +243,7 @@ def test_in_real_time_as_many_messages_may_be_missing_as_the_broker_counts_late(
     assert checked(copy, in_real_time(resolved))["collation"].ok is ok
 
 
-# -- what is not asked for -------------------------------------------------------------------------------------------
+# -- cases that are not checked --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -261,7 +261,7 @@ def test_convergence_is_not_required_where_it_is_undefined(tmp_path: Path, keys:
     assert found["convergence"].values["checked"] is False
 
 
-def test_a_run_that_ends_right_after_the_heal_is_too_short_to_judge(run: Run, tmp_path: Path) -> None:
+def test_a_run_that_ends_soon_after_the_heal_is_too_short_to_judge(run: Run, tmp_path: Path) -> None:
     faults = [dict(type="Kill", at=0.5, node="command_center", restart_after=0.6)]
     found = checked(*recorded(tmp_path / "run", frames=12, faults=faults))["convergence"]
     assert found.ok
@@ -282,7 +282,7 @@ def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: R
         assert np.array_equal(found[frame], codec.decode(payload, "picture").body["position"])
 
 
-def test_the_reference_has_no_links_and_those_of_a_users_map_have_no_rules() -> None:
+def test_the_reference_has_no_links_and_links_of_user_maps_have_no_rules() -> None:
     resolved = resolve(*scenario(faults=FAULTS), frames=20, record=True)
     assert {spec.role for spec in resolved.nodes.values()} >= {"link", "recorder", "evaluator"}
     found = reference.unfaulted(resolved)
@@ -296,7 +296,7 @@ def test_the_reference_has_no_links_and_those_of_a_users_map_have_no_rules() -> 
     assert own.nodes["bad"].config["rules_down"] == []
 
 
-# -- convergence in figures ------------------------------------------------------------------------------------------
+# -- convergence -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -309,7 +309,7 @@ def test_the_reference_has_no_links_and_those_of_a_users_map_have_no_rules() -> 
         ([2.0, 0.1, 0.1, 0.1], 0.0),
     ],
 )
-def test_convergence_is_when_the_distance_stays_below_the_threshold(
+def test_convergence_is_reached_when_the_distance_stays_below_the_threshold(
     distance: list[float], after_s: float | None
 ) -> None:
     times_s = np.array([0.0, 1.0, 2.0, 3.0])

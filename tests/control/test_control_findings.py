@@ -1,4 +1,4 @@
-"""An invalid control message never ends or stalls a process: it is refused, counted and logged once."""
+"""An invalid control message is refused, counted and logged once."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Sim(Source):
 
 
 class Query:
-    """A query like Zenoh's that keeps the answer."""
+    """A query like Zenoh's that keeps its reply."""
 
     def __init__(self, key: str, payload: bytes) -> None:
         self.key_expr = f"mast/x/@control/{key}"
@@ -184,14 +184,14 @@ def eve() -> MeshNode:
 
 
 def begin_removal(node: MeshNode) -> None:
-    """Begin a change of the wiring that removes the node."""
+    """Begin a wiring change that removes the node."""
     update = flow.WiringUpdate(WIRING, False, (node.name,))
     node._on_control("epoch", sample("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update)))
     node.handle(node.inbox.get_nowait())
 
 
 @pytest.mark.parametrize("payload", [b"\xff\xfe", b"", b"a//b", b"**", b"agent/other/status", b"x" * 5000, b"clock"])
-def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
+def test_a_drain_for_a_foreign_key_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
     begin_removal(eve)
     query = Query("drain/eve", payload)
     eve.drains.take(query)  # type: ignore[arg-type]
@@ -201,7 +201,7 @@ def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshN
     assert eve.invalid.counts == {"drain/eve": 1}
 
 
-def test_only_a_node_that_will_leave_answers_a_drain(eve: MeshNode) -> None:
+def test_only_a_departing_node_answers_a_drain(eve: MeshNode) -> None:
     early, due = Query("drain/eve", TAP.encode()), Query("drain/eve", TAP.encode())
     eve.drains.take(early)  # type: ignore[arg-type]
     assert (early.answers, early.dropped, eve.invalid.counts) == ([], True, {"drain/eve": 1})
@@ -224,14 +224,14 @@ def test_malformed_counts_cost_the_driver_one_message(driver: Driver, node: str,
 
 
 @pytest.mark.parametrize("payload", [*RUBBISH, msgpack.packb({"wiring": {"wires": [[]]}, "join": {}, "leave": []})])
-def test_a_malformed_change_of_the_wiring_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
+def test_a_malformed_wiring_change_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
     query = Query("rewire", payload)
     driver._on_rewire(query)  # type: ignore[arg-type]
     assert query.dropped
     assert driver.invalid.counts == {"rewire": 1}
 
 
-def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_named(driver: Driver) -> None:
+def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_by_name(driver: Driver) -> None:
     driver.scene.sent["clock"] = 3
     driver._report_self()
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
@@ -243,10 +243,10 @@ def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_na
         encode_reason(reason)
         == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
     )
-    assert time.monotonic() - begun < driver.stall_timeout_s, "at once, and not when the run is found to stall"
+    assert time.monotonic() - begun < driver.stall_timeout_s, "at once, not only when the stall timeout expires"
 
 
-def test_a_node_that_reports_a_key_that_is_not_its_own_ends_the_run_and_is_named(driver: Driver) -> None:
+def test_a_node_that_reports_a_foreign_key_ends_the_run_by_name(driver: Driver) -> None:
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {"clock": 1}, {})))
     reason = driver._await_quiet(everyone=True)
     assert reason is not None
@@ -263,7 +263,7 @@ def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Driver) -> 
     assert driver._await_quiet(everyone=True) == expected
 
 
-def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
+def test_a_node_is_counted_as_returned_only_after_a_loss(driver: Driver) -> None:
     def note(there: bool) -> None:
         driver.membership.note("ego", there, 0, driver.members)
 
@@ -276,16 +276,16 @@ def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
 
 
 def presence(driver: Driver, *there: bool) -> None:
-    """Report a sequence of appearances of ego's token to the driver."""
+    """Report a sequence of presence changes of ego's token to the driver."""
     for each in there:
         kind = zenoh.SampleKind.PUT if each else zenoh.SampleKind.DELETE
         driver.membership.on_token(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
 
 
-def test_of_repeated_losses_only_the_loss_and_the_latest_state_are_queued(driver: Driver) -> None:
+def test_repeated_losses_queue_only_the_loss_and_the_latest_state(driver: Driver) -> None:
     presence(driver, *[False, True] * 1000)
     assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" not in driver.membership.alive, "first it has gone, so that a new epoch begins"
+    assert "ego" not in driver.membership.alive, "the departure comes first, so a new epoch begins"
     assert driver._wait(time.monotonic() + 1.0)
     assert "ego" in driver.membership.alive
     assert [each["what"] for each in driver.membership.churn] == ["lost", "back"]
@@ -293,7 +293,7 @@ def test_of_repeated_losses_only_the_loss_and_the_latest_state_are_queued(driver
         driver.inbox.get_nowait()
 
 
-def test_a_node_that_constantly_leaves_and_returns_ends_the_run_and_is_named(driver: Driver) -> None:
+def test_a_node_that_repeatedly_leaves_and_returns_ends_the_run_by_name(driver: Driver) -> None:
     for there in [False, True] * 60:
         presence(driver, there)
         driver._wait(time.monotonic() + 1.0)
@@ -342,7 +342,7 @@ def test_a_step_of_the_scenario_is_carried_out_once(context: RunContext) -> None
     assert context.invalid.counts == {"act": 1}
 
 
-def test_a_request_of_the_driver_is_not_carried_out_when_the_run_is_to_stop(context: RunContext) -> None:
+def test_a_request_of_the_driver_is_ignored_when_the_run_is_stopping(context: RunContext) -> None:
     steps = no_steps()
     requests = requests_of(context, steps)
     requests.take(flow.encode_act(5, [("start", "ego")]))
@@ -352,18 +352,18 @@ def test_a_request_of_the_driver_is_not_carried_out_when_the_run_is_to_stop(cont
 
 
 def watch_of(context: RunContext, **parts: Any) -> Watch:
-    """The launcher's loop, of which only these parts are real."""
+    """The launcher's loop with only these parts real."""
     parts = dict.fromkeys(("steps", "requests", "reports", "interceptions"), MagicMock()) | parts
     return Watch(context, Mesh(MagicMock(), MagicMock()), MagicMock(), **parts)
 
 
 def take_result_of_driver(context: RunContext, stop_reason: str) -> None:
-    """The launcher takes a result of the driver that says why it has stopped."""
+    """Have the launcher receive the driver's result with the reason for its stop."""
     report, outcomes = MagicMock(node="sim", failure=None), {"sim": {"stop_reason": stop_reason}}
     watch_of(context, reports=MagicMock(take=lambda: [report], outcomes=outcomes)).take_reports()
 
 
-def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(context: RunContext) -> None:
+def test_the_drivers_reason_becomes_an_error_that_names_the_node(context: RunContext) -> None:
     take_result_of_driver(context, "implausible: ego reports too much")
     assert isinstance(context.stop.problem, ImplausibleCounts)
     assert str(context.stop.problem) == "ego reports too much"
@@ -371,13 +371,13 @@ def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(context: R
 
 
 @pytest.mark.parametrize(("reason", "fails"), [("end", False), ("forged", True), ("", True)])
-def test_a_run_that_somebody_else_has_told_to_stop_is_not_ok(context: RunContext, reason: str, fails: bool) -> None:
+def test_a_run_stopped_from_outside_is_not_ok(context: RunContext, reason: str, fails: bool) -> None:
     take_result_of_driver(context, reason)
     assert (context.stop.problem is not None) == fails
     assert context.stop.requested
 
 
-def test_a_run_that_the_launcher_itself_stops_keeps_its_own_problem(context: RunContext) -> None:
+def test_a_run_stopped_by_the_launcher_keeps_its_own_error(context: RunContext) -> None:
     context.stop.fail(ServiceDied("the depot has ended"), "a service has ended")
     take_result_of_driver(context, "a service has ended")
     assert isinstance(context.stop.problem, ServiceDied)
@@ -414,7 +414,7 @@ PIECES = [
 @pytest.mark.parametrize(
     "payload", [*RUBBISH, *map(encode, PIECES), encode({"do": "piece", "path": "../x", "offset": 0})]
 )
-def test_a_malformed_question_is_answered_with_an_error_and_the_file_server_lives(
+def test_a_malformed_query_is_answered_with_an_error_and_the_file_server_continues(
     file_server: FileServer, context: RunContext, payload: bytes
 ) -> None:
     for what in ("fetch", "file"):
@@ -441,13 +441,13 @@ def test_an_unexpected_error_costs_one_query(
     assert answered(file_server, "fetch", "ego", encode({"do": "clock"}))[0] == "ok"
 
 
-def test_unknown_nodes_get_no_answer_and_are_counted_together(file_server: FileServer, context: RunContext) -> None:
+def test_unknown_nodes_get_no_answer_and_share_one_count(file_server: FileServer, context: RunContext) -> None:
     for name in ("a", "b"):
         assert answered(file_server, "fetch", name, encode({"do": "clock"}))[0] == "error"
     assert context.invalid.counts == {"fetch/*": 2}
 
 
-def test_a_file_server_that_has_died_ends_the_run_and_is_named(
+def test_a_dead_file_server_ends_the_run_and_is_named(
     file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     watch = watch_of(context, file_server=file_server)
@@ -498,7 +498,7 @@ def test_the_routers_rules_grant_no_more_than_the_table(name: str) -> None:
     assert bool(sending(LAUNCHER)) == ("launcher" in control.senders)
 
 
-def test_of_many_counts_only_the_newest_of_each_node_is_queued_at_the_driver(driver: Driver) -> None:
+def test_the_driver_queues_only_the_newest_counts_of_each_node(driver: Driver) -> None:
     for count in range(1000):
         driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": count})))
         driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {"agent/ego/status": 1})))
@@ -509,11 +509,11 @@ def test_of_many_counts_only_the_newest_of_each_node_is_queued_at_the_driver(dri
         driver.inbox.get_nowait()
     driver._take_counts("ego")
     assert driver.pacer._reports["ego"] == ({}, {"clock": 999})
-    assert driver.invalid.counts == {"counts/ego": 1}, "what is malformed stands for nothing"
+    assert driver.invalid.counts == {"counts/ego": 1}, "malformed messages count for nothing"
 
 
 @pytest.mark.parametrize("what", ["fetch", "file"])
-def test_what_is_too_long_for_its_kind_does_not_wait_at_the_file_server(
+def test_oversized_queries_do_not_enter_the_file_servers_queue(
     file_server: FileServer, context: RunContext, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits = MagicMock()

@@ -1,4 +1,4 @@
-"""Above the level "open", messages of the driver and the launcher are accepted only with their signature."""
+"""Above level "open", driver and launcher messages need a valid signature."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SIGNED = {name: control for name, control in CONTROLS.items() if control.signed}
 
 
 def refused(signatures: Signatures, what: str, payload: bytes) -> str:
-    """The reason why a message is refused; its body is never decoded."""
+    """The reason why a message is refused; its body is not decoded."""
     with pytest.raises(MessageError) as caught:
         signatures.open(what, payload, lambda body: pytest.fail("an unsigned body was decoded"))
     return str(caught.value)
 
 
-def test_messages_that_only_the_driver_or_launcher_may_send_are_signed() -> None:
+def test_messages_reserved_to_driver_and_launcher_are_signed() -> None:
     assert {*SIGNED} == {"epoch", "stop", "leave", "act", "rewire"}
 
 
@@ -88,7 +88,7 @@ def test_on_an_open_mesh_every_valid_message_is_accepted_and_counted() -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS[1:])
-def test_every_node_can_check_and_only_the_driver_and_the_launcher_can_sign(tmp_path: Path, level: str) -> None:
+def test_every_node_can_verify_but_only_driver_and_launcher_can_sign(tmp_path: Path, level: str) -> None:
     common = {"prefix": "mast/r", "driver": "sim", "hosts": ["127.0.0.1"], "folder": tmp_path / "keys"}
     with Deployment(level, "r", Wiring(()), ["sim", "ego"], **common) as deployment:
         ego, sim = (hosting.signatures("r", deployment.of(name)) for name in ("ego", "sim"))
@@ -105,7 +105,7 @@ def test_every_node_can_check_and_only_the_driver_and_the_launcher_can_sign(tmp_
 @pytest.mark.parametrize(
     "content", [b"", b"[]", b"{}", b'{"driver": 1, "launcher": ""}', b'{"driver": "00", "launcher": "00"}']
 )
-def test_invalid_keys_are_refused_with_their_place(tmp_path: Path, content: bytes) -> None:
+def test_invalid_keys_are_refused_with_their_location(tmp_path: Path, content: bytes) -> None:
     folder = Credentials(b"authority", control=content).write(tmp_path / "ego")
     with pytest.raises(CredentialsError, match=CONTROL):
         hosting.signatures("r", folder)

@@ -1,8 +1,8 @@
-"""The launcher of a run over SSH, as a program, because it is to be where the hosts can be reached.
+"""The launcher of a run over SSH, as a program that runs in a namespace.
 
 python ssh_launch.py run   HOSTS.toml '{"frames": 20, "secure": "acl", "n_infrastructure": 7, "steps": [], …}' OUT
-python ssh_launch.py check HOSTS.toml...      what is wrong with each: {file: [exit code, message]}
-python ssh_launch.py status|logs|down OUT     as `mast deploy` does, from the run folder alone
+python ssh_launch.py check HOSTS.toml...      errors: {file: [exit code, message]}
+python ssh_launch.py status|logs|down OUT     like `mast deploy`, from the run folder alone
 """
 
 from __future__ import annotations

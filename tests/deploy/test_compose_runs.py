@@ -1,4 +1,4 @@
-"""A composed run equals the local run, and leaves nothing behind, however it ends. Needs a Docker engine."""
+"""Composed runs equal local runs and leave nothing behind. Needs Docker."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FAULTED = ("n_infrastructure=2", "attack_start_s=0.1", "partition_s=0.2", "parti
 
 @pytest.fixture
 def up(start: Callable[..., Launched]) -> Callable[..., Launched]:
-    """Starts composed runs; takes down what is left of them."""
+    """Starts composed runs; removes their remnants."""
     how = ("--engine", "compose", "--image", built(), "--no-report", "--out")
     return lambda *words: start(*MAST, "deploy", "up", *words, *how, afterwards=take_down)
 
@@ -93,7 +93,7 @@ def test_a_paused_node_stops_and_continues(up, tmp_path: Path) -> None:
     assert code == 0, output
     assert [step["action"] for step in run.record()["steps"]] == ["pause", "resume"]
     spoken = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
-    assert max(spoken) > 30, "it goes on"
+    assert max(spoken) > 30, "the run continues"
     assert not left(run.record()["id"])
 
 
@@ -118,14 +118,14 @@ def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
     assert record["nodes"]["infra_1"]["restarts"] == 0, "it is the same process"
     said = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
     assert {5, 15} < said, "before"
-    assert not said & set(range(30, 45)), "nothing gets through"
-    assert max(said) >= 105, "it finds back by itself, and to the frame that all others are at"
+    assert not said & set(range(30, 45)), "the link is cut"
+    assert max(said) >= 105, "it reconnects by itself and rejoins at the current frame"
     checks = json.loads((run.out / "checks.json").read_text())["checks"]
     assert all(check["ok"] for check in checks), checks
     assert not left(record["id"])
 
 
-def test_a_node_that_is_disconnected_at_the_end_hands_in_its_results(up, tmp_path: Path) -> None:
+def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path: Path) -> None:
     (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=1.0, until=60.0))
     run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--patience", "5")
     where = run.started()["nodes"]["infra_1"]["container"]
@@ -140,17 +140,17 @@ def test_a_node_that_is_disconnected_at_the_end_hands_in_its_results(up, tmp_pat
     assert not left(record["id"])
 
 
-def test_ctrl_c_keeps_the_results_so_far_and_leaves_nothing_running(up) -> None:
+def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up) -> None:
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
     recording = run.out / "messages.mcap"
     run.until(lambda: recording.is_file() and recording.stat().st_size > 20_000, "a recording that grows here")
     record = run.record()
     inside = docker("exec", record["nodes"]["ego"]["container"], "stat", "-c", "%a %u", "/run/secrets/key.pem").split()
     assert inside == ["600", docker("exec", record["nodes"]["ego"]["container"], "id", "-u").strip()]
-    assert inside[1] != "0", "nobody in there is root"
+    assert inside[1] != "0", "no process runs as root"
     assert "PRIVATE" not in docker("inspect", *(node["container"] for node in record["nodes"].values()))
     reached = docker("network", "inspect", "--format", "{{.Internal}}", f"mast-{record['id']}_wired")
-    assert reached.strip() == "true", "nodes reach nothing but the router"
+    assert reached.strip() == "true", "nodes reach only the router"
     said = mast("deploy", "status", str(run.out)).stdout
     assert all(name in said for name in (*record["nodes"], "router")), said
     run.process.send_signal(signal.SIGINT)
@@ -164,7 +164,7 @@ def test_ctrl_c_keeps_the_results_so_far_and_leaves_nothing_running(up) -> None:
     assert not (run.out / "credentials").exists()
 
 
-def test_nodes_of_a_killed_launcher_leave_and_down_removes_the_rest(up) -> None:
+def test_nodes_of_a_killed_launcher_exit_and_down_removes_the_remainder(up) -> None:
     words = settings(("n_infrastructure=1",))
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", "--patience", "2", *words)
     run.until(run.recorded, "the run goes on")
@@ -174,9 +174,9 @@ def test_nodes_of_a_killed_launcher_leave_and_down_removes_the_rest(up) -> None:
     eventually(
         lambda: not docker("ps", "--quiet", "--filter", label).split(), "all containers have ended by themselves"
     )
-    assert left(record["id"]), "which are still there, for whoever wants to read their logs"
+    assert left(record["id"]), "the containers are kept for their logs"
     done = mast("deploy", "down", str(run.out))
     assert done.returncode == 0, done.stdout + done.stderr
     assert not left(record["id"])
     assert not (run.out / "credentials").exists()
-    assert mast("deploy", "down", str(run.out)).returncode == 0, "again does no harm"
+    assert mast("deploy", "down", str(run.out)).returncode == 0, "repeating it does no harm"

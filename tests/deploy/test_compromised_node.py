@@ -1,4 +1,4 @@
-"""One compromised node under `--secure` sends arbitrary messages on its control keys."""
+"""A compromised node under `--secure` sends arbitrary control messages."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_forged_messages_of_a_node_change_nothing_and_are_reported(tmp_path: Pat
     assert "nodes report 7 invalid control messages on 1 key (most: counts/infra_1, 7 by simulator," in notice["text"]
 
 
-def test_a_node_that_reports_more_than_it_was_sent_ends_the_run_and_is_named(tmp_path: Path) -> None:
+def test_a_node_that_reports_more_messages_than_it_received_ends_the_run_by_name(tmp_path: Path) -> None:
     ended = launcher.run(small(), tmp_path / "run", engine=taken_over("infra_1", "exaggerate('clock')"), secure="acl")
     assert isinstance(ended.error, ImplausibleCounts)
     assert str(ended.error).startswith("infra_1 reports 1000000000 messages of simulator handled on clock, of which ")

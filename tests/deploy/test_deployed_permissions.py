@@ -1,4 +1,4 @@
-"""Only the user can change the files of a deployment, here and on hosts, and read its secrets."""
+"""Only the user can change a deployment's files or read its secrets."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def on_host(home: Path, *words: str) -> dict:
     return json.loads(done.stdout)
 
 
-def test_others_cannot_change_what_is_installed_on_a_host(tmp_path: Path) -> None:
+def test_other_users_cannot_change_installed_files_on_a_host(tmp_path: Path) -> None:
     on_host(tmp_path, "probe", "mast", "e", "r")
     new = tmp_path / "mast" / "releases" / "new"
     new.mkdir(mode=0o700)
@@ -74,7 +74,7 @@ def test_others_cannot_change_what_is_installed_on_a_host(tmp_path: Path) -> Non
     assert {path: oct(mode) for path, mode in found.items() if mode & 0o022} == {}
 
 
-def test_others_cannot_read_the_files_of_a_node_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_users_cannot_read_the_files_of_a_remote_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["mast-node", "--run", "r", "--name", "ego", "--endpoint", "tcp/127.0.0.1:1"])
     monkeypatch.setattr(remote_node, "_host", lambda arguments: (tmp_path / "written").touch())
     remote_node.main()

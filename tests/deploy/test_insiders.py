@@ -1,6 +1,6 @@
-"""One compromised node of each role under `--secure`, on every control key: no effect, or a failed run that names it.
+"""A compromised node of each role sends on every control key under `--secure`.
 
-`make insiders` sends 200 messages of each kind for each node; otherwise a sample of a few is sent, in fewer runs.
+`make insiders` sends 200 messages of each kind for each node; otherwise a few are sent in fewer runs.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from mast_zenoh.study.rogue.sending import send
 
 pytestmark = pytest.mark.mesh
 
-#: Messages of each kind that an insider sends.
+#: Messages of each kind that each insider sends.
 COUNT = int(os.environ.get("MAST_FORGERIES", "4"))
 ALL = COUNT >= 200
 only_all = pytest.mark.skipif(not ALL, reason="make insiders")
 
-#: Kinds whose refusal somebody counts under the key of the node that sent them.
+#: Kinds whose refusals are counted under the key of the sending node.
 COUNTED = ("counts", "failed", "result", "fetch", "file")
 
 
@@ -69,13 +69,13 @@ def metrics(folder: Path, *without: str) -> dict[str, Any]:
 
 
 def untouched(twin: Path, ended: Ended, *without: str) -> None:
-    """The run is the twin's, message by message; `without`: parts of its metrics that are the insider's own."""
+    """Assert that messages and metrics equal the twin's, except keys in `without`."""
     assert compare(twin, ended.folder, taps=True).first is None
     assert metrics(twin, *without) == metrics(ended.folder, *without)
 
 
 def taken_and_told(node: str, forgery: Forgery) -> bool:
-    """Whether a forgery in a node's own name is taken, and what comes of it is that node's own: its run may end."""
+    """Whether a forgery in a node's own name is accepted and may end the run."""
     if forgery.sender != node or refused(forgery.control, node, forgery.payload):
         return False
     if forgery.control == "counts":
@@ -88,7 +88,7 @@ def taken_and_told(node: str, forgery: Forgery) -> bool:
 
 
 def is_refused(node: str, forgery: Forgery) -> bool:
-    """Whether somebody counts that a forgery was refused; one on a key of another does not get past the router."""
+    """Whether a refusal is counted; the router drops forgeries on foreign keys."""
     if forgery.sender != node or forgery.control not in COUNTED:
         return False
     if refused(forgery.control, node, forgery.payload) or forgery.control == "file":
@@ -112,7 +112,7 @@ def test_forgeries_on_every_control_key_change_nothing_and_are_counted(
     ended.sound()
 
 
-def test_failures_that_nodes_make_up_end_the_run_as_failed_in_their_own_names(
+def test_forged_failures_fail_the_run_in_the_name_of_the_forging_node(
     run: Resolved, twin: Path, tmp_path: Path
 ) -> None:
     values = [value for value in falsehoods("failed", at(run, "infra_1")) if value[1]["handler"] != "start"]
@@ -131,7 +131,7 @@ def test_failures_that_nodes_make_up_end_the_run_as_failed_in_their_own_names(
     ("node", "exception", "code"),
     [(node, "KeyError: 'forged'", 21) for node in NODES] + [("infra_1", "DiskFull: forged", 28)],
 )
-def test_a_node_that_says_that_it_cannot_start_ends_the_run_and_is_named(
+def test_a_node_that_claims_it_cannot_start_ends_the_run_by_name(
     run: Resolved, tmp_path: Path, node: str, exception: str, code: int
 ) -> None:
     values = [value for value in falsehoods("failed", at(run, node)) if value[1]["handler"] == "start"]
@@ -143,7 +143,7 @@ def test_a_node_that_says_that_it_cannot_start_ends_the_run_and_is_named(
 
 
 def outcomes(run: Resolved, node: str) -> list[dict[str, Any]]:
-    """The false results that are taken."""
+    """The false results that are accepted."""
     found = []
     for outcome in false_results(at(run, node)):
         if not refused("result", node, results.pack(outcome)):
@@ -156,10 +156,10 @@ ROUNDS = range(0, N_RESULTS, len(NODES)) if ALL else (0,)
 
 
 @pytest.mark.parametrize("first", ROUNDS)
-def test_what_nodes_hand_in_too_early_and_is_false_spoils_their_own_results_alone(
+def test_early_false_results_affect_only_the_node_that_sent_them(
     run: Resolved, twin: Path, tmp_path: Path, first: int
 ) -> None:
-    """Each node hands in another one of the false results."""
+    """Each node delivers another one of the false results."""
     sent = {}
     for offset, node in enumerate(NODES):
         taken = outcomes(run, node)
@@ -174,12 +174,12 @@ def test_what_nodes_hand_in_too_early_and_is_false_spoils_their_own_results_alon
         assert all(node in ended.message for node in failed)
     assert compare(twin, ended.folder, taps=True).first is None
     late = {key: count for key, (count, _) in ended.record["invalid_control"].items()}
-    assert late == {f"result/{node}": 1 for node in NODES}, "what the sound nodes hand in comes too late"
+    assert late == {f"result/{node}": 1 for node in NODES}, "the honest nodes' results come too late"
     inside = {path.relative_to(ended.folder).parts[0] for path in ended.folder.rglob("*") if path.is_file()}
     ours = {path.relative_to(twin).parts[0] for path in twin.rglob("*") if path.is_file()}
     assert inside - ours <= {"logs", "report.html", "figures", "results", "metrics.parquet", "checks.json"}
     for path in ended.folder.rglob(f"*{MARKER}*"):
-        assert path.parent.parent == ended.folder / "results", "a table of its own"
+        assert path.parent.parent == ended.folder / "results", "its own table"
     ended.sound()
 
 
@@ -189,7 +189,7 @@ def test_what_nodes_hand_in_too_early_and_is_false_spoils_their_own_results_alon
     [(node, kind) for node in NODES for kind in ("foreign sent", "much handled", "much sent")]
     + [(node, kind) for node in ("infra_1", "link_ego") for kind in ("foreign handled", "nothing")],
 )
-def test_false_counters_end_the_run_and_name_the_node_or_change_nothing(
+def test_false_counters_end_the_run_by_name_or_change_nothing(
     run: Resolved, twin: Path, tmp_path: Path, node: str, kind: str
 ) -> None:
     where = at(run, node)
@@ -215,7 +215,7 @@ def test_false_counters_end_the_run_and_name_the_node_or_change_nothing(
 
 
 def say_one_more(key: str) -> Callable[..., None]:
-    """A message of which lock-step counts that it was handled, but not that it was sent."""
+    """A message that lock-step counts as handled but not as sent."""
 
     def insider(session: Any, prefix: str) -> None:
         session.put(f"{prefix}/{key}", b"\xc1", attachment=ATTACHMENT.pack(MARK, 1, 3))
@@ -225,7 +225,7 @@ def say_one_more(key: str) -> Callable[..., None]:
 
 @only_all
 @pytest.mark.parametrize("node", [node for node in NODES if node not in ("evaluator", "recorder", "counter")])
-def test_a_message_that_the_sound_node_does_not_report_ends_the_run_and_names_the_node(
+def test_a_message_missing_from_the_honest_nodes_report_ends_the_run_by_name(
     run: Resolved, tmp_path: Path, node: str
 ) -> None:
     ended = play(tmp_path / "run", {node: say_one_more(at(run, node).publishes[0])})
@@ -236,9 +236,7 @@ def test_a_message_that_the_sound_node_does_not_report_ends_the_run_and_names_th
 
 @only_all
 @pytest.mark.parametrize("node", NODES)
-def test_a_node_that_says_that_it_is_of_another_version_fails_the_run_and_is_named(
-    run: Resolved, tmp_path: Path, node: str
-) -> None:
+def test_a_node_that_claims_another_version_fails_the_run_by_name(run: Resolved, tmp_path: Path, node: str) -> None:
     value = {"do": "join", "version": "0.0.0 (sources forged)", "versions": {}}
     ended = play(tmp_path / "run", {node: sending(own("fetch", node, value))})
     assert (ended.code, ended.record["status"]) == (29, "failed")

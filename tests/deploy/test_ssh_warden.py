@@ -1,4 +1,4 @@
-"""A host's supervisor without SSH: commands are carried out once, and nothing is left when it exits."""
+"""A host's supervisor without SSH: commands run once, nothing remains."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SLEEP = [sys.executable, "-c", "import signal, sys; print('up', flush=True); sig
 
 
 class Attached:
-    """A connection to a supervisor, as the launcher has one."""
+    """A connection to a supervisor, like the launcher's."""
 
     def __init__(self, folder: Path, **offsets: int) -> None:
         self.there = socket.socket(socket.AF_UNIX)
@@ -40,7 +40,7 @@ class Attached:
         self.there.sendall(json.dumps(said).encode() + b"\n")
 
     def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """The first thing heard that is so, from now on."""
+        """The next received event that satisfies the condition."""
         for line in self.lines:
             self.heard.append(json.loads(line))
             if condition(self.heard[-1]):
@@ -48,12 +48,12 @@ class Attached:
         raise AssertionError(f"the connection has ended; heard {self.heard}")
 
     def do(self, which: str, do: str, **more: Any) -> dict[str, Any]:
-        """Have something done; the answer."""
+        """Send a command and return the answer."""
         self.tell({"id": which, "do": do, **more})
         return self.wait(lambda said: said.get("answer") == which)
 
     def ended(self) -> bool:
-        """Wait until the other side has closed the connection."""
+        """Wait until the peer has closed the connection."""
         for line in self.lines:
             self.heard.append(json.loads(line))
         return True
@@ -65,7 +65,7 @@ class Attached:
 
 @pytest.fixture
 def serve() -> Iterator[Callable[..., Path]]:
-    """Starts supervisors, in short folders: a socket's path may not be long."""
+    """Starts supervisors in short folders, as socket paths are limited."""
     top = Path(tempfile.mkdtemp(prefix="mast_w"))
 
     def start(patience_s: float = 600.0, umask: int = -1) -> Path:
@@ -86,7 +86,7 @@ def serve() -> Iterator[Callable[..., Path]]:
 
 
 def of(top: Path) -> list[psutil.Process]:
-    """The supervisors and nodes in a folder that run."""
+    """The running supervisors and nodes in a folder."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):
@@ -111,7 +111,7 @@ def gone(pid: int) -> bool:
     return True
 
 
-def test_a_repeated_command_is_carried_out_once(serve) -> None:
+def test_a_repeated_command_is_executed_once(serve) -> None:
     folder = serve()
     first = Attached(folder)
     pid = started(first, "ego")
@@ -123,11 +123,11 @@ def test_a_repeated_command_is_carried_out_once(serve) -> None:
     again.do("leave", "leave", grace_s=10.0)
     assert again.ended()
     assert gone(pid)
-    assert not folder.parent.exists(), "nothing is left but what other runs may need"
+    assert not folder.parent.exists(), "only files that other runs may need remain"
     assert folder.parent.parent.exists()
 
 
-def test_only_its_user_can_read_a_runs_files_on_a_host_with_any_umask(serve) -> None:
+def test_only_the_owner_can_read_a_runs_files_on_a_host_with_any_umask(serve) -> None:
     folder = serve(umask=0)
     attached = Attached(folder)
     program = "import pathlib, sys; pathlib.Path('written').touch(); sys.exit(0)"
@@ -140,19 +140,19 @@ def test_only_its_user_can_read_a_runs_files_on_a_host_with_any_umask(serve) -> 
     assert attached.ended()
 
 
-def test_nodes_get_their_environment_and_folder_and_their_exit_code_is_reported(serve) -> None:
+def test_nodes_get_their_environment_and_folder_and_report_their_exit_code(serve) -> None:
     folder = serve()
     attached = Attached(folder)
     program = "import os, sys; print(os.environ['WORD'], os.environ['TMPDIR'], os.getcwd(), flush=True); sys.exit(5)"
     started(attached, "ego", sys.executable, "-c", program)
     assert attached.wait(lambda said: said.get("node") == "ego")["exit"] == 5
     said = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
-    assert said == f"given {folder}/tmp/ego {folder}\n", "what it has said comes before its end"
+    assert said == f"given {folder}/tmp/ego {folder}\n", "output arrives before the exit event"
     attached.do("leave", "leave", grace_s=1.0)
     attached.close()
 
 
-def test_logs_continue_where_the_last_connection_ended(serve) -> None:
+def test_logs_continue_from_the_last_connection(serve) -> None:
     folder = serve()
     first = Attached(folder)
     program = "for i in range(10_000): print(i, 'ä' * 20)\nprint('end', flush=True)\nimport signal; signal.pause()"
@@ -170,7 +170,7 @@ def test_logs_continue_where_the_last_connection_ended(serve) -> None:
     second.close()
 
 
-def test_nodes_that_do_not_leave_are_killed_after_the_grace_period_also_stopped_ones(serve) -> None:
+def test_nodes_that_do_not_exit_are_killed_after_the_grace_period_even_if_stopped(serve) -> None:
     attached = Attached(serve())
     program = (
         "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\nwhile 1: signal.pause()"
@@ -187,7 +187,7 @@ def test_nodes_that_do_not_leave_are_killed_after_the_grace_period_also_stopped_
     attached.close()
 
 
-def test_without_a_launcher_it_ends_all_even_if_a_stopped_node_has_seen_one(serve) -> None:
+def test_without_a_launcher_it_ends_all_nodes_even_if_a_stopped_one_saw_the_launcher(serve) -> None:
     folder = serve(patience_s=1.0)
     attached = Attached(folder)
     pid = started(attached, "ego")
@@ -202,13 +202,13 @@ def test_without_a_launcher_it_ends_all_even_if_a_stopped_node_has_seen_one(serv
     assert not folder.exists()
 
 
-def test_it_stays_without_a_connection_as_long_as_a_node_sees_the_launcher(serve) -> None:
+def test_it_survives_without_a_connection_while_a_node_sees_the_launcher(serve) -> None:
     folder = serve(patience_s=0.5)
     attached = Attached(folder)
     started(attached, "ego")
     (folder / "tmp" / "ego" / "mast-up").touch()
     attached.close()
-    threading.Event().wait(2.0)  # several times its patience
+    threading.Event().wait(2.0)  # several times its timeout
     again = Attached(folder)
     assert again.do("state", "state")["nodes"][0]["exit"] is None
     again.do("leave", "leave", grace_s=1.0)

@@ -1,4 +1,4 @@
-"""Stack files, Docker's output about a stack, and their consequences, without a Docker engine."""
+"""Stack files and Docker's output about stacks, without a Docker engine."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_every_node_is_a_service_with_one_task_and_a_limit(resolved: Resolved) -
         assert told["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
 
 
-def test_a_stack_file_has_no_keys_of_compose_only(resolved: Resolved) -> None:
+def test_a_stack_file_has_no_compose_only_keys(resolved: Resolved) -> None:
     content = stacked(resolved, secure="acl", environment={"OPENBLAS_CORETYPE": "Haswell"})
     known = {"image", "user", "init", "read_only", "cap_drop", "healthcheck", "volumes", "stop_grace_period"}
     known |= {"command", "networks", "ports", "secrets", "deploy", "environment", "<<"}
@@ -67,7 +67,7 @@ def test_nodes_get_the_same_commands_as_from_compose(resolved: Resolved) -> None
         assert service["networks"] == composed[name]["networks"]
 
 
-def test_docker_restarts_only_nodes_whose_on_exit_says_so(resolved: Resolved) -> None:
+def test_docker_restarts_only_nodes_with_a_restart_policy(resolved: Resolved) -> None:
     found = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
     assert found.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
     assert {policy["condition"] for policy in found.values()} == {"none"}
@@ -89,7 +89,7 @@ def test_mobile_agents_have_their_own_network_and_no_node_has_external_access(re
     assert {name for name, networks in found.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
 
 
-def test_the_router_and_nodes_that_the_scenario_kills_are_on_the_launchers_machine(resolved: Resolved) -> None:
+def test_the_router_and_nodes_killed_by_the_scenario_are_on_the_launchers_machine(resolved: Resolved) -> None:
     steps = (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"), ProcessStep(4, "leave", "broker"))
     place = placement.resolve({"infra_*": "west"}, resolved.nodes)
     services = stacked(resolved, place=place, pinned=placement.pinned(steps))["services"]
@@ -98,10 +98,10 @@ def test_the_router_and_nodes_that_the_scenario_kills_are_on_the_launchers_machi
     assert found["router"] == ["node.id == id-here"]
     assert found["infra_1"] == ["node.id == id-here", west]
     assert found["infra_2"] == [west]
-    assert found["broker"] == [], "whoever is asked to leave may be anywhere"
+    assert found["broker"] == [], "a node to be disconnected may run on any machine"
 
 
-def test_only_the_processes_user_can_read_secrets_which_are_named_by_their_files(resolved: Resolved) -> None:
+def test_only_the_nodes_user_can_read_secrets_which_are_named_by_their_files(resolved: Resolved) -> None:
     content = stacked(resolved, secure="acl")
     for name, service in content["services"].items():
         names = {"router.json"} if name == "router" else {"ca.pem", "certificate.pem", "key.pem", "control.json"}
@@ -111,14 +111,14 @@ def test_only_the_processes_user_can_read_secrets_which_are_named_by_their_files
     assert "secrets" not in stacked(resolved)
 
 
-def test_the_router_is_checked_often_as_its_name_resolves_only_when_healthy(resolved: Resolved) -> None:
+def test_the_router_is_checked_often_because_its_name_resolves_only_when_healthy(resolved: Resolved) -> None:
     found = stacked(resolved)
     assert found["services"]["router"]["healthcheck"]["interval"] == "2s"
     assert found["services"]["router"]["healthcheck"]["test"] == found["x-node"]["healthcheck"]["test"]
 
 
 @given(name=st.text(alphabet=string.ascii_letters + string.digits + "_-.é ", min_size=1, max_size=60))
-def test_every_accepted_name_is_a_label_of_a_domain_name(resolved: Resolved, name: str) -> None:
+def test_every_accepted_name_is_a_valid_dns_label(resolved: Resolved, name: str) -> None:
     one = replace(resolved, nodes={name: resolved.nodes["broker"]})
     label = document.service(RUN, name)
     with contextlib.suppress(ConfigurationError):
@@ -129,7 +129,7 @@ def test_every_accepted_name_is_a_label_of_a_domain_name(resolved: Resolved, nam
         assert label[-1].isalnum()
 
 
-def test_a_pattern_that_matches_no_node_is_refused_with_the_nearest_name(resolved: Resolved) -> None:
+def test_a_pattern_without_matching_nodes_is_refused_with_the_nearest_name(resolved: Resolved) -> None:
     with pytest.raises(ConfigurationError, match=r"--place brokr: there is no such node; did you mean 'broker'\?"):
         placement.resolve({"brokr": "west"}, resolved.nodes)
     assert placement.resolve({"infra_1": "east", "infra_*": "west"}, ["infra_1", "infra_2", "ego"]) == {
@@ -149,7 +149,7 @@ def test_a_host_label_that_no_machine_has_is_refused() -> None:
     placement.check([HERE, THERE], {"infra_1": "east"}, ())
 
 
-def test_a_node_that_the_scenario_kills_cannot_be_placed_on_another_machine() -> None:
+def test_a_node_killed_by_the_scenario_cannot_be_placed_on_another_machine() -> None:
     with pytest.raises(
         EngineError, match=r"infra_1: the scenario kills or pauses it, .*here.* found it placed on .*east"
     ):
@@ -179,7 +179,7 @@ def test_the_exit_code_of_a_task_is_read_from_docker(said: tuple[str, ...], code
     assert [task.exit for task in found["infra_1"]] == [code]
 
 
-def test_a_task_that_was_not_started_has_dockers_reason() -> None:
+def test_a_task_that_was_not_started_has_the_reason_from_docker() -> None:
     (task,) = tasks.parse(document.stack(RUN), [line("t1", "Rejected 1 second ago", '"No such image: sha256:1"')])[
         "infra_1"
     ]
@@ -197,7 +197,7 @@ def test_any_output_of_docker_is_parsed_without_an_error(lines: list[str]) -> No
 
 
 class Engine:
-    """Stands for Docker: what it says of the tasks is told here, what it is told is noted."""
+    """A stand-in for Docker: scripted task states, recorded commands."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.tasks: list[Task] = []
@@ -233,7 +233,7 @@ def supervised(resolved: Resolved, tmp_path: Path, mode: str = "lockstep") -> Se
 KILLED = "task: non-zero exit (137)"
 
 
-def test_a_node_that_docker_restarts_has_ended_and_runs_again(
+def test_a_node_restarted_by_docker_has_ended_and_runs_again(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -247,14 +247,14 @@ def test_a_node_that_docker_restarts_has_ended_and_runs_again(
     assert (child.exit, supervisor.newly_ended()) == (-9, [])
     assert supervisor.restart(child, {"ego"})
     assert (child.exit, child.restarts, supervisor.without["infra_2"]) == (None, 1, ["ego"])
-    assert dockerd.told == [("log", "t1")], "nobody has scaled anything"
+    assert dockerd.told == [("log", "t1")], "nothing was scaled"
     dockerd.say(("t2", "complete", ""), ("t1", "failed", KILLED))
     supervisor.running()
     assert supervisor.newly_ended() == [child]
     assert child.exit == 0
 
 
-def test_a_node_that_fails_twice_between_two_looks_has_ended_twice(
+def test_a_node_that_fails_twice_between_two_polls_has_ended_twice(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -268,7 +268,7 @@ def test_a_node_that_fails_twice_between_two_looks_has_ended_twice(
     assert codes == [-9, 3]
 
 
-def test_a_node_for_which_there_is_no_machine_ends_the_run_with_dockers_reason(
+def test_a_node_without_a_suitable_machine_ends_the_run_with_the_reason_from_docker(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -291,7 +291,7 @@ def test_a_lock_step_run_does_not_survive_its_router(resolved: Resolved, tmp_pat
         supervisor.running()
 
 
-def test_a_real_time_run_waits_for_its_router_only_for_a_while(
+def test_a_real_time_run_waits_for_its_router_for_a_limited_time(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path, "realtime")
@@ -320,7 +320,7 @@ def test_killing_a_node_on_another_machine_is_refused_with_the_reason(
     assert dockerd.told == []
 
 
-def test_docker_may_fail_for_a_short_time_only(
+def test_docker_may_be_unavailable_for_a_short_time_only(
     resolved: Resolved, tmp_path: Path, dockerd: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -396,7 +396,7 @@ def test_a_machine_without_a_swarm_has_only_containers_of_a_stack(monkeypatch: p
     assert asked == ["info", "container", "network"]
 
 
-def test_nodes_elsewhere_get_only_the_variables_that_affect_floating_point_results() -> None:
+def test_remote_nodes_get_only_the_variables_that_affect_floating_point_results() -> None:
     ours = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2", "HOME": "/somewhere"}
     theirs = numeric_environment.environment(ours)
     assert theirs.pop("MAST_KERNELS", kernels.USED) == kernels.USED

@@ -22,7 +22,7 @@ def test_every_file_and_command_of_the_example_works_as_written(tmp_path: Path) 
     example = PAGE.read_text().split("## An example")[1].split("\n## ")[0]
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     blocks = re.findall(r"^```(console terminal=1|console|python file=(\S+))\n(.*?)^```$", example, flags=re.S | re.M)
-    assert len(blocks) == len(re.findall(r"^```\w", example, flags=re.M)) == 3, "a block that nobody runs"
+    assert len(blocks) == len(re.findall(r"^```\w", example, flags=re.M)) == 3, "a block that no test runs"
     (_, _, first), (_, file, text), (_, _, others) = blocks
     run = subprocess.Popen(first.removeprefix("$ ").split(), cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
     try:

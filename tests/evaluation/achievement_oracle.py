@@ -1,4 +1,4 @@
-"""What adversaries achieved, computed by plain loops from attacks.parquet, objects.parquet and the truth."""
+"""Achievements of adversaries, by plain loops over the tables and the truth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RANGE_M, HIDDEN_M, MIN_MOVE_M, ACCEPTED_M, DISPLACED_M, LASTING_S, PERIOD_S = 10
 
 
 class Target(NamedTuple):
-    """An object that an adversary manipulated in one frame; object: id of the truth object, -1: none, or inserted."""
+    """An object manipulated in one frame; object: truth id, -1: none or inserted."""
 
     adversary: str
     kind: str
@@ -23,7 +23,7 @@ class Target(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether a manipulation is believed, whether that can be said, and the error of a tracked object, m."""
+    """Whether a manipulation succeeded and can be judged, and the track error, m."""
 
     believed: bool
     judged: bool
@@ -61,7 +61,7 @@ class Run:
         return found
 
     def nearest(self, frame: int, x: float, y: float) -> int:
-        """The truth object that is nearest, and near enough."""
+        """The nearest truth object within the gate."""
         body = self.truth[frame]
         apart = [
             (math.dist((x, y), place[:2]), int(id_)) for id_, place in zip(body["id"], body["position"], strict=True)
@@ -70,7 +70,7 @@ class Run:
         return best[1] if best[0] <= HIDDEN_M else -1
 
     def verdict(self, target: Target, estimator: str, agents: list[str]) -> Verdict:
-        """Of one target, in an estimate of some agents."""
+        """The achievements for one target in the estimates of some agents."""
         boxes = [row for row in self.boxes[estimator, target.frame] if row["agent"] in agents]
         if target.kind == "inserted":
             tracks = [row for row in boxes if row["kind"] == "track" and row["cause"] == "inserted"]
@@ -99,7 +99,7 @@ class Run:
         return Verdict(target.kind != "removed" and errors[0] > DISPLACED_M, True, errors[0])
 
     def ghost(self, target: Target, boxes: list[dict[str, Any]], truth: dict[str, Any]) -> float | None:
-        """How far the false track that follows a moved object is from it, m; None: no track follows it."""
+        """Distance, m, of the false track that follows a moved object; None: no track."""
         if target.kind != "moved":
             return None
         here, shown = (truth["x"], truth["y"]), (target.x, target.y)
@@ -116,7 +116,7 @@ class Run:
         return best and best[1]
 
     def moved(self) -> dict[tuple[str, int], list[Target]]:
-        """What each adversary moved in each frame."""
+        """The objects that each adversary moved, by frame."""
         if not hasattr(self, "_moved"):
             self._moved: dict[tuple[str, int], list[Target]] = defaultdict(list)
             for each in self.targets():
@@ -133,7 +133,7 @@ def rows(table: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def summary(targets: list[dict[str, Any]], who: str) -> dict[str, Any]:
-    """What the rows of targets.parquet of an adversary, or of all, come to for the centre or the ego."""
+    """Rows of targets.parquet summarised for an adversary, or all, by estimate."""
     result: dict[str, Any] = {}
     hits: list[int] = []
     real = [row for row in targets if row["kind"] == "inserted" or row["object"] >= 0]

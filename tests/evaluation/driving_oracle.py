@@ -1,4 +1,4 @@
-"""What each estimate would mean for driving, computed by plain loops from the recording and objects.parquet."""
+"""Consequences of estimates for driving, by plain loops over a recording."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Thing(NamedTuple):
 
 
 class Met(NamedTuple):
-    """An object in the corridor: gap m, time to collision s, whether the vehicle has to brake for it."""
+    """An object in the corridor: gap m, time to collision s, need to brake."""
 
     thing: Thing
     gap: float
@@ -58,7 +58,7 @@ def things(body: Any) -> list[Thing]:
 def expected(played: Played, agent: str, sources: dict[str, str]) -> dict[str, dict[int, dict[str, Any]]]:
     """By estimate and frame the columns of driving.parquet.
 
-    sources: by estimate the key on which it is sent
+    sources: by estimate its key
     """
     truth: dict[int, Any] = {}
     believed: dict[str, dict[int, list[Thing]]] = defaultdict(dict)
@@ -99,7 +99,7 @@ def expected(played: Played, agent: str, sources: dict[str, str]) -> dict[str, d
 
 
 def row(met: list[Met]) -> dict[str, Any]:
-    """What can be said of one estimate by itself."""
+    """The columns of one estimate by itself."""
     return {
         "objects": len(met),
         "false": 0,
@@ -114,7 +114,7 @@ def row(met: list[Met]) -> dict[str, Any]:
 
 
 def errors(played: Played, agent: str) -> dict[tuple[str, int, str, int], str]:
-    """The cause of every false track and missed object of an agent, by estimate, frame, outcome and id."""
+    """Causes of an agent's errors, by estimate, frame, outcome and id."""
     table, same_as = played.table("objects"), played.metrics["same_as"].get(agent, {})
     found: dict[tuple[str, int, str, int], str] = defaultdict(str)
     names = ("agent", "estimator", "frame", "outcome", "id", "cause")
@@ -126,7 +126,7 @@ def errors(played: Played, agent: str) -> dict[tuple[str, int, str, int], str]:
 
 
 class Path:
-    """The path that a vehicle drove, in steps of 1 m, and straight on."""
+    """The path of a vehicle in steps of 1 m, extended straight ahead."""
 
     def __init__(self, me: list[Thing]) -> None:
         self.me = me
@@ -145,7 +145,7 @@ class Path:
         return math.atan2(b.y - a.y, b.x - a.x)
 
     def met(self, frame: int, objects: list[Thing]) -> list[Met]:
-        """What is in the corridor in a frame."""
+        """The objects in the corridor in a frame."""
         me, here, found = self.me[frame], self.here[frame], []
         speed = math.hypot(me.vx, me.vy)
         for thing in objects:
@@ -177,26 +177,26 @@ class Path:
         return found
 
     def overlapping(self, frame: int, objects: list[Thing]) -> int:
-        """How many objects overlap the vehicle in a frame."""
+        """The number of objects that overlap the vehicle in a frame."""
         me = self.me[frame]
         return sum(overlaps(me, thing) for thing in objects)
 
 
 def overlaps(me: Thing, thing: Thing) -> bool:
-    """Whether a thing overlaps the vehicle, or is centred on it."""
+    """Whether a box overlaps the vehicle or is centred on it."""
     near = math.hypot(thing.x - me.x, thing.y - me.y)
     return near <= 2.0 or (near < 20.0 and outline(me).intersection(outline(thing)).area > 1e-6)
 
 
 def outline(thing: Thing) -> Polygon:
-    """Its outline from above."""
+    """The outline of a box from above."""
     x, y = thing.length / 2, thing.width / 2
     turned = affinity.rotate(Polygon([(x, y), (-x, y), (-x, -y), (x, -y)]), thing.yaw, (0, 0), use_radians=True)
     return affinity.translate(turned, thing.x, thing.y)
 
 
 def compare(table: dict[str, np.ndarray], agent: str, rows: dict[str, dict[int, dict[str, Any]]]) -> int:
-    """Assert that driving.parquet has these rows; how many were compared."""
+    """Assert that driving.parquet has these rows; returns their number."""
     count = 0
     for estimate, by_frame in rows.items():
         for frame, values in by_frame.items():

@@ -1,4 +1,4 @@
-"""What adversaries achieved equals plain loops over what was measured, in every shipped scenario with an attack."""
+"""Achievements equal plain loops in every shipped scenario with an attack."""
 
 from __future__ import annotations
 

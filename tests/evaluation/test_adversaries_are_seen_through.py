@@ -1,4 +1,4 @@
-"""Adversaries that are silent, that lie and that crash are each identified from the messages on their wires."""
+"""Silent, lying and crashing adversaries are identified from their wires."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def scenario(one="silence", other="silence", hides=True):
 """,
 }
 FRAMES = 30
-ACTIVE = 20  # frames in which they act
+ACTIVE = 20  # frames in which they are active
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ ACTIVE = 20  # frames in which they act
         ("more", "disagrees", 0, ACTIVE),
     ],
 )
-def test_reports_of_an_adversary_are_compared_with_what_it_did(
+def test_reports_of_an_adversary_are_compared_with_its_measured_effects(
     tmp_path: Path, says: str, agreement: str, unreported: int, unfounded: int
 ) -> None:
     """The verdict on `one` does not depend on `other`, which reports correctly."""
@@ -121,8 +121,8 @@ def test_unfounded_reports_of_an_adversary_are_identified(tmp_path: Path) -> Non
     assert "one" not in {name for by in set(played.table("objects")["by"]) for name in by.split("+")}
 
 
-def test_a_crashing_adversary_is_measured_as_dropping_messages_and_named_by_the_run(tmp_path: Path) -> None:
-    """Its handler raises before it relays anything, so every message from then on is dropped."""
+def test_a_crashing_adversary_is_measured_as_dropping_messages_and_named(tmp_path: Path) -> None:
+    """Its handler raises before relaying, so all later messages are dropped."""
     for file, text in FILES.items():
         (tmp_path / f"{file}.py").write_text(text)
     path, content = scenario.load(str(tmp_path / "hidden.py"), ["one=crash", "other=truth"])

@@ -1,4 +1,4 @@
-"""The causes of false tracks and missed objects, in every estimate, equal plain loops over the tables of the run."""
+"""Causes of errors in every estimate equal plain loops over the tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ VARIANTS = [variant for variant in every() if variant[0] in LINKLESS]
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=label)
 def test_causes_equal_a_plain_loop(shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]) -> None:
-    """Scenarios without links: in those, what a picture lacks may be due to what a link dropped."""
+    """Scenarios without links, whose drops may also cause missing tracks."""
     played, _ = shipped(variant)
     causes = Causes(played)
     found: Counter[str] = Counter()
@@ -42,7 +42,7 @@ def test_causes_equal_a_plain_loop(shipped: Callable[..., tuple[Played, object]]
     assert found["link or fault"] == 0
 
 
-def test_errors_split_into_fault_attack_and_natural_ones_in_every_estimate(
+def test_errors_in_every_estimate_are_split_into_fault_attack_and_natural(
     shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]
 ) -> None:
     played, _ = shipped(variant)

@@ -1,4 +1,4 @@
-"""What estimates would mean for driving equals plain loops, on runs with and without an attack."""
+"""Driving metrics equal plain loops, with and without an attack."""
 
 from __future__ import annotations
 

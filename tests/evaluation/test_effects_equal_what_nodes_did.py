@@ -1,4 +1,4 @@
-"""The measured effects of every interposer equal, row by row, what it did."""
+"""Measured effects of interposers equal their actions, row by row."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WHOLE = ("frame", "seq", "id")
 
 
 def measured(played: Played) -> list[dict[str, Any]]:
-    """The rows of attacks.parquet, as the oracle has them."""
+    """The rows of attacks.parquet in the format of the oracle."""
     table = played.table("attacks")
     rows = []
     for k in range(len(table["frame"])):
@@ -38,7 +38,7 @@ def measured(played: Played) -> list[dict[str, Any]]:
 
 
 def compare(played: Played, process: Watched) -> Counter[str]:
-    """Assert that measured rows and those of the oracle are equal; the number of rows of each effect."""
+    """Assert that measured rows equal the oracle's; returns counts by effect."""
 
     def place(row: dict[str, Any]) -> tuple[Any, ...]:
         numbers = [row["delay_s"], *row["before"], *row["after"], *row["velocity"]]
@@ -59,7 +59,7 @@ def compare(played: Played, process: Watched) -> Counter[str]:
     return kinds[0]
 
 
-def test_effects_are_those_of_every_shipped_scenario(
+def test_effects_equal_the_oracles_in_every_shipped_scenario(
     shipped: Callable[..., tuple[Played, Watched]], variant: tuple[str, ...]
 ) -> None:
     played, process = shipped(variant)
@@ -70,7 +70,7 @@ def test_effects_are_those_of_every_shipped_scenario(
 
 
 def chain(seed: int) -> dict[str, Any]:
-    """A scenario with adversaries, tamperers and links on wires drawn at random."""
+    """A scenario with adversaries, tamperers and links on random wires."""
     rng = np.random.default_rng(seed)
     path, content = scenario.load("baseline", ["n_infrastructure=2"])
     adversaries: dict[str, Any] = {}
@@ -109,7 +109,7 @@ def chain(seed: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_effects_are_those_of_chains_drawn_at_random(seed: int, tmp_path: Path) -> None:
+def test_effects_equal_the_oracles_in_random_chains(seed: int, tmp_path: Path) -> None:
     played, process = watch(tmp_path, chain(seed))
     kinds = compare(played, process)
     assert sum(kinds.values()) > 50

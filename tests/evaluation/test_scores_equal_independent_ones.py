@@ -1,4 +1,4 @@
-"""The scores of every estimate equal those of two independent implementations, on recordings of every scenario."""
+"""Scores equal two independent implementations on all shipped scenarios."""
 
 from __future__ import annotations
 

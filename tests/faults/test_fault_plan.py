@@ -1,4 +1,4 @@
-"""A list of faults becomes rules of links, steps of processes and bands of a timeline; what cannot be is refused."""
+"""Faults become link rules, process steps and timeline bands, or are refused."""
 
 import dataclasses
 import inspect
@@ -41,7 +41,7 @@ def planned(*specs: dict[str, Any], seed: int = 0, lockstep: bool = True, times_
 
 
 @pytest.mark.parametrize(("at_s", "frame"), [(0.0, 0), (0.001, 1), (0.1, 1), (0.30000000000000004, 3), (9.9, 99)])
-def test_a_step_happens_before_the_first_frame_that_is_not_earlier(at_s: float, frame: int) -> None:
+def test_a_step_happens_before_the_first_frame_at_or_after_its_time(at_s: float, frame: int) -> None:
     assert frame_at(TIMES_NS, at_s) == frame
 
 
@@ -96,14 +96,14 @@ def test_rules_keep_the_order_of_the_faults() -> None:
         (dict(type="Impair", rule=dict(type="PoseError", yaw_std_rad=0.1)), dict(type="PoseError", yaw_std_rad=0.1)),
     ],
 )
-def test_every_fault_of_messages_is_a_rule_that_links_know(fault: dict[str, Any], rule: dict[str, Any]) -> None:
+def test_every_message_fault_is_a_known_link_rule(fault: dict[str, Any], rule: dict[str, Any]) -> None:
     found = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
     assert found == [{**rule, "at": 1.0, "until": 2.0}]
     assert isinstance(registry.build(found[0], links.Rule, "here"), links.Rule)
 
 
 @pytest.mark.parametrize("fault", [cls for cls in KINDS.values() if issubclass(cls, LinkFault)])
-def test_a_parameter_has_the_same_default_as_fault_and_as_rule(fault: type[LinkFault]) -> None:
+def test_parameters_have_the_same_default_in_faults_and_rules(fault: type[LinkFault]) -> None:
     needed = {field.name: 0.5 for field in dataclasses.fields(fault) if field.default is dataclasses.MISSING}
     rule = fault(
         **needed | {"at": 1.0, "node": "ego"} | ({"rule": {"type": "Cut"}} if "rule" in needed else {})
@@ -120,7 +120,7 @@ def test_a_directed_fault_acts_in_one_direction() -> None:
     assert found.rules["ego"] == {"up": [], "down": [dict(type="Loss", probability=0.5, at=1.0, until=None)]}
 
 
-def test_a_slow_node_delays_the_messages_that_it_publishes() -> None:
+def test_a_slow_node_delays_its_published_messages() -> None:
     slow = dict(type="SlowNode", at=1.0, until=2.0, delay_s=0.3)
     agent = planned({**slow, "node": "infra_1"}).rules
     assert list(agent) == ["infra_1"]
@@ -140,15 +140,15 @@ def cut(seed: int = 0, **aim: Any) -> list[str]:
 def test_targets_are_names_and_roles() -> None:
     assert cut(nodes=["infra_2", "ego", "infra_2"]) == ["ego", "infra_2"], "in the order of the scene, once"
     assert cut(nodes="agent") == list(AGENTS)
-    assert cut(node="broker") == cut(node="command_center") == list(AGENTS), "who is cut off from the centre"
+    assert cut(node="broker") == cut(node="command_center") == list(AGENTS), "the agents cut off from the centre"
 
 
-def test_words_draw_agents_by_the_seed_of_the_run() -> None:
+def test_random_targets_are_drawn_by_the_seed_of_the_run() -> None:
     assert [len(cut(nodes=word)) for word in ("one", "minority", "majority")] == [1, 2, 3]
     assert cut(nodes="minority", seed=4) == cut(nodes="minority", seed=4)
     assert len({tuple(cut(nodes="minority", seed=seed)) for seed in range(20)}) > 5
     two = planned(*[dict(type="Partition", at=1.0, until=2.0, nodes="one")] * 8)
-    assert len({tuple(band["nodes"]) for band in two.bands}) > 1, "every fault draws its own lots"
+    assert len({tuple(band["nodes"]) for band in two.bands}) > 1, "every fault draws its targets independently"
 
 
 @pytest.mark.parametrize("n", range(1, 9))
@@ -194,7 +194,7 @@ def test_a_killed_node_restarts_at_the_configured_time() -> None:
         (dict(type="Kill", at=9.5, restart_after=2.0), [(95, "kill")]),
     ],
 )
-def test_every_fault_of_processes_is_steps(fault: dict[str, Any], steps: list[tuple[int, str]]) -> None:
+def test_every_process_fault_becomes_steps(fault: dict[str, Any], steps: list[tuple[int, str]]) -> None:
     found = planned({**fault, "node": "infra_1"})
     assert found.steps == tuple(ProcessStep(frame, action, "infra_1") for frame, action in steps)
 
@@ -205,7 +205,7 @@ def test_nodes_other_than_agents_can_be_killed_and_restarted(node: str) -> None:
     assert [step.node for step in found.steps] == [node, node]
 
 
-def test_a_joining_node_is_absent_before() -> None:
+def test_a_joining_node_is_absent_until_it_joins() -> None:
     (band,) = planned(dict(type="Join", at=2.0, node="infra_1")).bands
     assert (band["at_s"], band["until_s"]) == (0.0, 2.0)
 
@@ -237,7 +237,7 @@ def test_steps_are_in_the_order_of_frames() -> None:
 # -- pauses ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_pause_is_signals_in_real_time_and_held_messages_in_lock_step() -> None:
+def test_a_pause_is_signals_in_real_time_and_delayed_messages_in_lock_step() -> None:
     pause = dict(type="Pause", at=2.0, until=3.0, node="infra_1")
     real = planned(pause, lockstep=False)
     assert real.steps == (ProcessStep(20, "pause", "infra_1"), ProcessStep(30, "resume", "infra_1"))
@@ -249,18 +249,18 @@ def test_a_pause_is_signals_in_real_time_and_held_messages_in_lock_step() -> Non
     assert (real.bands[0]["backend"], exact.bands[0]["backend"]) == ("process", "links")
 
 
-def test_a_pause_that_would_outlast_the_run_ends_before_its_last_frame() -> None:
+def test_a_pause_beyond_the_run_ends_before_its_last_frame() -> None:
     found = planned(dict(type="Pause", at=9.0, until=12.0, node="infra_1"), lockstep=False)
     assert found.steps[-1] == ProcessStep(99, "resume", "infra_1")
 
 
-def test_a_paused_command_centre_is_a_pause_of_every_link() -> None:
+def test_pausing_the_command_centre_pauses_every_link() -> None:
     found = planned(dict(type="Pause", at=2.0, until=3.0, node="command_center"))
     assert list(found.rules) == list(AGENTS)
     assert found.bands[0]["nodes"] == ["command_center"]
 
 
-# -- unplugged -------------------------------------------------------------------------------------------------------
+# -- disconnections --------------------------------------------------------------------------------------------------
 
 
 UNPLUG = dict(type="Unplug", at=2.0, until=3.0, node="infra_1")
@@ -277,7 +277,7 @@ def test_an_unplugged_node_is_disconnected_and_reconnected() -> None:
 
 def test_a_node_unplugged_beyond_the_run_is_reconnected_before_its_last_frame() -> None:
     assert planned(UNPLUG | {"until": 12.0}, lockstep=False).steps[-1] == ProcessStep(99, "connect", "infra_1")
-    assert planned(UNPLUG | {"at": 9.9, "until": 12.0}, lockstep=False).steps == (), "nobody is left unplugged"
+    assert planned(UNPLUG | {"at": 9.9, "until": 12.0}, lockstep=False).steps == (), "every node is reconnected"
 
 
 def test_unplugging_is_refused_in_lock_step() -> None:
@@ -285,13 +285,13 @@ def test_unplugging_is_refused_in_lock_step() -> None:
         planned(UNPLUG)
 
 
-def test_a_disconnected_node_can_be_neither_killed_nor_paused() -> None:
+def test_a_disconnected_node_cannot_be_killed_or_paused() -> None:
     for other in (dict(type="Kill", at=2.5, node="infra_1"), dict(type="Pause", at=2.5, until=4.0, node="infra_1")):
         with pytest.raises(ConfigurationError, match=r"of 'infra_1' at 2.5 s: it is cut off then \(see .*\[0\]\)"):
             planned(UNPLUG, other, lockstep=False)
 
 
-# -- what is refused -------------------------------------------------------------------------------------------------
+# -- refusals --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -325,7 +325,7 @@ def test_a_disconnected_node_can_be_neither_killed_nor_paused() -> None:
         (dict(type="Pause", at=1.0, until=2.0, node="coordinator"), "has no link of its own"),
     ],
 )
-def test_a_wrong_fault_is_refused_with_its_place(fault: dict[str, Any], reason: str) -> None:
+def test_an_invalid_fault_is_refused_with_its_location(fault: dict[str, Any], reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason) as caught:
         planned(fault)
     assert str(caught.value).startswith("mine.py: faults[0]")

@@ -1,4 +1,4 @@
-"""Compiled kernels do what their NumPy references do, and what was not compiled is not missed."""
+"""Compiled kernels equal their NumPy references, which are the fallback."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def covariances(random, n, k=9):
 
 
 def places(random, n):
-    """Some of them in the same place, or in a row."""
+    """Points, some coincident or collinear."""
     spread = random.choice([0.5, 5.0, 50.0])
     found = random.normal(0.0, spread, (n, 3))
     return np.round(found) if random.random() < 0.3 else found
@@ -80,7 +80,7 @@ def gains(random, n, m):
 
 
 def clusters(random, n):
-    """Rows of first members, of n >= 1 members."""
+    """Start rows of groups with n >= 1 members."""
     return np.unique(np.append(0, random.integers(0, n, n // 2)))
 
 
@@ -96,7 +96,7 @@ def boxes(random, n):
 
 
 def message(random, n):
-    """A message with every kind of column, and how its columns are planned."""
+    """A message with every kind of column, and the plan of its columns."""
     states = ObjectStates.of(places(random, n), covariance=covariances(random, n)).columns()
     body = states | {
         "agent": np.zeros(n, np.int64),
@@ -149,7 +149,7 @@ def buildings(random, m):
     return corners.reshape(-1, 2), end.reshape(-1, 2), random.uniform(1, 9, 3 * m), 3 * np.arange(m)
 
 
-#: For each kernel its arguments, of n rows and m others (both may be 0).
+#: For each kernel its arguments, with n rows and m others (both may be 0).
 ARGUMENTS = {
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
@@ -200,7 +200,7 @@ ARGUMENTS = {
 
 
 def assert_same(one, other):
-    """Down to 1e-9, or exactly where it is not a number with a point."""
+    """Assert equality within 1e-9, exact for non-floats."""
     assert type(one) is type(other) or isinstance(one, bool | np.bool_ | float | np.floating)
     if isinstance(one, tuple | list):
         assert len(one) == len(other)
@@ -231,18 +231,18 @@ def test_every_kernel_is_compared_with_its_reference():
 @pytest.mark.parametrize("name", sorted(ARGUMENTS))
 @settings(max_examples=25)
 @given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
-def test_a_compiled_kernel_is_its_reference(name, seed, n, m):
+def test_a_compiled_kernel_equals_its_reference(name, seed, n, m):
     given = ARGUMENTS[name](np.random.default_rng(seed), n, m)
     ours, theirs = copy.deepcopy(given), copy.deepcopy(given)
     with np.errstate(all="ignore"):
         expected = kernels.REFERENCES[name](*theirs)
     assert_same(kernels.COMPILED[name](*ours), expected)
-    assert_same(ours, theirs)  # what they change in place
+    assert_same(ours, theirs)  # arrays changed in place
 
 
 @compiled
-def test_a_node_that_has_compiled_kernels_does_without_scipy():
-    """It takes as long to load as all else that a node needs."""
+def test_a_node_with_compiled_kernels_does_not_load_scipy():
+    """SciPy takes as long to load as everything else that a node needs."""
     code = "import nodes.agent, nodes.command_center, nodes.simulator, nodes.adversary, sys; print(*sys.modules)"
     root = Path(mast_zenoh.__file__).parents[1]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
@@ -274,7 +274,7 @@ def played(scene: str, wanted: str, file: Path):
 
 
 @compiled
-def test_a_whole_recorded_scene_has_the_same_tracks_with_either(tmp_path):
+def test_compiled_and_numpy_kernels_give_the_same_tracks_of_a_recorded_scene(tmp_path):
     scene = "intersection"
     if (DATA / "scene_a.tar.gz").is_file():
         with tarfile.open(DATA / "scene_a.tar.gz") as archive:
@@ -285,7 +285,7 @@ def test_a_whole_recorded_scene_has_the_same_tracks_with_either(tmp_path):
     assert ours.files == theirs.files
     assert any(name.endswith("picture id") for name in ours.files)
     for name in set(ours.files) - {"kernels"}:
-        if name.endswith("yaw"):  # a half turn and minus a half turn are one
+        if name.endswith("yaw"):  # half a turn in either direction is equal
             np.testing.assert_allclose(np.exp(1j * ours[name]), np.exp(1j * theirs[name]), atol=1e-9)
         else:
             np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9, atol=1e-9, err_msg=name)
@@ -299,7 +299,7 @@ def used(code: str, wanted: str) -> subprocess.CompletedProcess[str]:
 
 
 @compiled
-def test_kernels_made_from_other_sources_are_not_used(tmp_path):
+def test_kernels_built_from_other_sources_are_not_used(tmp_path):
     copied = tmp_path / "mast_zenoh"
     shutil.copytree(Path(mast_zenoh.__file__).parent, copied)
     here = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
@@ -312,6 +312,6 @@ def test_kernels_made_from_other_sources_are_not_used(tmp_path):
 @pytest.mark.parametrize(
     ("wanted", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")]
 )
-def test_kernels_that_cannot_be_had_are_refused(wanted, message):
+def test_unavailable_kernels_are_refused_when_requested(wanted, message):
     hidden = "import sys; sys.modules['mast_zenoh.kernels.tracks'] = None"
     assert message in used(hidden, wanted).stderr

@@ -1,4 +1,4 @@
-"""What tools/stopped.py and tools/endings.py say of a run that was disturbed: sound, or which promise is broken."""
+"""Verdicts of tools/stopped.py and tools/endings.py on disturbed runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ERROR = "error: NodeLost: infra_1 was lost before frame 3"
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """The undisturbed one, one that equals it, and one that does not."""
+    """The undisturbed run, an equal run, and a different one."""
     folder = tmp_path_factory.mktemp("runs")
     path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
     made = [
@@ -38,7 +38,7 @@ def test_a_run_that_equals_the_undisturbed_one_is_sound(runs: list[Path]) -> Non
     assert stopped._judge(runs[1], runs[0], 0, "") == ("ok, exit code 0: equal", [])
 
 
-def test_a_run_that_differs_must_say_so(runs: list[Path]) -> None:
+def test_a_run_that_differs_without_reporting_it_is_unsound(runs: list[Path]) -> None:
     how, broken = stopped._judge(runs[2], runs[0], 0, "")
     assert how == "ok, exit code 0: not equal"
     assert "first difference" in broken[0] or "frame 0" in broken[0]
@@ -55,14 +55,14 @@ def test_a_run_that_is_ok_has_no_churn_and_no_traceback(runs: list[Path]) -> Non
     assert stopped._judge(runs[1], runs[0], 0, "")[1]
 
 
-def test_a_plan_follows_from_its_number_and_every_scenario_has_its_turn() -> None:
+def test_a_plan_depends_on_its_number_and_covers_every_scenario() -> None:
     plans = [stopped.Plan.draw(0, number) for number in range(12)]
     assert plans == [stopped.Plan.draw(0, number) for number in range(12)]
     assert {plan.scenario for plan in plans} == stopped.SCENARIOS.keys()
     assert all(0.5 <= stop.for_s <= 10.0 for plan in plans for stop in plan.stops)
 
 
-def test_what_is_said_of_a_recording_must_be_so(runs: list[Path]) -> None:
+def test_statements_about_a_recording_are_verified(runs: list[Path]) -> None:
     def judged(run: Path, status: str, **said: object) -> list[str]:
         record = json.loads((run / "run.json").read_text())
         return endings._wrongly_told({**record, **said}, status, run, runs[0])
@@ -72,4 +72,4 @@ def test_what_is_said_of_a_recording_must_be_so(runs: list[Path]) -> None:
     assert judged(runs[1], "ok", recording=complete, recorded={"messages": 7})[0].endswith("run.json says 7")
     assert judged(runs[2], "interrupted", recording=cut) == []
     assert "not that of the undisturbed run" in judged(runs[2], "interrupted", recording=complete)[0]
-    assert judged(runs[2], "killed", recorded={})  # nothing is missing of it, and it is another run
+    assert judged(runs[2], "killed", recorded={})  # complete, but of another run

@@ -1,4 +1,4 @@
-"""However `mast run` ends, run.json says how, the exit code is the documented one, and no traceback is shown."""
+"""However `mast run` ends, run.json and the exit code are as documented."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from launched import MAST
 
 from mast_zenoh.messagelog.reader import read
 
-STAGED = (sys.executable, "-m", "at_stage")  # as a module, as MAST is: Python ends scripts in another way
+STAGED = (sys.executable, "-m", "at_stage")  # as a module, like MAST: Python ends scripts differently
 RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "30", "--no-report", "--out")
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Ended:
-    """A command that has ended: its exit code, what it printed, and the folder that it was given."""
+    """A finished command: its exit code, output and folder."""
 
     def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -31,21 +31,21 @@ class Ended:
         done = subprocess.run(
             [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | beside | options)
         )
-        self.out, self.code = out, done.returncode if done.returncode >= 0 else 128 - done.returncode  # as a shell does
+        self.out, self.code = out, done.returncode if done.returncode >= 0 else 128 - done.returncode  # like a shell
         self.text = (done.stdout or "") + (done.stderr or "")
 
     @property
     def status(self) -> str:
-        """In run.json; "" if there is none."""
+        """The status in run.json; "" if there is none."""
         path = self.out / "run.json"
         return json.loads(path.read_text())["status"] if path.is_file() else ""
 
     def is_as(self, row: Ending) -> None:
-        """Check what is said of it in a row of the table, and what holds for all of them."""
+        """Assert that the ending matches a row of the table, and common rules."""
         assert (self.status, self.code) == row, self.text
         assert "Traceback" not in self.text
-        reserve = {".reserve"} if row.status == "running" else set()  # kept for a run.json that was never written
-        assert {path.name for path in self.out.glob(".*")} <= reserve, "no temporary file is left"
+        reserve = {".reserve"} if row.status == "running" else set()  # written for a run.json that never followed
+        assert {path.name for path in self.out.glob(".*")} <= reserve, "no temporary file remains"
         if (self.out / "messages.mcap").is_file():
             list(read(self.out))
 
@@ -64,7 +64,7 @@ def with_report() -> list[str]:
 
 
 def no_larger_than(size: int) -> Callable[[], None]:
-    """Limits the files that a command may write, as a full disk does, to `size` bytes each."""
+    """Limits files written by a command to `size` bytes, like a full disk."""
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
@@ -73,7 +73,7 @@ def test_a_signal_before_the_run_folder_exists_leaves_nothing(out: Path) -> None
     assert not out.exists()
 
 
-def test_a_signal_while_the_command_line_is_imported_is_answered_in_one_line(out: Path) -> None:
+def test_a_signal_while_the_command_line_is_imported_prints_one_line(out: Path) -> None:
     script = (
         "import sys, signal\n"
         "from mast_zenoh import __main__ as process\n"
@@ -102,7 +102,7 @@ with mock.patch("mast_zenoh.scenario.resolve", make) if when == "resolving" else
 
 
 @pytest.mark.parametrize("when", ["mast_zenoh.launch.stop_signals", "mast_zenoh.cli.app", "resolving"])
-def test_a_signal_while_a_class_is_made_is_answered_in_one_line(out: Path, when: str) -> None:
+def test_a_signal_while_a_class_is_created_prints_one_line(out: Path, when: str) -> None:
     """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
     ended = Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
     ended.is_as(ending("signal before the run folder exists"))
@@ -150,7 +150,7 @@ def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
         ("reporting", "launcher killed while the report is drawn"),
     ],
 )
-def test_a_launcher_killed_at_any_stage_leaves_what_can_be_read(out: Path, stage: str, what: str) -> None:
+def test_a_launcher_killed_at_any_stage_leaves_readable_results(out: Path, stage: str, what: str) -> None:
     Ended(out, at(stage, "SIGKILL", run=with_report())).is_as(ending(what))
     assert out.exists() == (stage != "loading")
     if stage in ("playing", "collecting", "reporting"):
@@ -168,7 +168,7 @@ def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
     ("stream", "what"),
     [("stdout", "reader of standard output gone (`head -0`)"), ("stderr", "reader of standard error gone")],
 )
-def test_a_reader_that_is_gone_costs_no_run(out: Path, stream: str, what: str) -> None:
+def test_a_closed_pipe_does_not_end_a_run(out: Path, stream: str, what: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:
@@ -179,7 +179,9 @@ def test_a_reader_that_is_gone_costs_no_run(out: Path, stream: str, what: str) -
 
 
 @pytest.mark.parametrize("descriptors", [(1,), (2,), (0, 1, 2)])
-def test_a_closed_stream_costs_no_run_and_its_number_is_given_to_no_file(out: Path, descriptors: tuple[int]) -> None:
+def test_a_closed_stream_does_not_end_a_run_and_its_descriptor_is_not_reused(
+    out: Path, descriptors: tuple[int]
+) -> None:
     ended = Ended(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
     ended.is_as(ending("standard output or error closed (`>&-`)"))
 
@@ -191,7 +193,7 @@ def test_standard_output_on_a_full_disk_is_an_error_but_the_run_is_kept(out: Pat
     assert "standard output: No space left on device" in ended.text
 
 
-def test_a_disk_that_is_full_from_the_beginning_leaves_no_run_folder(out: Path) -> None:
+def test_an_already_full_disk_leaves_no_run_folder(out: Path) -> None:
     ended = Ended(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
     ended.is_as(ending("disk full while the run folder is made"))
     assert f"error: DiskFull: {out}: File too large: a run cannot begin there" in " ".join(ended.text.split())
@@ -216,16 +218,18 @@ def test_a_recording_that_outgrows_the_disk_fails_the_run_and_keeps_its_results(
         ("reporting", "disk full while the report is drawn"),
     ],
 )
-def test_a_disk_without_a_byte_left(tiny_disk: Path, stage: str, what: str) -> None:
+def test_a_disk_without_a_free_byte_is_reported_and_leaves_no_partial_table(
+    tiny_disk: Path, stage: str, what: str
+) -> None:
     out = tiny_disk / "run"
     ended = Ended(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
     ended.is_as(ending(what))
     assert "error: DiskFull" in ended.text
     whole = [path for path in out.glob("*.parquet") if path.read_bytes()[-4:] != b"PAR1"]
-    assert not whole, "a table is there whole or not at all"
+    assert not whole, "a table is complete or absent"
 
 
-def test_a_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_run_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("a file")
     done = subprocess.run([*MAST, *RUN[:-1]], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == ending("run folder cannot be made").code
@@ -234,7 +238,7 @@ def test_a_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../evil", "a/b", "/tmp/evil", "..", "", "a*b", 7])
-def test_a_scenario_s_name_does_not_leave_runs(tmp_path: Path, name: object) -> None:
+def test_a_scenarios_name_cannot_lead_out_of_runs(tmp_path: Path, name: object) -> None:
     (tmp_path / "named.py").write_text(
         "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
@@ -247,7 +251,7 @@ def test_a_scenario_s_name_does_not_leave_runs(tmp_path: Path, name: object) -> 
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"named.py"}
 
 
-def test_a_defect_is_shown_with_its_traceback_and_the_run_says_that_it_failed(out: Path) -> None:
+def test_an_internal_error_is_shown_with_its_traceback_and_fails_the_run(out: Path) -> None:
     script = (
         "from mast_zenoh.launch import conclusion\n"
         "conclusion.write = lambda *_: 1 / 0\n"
@@ -261,13 +265,13 @@ def test_a_defect_is_shown_with_its_traceback_and_the_run_says_that_it_failed(ou
 
 
 @pytest.mark.parametrize("backend", ["bogus", "tkagg"])
-def test_a_report_needs_no_screen_and_no_valid_mplbackend(out: Path, backend: str) -> None:
+def test_a_report_needs_no_display_and_no_valid_mplbackend(out: Path, backend: str) -> None:
     Ended(out, (*MAST, *with_report()), env={**os.environ, "MPLBACKEND": backend}).is_as(Ending("ok", 0))
     assert (out / "report.html").is_file()
 
 
 @pytest.mark.parametrize("utf8", ["0", "1"])
-def test_a_path_that_the_locale_has_no_letters_for(tmp_path: Path, utf8: str) -> None:
+def test_a_path_that_the_locale_cannot_encode_is_accepted(tmp_path: Path, utf8: str) -> None:
     file = tmp_path / "Kreuzung_größer.py"
     file.write_text(
         "from mast_zenoh.config import loading\n_, scenario = loading.function('scenarios', 'baseline', 'scenario')\n"
@@ -278,7 +282,7 @@ def test_a_path_that_the_locale_has_no_letters_for(tmp_path: Path, utf8: str) ->
     assert (ended.out / "report.html").is_file()
 
 
-def test_runs_that_end_at_random_keep_the_promises_of_the_table() -> None:
+def test_runs_ended_at_random_match_the_table() -> None:
     tool = Path(__file__).parents[2] / "tools" / "endings.py"
     command = [sys.executable, str(tool), "--runs", "4", "--seed", "12", "--runtime", "inproc"]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -292,7 +296,7 @@ def test_every_row_of_the_table_has_a_test() -> None:
     assert not [what for what in rows if f'"{what}"' not in tests]
 
 
-def test_a_study_that_is_stopped_says_so(tmp_path: Path) -> None:
+def test_a_stopped_study_reports_it(tmp_path: Path) -> None:
     command = (*STAGED, "collecting", "SIGTERM", "--", "study", "case_study", "--runtime", "inproc", "--frames", "4")
     ended = Ended(tmp_path / "study", (*command, "--out"))
     assert ended.code == 130, ended.text

@@ -1,4 +1,4 @@
-"""Whatever one node hands in, the launcher concludes the run: what is false of it is that node's own."""
+"""False results of one node affect only that node, not the run."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NODES = ("infra_1", "broker", "adversary_1", "coordinator", "link_ego", "evaluat
 
 
 class Ended(Child):
-    """A process that has ended well."""
+    """A process that has exited successfully."""
 
     exit = 0
 
@@ -55,7 +55,7 @@ def at(node: str) -> Position:
 
 
 def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dict[str, Any]:
-    """run.json of a run in which one node hands this in, and the others nothing."""
+    """run.json of a run in which only one node returns results."""
     folder = run_folder.create(out, "false")
     resolved().write(folder)
     record: dict[str, Any] = {"id": "x", "message": "", "timings": {}, "churn": [], "nodes": {}}
@@ -78,7 +78,7 @@ def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dic
     return record
 
 
-def test_above_the_level_open_no_node_can_claim_to_have_obeyed_what_was_not_signed(tmp_path: Path) -> None:
+def test_a_secure_run_ignores_a_nodes_count_of_unsigned_messages(tmp_path: Path) -> None:
     (claim,) = (outcome for outcome in false_results(at("infra_1")) if outcome["unsigned"] > 10**6)
     claimed, secured = (concluded("infra_1", results.pack(claim), tmp_path / at, at) for at in ("open", "acl"))
     assert claimed["unsigned_control"] == claimed["nodes"]["infra_1"]["unsigned_control"] == claim["unsigned"]
@@ -86,7 +86,7 @@ def test_above_the_level_open_no_node_can_claim_to_have_obeyed_what_was_not_sign
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_the_launcher_concludes_a_run_whatever_one_node_hands_in(tmp_path: Path, node: str) -> None:
+def test_the_launcher_concludes_a_run_despite_false_results_of_one_node(tmp_path: Path, node: str) -> None:
     payloads = [results.pack(outcome) for outcome in false_results(at(node))]
     payloads += [forgery.payload for forgery in forgeries("result", at(node), 90) if forgery.sender == node]
     taken = [payload for payload in payloads if not refused("result", node, payload)]
@@ -103,7 +103,7 @@ def test_the_launcher_concludes_a_run_whatever_one_node_hands_in(tmp_path: Path,
             path.unlink()
 
 
-def test_a_report_is_written_of_whatever_the_evaluator_hands_in_or_says_why_it_is_not(tmp_path: Path) -> None:
+def test_a_report_is_written_or_says_why_not_whatever_the_evaluator_returns(tmp_path: Path) -> None:
     written, refusals, console = 0, 0, Console(file=StringIO())
     for number, outcome in enumerate(false_results(at("evaluator"))):
         payload = results.pack(outcome)
@@ -118,4 +118,4 @@ def test_a_report_is_written_of_whatever_the_evaluator_hands_in_or_says_why_it_i
             except RunFolderError:
                 refusals += 1
     assert written > 10
-    assert refusals, "metrics of another shape"
+    assert refusals, "metrics in another format"

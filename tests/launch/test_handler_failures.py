@@ -1,4 +1,4 @@
-"""A run in which a handler failed says so: in its error, in run.json, on the page; unless that was allowed."""
+"""Failed handlers are named in the error, run.json and report unless allowed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def played(name: str, folder: Path, **options: Any) -> run.Run:
         ("evaluator", "evaluator", "finish", [11], "ZeroDivisionError: division by zero"),
     ],
 )
-def test_the_error_and_run_json_name_node_handler_frames_exception_and_line(
+def test_failed_handlers_are_named_with_node_frames_exception_and_line(
     tmp_path: Path, name: str, node: str, handler: str, frames: list[int], text: str
 ) -> None:
     ended = played(name, tmp_path)
@@ -53,7 +53,7 @@ def test_the_error_and_run_json_name_node_handler_frames_exception_and_line(
         "last_frame": frames[-1],
         "exception": text,
     }
-    assert Path(where.rpartition(":")[0]).parent == tmp_path, "in the file of the user"
+    assert Path(where.rpartition(":")[0]).parent == tmp_path, "in the user's file"
     log = ended.folder / "logs" / f"{node}.log"
     for part in (f"{node}.{handler} failed", text, where, str(log)):
         assert part in str(ended.error)
@@ -61,13 +61,13 @@ def test_the_error_and_run_json_name_node_handler_frames_exception_and_line(
     assert not any(each["failures"] for other, each in record["nodes"].items() if other != node)
 
 
-def test_results_are_written_all_the_same(tmp_path: Path) -> None:
+def test_results_are_written_despite_failures(tmp_path: Path) -> None:
     ended = played("attack", tmp_path)
     assert json.loads((ended.folder / "metrics.json").read_text())["frames"] == 12
     assert (ended.folder / "messages.mcap").is_file()
 
 
-def test_allowed_failures_are_kept_but_end_nothing(tmp_path: Path) -> None:
+def test_allowed_failures_are_recorded_but_do_not_fail_the_run(tmp_path: Path) -> None:
     ended = played("attack", tmp_path, allow_failures=True)
     assert ended.error is None
     record = json.loads((ended.folder / "run.json").read_text())
@@ -75,7 +75,7 @@ def test_allowed_failures_are_kept_but_end_nothing(tmp_path: Path) -> None:
     assert record["nodes"]["eve"]["failures"][0]["count"] == 7
 
 
-def test_another_error_is_named_first_and_the_failures_are_kept(
+def test_another_error_is_named_first_and_the_failures_are_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world = resolved("attack", tmp_path)
@@ -95,17 +95,17 @@ def test_another_error_is_named_first_and_the_failures_are_kept(
 
 
 @pytest.mark.parametrize("allowed", [False, True])
-def test_the_report_has_a_banner_red_or_if_allowed_amber(tmp_path: Path, allowed: bool) -> None:
+def test_the_report_has_a_red_banner_or_an_amber_one_if_failures_are_allowed(tmp_path: Path, allowed: bool) -> None:
     page = write_report(played("attack", tmp_path, allow_failures=allowed).folder).read_text()
     kind = "note mild" if allowed else "note"
     banner = page.partition(f'<div class="{kind}" role="alert">')[2].partition("</div>")[0]
     assert "the numbers may be wrong" in banner
     assert "eve.on_detections failed 7 times in 7 frames (5 to 11): ValueError: no [plan] for frame 5" in banner
-    assert page.count("no [plan] for frame 5") == 1, "and not once more as the run's message"
+    assert page.count("no [plan] for frame 5") == 1, "and not repeated as the run's message"
     assert "7 handler failures" in page
 
 
-def test_the_page_of_a_study_has_the_banner_on_top(tmp_path: Path) -> None:
+def test_the_study_page_begins_with_the_banner(tmp_path: Path) -> None:
     runs = {"mine": played("attack", tmp_path).folder}
     page = write_study_report(tmp_path, runs).read_text()
     banner = page.partition('role="alert">')[2].partition("</div>")[0]
@@ -113,7 +113,7 @@ def test_the_page_of_a_study_has_the_banner_on_top(tmp_path: Path) -> None:
     assert page.index('role="alert"') < page.index('id="scores"')
 
 
-def test_a_run_without_failures_has_none_of_this(tmp_path: Path) -> None:
+def test_a_run_without_failures_has_no_banner_and_no_error(tmp_path: Path) -> None:
     ended = played("second", tmp_path)
     assert ended.error is None
     assert ended.record["status"] == "ok"
@@ -122,17 +122,17 @@ def test_a_run_without_failures_has_none_of_this(tmp_path: Path) -> None:
     assert list((ended.folder / "logs").iterdir()) == []
 
 
-def test_a_run_with_links_is_checked_although_handlers_failed(tmp_path: Path) -> None:
+def test_a_run_with_links_is_checked_even_if_handlers_failed(tmp_path: Path) -> None:
     file, loaded = scenario.load(str(failing.write("attack", tmp_path)), [])
     loaded["faults"] = [dict(type="Loss", at=0.2, until=0.6, node="ego", probability=0.5)]
     world = scenario.resolve(file, loaded, frames=12, record=True)
     ended = run.run(world, tmp_path / "run", runtime="inproc")
     assert isinstance(ended.error, HandlerFailed)
     found = {check["name"]: check for check in json.loads((ended.folder / checks.FILE).read_text())["checks"]}
-    assert found["sequences"]["values"].get("checked", True), "the run came to its end, so its record is complete"
+    assert found["sequences"]["values"].get("checked", True), "the run was completed, so its record is complete"
 
 
-def test_a_metric_that_fails_is_named_with_its_line_and_costs_no_other_number(tmp_path: Path) -> None:
+def test_a_failing_metric_is_named_with_its_line_and_affects_no_other_number(tmp_path: Path) -> None:
     ended = played("metric", tmp_path)
     assert isinstance(ended.error, HandlerFailed)
     record = json.loads((ended.folder / "run.json").read_text())

@@ -1,4 +1,4 @@
-"""What is asked of a running run is checked before anything is asked, and asked by who may only."""
+"""Requests to change a running run are checked and authenticated."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def resolved(tmp_path: Path) -> Resolved:
 
 
 def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], role: str = "link") -> str:
-    """A node with these ports that does nothing."""
+    """A node with these ports and no behaviour."""
     handlers = "".join(f"    def on_{port}(self, received, context): ...\n" for port in inputs)
     path = folder / "mine_own.py"
     path.write_text(
@@ -61,7 +61,7 @@ def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], rol
     return str(path)
 
 
-def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_a_key_to_report_on(resolved: Resolved) -> None:
+def test_the_shipped_adversary_gets_its_wire_clock_pose_and_report_key(resolved: Resolved) -> None:
     name, spec, place = plan(resolved, TRACKS, "adversary.py", settings=ATTACK)
     assert (name, spec.role, spec.on_exit) == ("adversary_1", "adversary", "continue")
     assert resolved.recording is not None
@@ -77,7 +77,7 @@ def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_a_key_to_
     assert place_of(json.loads(json.dumps(place_json(place)))) == place
 
 
-def test_our_adversary_on_the_picture_hears_the_pose_of_the_agent_that_it_is_told_to_deceive(
+def test_the_shipped_adversary_on_the_picture_hears_the_pose_of_its_victim(
     resolved: Resolved,
 ) -> None:
     settings = ("attack.type=PassThrough", "agent=ego")
@@ -86,7 +86,7 @@ def test_our_adversary_on_the_picture_hears_the_pose_of_the_agent_that_it_is_tol
     assert place.hears == {"clock": "clock", "agent/ego/pose": "pose"}
 
 
-def test_ports_are_named_where_several_fit(resolved: Resolved, tmp_path: Path) -> None:
+def test_ambiguous_ports_must_be_named(resolved: Resolved, tmp_path: Path) -> None:
     two = node_file(tmp_path, {"a": "tracks", "b": "tracks"}, {"out": "tracks"})
     with pytest.raises(NodeFileError, match="the inputs a, b: say which by --input"):
         plan(resolved, TRACKS, two)
@@ -111,14 +111,14 @@ def test_ports_are_named_where_several_fit(resolved: Resolved, tmp_path: Path) -
         (dict(settings=("attack=1", "attack.type=x")), ConfigurationError, "attack is 1, not a dict"),
     ],
 )
-def test_what_is_wrong_is_refused_with_the_nearest_choice(
+def test_invalid_requests_are_refused_with_the_nearest_choice(
     resolved: Resolved, arguments: dict[str, Any], error: type[MastError], what: str
 ) -> None:
     with pytest.raises(error, match=what):
         plan(resolved, **{"wire": TRACKS, "file": "adversary.py", "settings": ATTACK, **arguments})
 
 
-def test_settings_reach_into_dicts_and_are_typed() -> None:
+def test_dotted_settings_change_nested_dicts_and_are_typed() -> None:
     assert nested(["a.b.c=1", "a.b.d=x y", "e=[1, 2]", "f=True", "g=a=b"]) == {
         "a": {"b": {"c": 1, "d": "x y"}},
         "e": [1, 2],
@@ -127,7 +127,7 @@ def test_settings_reach_into_dicts_and_are_typed() -> None:
     }
 
 
-def test_only_a_request_made_with_the_secret_is_taken_and_no_two_are_the_same() -> None:
+def test_only_requests_with_the_secret_are_accepted_and_each_is_unique() -> None:
     request = {"do": "release", "name": "m"}
     sealed = seal(request, b"secret")
     assert unseal(sealed, b"secret").items() >= request.items()
@@ -142,7 +142,7 @@ def test_only_a_request_made_with_the_secret_is_taken_and_no_two_are_the_same() 
 @given(
     st.binary(max_size=200) | st.recursive(st.none() | st.integers(0, 2**63) | st.text(), st.lists).map(msgpack.packb)
 )
-def test_bytes_of_strangers_are_no_request(payload: bytes) -> None:
+def test_bytes_without_the_secret_are_not_a_request(payload: bytes) -> None:
     with pytest.raises(MessageError):
         unseal(payload, b"secret")
 
@@ -156,7 +156,7 @@ def test_bytes_of_strangers_are_no_request(payload: bytes) -> None:
         (dict(status="running", runtime="mesh"), "not on its way yet"),
     ],
 )
-def test_a_run_that_cannot_be_changed_says_why(tmp_path: Path, record: dict[str, str], what: str) -> None:
+def test_a_run_that_cannot_be_changed_gives_the_reason(tmp_path: Path, record: dict[str, str], what: str) -> None:
     (tmp_path / "run.json").write_text(json.dumps(record))
     with pytest.raises(NotRunning, match=what):
         intercept(tmp_path, TRACKS, "adversary.py")

@@ -1,4 +1,4 @@
-"""The launcher's loop goes round whatever happens."""
+"""The launcher's loop continues whatever happens."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ from mast_zenoh.launch.steps import StepRequests
 from mast_zenoh.launch.watch import _POLL_S
 
 
-def test_a_signal_that_is_noted_slowly_does_not_hold_up_the_launcher() -> None:
+def test_a_slowly_handled_signal_does_not_block_the_launcher() -> None:
     requests = StepRequests(MagicMock(), MagicMock(), MagicMock())
     with stop_signals.noted() as received:
 

@@ -1,4 +1,4 @@
-"""A run is `running` as long as its launcher lives, and `killed` when it cannot end any more."""
+"""A run is `running` while its launcher lives, and `killed` afterwards."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SAYS_WHO = (
 
 @pytest.fixture
 def other() -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
-    """Another process, and what it says that it is."""
+    """Another process, and the identity that it reports."""
     import json
 
     command = [sys.executable, "-c", SAYS_WHO]
@@ -34,7 +34,7 @@ def other() -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
         process.kill()
 
 
-def test_a_process_lives_until_it_is_killed_also_if_nobody_has_collected_it(other) -> None:
+def test_a_process_is_alive_until_killed_even_if_not_yet_reaped(other) -> None:
     process, identity = other
     assert liveness.lives(identity)
     process.kill()
@@ -42,7 +42,7 @@ def test_a_process_lives_until_it_is_killed_also_if_nobody_has_collected_it(othe
     assert liveness.lives(identity) is False
 
 
-def test_a_later_process_of_the_same_number_is_another(other) -> None:
+def test_a_later_process_with_the_same_pid_is_not_the_same(other) -> None:
     _, identity = other
     assert liveness.lives(identity | {"began": "1"}) is False
 
@@ -51,22 +51,22 @@ def test_a_later_process_of_the_same_number_is_another(other) -> None:
     ("elsewhere", "lives"),
     [({"machine": "another"}, None), ({"pid_namespace": "pid:[1]"}, None), ({"boot": "yesterday"}, False)],
 )
-def test_what_lives_elsewhere_cannot_be_told_but_nothing_outlives_its_machine(elsewhere, lives) -> None:
+def test_remote_processes_have_an_unknown_state_unless_their_machine_was_restarted(elsewhere, lives) -> None:
     assert liveness.lives(liveness.identity()) is True
     assert liveness.lives(liveness.identity() | elsewhere) is lives
 
 
 @pytest.mark.parametrize("launcher", [None, {}, {"pid": "x"}, "someone", [1]])
-def test_a_record_that_does_not_say_who_launched_it_is_taken_at_its_word(launcher: object) -> None:
+def test_a_record_without_its_launcher_is_taken_at_face_value(launcher: object) -> None:
     assert liveness.seen_now({"status": "running", "launcher": launcher})["status"] == "running"
 
 
-def test_a_run_that_has_ended_is_not_killed_when_its_launcher_has_gone() -> None:
+def test_an_ended_run_is_not_killed_when_its_launcher_is_gone() -> None:
     dead = liveness.identity() | {"began": "1"}
     assert liveness.seen_now({"status": "ok", "launcher": dead})["status"] == "ok"
 
 
-def test_every_tool_that_reads_the_folder_says_that_the_run_was_killed(tmp_path: Path) -> None:
+def test_every_tool_reports_that_the_run_was_killed(tmp_path: Path) -> None:
     record = {"id": "a-1", "status": "running", "runtime": "mesh", "launcher": liveness.identity()}
     folder.write_json(tmp_path / "run.json", record)
     assert RunFolder.load(tmp_path).run["status"] == "running"

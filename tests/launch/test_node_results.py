@@ -1,4 +1,4 @@
-"""What nodes return from `finish` is in the run folder, and no node writes over another's, or anywhere else."""
+"""Results of `finish` are written to the run folder and nowhere else."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
 
 
 def written(results: dict[str, Any], folder: Path, **measured: Any) -> tuple[list[str], set[str]]:
-    """(what was refused, the files that were written)."""
+    """(refusals, written files)."""
     folder.mkdir()
     refused = run_folder.write_results(folder, results, measured)
     return refused, {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_only_the_evaluator_writes_to_the_top_of_the_folder(tmp_path: Path) -> None:
+def test_only_the_evaluator_writes_to_the_top_level_of_the_folder(tmp_path: Path) -> None:
     results = {
         "zeta": {"metrics": {"mine": 1}, "tables": {"metrics": {"a": [1]}}},
         "evaluator": {"metrics": METRICS, "tables": {"metrics": TABLE}, "more": [1]},
@@ -55,7 +55,7 @@ def test_only_the_evaluator_writes_to_the_top_of_the_folder(tmp_path: Path) -> N
     assert run_folder.read_json(top / "results/evaluator/results.json") == {"more": [1]}
 
 
-def test_arrays_and_numbers_of_numpy_become_plain_json(tmp_path: Path) -> None:
+def test_numpy_arrays_and_numbers_become_plain_json(tmp_path: Path) -> None:
     values = {"n": np.int64(3), "yes": np.bool_(True), "x": np.array([[1.0, np.inf]]), "names": np.array(["a"], object)}
     written({"node": values}, tmp_path / "run")
     back = json.loads((tmp_path / "run/results/node/results.json").read_text())
@@ -66,7 +66,7 @@ def test_arrays_and_numbers_of_numpy_become_plain_json(tmp_path: Path) -> None:
     "name", ["../metrics", "/nowhere/metrics", "a/b", "..", ".hidden", "", "a\\b", "x" * 65, "a\nb", "a\0b", 7, "ä"]
 )
 @pytest.mark.parametrize("node", ["evaluator", "other"])
-def test_a_name_that_could_lead_elsewhere_is_refused_and_told(tmp_path: Path, node: str, name: Any) -> None:
+def test_a_table_name_that_could_leave_the_folder_is_refused_and_reported(tmp_path: Path, node: str, name: Any) -> None:
     results = {node: {"tables": {name: TABLE, "good": TABLE}}}
     refused, files = written(results, tmp_path / "run")
     assert len(refused) == 1
@@ -75,7 +75,7 @@ def test_a_name_that_could_lead_elsewhere_is_refused_and_told(tmp_path: Path, no
     assert {path.name for path in tmp_path.iterdir()} == {"run"}
 
 
-def test_a_node_whose_name_leads_elsewhere_writes_nothing(tmp_path: Path) -> None:
+def test_a_node_whose_name_leaves_the_folder_writes_nothing(tmp_path: Path) -> None:
     refused, files = written({"..": {"metrics": METRICS, "tables": {"metrics": TABLE}}}, tmp_path / "run")
     assert len(refused) == 1
     assert files == set()
@@ -84,7 +84,7 @@ def test_a_node_whose_name_leads_elsewhere_writes_nothing(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     "table", [{"a": [1, 2], "b": [1]}, {"a": np.zeros((2, 2))}, [1, 2], {"a": 3}, {1: [1]}, {"a": [[1], [2, 3]]}]
 )
-def test_a_table_that_is_none_is_refused_and_the_others_are_written(tmp_path: Path, table: Any) -> None:
+def test_an_invalid_table_is_refused_and_the_others_are_written(tmp_path: Path, table: Any) -> None:
     results = {"node": {"tables": {"bad": table, "good": TABLE}, "n": 1}}
     refused, files = written(results, tmp_path / "run")
     assert len(refused) == 1
@@ -92,18 +92,18 @@ def test_a_table_that_is_none_is_refused_and_the_others_are_written(tmp_path: Pa
     assert files == {"results/node/good.parquet", "results/node/results.json"}
 
 
-def test_tables_that_are_no_dict_are_refused(tmp_path: Path) -> None:
+def test_tables_that_are_not_a_dict_are_refused(tmp_path: Path) -> None:
     refused, files = written({"evaluator": {"tables": [1], "metrics": METRICS}}, tmp_path / "run")
     assert refused == ["evaluator: tables: found a list, expected a dict of tables"]
     assert files == {"metrics.json"}
 
 
-def test_metrics_that_are_no_dict_are_kept_as_a_result(tmp_path: Path) -> None:
+def test_metrics_that_are_not_a_dict_are_kept_as_a_result(tmp_path: Path) -> None:
     _, files = written({"evaluator": {"metrics": 3}}, tmp_path / "run")
     assert files == {"results/evaluator/results.json"}
 
 
-def test_a_second_node_that_returns_metrics_and_tables_changes_none_of_the_run(tmp_path: Path) -> None:
+def test_metrics_and_tables_of_a_second_node_do_not_change_those_of_the_run(tmp_path: Path) -> None:
     file, loaded = scenario.load(str(failing.write("second", tmp_path)), [])
     ended = run.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
     assert ended.error is None
@@ -126,7 +126,7 @@ def test_a_second_node_that_returns_metrics_and_tables_changes_none_of_the_run(t
         ("uncoordinated", "region=victim_only", "adversary_2", "no place for"),
     ],
 )
-def test_an_attack_without_targets_or_places_says_so(
+def test_an_attack_without_targets_or_positions_is_reported(
     tmp_path: Path, name: str, setting: str, node: str, missing: str
 ) -> None:
     file, content = scenario.load(name, [setting, "attack_start_s=1.0"])
@@ -140,48 +140,48 @@ def test_an_attack_without_targets_or_places_says_so(
         assert counts["placed"] < counts["wanted"]
 
 
-def test_tables_of_the_evaluator_that_are_none_of_the_run_are_its_own(tmp_path: Path) -> None:
+def test_unknown_tables_of_the_evaluator_are_stored_as_its_own(tmp_path: Path) -> None:
     refused, files = written({"evaluator": {"tables": {"mine": TABLE, "objects": TABLE}}}, tmp_path / "run")
     assert refused == []
     assert files == {"results/evaluator/mine.parquet", "objects.parquet"}
 
 
-def test_a_node_writes_no_more_tables_than_a_hundred(tmp_path: Path) -> None:
+def test_a_node_writes_at_most_a_hundred_tables(tmp_path: Path) -> None:
     refused, files = written({"node": {"tables": {f"t{i}": {"a": [i]} for i in range(103)}}}, tmp_path / "run")
     assert refused == ["node: tables: found 103, expected at most 100; the first are written"]
     assert len(files) == 100
 
 
 @pytest.mark.parametrize("recorded", [{"messages": 7, "lost": 0}, [1], "none", {"messages": "many"}, None])
-def test_only_a_recorder_says_what_was_recorded_and_only_in_numbers(tmp_path: Path, recorded: Any) -> None:
+def test_only_a_recorder_reports_recorded_messages_and_only_in_numbers(tmp_path: Path, recorded: Any) -> None:
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("ego", "agent"))}
     record: dict[str, Any] = {"message": ""}
     others = {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}
     run_folder.note_recording(tmp_path, record, others, specs)
     nothing = {"complete": False, "from_frame": 0}
-    assert record == {"message": "", "recording": nothing}, "the recorder has handed in nothing"
+    assert record == {"message": "", "recording": nothing}, "the recorder has returned nothing"
     run_folder.note_recording(tmp_path, record, {"rec": {"recorded": recorded}}, specs)
     sound = recorded == {"messages": 7, "lost": 0}
     assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if sound else {})
 
 
-def test_lost_messages_are_told_of(tmp_path: Path) -> None:
+def test_lost_messages_are_reported(tmp_path: Path) -> None:
     specs = {"rec": NodeSpec("recorder", "", "", {}, "continue")}
     record: dict[str, Any] = {"message": "so far"}
     run_folder.note_recording(tmp_path, record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
     assert record["message"] == "so far; 2 messages could not be recorded"
-    assert record["recording"] == {"complete": False, "from_frame": 0}, "there is no recording here"
+    assert record["recording"] == {"complete": False, "from_frame": 0}, "no recording exists here"
 
 
-def test_a_table_has_no_more_columns_than_a_thousand(tmp_path: Path) -> None:
+def test_a_table_has_at_most_a_thousand_columns(tmp_path: Path) -> None:
     tables = {name: {f"c{i}": [i] for i in range(n)} for name, n in (("most", 1000), ("more", 1001))}
     refused, files = written({"node": {"tables": tables}}, tmp_path / "run")
     assert refused == ["node: table 'more': found 1001 columns, expected at most 1000"]
     assert files == {"results/node/most.parquet"}
 
 
-def test_one_long_text_takes_no_room_for_all_the_others(tmp_path: Path) -> None:
-    texts = ["x" * 1_000_000, *[""] * 10_000]  # as an array of text this is 40 GB
+def test_one_long_text_leaves_room_for_the_others(tmp_path: Path) -> None:
+    texts = ["x" * 1_000_000, *[""] * 10_000]  # as a text array this takes 40 GB
     results = {"node": {"tables": {"t": {"a": texts}}, "plain": np.array(texts, object)}}
     tracemalloc.start()
     try:
@@ -193,7 +193,7 @@ def test_one_long_text_takes_no_room_for_all_the_others(tmp_path: Path) -> None:
     assert read_arrow(tmp_path / "run/results/node/t.parquet").num_rows == len(texts)
 
 
-def test_in_real_time_completeness_is_measured_from_the_recording(
+def test_completeness_in_real_time_is_measured_from_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("sim", "simulator"))}
@@ -205,10 +205,8 @@ def test_in_real_time_completeness_is_measured_from_the_recording(
         assert record["recording"]["complete"] is expected
 
 
-def test_two_runs_that_begin_in_one_folder_at_once_are_told_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The other run has made its folders between our look at the place and ours."""
+def test_two_runs_started_at_once_in_one_folder_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other run creates its folders between our check and our creation."""
     (tmp_path / "logs").mkdir()
     monkeypatch.setattr(Path, "iterdir", lambda self: iter(()))
     with pytest.raises(RunFolderError, match="is not empty"):
@@ -216,5 +214,5 @@ def test_two_runs_that_begin_in_one_folder_at_once_are_told_apart(
 
 
 @pytest.mark.parametrize("value", [{"a": -1}, {"a\nb": 1}, {"a": True}, {"a": 1.5}, [1], None])
-def test_what_is_no_count_is_not_taken(value: Any) -> None:
+def test_values_that_are_not_counts_are_ignored(value: Any) -> None:
     assert results.counts_of(value) == {}

@@ -1,4 +1,4 @@
-"""At its end a run says in one line each what was late, rejected or foreign; nothing where nothing was."""
+"""A finished run reports late, rejected and foreign messages in one line each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def world() -> Resolved:
 
 
 def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) -> dict[str, str]:
-    """The notices of a made-up run: kind to text."""
+    """The notices of a synthetic run: kind to text."""
     record = {
         "nodes": nodes or {},
         "invalid_control": more.get("invalid_control", {}),
@@ -41,17 +41,17 @@ def node(**counted: Any) -> dict[str, Any]:
 
 
 def realtime(world: Resolved, p99: float | None, speed: float = 10.0, **more: Any) -> str:
-    """What is said of how a run in real time at 10 Hz kept pace; "" for nothing."""
+    """The notice on how a 10 Hz real-time run kept pace; "" for none."""
     measured = {"latency_ms": {"sim_to_picture": {"p99": p99}}}
     return texts(replace(world, mode="realtime"), measured=measured, speed=speed, **more).get("behind", "")
 
 
-def test_where_nothing_happened_nothing_is_said(world: Resolved) -> None:
+def test_an_uneventful_run_has_no_notices(world: Resolved) -> None:
     counted = {"late": {}, "overflowed": 0, "absurd": 0, "complete": 12}
     assert texts(world, {"ego": node(), "dead": {"rejected": None}}, collations=[counted]) == {}
 
 
-def test_late_messages_name_the_agent_with_most(world: Resolved) -> None:
+def test_the_notice_on_late_messages_names_the_agent_with_the_most(world: Resolved) -> None:
     late = {"ego": 2, "infra_1": 0, "infra_2": 40}
     assert (
         texts(world, late=late)["late"] == "42 messages of 2 agents came too late for their batch (most: infra_2, 40)"
@@ -59,13 +59,13 @@ def test_late_messages_name_the_agent_with_most(world: Resolved) -> None:
     assert texts(world, late={"ego": 1})["late"] == "1 message of ego came too late for their batch"
 
 
-def test_what_a_broker_left_out_has_a_line_for_each_reason(world: Resolved) -> None:
+def test_tracks_omitted_by_a_broker_have_a_line_per_reason(world: Resolved) -> None:
     said = texts(world, collations=[{"overflowed": 3, "duplicates": 0, "absurd": 5}, {"overflowed": 1}])
     assert said.keys() == {"overflowed", "absurd"}
     assert said["overflowed"].startswith("4 messages dropped")
 
 
-def test_a_message_that_several_nodes_rejected_counts_once_and_the_first_is_quoted(world: Resolved) -> None:
+def test_a_message_rejected_by_several_nodes_counts_once_and_the_first_is_quoted(world: Resolved) -> None:
     heard = {"agent/a/tracks: tracks": 10, "agent/a/tracks: other": 5, "cc/picture: picture": 2}
     first = {"agent/a/tracks": [7, "tracks: not [MessagePack]"], "cc/picture": [3, "picture: truncated"]}
     nodes = {
@@ -76,7 +76,7 @@ def test_a_message_that_several_nodes_rejected_counts_once_and_the_first_is_quot
     assert said == "17 messages on 2 keys (first, by evaluator: cc/picture: picture: truncated)"
 
 
-def test_foreign_messages_name_their_keys(world: Resolved) -> None:
+def test_the_notice_on_foreign_messages_names_their_keys(world: Resolved) -> None:
     heard = {f"agent/{name}/tracks": 2 for name in "abcde"}
     nodes = {"broker": node(foreign=heard), "evaluator": node(foreign={"agent/a/tracks": 3})}
     said = texts(world, nodes)["foreign"]
@@ -84,8 +84,8 @@ def test_foreign_messages_name_their_keys(world: Resolved) -> None:
     assert said == f"11 messages without the mark of this run's nodes, on {where}"
 
 
-def test_refused_control_messages_name_the_key_with_most_and_why(world: Resolved) -> None:
-    """What goes to all is counted by each: the node that refused most counts."""
+def test_the_notice_on_refused_control_messages_names_the_main_key_and_reason(world: Resolved) -> None:
+    """Broadcasts are counted by every node: the highest count is used."""
     nodes = {
         "ego": node(invalid_control={"epoch": [3, "epoch: not MessagePack"]}),
         "broker": node(invalid_control={"epoch": [2, "epoch: not MessagePack"]}),
@@ -99,13 +99,13 @@ def test_refused_control_messages_name_the_key_with_most_and_why(world: Resolved
     )
 
 
-def test_a_run_in_real_time_that_keeps_up_says_nothing_of_it(world: Resolved) -> None:
+def test_a_real_time_run_that_keeps_up_has_no_notice(world: Resolved) -> None:
     assert realtime(world, 25.0) == ""
     assert realtime(world, None) == ""
-    assert realtime(world, 199.0) == "", "a silent agent is waited for until the next clock"
+    assert realtime(world, 199.0) == "", "the broker waits for a silent agent until the next clock"
 
 
-def test_a_run_in_real_time_that_does_not_keep_up_says_why_and_what_to_do(world: Resolved) -> None:
+def test_a_real_time_run_that_falls_behind_gets_the_reason_and_advice(world: Resolved) -> None:
     said = realtime(world, 2800.0, speed=7.0, late={"ego": 102})
     for part in ("2800 ms", "a frame lasts 100 ms", "7.0 frames/s instead of 10.0", "102 messages came too late"):
         assert part in said
@@ -113,7 +113,7 @@ def test_a_run_in_real_time_that_does_not_keep_up_says_why_and_what_to_do(world:
         assert advice in said
 
 
-def test_how_late_is_too_late_goes_by_the_broker_and_the_rate(world: Resolved) -> None:
+def test_lateness_depends_on_the_broker_and_the_rate(world: Resolved) -> None:
     nodes = world.nodes | {"broker": replace(world.nodes["broker"], config={"latency_s": 0.3, "patience": 1})}
     patient = replace(world, nodes=nodes)
     assert realtime(patient, 499.0) == ""
@@ -121,7 +121,7 @@ def test_how_late_is_too_late_goes_by_the_broker_and_the_rate(world: Resolved) -
     assert "a frame lasts 50 ms" in realtime(replace(world, rate=2.0), 199.0, speed=20.0)
 
 
-def test_late_messages_in_real_time_are_no_overload_where_a_link_delays(world: Resolved) -> None:
+def test_late_messages_behind_a_delaying_link_are_no_overload(world: Resolved) -> None:
     linked = replace(world, timeline=({"kind": "link", "label": "wireless", "at_s": 0.0},))
     assert realtime(linked, 25.0, late={"ego": 3}) == ""
     assert "3 messages" in realtime(world, 25.0, late={"ego": 3})
@@ -144,7 +144,7 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("frames", "expected"), [(1, "the only frame is"), (5, "all 5 frames are"), (40, "")])
-def test_a_run_too_short_to_leave_out_its_first_frames_says_so(tmp_path: Path, frames: int, expected: str) -> None:
+def test_a_run_too_short_to_skip_its_first_frames_is_reported(tmp_path: Path, frames: int, expected: str) -> None:
     file, content = scenario.load("baseline", ["n_infrastructure=1"])
     ended = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
     found = {notice["kind"]: notice["text"] for notice in ended.record["notices"]}
@@ -153,14 +153,14 @@ def test_a_run_too_short_to_leave_out_its_first_frames_says_so(tmp_path: Path, f
     assert expected in found.get("unsettled", "")
 
 
-def test_a_stall_tells_of_the_messages_that_were_refused() -> None:
+def test_a_stall_error_lists_refused_messages() -> None:
     refused = {"kind": "rejected", "count": 7, "text": "7 messages on 1 key (first: agent/x/mission: queued: …)"}
     stall = StallError("stall: evaluator has handled 4 of 5 messages")
     assert str(ending.of_stall(stall, [refused])) == f"{stall}; refused: {refused['text']}"
     assert str(ending.of_stall(stall, [refused | {"kind": "foreign"}])) == str(stall)
 
 
-def test_frames_that_the_evaluator_missed_are_told() -> None:
+def test_frames_missed_by_the_evaluator_are_reported() -> None:
     (notice,) = notices.of_scores({"frames": 936}, 1000)
     assert notice["text"] == "64 frames of 1000 were played and not measured: the evaluator missed them"
     assert notices.of_scores({"frames": 1000}, 1000) == []

@@ -1,4 +1,4 @@
-"""Tables survive a file, and writing one does not load pandas."""
+"""Tables survive a round trip to a file, without loading pandas."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ texts = st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_charac
 
 @settings(deadline=None)
 @given(texts=texts, data=st.data())
-def test_columns_come_back_as_they_were(texts: list[str], data: st.DataObject) -> None:
+def test_columns_survive_a_round_trip(texts: list[str], data: st.DataObject) -> None:
     n = len(texts)
     table = {
         "object": np.array(texts, object),
@@ -36,19 +36,19 @@ def test_columns_come_back_as_they_were(texts: list[str], data: st.DataObject) -
         np.testing.assert_array_equal(again[name], table[name])
 
 
-def test_a_table_that_is_none_is_named(tmp_path: Path) -> None:
+def test_an_invalid_table_is_named(tmp_path: Path) -> None:
     (tmp_path / "bad.parquet").write_text("hello")
     for name in ("bad.parquet", "absent.parquet"):
         with pytest.raises(RunFolderError, match=name):
             read_table(tmp_path / name)
 
 
-def test_what_is_not_text_in_a_column_of_text_is_written_as_text(tmp_path: Path) -> None:
+def test_other_values_in_a_text_column_are_written_as_text(tmp_path: Path) -> None:
     write_table(tmp_path / "t.parquet", {"mixed": np.array(["a", 3, 0.5], object)})
     assert read_table(tmp_path / "t.parquet")["mixed"].tolist() == ["a", "3", "0.5"]
 
 
-def test_pandas_is_not_loaded_for_tables_and_still_there_for_who_needs_it(tmp_path: Path) -> None:
+def test_pandas_is_not_loaded_for_tables_but_stays_available(tmp_path: Path) -> None:
     pytest.importorskip("pandas")
     program = (
         "import sys, numpy as np\n"

@@ -1,4 +1,4 @@
-"""The unattacked twin of a run is the run of the same scenario without its adversaries."""
+"""A run's twin is a run of the same scenario without its adversaries."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FRAMES = 30
 
 
 def played(folder: Path, name: str, *settings: str, **changes: Any) -> Path:
-    """A run of one of our scenarios in one process; its attacks begin at once."""
+    """A run of a shipped scenario in one process, attacked from the start."""
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded | changes, seed=3, frames=FRAMES)
     ended = run.run(resolved, folder, runtime="inproc")
@@ -30,7 +30,7 @@ def results(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
-def test_its_results_are_those_of_the_unattacked_scenario(tmp_path: Path, name: str) -> None:
+def test_a_twin_has_the_results_of_the_unattacked_scenario(tmp_path: Path, name: str) -> None:
     attacked = played(tmp_path / "attacked", name, "attack_start_s=0")
     baseline = played(tmp_path / "baseline", "baseline")
     assert results(attacked) != results(baseline)
@@ -43,7 +43,7 @@ def test_its_results_are_those_of_the_unattacked_scenario(tmp_path: Path, name: 
     }
 
 
-def test_links_and_faults_stay(tmp_path: Path) -> None:
+def test_a_twin_keeps_links_and_faults(tmp_path: Path) -> None:
     attacked = played(
         tmp_path / "attacked", "attack_during_partition", "partition_s=0.5", "partition_until_s=1.5", "kill_s=2"
     )
@@ -56,7 +56,7 @@ def test_links_and_faults_stay(tmp_path: Path) -> None:
     }
 
 
-def test_it_is_played_once_and_again_where_it_is_not_whole(tmp_path: Path) -> None:
+def test_a_twin_is_played_once_and_again_if_incomplete(tmp_path: Path) -> None:
     attacked = played(tmp_path / "attacked", "uncoordinated")
     first = json.loads((twin.of(attacked) / "run.json").read_text())["id"]
     assert json.loads((twin.of(attacked) / "run.json").read_text())["id"] == first
@@ -80,7 +80,7 @@ class OwnAgent(Base):
 """
 
 
-def test_it_is_played_again_when_a_users_file_or_one_beside_it_changed(tmp_path: Path) -> None:
+def test_a_twin_is_played_again_when_a_user_file_or_its_import_changed(tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "own_agent.py").write_text(OWN_AGENT)
@@ -99,7 +99,7 @@ def test_it_is_played_again_when_a_users_file_or_one_beside_it_changed(tmp_path:
     assert run_id(twin.of(attacked)) == second
 
 
-def test_it_is_played_again_when_a_version_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_twin_is_played_again_when_a_version_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     attacked = played(tmp_path / "attacked", "uncoordinated")
     first = run_id(twin.of(attacked))
     later = version.versions() | {"mast-zenoh": "later"}
@@ -109,7 +109,7 @@ def test_it_is_played_again_when_a_version_changed(tmp_path: Path, monkeypatch: 
     assert run_id(twin.of(attacked)) == second
 
 
-def test_a_folder_that_is_no_twin_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_twin_is_left_alone(tmp_path: Path) -> None:
     attacked = played(tmp_path / "attacked", "uncoordinated")
     (attacked / "twin").mkdir()
     (attacked / "twin" / "mine.txt").write_text("keep")
@@ -119,7 +119,7 @@ def test_a_folder_that_is_no_twin_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["scenario.json", "wiring.json", "scene.npz"])
-def test_a_run_whose_scenario_is_lost_has_none(tmp_path: Path, name: str) -> None:
+def test_a_run_with_a_missing_scenario_has_no_twin(tmp_path: Path, name: str) -> None:
     attacked = played(tmp_path / "attacked", "uncoordinated")
     (attacked / name).unlink()
     with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):
@@ -128,7 +128,7 @@ def test_a_run_whose_scenario_is_lost_has_none(tmp_path: Path, name: str) -> Non
 
 @pytest.mark.parametrize("content", [{"nodes": 3}, [], {"nodes": {"ego": {"config": 3}}}])
 @pytest.mark.parametrize("name", ["scenario.json", "wiring.json"])
-def test_a_run_whose_scenario_is_broken_has_none(tmp_path: Path, name: str, content: object) -> None:
+def test_a_run_with_a_broken_scenario_has_no_twin(tmp_path: Path, name: str, content: object) -> None:
     attacked = played(tmp_path / "attacked", "uncoordinated")
     (attacked / name).write_text(json.dumps(content))
     with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):

@@ -1,4 +1,4 @@
-"""What rules do over many messages is what their parameters say, within intervals that chance leaves."""
+"""Statistics of rules over many messages match their parameters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.stats import binomtest, kstest
 from scipy.stats import gamma as gamma_law
 
 N = 4000
-SURE = 0.999  #: two-sided; with the seeds fixed a test either always holds or never
+SURE = 0.999  #: two-sided; with fixed seeds a test either always holds or never
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -20,18 +20,18 @@ def test_the_loss_rate_equals_the_probability(p: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize("p", [0.0, 1.0])
-def test_certain_loss_loses_all_and_impossible_loss_none(p: float) -> None:
+def test_a_loss_of_one_drops_all_and_of_zero_none(p: float) -> None:
     assert came(carry([dict(type="Loss", probability=p)], 500)).mean() == 1.0 - p
 
 
-def test_losses_do_not_depend_on_those_before() -> None:
+def test_losses_are_independent() -> None:
     lost = ~came(carry([dict(type="Loss", probability=0.3)], N))
     after_loss = lost[1:][lost[:-1]]
     assert binomtest(int(after_loss.sum()), len(after_loss), 0.3).pvalue > 1.0 - SURE
 
 
 def bursts(lost: np.ndarray) -> np.ndarray:
-    """Lengths of the runs of True, those at the ends left out."""
+    """Lengths of the runs of True, except those at the ends."""
     edges = np.flatnonzero(np.diff(lost.astype(np.int8)))
     starts = edges[lost[edges + 1]]
     return np.array([edges[edges > start][0] - start for start in starts if (edges > start).any()])
@@ -39,12 +39,12 @@ def bursts(lost: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("good_to_bad", "bad_to_good"), [(0.02, 0.4), (0.05, 0.1), (0.3, 0.7)])
-def test_burst_lengths_and_loss_rate_agree_with_the_channel(good_to_bad: float, bad_to_good: float, seed: int) -> None:
+def test_burst_lengths_and_loss_rate_match_the_channel(good_to_bad: float, bad_to_good: float, seed: int) -> None:
     n = 8000
     rule = dict(type="GilbertElliott", good_to_bad=good_to_bad, bad_to_good=bad_to_good)
     lost = ~came(carry([rule], n, seed=seed))
     found = bursts(lost)
-    # Bursts of a channel that loses all while it is bad are geometric: mean 1/b, variance (1 - b)/b².
+    # Bursts of a channel that loses everything while bad are geometric: mean 1/b, variance (1 - b)/b².
     error = np.sqrt(1.0 - bad_to_good) / bad_to_good / np.sqrt(len(found))
     assert abs(found.mean() - 1.0 / bad_to_good) < 3.3 * error
     # The variance of a mean of a two-state chain is that of independent draws times (1 + λ)/(1 - λ), λ = 1 - g - b.
@@ -59,11 +59,11 @@ def test_both_states_of_a_channel_have_the_configured_loss_rate() -> None:
     expected = 0.4 * 0.6 + 0.6 * 0.1
     lost = ~came(carry([rule], 8000))
     assert abs(lost.mean() - expected) < 0.02
-    assert lost[1:][lost[:-1]].mean() > expected + 0.02, "losses come together"
+    assert lost[1:][lost[:-1]].mean() > expected + 0.02, "losses are clustered"
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_first_message_meets_the_channel_as_it_is_on_average(seed: int) -> None:
+def test_the_channel_starts_in_its_stationary_distribution(seed: int) -> None:
     rule = dict(type="GilbertElliott", good_to_bad=0.2, bad_to_good=0.2)
     lost = sum(not came(carry([rule], 1, seed=1000 * seed + run))[0] for run in range(600))
     assert binomtest(lost, 600, 0.5).pvalue > 1.0 - SURE
@@ -73,7 +73,7 @@ def test_the_first_message_meets_the_channel_as_it_is_on_average(seed: int) -> N
 @pytest.mark.parametrize(("mean", "jitter"), [(0.02, 0.004), (0.05, 0.012)])
 def test_delays_have_the_configured_mean_and_deviation(distribution: str, mean: float, jitter: float) -> None:
     rule = dict(type="Delay", mean_s=mean, jitter_s=jitter, distribution=distribution)
-    found = delays(carry([rule], N, every_ns=20 * PERIOD_NS))  # so far apart that none waits for the one before
+    found = delays(carry([rule], N, every_ns=20 * PERIOD_NS))  # far enough apart that none waits for another
     assert abs(found.mean() - mean) < 3.3 * jitter / np.sqrt(N)
     assert abs(found.std() / jitter - 1.0) < 0.08
     assert found.min() >= 0.0
@@ -119,7 +119,7 @@ def test_pose_errors_have_the_configured_bias_and_deviation() -> None:
 @pytest.mark.parametrize("size", [1000, 15_000])
 def test_throughput_is_close_to_but_below_the_bandwidth(size: int) -> None:
     rate, seconds = 1e6, 20.0
-    offered = 3.0 * rate  # three times too much
+    offered = 3.0 * rate  # three times the bandwidth
     every_ns = round(8e9 * size / offered)
     outcomes = carry(
         [dict(type="Bandwidth", bits_per_s=rate, queue_s=0.3)],

@@ -1,4 +1,4 @@
-"""Strangers on an open mesh may send what they like: it costs one message each."""
+"""Arbitrary messages on an open mesh cost one message each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MESSAGES = 100_000
 
 
 def garbage(count: int) -> list[bytes]:
-    """Bytes that are no messages: random, empty, cut off, oversized maps."""
+    """Bytes that are not messages: random, empty, truncated, oversized maps."""
     rng = random.Random(5)
     return [
         b"",
@@ -31,7 +31,7 @@ def garbage(count: int) -> list[bytes]:
     ]
 
 
-def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launch) -> None:
+def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launch) -> None:
     run: Launched = launch("coordinated", "--mode", "realtime", "--set", "scene_index=1", "--no-record")
     record = run.started()
     observer = Observer(record, "clock")
@@ -60,7 +60,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launc
     nodes = run.record()["nodes"]
     assert all(node["ended"] == "ok" and not node["failures"] for node in nodes.values())
     expected = sum(sent[key] * hearers[key] for key in sent)
-    evaluator = nodes.pop("evaluator")  # hears every key, and refuses what is malformed on those it needs
+    evaluator = nodes.pop("evaluator")  # hears every key, and refuses malformed messages on those it needs
     assert sum(evaluator["foreign"].values()) == sum(sent.values())
     refused: Counter[str] = Counter()
     for what, n in evaluator["rejected"].items():
@@ -73,7 +73,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launc
     assert 0 < logs.count("rejected a message") <= sum(hearers.values()), "logged once per source"
 
 
-def test_what_strangers_send_is_written_down_as_it_is_and_marked(launch) -> None:
+def test_foreign_messages_are_recorded_unchanged_and_marked(launch) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--frames", "40")
     record = run.started()
     observer = Observer(record, "clock")

@@ -1,4 +1,4 @@
-"""An installed wheel, outside the checkout, does what the checkout does."""
+"""An installed wheel works outside the checkout."""
 
 from __future__ import annotations
 
@@ -24,13 +24,15 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
         capture_output=True,
     )
     (wheel,) = (tmp_path / "dist").glob("*.whl")
-    assert wheel.name.endswith("-py3-none-any.whl") == (not kernels.COMPILED), "of one platform only with machine code"
+    assert wheel.name.endswith("-py3-none-any.whl") == (not kernels.COMPILED), (
+        "platform-specific only with machine code"
+    )
     site, work = tmp_path / "site", tmp_path / "work"
     work.mkdir()
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
         tops = {name.split("/")[0] for name in archive.namelist()}
-    assert {top for top in tops if not top.endswith(".dist-info")} == {"mast_zenoh"}, "nothing generically named"
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"mast_zenoh"}, "no generic names"
 
     def mast(*words: str) -> str:
         done = subprocess.run(
@@ -46,7 +48,7 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
 
     mast("run", "coordinated", "--frames", "20", "--out", "run")
     scenario = (work / "run" / "scenario.json").read_text()
-    assert str(site) in scenario, "the nodes are those of the wheel"
+    assert str(site) in scenario, "the wheel's nodes are used"
     assert str(ROOT) not in scenario
     assert json.loads((work / "run" / "run.json").read_text())["versions"]["kernels"] == kernels.USED
     assert (work / "run" / "report.html").is_file()

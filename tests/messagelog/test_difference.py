@@ -1,4 +1,4 @@
-"""Compares two recordings, and describes the first difference."""
+"""Two recordings are compared and their first difference is described."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WIRE = "agent/b/detections"
 
 
 def with_message(key: str, frame: int, data: bytes) -> list[tuple[str, bytes]]:
-    """The small run with another message in one place."""
+    """The small run with one message replaced."""
     return [(k, data if d == payload(key, frame) and k == key else d) for k, d in small_run()]
 
 
@@ -25,7 +25,7 @@ def text(folder: Path, a: list[tuple[str, bytes]], b: list[tuple[str, bytes]], *
     return "\n".join(explain(compare(a_file, b_file, **options)))  # type: ignore[arg-type]
 
 
-def test_equal_recordings_are_equal_however_they_were_written(tmp_path: Path) -> None:
+def test_equal_recordings_are_equal_in_any_order_of_writing(tmp_path: Path) -> None:
     assert text(tmp_path, small_run(), small_run()[::-1]) == "equal: 24 messages"
 
 
@@ -56,7 +56,7 @@ def test_every_kind_of_difference_is_described(tmp_path: Path, data: bytes, said
     assert said in text(tmp_path, small_run(), with_message(WIRE, 3, data))
 
 
-def test_a_missing_message_is_reported_with_its_side(tmp_path: Path) -> None:
+def test_a_missing_message_is_reported_with_the_run_that_lacks_it(tmp_path: Path) -> None:
     fewer = [(k, d) for k, d in small_run() if (k, d) != (WIRE, payload(WIRE, 4))]
     found = text(tmp_path, small_run(), fewer)
     assert f"first difference: frame 4, {WIRE}" in found

@@ -1,4 +1,4 @@
-"""A recording holds every byte that was sent, in one order, up to its last whole chunk."""
+"""A recording holds every byte sent, in order, up to its last whole chunk."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def test_messages_are_read_in_the_order_of_frame_wire_publisher_and_sequence(
         assert [(message.key, message.payload) for message in found] == sent
 
 
-def test_many_messages_of_a_frame_on_a_wire_keep_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_messages_of_one_frame_on_one_wire_keep_their_sequence_order(tmp_path: Path) -> None:
     sent = [("agent/a/status", payload("agent/a/status", 3, seq=seq)) for seq in (2**40, 0, 7, 2)]
     assert [message.seq for message in read(write(tmp_path / "run.mcap", sent))] == [0, 2, 7, 2**40]
 
 
-def test_a_key_that_is_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
+def test_a_key_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
     hears = {key: heard for key, heard in HEARS.items() if key == "clock"}
     log = MessageLog(tmp_path / "run.mcap")
     log.begin(hears)
@@ -140,7 +140,7 @@ def test_duplicates_are_kept_in_their_order_of_arrival(tmp_path: Path) -> None:
     assert [message.payload for message in found] == [sent[1][1], twice, sent[0][1]]
 
 
-def test_other_readers_find_channels_with_metadata_and_schemas(tmp_path: Path) -> None:
+def test_other_readers_understand_channels_metadata_and_schemas(tmp_path: Path) -> None:
     with write(tmp_path / "run.mcap", small_run()).open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
@@ -164,7 +164,9 @@ def test_other_readers_find_channels_with_metadata_and_schemas(tmp_path: Path) -
         "<f8",
         "n, 3",
     )
-    assert [message.data for _, _, message in found] == [data for _, data in small_run()], "in our order, for them too"
+    assert [message.data for _, _, message in found] == [data for _, data in small_run()], (
+        "in the same order for other readers"
+    )
     for _, channel, message in found:
         header = codec.decode_header(message.data, channel.metadata["message"])
         assert message.publish_time == header.time_ns
@@ -184,10 +186,10 @@ def test_malformed_messages_are_kept_unchanged_and_marked(tmp_path: Path) -> Non
     assert len(found) - len(marked) == len(small_run(3))
 
 
-def test_a_file_that_is_cut_off_anywhere_is_read_up_to_its_last_whole_chunk(
+def test_a_truncated_file_is_readable_up_to_its_last_whole_chunk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends: list[tuple[int, int]] = []  # (bytes in the file, messages in them) after each chunk
+    ends: list[tuple[int, int]] = []  # (bytes, messages) of the file after each chunk
     monkeypatch.setattr(writer, "CHUNK_BYTES", 4000)
     flush = Writer.flush
 
@@ -206,15 +208,15 @@ def test_a_file_that_is_cut_off_anywhere_is_read_up_to_its_last_whole_chunk(
         cut.write_bytes(data[:size])
         found = [message.payload for message in read(cut)]
         assert found == whole[: len(found)]
-        assert len(found) >= before, "what was whole stays whole"
+        assert len(found) >= before, "whole chunks stay intact"
         before = len(found)
     assert before == len(whole)
     for end, chunks in ends:
         cut.write_bytes(data[:end])
-        assert len(list(read(cut))) >= min(chunks, 1), "a chunk that has been written can be read"
+        assert len(list(read(cut))) >= min(chunks, 1), "a written chunk can be read"
 
 
-def test_a_process_that_is_killed_leaves_all_its_whole_chunks(tmp_path: Path) -> None:
+def test_a_killed_process_leaves_all_whole_chunks(tmp_path: Path) -> None:
     program = (
         "import os, signal\n"
         "from pathlib import Path\n"
@@ -256,7 +258,7 @@ def test_a_chunk_with_an_impossible_size_is_refused_before_it_is_unpacked(
     unpacked.assert_not_called()
 
 
-def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_named(tmp_path: Path) -> None:
     path = write(tmp_path / "run.mcap", small_run())
     data = bytearray(path.read_bytes())
     data[200] ^= 0xFF

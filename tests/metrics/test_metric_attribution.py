@@ -1,4 +1,4 @@
-"""Each false and each missed object of the picture has a cause, and lies have an author."""
+"""Each false and each missed object has a cause, and each lie an author."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ NOTHING = ObjectStates.empty()
 
 
 def recorded(truth, picture, local=None, points=None) -> Record:
-    """A run in which the ego alone is there.
+    """A run of the ego alone.
 
-    truth, picture: what there is and what is believed, a set of cars for each frame; local: the ego's own tracks
+    truth, picture: a set of cars for each frame; local: the ego's own tracks
     """
     record = Record(["ego"])
     for frame, (objects, believed) in enumerate(zip(truth, picture, strict=True)):
@@ -36,7 +36,7 @@ def seen(truth, picture, lies: tuple[Row, ...] | list[Row] = (), local=None, poi
 
 
 def causes(table, estimator: str = "picture") -> list[tuple[int, str, str, str]]:
-    """Frame, kind, cause and author of every row of an estimate that has a cause."""
+    """Frame, kind, cause and author of every row of an estimate with a cause."""
     mine = {name: column[table["estimator"] == estimator] for name, column in table.items()}
     names = ("frame", "kind", "cause", "by")
     return [tuple(row) for row in zip(*(mine[name].tolist() for name in names), strict=True) if row[2]]
@@ -45,7 +45,7 @@ def causes(table, estimator: str = "picture") -> list[tuple[int, str, str, str]]
 CAR = cars((0.0, 0.0), id=[1])
 
 
-def test_every_error_of_an_estimate_has_a_cause_and_nothing_else_does() -> None:
+def test_every_error_of_an_estimate_and_nothing_else_has_a_cause() -> None:
     table = seen([CAR], [cars((0.1, 0.0), (40.0, 0.0), id=[5, 6])], local=[cars((0.1, 0.0), id=[5])])
     assert causes(table) == [(0, "track", "clutter", "")]
     assert causes(table, "local") == []
@@ -73,7 +73,7 @@ def test_an_object_inserted_by_two_adversaries_is_attributed_to_both() -> None:
 
 
 def test_a_coasting_false_track_is_still_attributed_to_its_adversary() -> None:
-    """The lie ends at 69 m; the track goes on, and bends away from where the lie would have gone."""
+    """The false object ends at 69 m; its track goes on and bends away."""
     lies = [("eve", frame, "inserted", 3, (60.0 + frame, 0.0), (10.0, 0.0)) for frame in range(10)]
     picture = [cars((0.0, 0.0), (60.0 + frame, 0.5 * max(frame - 9, 0)), id=[5, 6]) for frame in range(30)]
     table = seen([CAR] * 30, picture, lies)
@@ -81,7 +81,7 @@ def test_a_coasting_false_track_is_still_attributed_to_its_adversary() -> None:
 
 
 def test_a_false_track_before_the_first_insertion_is_natural() -> None:
-    """A track of clutter stands at 40 m; from frame 5 on the adversary shows an object there."""
+    """A clutter track is at 40 m; from frame 5 an object is inserted there."""
     lies = [("eve", frame, "inserted", 3, (40.0, 0.0), (0.0, 0.0)) for frame in range(5, 10)]
     picture = [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])] * 10
     found = causes(seen([CAR] * 10, picture, lies))
@@ -151,18 +151,18 @@ def test_new_objects_have_no_track_yet_and_departed_ones_still_have_one() -> Non
     ]
 
 
-def test_a_track_too_far_from_its_object_lags_and_so_the_object_is_missed() -> None:
+def test_a_track_too_far_from_its_object_lags_and_the_object_is_missed() -> None:
     found = causes(seen([CAR] * 12, [*[CAR] * 11, cars((4.0, 0.0), id=[1])]))
     assert found == [(11, "truth", "lag", ""), (11, "track", "lag", "")]
 
 
-def test_a_track_of_an_object_that_nobody_sees_is_there_for_occlusion_or_range() -> None:
+def test_a_track_of_an_unseen_object_is_due_to_occlusion_or_range() -> None:
     table = seen([CAR, CAR], [CAR, CAR], points=[[50], [0]])
     assert causes(table) == [(1, "track", "occlusion or range", "")]
 
 
 @pytest.mark.parametrize(("local", "cause"), [(NOTHING, "occlusion or range"), (CAR, "fusion")])
-def test_what_no_agent_tracks_is_out_of_sight_and_what_one_does_was_lost_in_fusion(local, cause: str) -> None:
+def test_objects_without_tracks_are_out_of_sight_and_tracked_ones_were_lost_in_fusion(local, cause: str) -> None:
     found = causes(seen([CAR] * 12, [*[CAR] * 11, NOTHING], local=[*[CAR] * 11, local]))
     assert found == [(11, "truth", cause, "")]
 

@@ -1,4 +1,4 @@
-"""Rows of one table are found in another, whatever numbers are in it."""
+"""Rows of one table are looked up in another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scores of a run: by hand on small ones, against plain loops on random ones."""
+"""Scores of runs: small ones by hand, random ones against plain loops."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mast_zenoh.metrics.record import Snapshot
 
 
 def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=None, own=-1, position=(0.0, 0.0, 0.0)):
-    """A run of one agent, the ego; everything is seen unless `points` (one list a frame) says otherwise."""
+    """A run of one agent, the ego; `points` (a list per frame) sets visibility."""
     result = Record(["ego"])
     for frame, (objects, states) in enumerate(zip(truth, picture, strict=True)):
         seen = np.full(len(objects), 10) if points is None else np.array(points[frame])
@@ -36,7 +36,7 @@ def outcomes(scores) -> set[tuple[str, str, int, int]]:
     return set(zip(t["kind"].tolist(), t["outcome"].tolist(), t["id"].tolist(), t["match_id"].tolist(), strict=True))
 
 
-def test_a_small_frame_by_hand():
+def test_scores_of_a_small_frame_computed_by_hand():
     truth = cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0), id=[1, 2, 3])
     tracks = cars((0.0, 0.6), (10.8, 0.0), (30.0, 0.0), id=[7, 8, 9])
     scores = Scorer().score(record([truth], [tracks]))
@@ -52,7 +52,7 @@ def test_a_small_frame_by_hand():
     }
 
 
-def test_only_what_is_in_range_counts_on_both_sides():
+def test_only_objects_and_tracks_in_range_count():
     truth = cars((99.0, 0.0), (101.0, 0.0), id=[1, 2])
     tracks = cars((99.0, 0.0), (101.0, 0.0), (150.0, 0.0), id=[1, 2, 3])
     assert counts(Scorer(range_m=100.0).score(record([truth], [tracks]))) == [(0, 0, 1)]
@@ -68,7 +68,7 @@ def test_range_moves_with_the_agent():
     assert counts(Scorer().score(run)) == [(0, 0, 1), (0, 0, 0)]
 
 
-def test_truth_is_what_at_least_one_agent_sees():
+def test_truth_contains_objects_seen_by_at_least_one_agent():
     run = Record(["ego", "infra_1"])
     points = np.array([[0, 5], [4, 4], [5, 0]])
     run.add_truth(0, cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0)), points, np.zeros((2, 3)), np.array([-1, -1]))
@@ -81,14 +81,14 @@ def test_truth_is_what_at_least_one_agent_sees():
 @pytest.mark.parametrize(
     ("ignore_unseen", "expected", "outcome"), [(False, (0, 1, 0), "false"), (True, (0, 0, 0), "unevaluated")]
 )
-def test_a_track_of_an_unseen_object_is_false_unless_told_otherwise(ignore_unseen, expected, outcome):
+def test_a_track_of_an_unseen_object_is_false_by_default(ignore_unseen, expected, outcome):
     run = record([cars((0.0, 0.0), id=[5])], [cars((0.5, 0.0), id=[7])], points=[[0]])
     scores = Scorer(ignore_unseen=ignore_unseen).score(run)
     assert counts(scores) == [expected]
     assert {o for kind, o, _, _ in outcomes(scores) if kind == "track"} == {outcome}
 
 
-def test_an_unseen_object_takes_no_track_from_a_seen_one():
+def test_an_unseen_object_takes_no_track_from_a_visible_one():
     truth = cars((0.0, 0.0), (1.0, 0.0), id=[1, 2])
     run = record([truth], [cars((0.9, 0.0))], points=[[9, 0]])
     assert counts(Scorer(ignore_unseen=True).score(run)) == [(0, 0, 1)]
@@ -99,7 +99,7 @@ def test_an_unseen_object_excuses_one_track_only():
     assert counts(Scorer(ignore_unseen=True).score(run)) == [(0, 1, 0)]
 
 
-def test_the_agent_is_in_its_own_truth_unless_left_out():
+def test_the_agent_is_in_its_own_truth_by_default():
     def run():
         return record([cars((0.0, 0.0), (9.0, 0.0), id=[42, 1])], [cars((0.1, 0.0), (9.0, 0.0))], own=42)
 
@@ -114,7 +114,7 @@ def test_a_switch_is_counted_against_the_last_match_even_after_a_gap():
     assert Scorer().score(record(truth, tracks)).id_switches.tolist() == [[0, 0, 0, 1, 0, 1]]
 
 
-def test_switches_of_one_agent_are_not_those_of_another():
+def test_identity_switches_are_counted_per_agent():
     run = Record(["ego", "infra_1"])
     for frame in range(2):
         run.add_truth(frame, cars((0.0, 0.0)), np.array([[9, 9]]), np.zeros((2, 3)), np.array([-1, -1]))
@@ -126,20 +126,20 @@ def test_switches_of_one_agent_are_not_those_of_another():
 
 
 @pytest.mark.parametrize("scored", [slice(9, 5), slice(0, 0), slice(3, 3)])
-def test_without_scored_frames_the_summary_has_no_figures(scored):
+def test_without_scored_frames_the_summary_is_empty(scored):
     truth = [cars((0.0, 0.0))] * 5
     summary = Scorer().score(record(truth, truth)).summary(scored)
     assert summary["ego"]["picture"]["fn"] == {"mean": None, "std": None}
     json.dumps(summary, allow_nan=False)
 
 
-def test_of_several_messages_about_one_frame_the_first_counts_as_it_does_for_the_broker():
+def test_the_first_of_several_messages_about_a_frame_counts_as_in_the_broker():
     run = record([cars((0.0, 0.0))], [cars((0.0, 0.0))])
     run.add(0, [Series("", "picture")], Snapshot.of(ObjectStates.empty()))
     assert counts(Scorer().score(run)) == [(0, 0, 1)]
 
 
-def test_an_estimate_that_is_the_same_messages_is_scored_once_and_stands_in_all_tables():
+def test_identical_estimates_are_scored_once_and_appear_in_all_tables():
     run = Record(["ego"])
     for frame in range(3):
         run.add_truth(frame, cars((0.0, 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
@@ -163,11 +163,11 @@ def test_an_estimate_that_differs_in_one_frame_is_scored_separately():
     assert counts(scores, estimator="received") == [(0, 0, 1), (1, 0, 0), (0, 0, 1)]
 
 
-def test_the_picture_on_arrival_is_the_newest_that_has_come_and_nothing_once_it_is_too_old():
+def test_the_picture_on_arrival_is_the_newest_received_unless_too_old():
     run = Record(["ego"])
     for frame in range(12):
         run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
-    for frame, step in ((0, 1), (1, 3), (2, 2), (3, 4)):  # that of frame 1 is overtaken by that of frame 2
+    for frame, step in ((0, 1), (1, 3), (2, 2), (3, 4)):  # the picture of frame 1 is overtaken by that of frame 2
         run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), step, frame * 100)
     run.hold_pictures({"ego": 400}, {frame: 100 * frame for frame in range(12)})
     frames = np.arange(12)
@@ -176,7 +176,7 @@ def test_the_picture_on_arrival_is_the_newest_that_has_come_and_nothing_once_it_
     assert place == {1: 0.0, 2: 2.0, 3: 2.0, 4: 3.0, 5: 3.0, 6: 3.0, 7: 3.0}
 
 
-def test_the_picture_on_arrival_goes_by_the_time_in_its_header_as_the_agent_does():
+def test_the_picture_on_arrival_is_dated_by_its_header_like_in_the_agent():
     run = Record(["ego"])
     for frame in range(6):
         run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
@@ -196,13 +196,13 @@ def test_an_estimate_without_messages_misses_everything():
         assert counts(scores, estimator=estimator) == [(1, 0, 0)] * 3
 
 
-def test_a_frame_without_a_message_counts_as_one_without_tracks():
+def test_a_frame_without_a_message_has_no_tracks():
     run = record([cars((0.0, 0.0))] * 3, [cars((0.0, 0.0))] * 3)
     run.add(0, [Series("ego", "local")], Snapshot.of(cars((0.0, 0.0))))
     assert counts(Scorer().score(run), estimator="local") == [(0, 0, 1), (1, 0, 0), (1, 0, 0)]
 
 
-def test_rmse_is_over_all_pairs_of_the_run_and_null_without_any():
+def test_rmse_covers_all_pairs_of_the_run_and_is_null_without_any():
     truth = [cars((0.0, 0.0), (9.0, 0.0)), cars((0.0, 0.0))]
     scores = Scorer().score(record(truth, [cars((0.3, 0.0), (9.0, 0.4)), cars((0.0, 1.2))]))
     assert scores.summary()["ego"]["picture"]["rmse_m"] == pytest.approx(np.sqrt((0.09 + 0.16 + 1.44) / 3))
@@ -219,20 +219,20 @@ def test_the_summary_has_mean_and_deviation_over_frames():
     assert summary["ego"]["picture"]["tp"] == {"mean": 0.5, "std": 0.5}
 
 
-def test_the_summary_can_be_of_some_frames_while_the_tables_hold_all():
+def test_the_summary_can_cover_some_frames_while_tables_have_all():
     scores = Scorer().score(record([cars((0.0, 0.0))] * 4, [ObjectStates.empty(), *[cars((0.0, 0.6))] * 3]))
     summary = scores.summary(slice(1, 4))["ego"]["picture"]
     assert (summary["fn"]["mean"], summary["tp"]["mean"], summary["rmse_m"]) == (0.0, 1.0, pytest.approx(0.6))
     assert len(scores.per_frame()["frame"]) == 4
 
 
-def test_the_assigner_can_be_overlap():
+def test_matching_by_overlap_can_be_configured():
     truth, tracks = [cars((0.0, 0.0))], [cars((0.0, 1.5))]
     assert counts(Scorer().score(record(truth, tracks))) == [(0, 0, 1)]
     assert counts(Scorer(assigner=IoU3DGreedyAssigner()).score(record(truth, tracks))) == [(1, 1, 0)]
 
 
-def test_truth_that_does_not_fit_the_agents_is_refused():
+def test_truth_that_does_not_match_the_agents_is_refused():
     run = Record(["ego", "infra_1"])
     with pytest.raises(ValueError, match=r"truth of frame 3, points: found shape \(1, 1\), expected \(1, 2\)"):
         run.add_truth(3, cars((0.0, 0.0)), np.array([[9]]), np.zeros((2, 3)), np.array([-1, -1]))
@@ -248,7 +248,7 @@ def test_a_record_without_truth_has_no_frames():
 
 
 def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
-    """A run of three agents, two estimators each and the picture, in a crowded place."""
+    """A run of three agents with two estimators each and a picture, in clutter."""
     rng = np.random.default_rng(seed)
     shuffle = np.random.default_rng(seed + 1)
     agents, frames = ["ego", "infra_1", "infra_2"], []
@@ -280,7 +280,7 @@ def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
 
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
-def test_counts_are_those_of_plain_loops(seed, include_self, ignore_unseen):
+def test_counts_equal_those_of_plain_loops(seed, include_self, ignore_unseen):
     run, frames = random_run(seed)
     scorer = Scorer(range_m=7.0, min_points=5, include_self=include_self, ignore_unseen=ignore_unseen)
     table = scorer.score(run).per_frame()
@@ -328,7 +328,7 @@ def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
 
 @settings(max_examples=30)
 @given(st.integers(0, 10**6))
-def test_every_box_has_one_outcome_and_the_counts_are_those_of_the_outcomes(seed):
+def test_every_box_has_one_outcome_and_outcomes_add_up_to_the_counts(seed):
     scores = Scorer(range_m=7.0).score(random_run(seed)[0])
     t, counted = scores.objects(), scores.per_frame()
     for k in range(len(counted["frame"])):

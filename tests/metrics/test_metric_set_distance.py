@@ -1,4 +1,4 @@
-"""OSPA and GOSPA: by hand, against every assignment tried, and against Stone Soup."""
+"""OSPA and GOSPA: by hand, by brute force, and against Stone Soup."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def by_trying(x: np.ndarray, y: np.ndarray, how: SetDistance) -> tuple[float, fl
     return ((least + missing) / n) ** (1 / how.p), (least + missing / how.alpha) ** (1 / how.p)
 
 
-def test_one_object_a_metre_off_and_one_missed() -> None:
+def test_distances_with_one_displaced_and_one_missed_object() -> None:
     truth, tracks = boxes([(0.0, 0.0), (50.0, 0.0)]), boxes([(1.0, 0.0)])
     ospa, gospa = SetDistance(c=5.0, p=1.0, alpha=2.0).of(truth, tracks, 1)
     assert ospa == pytest.approx([(1.0 + 5.0) / 2])
     assert gospa == pytest.approx([1.0 + 5.0 / 2])
     ospa, gospa = SetDistance(c=5.0, p=2.0, alpha=1.0).of(truth, tracks, 1)
-    assert ospa == pytest.approx([np.sqrt((1.0 + 25.0) / 2)]), "the mean is under the root"
+    assert ospa == pytest.approx([np.sqrt((1.0 + 25.0) / 2)]), "the mean is inside the root"
     assert gospa == pytest.approx([np.sqrt(1.0 + 25.0)])
 
 
-def test_two_empty_sets_have_distance_zero_and_one_empty_set_c() -> None:
+def test_two_empty_sets_have_distance_zero_and_an_empty_and_a_full_one_c() -> None:
     ospa, gospa = SetDistance(c=5.0, p=2.0).of(boxes([(0.0, 0.0)] * 2, group=[1, 1]), boxes(np.zeros((0, 3))), 2)
     assert ospa.tolist() == [0.0, 5.0]
     assert gospa == pytest.approx([0.0, np.sqrt(2 * 25.0 / 2)])
@@ -51,7 +51,7 @@ places = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6)), max_size=5)
     c=st.sampled_from([1.5, 3.0, 8.0]),
     alpha=st.sampled_from([0.5, 1.0, 2.0]),
 )
-def test_it_is_the_least_over_all_assignments_in_every_frame(frames, p: float, c: float, alpha: float) -> None:
+def test_the_distance_is_minimal_over_all_assignments(frames, p: float, c: float, alpha: float) -> None:
     how = SetDistance(c=c, p=p, alpha=alpha)
     sets = [[np.array(found, float).reshape(-1, 2) for found in frame] for frame in frames]
     sides = [
@@ -65,8 +65,8 @@ def test_it_is_the_least_over_all_assignments_in_every_frame(frames, p: float, c
 
 
 @pytest.mark.parametrize("p", [1.0, 2.0])
-def test_stone_soup_agrees(p: float) -> None:
-    """Stone Soup's OSPA assigns by d and not by d^p, so it is asked for p = 1 only."""
+def test_distances_equal_those_of_stone_soup(p: float) -> None:
+    """Stone Soup's OSPA assigns by d, not by d^p, so only p = 1 is compared."""
     ospa = pytest.importorskip("stonesoup.metricgenerator.ospametric", reason="Stone Soup is not installed")
     from stonesoup.types.state import State
 

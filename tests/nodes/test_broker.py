@@ -1,4 +1,4 @@
-"""The broker collates the tracks of all agents at one time, and waits no longer than necessary."""
+"""The broker collates tracks of all agents without needless waiting."""
 
 from typing import Any
 
@@ -53,7 +53,7 @@ def test_a_batch_is_emitted_when_all_agents_have_sent_their_tracks(resolved) -> 
     assert message.body["age_ns"].tolist() == [0, 0, 0]
 
 
-def test_tracks_come_out_in_the_world_frame(resolved) -> None:
+def test_collated_tracks_are_in_the_world_frame(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
     say(broker, "ego", 0)
@@ -137,7 +137,7 @@ def test_the_broker_waits_again_for_an_agent_that_returns(resolved) -> None:
 
 def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(resolved) -> None:
     broker = bench(resolved)
-    broker.node.agents.discard("infra_2")  # as if it were not yet seen on the mesh
+    broker.node.agents.discard("infra_2")  # not yet visible on the mesh
     for frame in (0, 1):
         broker.clock(frame)
         say(broker, "ego", frame)
@@ -190,7 +190,7 @@ def test_a_message_within_the_latency_is_in_time(resolved) -> None:
     broker.clock(0)
     say(broker, "ego", 0)
     say(broker, "infra_1", 0)
-    assert broker.clock(1) == [], "the frame is just old enough now"
+    assert broker.clock(1) == [], "the frame is just old enough"
     assert summary(say(broker, "infra_2", 0, step=1)) == [(0, dict.fromkeys(AGENTS, 0.0))]
 
 
@@ -246,7 +246,7 @@ def test_an_implausible_track_is_rejected_without_affecting_the_batch(resolved, 
         say(broker, "infra_2", frame)
     broker.clock(4)
     batches = broker.heard(COLLATED)
-    assert [message.header.frame for message in batches] == [0, 1, 2, 3], "each is a sound message"
+    assert [message.header.frame for message in batches] == [0, 1, 2, 3], "each is a valid message"
     kept = 0 if column == "origin" else 2
     assert [np.count_nonzero(message.body["agent"] == 1) for message in batches] == [kept] * 4
     assert broker.host.finish()["collation"]["absurd"] == 2 * (3 - kept)
@@ -285,7 +285,7 @@ def test_a_clock_error_beyond_max_age_excludes_only_that_agent(resolved, offset_
     broker.clock(7)
     for agent in AGENTS:
         said = say(broker, agent, 7)
-    assert summary(said) == [(7, dict.fromkeys(AGENTS, 0.0))], "when it is right again, it is heard again"
+    assert summary(said) == [(7, dict.fromkeys(AGENTS, 0.0))], "a corrected clock is accepted again"
 
 
 def test_a_duplicate_message_changes_nothing(resolved) -> None:
@@ -302,7 +302,7 @@ def test_a_duplicate_message_changes_nothing(resolved) -> None:
                 if agent == "infra_1" and copies > 1 and frame:
                     broker.deliver(key, broker.message(key, tracks((9.0, 0.0)), frame - 1), step=frame)
         outcomes.append((broker.payloads, broker.host.finish()))
-    assert outcomes[0] == outcomes[1], "nor is any of them late"
+    assert outcomes[0] == outcomes[1], "and none of them is late"
 
 
 def test_the_last_tracks_of_a_dead_agent_expire_by_age(resolved) -> None:
@@ -322,7 +322,7 @@ def test_the_last_tracks_of_a_dead_agent_expire_by_age(resolved) -> None:
 @given(st.data())
 @settings(max_examples=60)
 def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObject) -> None:
-    """Messages of a frame in any order, some lost, some a frame late, through the host as on a mesh."""
+    """Random order, loss and lateness within frames, delivered as on a mesh."""
     configs = [{}, {"latency_s": 0.1}, {"latency_s": 0.2, "patience": 1}, {"patience": 1}, {"max_age_s": 0.1}]
     config = data.draw(st.sampled_from(configs))
     fates = st.sampled_from(["in time", "in time", "in time", "late", "lost"])
@@ -338,7 +338,7 @@ def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObje
             if presents_itself == frame:
                 due.append(("status", frame))
             queues: dict[str, list] = {}
-            for agent in AGENTS:  # on one key the order stays
+            for agent in AGENTS:  # the order on one key is kept
                 queues[agent] = [(agent, frame - 1)] if frame and fate[agent, frame - 1] == "late" else []
             for agent, about in due:
                 queues.setdefault(agent, []).append((agent, about))

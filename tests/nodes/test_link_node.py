@@ -1,4 +1,4 @@
-"""The link node: applies its rules to messages, and reports their fates to the evaluator only."""
+"""The link node applies its rules and reports message fates."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def status() -> dict[str, np.ndarray]:
 
 
 def rows(link: Bench) -> list[tuple[Any, ...]]:
-    """All that the link has reported: (step after it, port, frame, seq, fate, rule)."""
+    """All reports of the link: (step after it, port, frame, seq, fate, rule)."""
     return [
         (message.header.frame, WIRES[port], *found, FATES[fate], rule)
         for message in link.heard(REPORT)
@@ -102,7 +102,7 @@ def test_a_delay_within_a_frame_has_no_effect_in_lock_step() -> None:
     assert link.clock(1) == []
 
 
-def test_every_report_is_about_the_previous_step_and_sorted() -> None:
+def test_reports_cover_the_previous_step_and_are_sorted() -> None:
     link = bench(dict(type="Cut"), down=[dict(type="Cut")])
     for frame in range(3):
         link.send("picture", picture(), frame)
@@ -113,7 +113,7 @@ def test_every_report_is_about_the_previous_step_and_sorted() -> None:
     ]
 
 
-def test_the_agents_position_takes_effect_in_the_next_frame_in_any_order() -> None:
+def test_a_new_agent_position_takes_effect_in_the_next_frame_in_any_order() -> None:
     limit = dict(type="RangeLimit", range_m=50.0, gateways=[[0.0, 0.0, 0.0]])
     for pose_first in (True, False):
         link, passed = bench(limit), []
@@ -145,7 +145,7 @@ def test_a_wrong_clock_and_pose_change_only_the_header_time_and_the_frame_of_ref
     ]
 
 
-def test_time_does_not_go_below_zero() -> None:
+def test_time_does_not_become_negative() -> None:
     link = bench(dict(type="ClockSkew", offset_s=-5.0))
     ((_, found),) = link.send("tracks", tracks(), 0)
     assert found.header.time_ns == 0
@@ -153,7 +153,9 @@ def test_time_does_not_go_below_zero() -> None:
 
 @pytest.mark.parametrize("encode", [True, False])
 @pytest.mark.parametrize("skew", [[], [dict(type="ClockSkew", offset_s=1.0)]])
-def test_a_corrupted_message_is_the_altered_one_with_some_bits_flipped(encode: bool, skew: list[dict]) -> None:
+def test_a_corrupted_message_differs_from_the_otherwise_altered_one_in_some_bits(
+    encode: bool, skew: list[dict]
+) -> None:
     link = bench(*skew, dict(type="Corrupt", probability=1.0, flips=1), encode=encode)
     key = link.key("tracks")
     message = link.message(key, tracks((1.0, 2.0)), 0)
@@ -185,7 +187,7 @@ rules = st.lists(st.sampled_from(sorted(ANY_RULE)), max_size=5).map(
 )
 
 
-def test_the_tests_below_cover_every_shipped_rule() -> None:
+def test_the_following_tests_cover_every_shipped_rule() -> None:
     ours = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
     assert ours == ANY_RULE.keys()
 
@@ -212,7 +214,7 @@ def test_a_link_with_all_rules_gives_the_same_run_in_any_order() -> None:
         assert Run(resolved, shuffle=shuffle, encode=bool(shuffle % 2)).messages == plain.messages
 
 
-def test_links_without_rules_leave_no_trace_but_on_their_own_legs() -> None:
+def test_links_without_rules_change_only_their_own_legs() -> None:
     def edit(content: dict[str, Any]) -> None:
         content["links"] = {"*": "perfect"}
 
@@ -230,7 +232,7 @@ def test_malformed_bytes_are_forwarded_unchanged(payload: bytes) -> None:
     link = _broken_link()
     for port in ("tracks", "picture", "pose"):
         link.host.deliver(link.key(port), payload, 0)
-    assert [out.payload for out in link.outbox] == [payload, payload], "who they are for will refuse them"
+    assert [out.payload for out in link.outbox] == [payload, payload], "their subscribers will refuse them"
     assert not link.host.failures
     link.outbox.clear()
     assert [key for key, _ in link.send("tracks", tracks(), 0)] == [TRACKS]
@@ -247,7 +249,7 @@ def _broken_link() -> Bench:
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_malformed_body_passes_a_link_that_does_not_decode_it(encode: bool) -> None:
+def test_a_malformed_body_passes_an_undecoding_link(encode: bool) -> None:
     link = bench(dict(type="ClockSkew", offset_s=1.0), dict(type="PoseError", bias_m=[1.0, 0.0]), encode=encode)
     key, body = link.key("tracks"), tracks((1.0, 2.0))
     body["position"] = np.full((1, 3), np.nan)
@@ -299,7 +301,7 @@ OWN_MAP = {
 }
 
 
-def test_a_users_map_can_insert_a_link_into_another_wire() -> None:
+def test_a_user_map_can_insert_a_link_into_another_wire() -> None:
     def edit(content: dict[str, Any]) -> None:
         content["nodes"] = {"loose": dict(role="link", agent="ego", rules_up=[dict(type="Cut", at=0.3, until=0.6)])}
         content["keyexpr"] = dict(map="testbed.toml", rewrites=[OWN_MAP])
@@ -355,7 +357,7 @@ def test_in_real_time_messages_leave_in_order(delays_ms: list[float], gaps_us: l
     for number in range(len(delays_ms)):
         built.now += 1000 * gaps_us[number]
         built.clock(number, time_ns=number * 1_000_000)
-        built.now += 7  # time goes on while things are handled
+        built.now += 7  # time advances during handlers
         built.send(number)
     built.now += 10**9
     built.host.release()
@@ -375,7 +377,7 @@ def test_in_real_time_a_message_leaves_when_its_delay_is_over() -> None:
 
 
 class _RealTime:
-    """The ego's link on a test clock, which advances by 1 ns at every reading."""
+    """The ego's link on a test clock that advances by 1 ns per reading."""
 
     def __init__(self, rules: list[dict[str, Any]]) -> None:
         resolved = world(rules)
@@ -403,7 +405,7 @@ class _RealTime:
         return [codec.decode(payload, "tracks").header.seq for payload in out if isinstance(payload, bytes)]
 
 
-def test_the_length_of_a_frame_is_that_of_the_clock() -> None:
+def test_the_frame_length_equals_that_of_the_clock() -> None:
     link = bench(dict(type="Delay", mean_s=0.15, distribution="constant"))
     link.send("tracks", tracks(), 0)
     clock = link.message(link.key("clock"), {}, 1, time_ns=2 * PERIOD_NS)  # frames of 0.2 s

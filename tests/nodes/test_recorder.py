@@ -1,4 +1,4 @@
-"""The recorder records all messages, and does not influence the run."""
+"""The recorder records all messages without influencing the run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def resolved(record: bool = True, **run: Any) -> Resolved:
 
 
 def recorded(folder: Path, *, encode: bool) -> dict[str, list[bytes]]:
-    """The bytes by key that are in the recording."""
+    """The recorded bytes by key."""
     process = InProcess(resolved().in_folder(folder), encode=encode)
     outcome = process.run()
     found: dict[str, list[bytes]] = defaultdict(list)
@@ -40,21 +40,21 @@ def recorded(folder: Path, *, encode: bool) -> dict[str, list[bytes]]:
 
 
 @pytest.mark.parametrize("encode", [True, False], ids=["bytes are passed", "messages are passed"])
-def test_it_has_every_byte_that_was_sent_on_every_key(tmp_path: Path, encode: bool) -> None:
+def test_a_recording_has_every_byte_sent_on_every_key(tmp_path: Path, encode: bool) -> None:
     said = Run(resolved(record=False))
     found = recorded(tmp_path, encode=encode)
     assert any("@tap" in key for key in found)
     assert found == {key: payloads for key, payloads in said.messages.items() if payloads}
 
 
-def test_it_changes_no_message_and_no_result_of_other_nodes(tmp_path: Path) -> None:
+def test_recording_changes_no_message_and_no_result_of_other_nodes(tmp_path: Path) -> None:
     plain = Run(resolved(record=False))
     outcome = InProcess(resolved().in_folder(tmp_path)).run()
     for name, result in plain.results.items():
         assert results.pack(outcome[name]) == results.pack(result)
 
 
-def test_it_is_added_on_request_unless_the_scenario_disables_it() -> None:
+def test_a_recorder_is_added_on_request_unless_the_scenario_disables_it() -> None:
     assert "recorder" in resolved().nodes
     assert "recorder" not in resolved(record=False).nodes
     path, content = scenario.load("baseline")
@@ -74,7 +74,7 @@ def test_run_json_has_the_number_of_recorded_messages(tmp_path: Path) -> None:
     assert not (without.folder / "messages.mcap").exists()
 
 
-def test_lost_messages_are_noted_in_run_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_messages_are_reported_in_run_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from mcap.writer import Writer
 
     def full(self: Writer) -> None:
@@ -83,7 +83,7 @@ def test_lost_messages_are_noted_in_run_json(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(Writer, "flush", full)
     ended = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
     assert isinstance(ended.error, DiskFull)
-    assert (tmp_path / "run" / "metrics.json").is_file(), "the run goes on to its end"
+    assert (tmp_path / "run" / "metrics.json").is_file(), "the run continues to its end"
     recorded = ended.record["recorded"]
     assert recorded["messages"] == 0 < recorded["lost"]
     assert f"{recorded['lost']} messages are not in the recording" in ended.record["message"]

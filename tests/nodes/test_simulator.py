@@ -1,4 +1,4 @@
-"""The simulator replays a scene frame by frame, and sends the truth to the evaluator only."""
+"""The simulator replays a scene frame by frame; truth goes to the evaluator."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def resolved():
     return tiny(frames=5)
 
 
-def test_a_frame_is_a_clock_and_then_the_truth_and_every_agents_pose_and_detections(resolved) -> None:
+def test_a_frame_is_a_clock_then_the_truth_and_all_poses_and_detections(resolved) -> None:
     simulator = Bench(resolved, "simulator")
     for frame in range(5):
         more, said = advance(simulator)
@@ -35,7 +35,7 @@ def test_a_frame_is_a_clock_and_then_the_truth_and_every_agents_pose_and_detecti
         assert {message.header.source for _, message in said} == {"simulator"}
 
 
-def test_it_ends_with_the_scene_or_after_the_requested_frames(resolved) -> None:
+def test_the_simulator_ends_with_the_scene_or_after_the_requested_frames(resolved) -> None:
     for limit, expected in ((None, 5), (3, 3), (5, 5), (9, 5)):
         simulator = Bench(resolved, "simulator", frames=limit)
         frames = 0
@@ -45,7 +45,7 @@ def test_it_ends_with_the_scene_or_after_the_requested_frames(resolved) -> None:
         assert advance(simulator) == (False, [])
 
 
-def test_it_publishes_the_recorded_data(resolved) -> None:
+def test_the_simulator_publishes_the_recorded_data(resolved) -> None:
     recording = TinyScene(n_infrastructure=2).record(0, 5)
     simulator = Bench(resolved, "simulator")
     for frame in range(5):
@@ -65,7 +65,7 @@ def test_it_publishes_the_recorded_data(resolved) -> None:
                 np.testing.assert_array_equal(detections[name], column)
 
 
-def test_a_scene_that_begins_late_begins_at_time_zero(resolved) -> None:
+def test_a_scene_with_a_late_start_begins_at_time_zero(resolved) -> None:
     recording = TinyScene().record(0, 5)
     recording.times_ns[:] += 7_000_000_000
     simulator = Bench(resolved, "simulator", recording=recording)
@@ -82,7 +82,7 @@ def test_the_truth_is_on_one_key_that_only_the_evaluator_receives() -> None:
 
 
 def test_messages_to_agents_do_not_depend_on_the_truth(resolved) -> None:
-    """What agents get is made of the recording's detections alone: without truth, it is the same."""
+    """Messages to agents depend on recorded detections, not on the truth."""
     recording = TinyScene(n_infrastructure=2).record(0, 5)
     blank = type(recording)(
         **{

@@ -1,4 +1,4 @@
-"""A cause over a reference run is named only if the runs differ in adversaries alone."""
+"""A cause is named only if two runs differ in adversaries alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def centre(radius: float, **more: Any) -> dict[str, Any]:
 
 @pytest.fixture
 def pair(run_folder: Callable[..., Path]) -> tuple[Path, Path]:
-    """The folders of an attacked run and of one without adversaries, with the same command centre."""
+    """The folders of an attacked run and of one without adversaries."""
     folders = run_folder("coordinated"), run_folder()
     for folder in folders:
         edit(folder / "scenario.json", lambda data: data.update(nodes={"command_center": centre(2.0)}))

@@ -1,4 +1,4 @@
-"""The page of a study with trials: self-contained, failures first, text escaped."""
+"""The study page is self-contained and escaped, with failures first."""
 
 from __future__ import annotations
 

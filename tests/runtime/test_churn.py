@@ -1,4 +1,4 @@
-"""Nodes that die, leave, come and come back while a run goes on, in one process."""
+"""Nodes that die, leave, join and return during a run in one process."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def played(*steps: tuple[int, str, str], name: str = "coordinated", **options: o
 
 @pytest.mark.parametrize("node", EVERYONE)
 @pytest.mark.parametrize("action", ["kill", "leave"])
-def test_whoever_dies_and_comes_back_the_run_is_the_same_in_every_order_of_delivery(node: str, action: str) -> None:
+def test_kills_and_restarts_give_the_same_run_in_every_order_of_delivery(node: str, action: str) -> None:
     steps = ((4, action, node), (9, "start", node))
     plain = played(*steps)
     others = [played(*steps, encode=False), *(played(*steps, shuffle=seed) for seed in range(2))]
@@ -51,16 +51,16 @@ def test_whoever_dies_and_comes_back_the_run_is_the_same_in_every_order_of_deliv
     assert plain.messages != played().messages
 
 
-def test_an_agent_that_dies_says_no_more_and_one_that_comes_back_counts_from_the_start() -> None:
+def test_a_dead_agent_is_silent_and_a_restarted_one_starts_counting_anew() -> None:
     run = played((4, "kill", "infra_1"), (9, "start", "infra_1"), name="baseline")
     messages = run.decoded("agent/infra_1/tracks", "tracks")
     assert [message.header.frame for message in messages] == [*range(4), *range(9, FRAMES)]
     assert [message.header.seq for message in messages] == [*range(4), *range(FRAMES - 9)]
-    assert messages[4].body["id"].size == 0, "a fresh tracker has confirmed nothing yet"
-    assert frames_of(run, "agent/ego/tracks", "tracks") == list(range(FRAMES)), "nobody else is stalled"
+    assert messages[4].body["id"].size == 0, "a fresh tracker has not confirmed any track yet"
+    assert frames_of(run, "agent/ego/tracks", "tracks") == list(range(FRAMES)), "no other node is delayed"
 
 
-def test_before_it_dies_nothing_is_different_from_a_run_in_which_nobody_does() -> None:
+def test_before_a_kill_the_run_equals_one_without_kills() -> None:
     plain, faulted = played(), played((6, "kill", "infra_1"), (6, "kill", "broker"))
     for wire in world().wiring["wires"]:
         for ours, theirs in zip(
@@ -70,16 +70,16 @@ def test_before_it_dies_nothing_is_different_from_a_run_in_which_nobody_does() -
                 assert ours.header == theirs.header
 
 
-def test_who_comes_first_by_a_step_is_not_there_at_the_beginning() -> None:
+def test_a_node_that_joins_later_is_absent_at_the_start() -> None:
     run = played((5, "start", "infra_2"), name="baseline")
     assert frames_of(run, "agent/infra_2/tracks", "tracks") == list(range(5, FRAMES))
     batches = run.decoded("cc/collated", "collated")
     assert [b.body["agents"].tolist() for b in batches[:5]] == [["ego", "infra_1"]] * 5
     assert batches[5].body["agents"].tolist() == ["ego", "infra_1", "infra_2"]
-    assert run.results["broker"]["collation"]["overdue"] == 0, "nobody waits for who is not there"
+    assert run.results["broker"]["collation"]["overdue"] == 0, "absent nodes are not waited for"
 
 
-def test_a_broker_that_comes_back_waits_for_all_agents_at_once() -> None:
+def test_a_restarted_broker_waits_for_all_agents_at_once() -> None:
     run = played((5, "kill", "broker"), (8, "start", "broker"), name="baseline")
     assert frames_of(run, "cc/collated", "collated") == [*range(5), *range(8, FRAMES)]
     assert run.results["broker"]["collation"]["complete"] == FRAMES - 8
@@ -87,13 +87,13 @@ def test_a_broker_that_comes_back_waits_for_all_agents_at_once() -> None:
     assert after.body["agents"].tolist() == ["ego", "infra_1", "infra_2"]
 
 
-def test_an_interposer_that_dies_takes_its_wire_with_it_and_brings_it_back() -> None:
+def test_a_dead_interposer_interrupts_its_wire_until_it_restarts() -> None:
     run = played((5, "kill", "adversary_1"), (8, "start", "adversary_1"))
-    assert frames_of(run, "agent/infra_1/tracks/@tap/0", "tracks") == list(range(FRAMES)), "the agent goes on"
+    assert frames_of(run, "agent/infra_1/tracks/@tap/0", "tracks") == list(range(FRAMES)), "the agent continues"
     assert frames_of(run, "agent/infra_1/tracks", "tracks") == [*range(5), *range(8, FRAMES)]
 
 
-def test_who_is_killed_hands_in_nothing_and_who_leaves_does() -> None:
+def test_a_killed_node_returns_no_results_and_a_leaving_one_does() -> None:
     killed, left = (InProcess(with_steps((5, action, "broker"))) for action in ("kill", "leave"))
     assert "broker" not in killed.run()
     assert left.run()["broker"]["collation"]["complete"] == 5
@@ -101,19 +101,21 @@ def test_who_is_killed_hands_in_nothing_and_who_leaves_does() -> None:
     assert killed.gone.keys() == {"broker"}
 
 
-def test_several_at_one_boundary_leave_before_others_come() -> None:
+def test_at_a_frame_boundary_nodes_leave_before_others_join() -> None:
     run = played((5, "start", "infra_1"), (5, "kill", "infra_2"), name="baseline")
     batches = run.decoded("cc/collated", "collated")
-    assert batches[5].body["agents"].tolist() == ["ego", "infra_1", "infra_2"], "what the dead one said last stays"
+    assert batches[5].body["agents"].tolist() == ["ego", "infra_1", "infra_2"], (
+        "the last picture of the dead node is kept"
+    )
     assert batches[5].body["age_ns"].tolist() == [0, 0, 10**8]
 
 
-def test_a_node_can_be_ended_and_started_at_the_same_boundary() -> None:
+def test_a_node_can_be_stopped_and_started_at_the_same_boundary() -> None:
     run = played((5, "kill", "ego"), (5, "start", "ego"), name="baseline")
     assert [m.header.seq for m in run.decoded("agent/ego/tracks", "tracks")] == [*range(5), *range(FRAMES - 5)]
 
 
-def test_steps_that_come_to_nothing_do_nothing() -> None:
+def test_redundant_steps_have_no_effect() -> None:
     process = InProcess(with_steps((3, "kill", "ego"), (5, "kill", "ego"), (6, "start", "ego"), (7, "start", "ego")))
     process.run()
     assert [step.frame for step in process.steps] == [3, 6]
@@ -129,7 +131,7 @@ def test_steps_that_come_to_nothing_do_nothing() -> None:
         ((3, "pause", "infra_1"), "pause in real time"),
     ],
 )
-def test_what_cannot_be_done_is_refused_before_anything_runs(step: tuple[int, str, str], problem: str) -> None:
+def test_impossible_steps_are_refused_before_anything_runs(step: tuple[int, str, str], problem: str) -> None:
     with pytest.raises(ConfigurationError, match=problem):
         InProcess(with_steps(step))
 
@@ -140,13 +142,13 @@ def test_in_real_time_a_node_can_be_paused() -> None:
     assert not list(timetable.before(4))
 
 
-def test_an_evaluator_or_recorder_that_is_killed_hangs_nobody() -> None:
+def test_a_killed_evaluator_or_recorder_does_not_block_the_run() -> None:
     process = InProcess(with_steps((3, "kill", "evaluator"), (5, "start", "evaluator")))
     assert process.run()["evaluator"]["metrics"]["frames"] > 0
 
 
-def test_the_picture_keeps_a_dead_agents_objects_for_a_while_and_then_loses_them() -> None:
-    """The ego is alone: nobody else sees what it saw."""
+def test_the_picture_keeps_a_dead_agents_objects_for_a_while() -> None:
+    """The ego is alone: no other agent sees its objects."""
     alone = replace(tiny(infrastructure=0, frames=40), steps=(ProcessStep(10, "kill", "ego"),))
     run = Run(alone)
     assert not run.failures
@@ -155,4 +157,4 @@ def test_the_picture_keeps_a_dead_agents_objects_for_a_while_and_then_loses_them
     objects = {m.header.frame: len(m.body["id"]) for m in run.decoded("cc/picture", "picture")}
     assert objects[9] == objects[10] == objects[11] == 3, "not at once"
     lost = [frame for frame, n in objects.items() if frame > 11 and n < 3]
-    assert objects[39] == 0 < len(lost), "and not never"
+    assert objects[39] == 0 < len(lost), "but eventually"

@@ -1,4 +1,4 @@
-"""A failure of a handler is counted by frame, and says where in the code of the node it happened."""
+"""Handler failures are counted by frame and located in the node's code."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def raised(call: Callable[[], Any]) -> BaseException:
     return caught.value
 
 
-def test_the_line_is_the_innermost_in_the_code_of_a_node_or_an_algorithm(tmp_path: Path) -> None:
+def test_a_failure_is_located_at_the_innermost_line_of_a_node_or_an_algorithm(tmp_path: Path) -> None:
     path = failing.write("attack", tmp_path)
     file, loaded = scenario.load(str(path), [])
     process = InProcess(scenario.resolve(file, loaded, frames=7))
@@ -92,7 +92,7 @@ def test_a_handler_with_wrong_parameters_is_located_where_it_is_defined() -> Non
     assert "TypeError" in host.failures["on_clock"].exception
 
 
-def test_an_exception_is_told_on_one_short_line_even_if_it_cannot_format_itself() -> None:
+def test_an_exception_is_one_short_line_even_if_it_cannot_be_formatted() -> None:
     class Mute(Exception):
         def __str__(self) -> str:
             raise ValueError
@@ -103,7 +103,7 @@ def test_an_exception_is_told_on_one_short_line_even_if_it_cannot_format_itself(
 
 
 @pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), asyncio.CancelledError("late")])
-def test_a_handler_ends_no_process_whatever_it_raises(error: BaseException) -> None:
+def test_no_exception_of_a_handler_ends_the_process(error: BaseException) -> None:
     class Leaver(Node):
         inputs = {"clock": "clock"}
 
@@ -128,7 +128,7 @@ def test_a_node_without_a_clock_fails_in_the_frame_of_its_message() -> None:
     host = Host("f", Fails(), Ports({"s": Input("status", "a", "status", "a")}, {}), 0, encode=False, emit=print)
     for frame, step in ((3, 3), (4, 6), (5, -1)):
         host.deliver("s", Message(Header("status", "a", frame, 0, 0), body), step)
-    assert host.failures["on_status"].frames == {3, 6, -1}, "held up: the frame in which it was sent on"
+    assert host.failures["on_status"].frames == {3, 6, -1}, "delayed: the frame in which it was forwarded"
 
 
 def test_a_node_that_hears_every_key_fails_in_the_frame_of_its_message() -> None:
@@ -150,7 +150,7 @@ def test_a_node_that_hears_every_key_fails_in_the_frame_of_its_message() -> None
 @pytest.mark.parametrize(
     "returned", [[1, 2], {"names": {"ego"}}, {(1, 2): 3}, {"x": 1 << 70}, {"a": np.zeros(2, "M8[s]")}]
 )
-def test_results_that_cannot_be_handed_in_are_a_failure_of_finish(returned: Any) -> None:
+def test_unserialisable_results_are_a_failure_of_finish(returned: Any) -> None:
     class Returns(Node):
         def finish(self, context: Context) -> Any:
             return returned
@@ -174,7 +174,7 @@ def test_failures_of_one_node_in_several_processes_are_one_entry() -> None:
     "entry",
     [None, [], {}, ENTRY | {"more": 1}, ENTRY | {"count": "3"}, ENTRY | {"count": True}, {"handler": "x"}],
 )
-def test_what_is_no_failure_is_refused(entry: object) -> None:
+def test_invalid_failures_are_refused(entry: object) -> None:
     assert failure(dict(ENTRY)) == ENTRY
     with pytest.raises(MessageError, match="a handler failure: "):
         failure(entry)
@@ -189,7 +189,7 @@ def test_what_is_no_failure_is_refused(entry: object) -> None:
         ((1, 1, -1, -1), "failed once before the first frame"),
     ],
 )
-def test_a_failure_in_words(numbers: tuple[int, ...], words: str) -> None:
+def test_a_failure_is_described_in_one_sentence(numbers: tuple[int, ...], words: str) -> None:
     entry = ENTRY | dict(zip(("count", "frames", "first_frame", "last_frame"), numbers, strict=True))
     (line,) = failures.lines({"ego": [entry]}, {"ego": "logs/ego.log"})
     assert line == f"ego.on_tracks {words}: KeyError: 'x' (/a/node.py:3); log: logs/ego.log"
@@ -212,7 +212,7 @@ def test_failures_before_a_kill_count_in_one_process(tmp_path: Path) -> None:
         ("advance", NodeDied, "simulator.advance failed before frame 0"),
     ],
 )
-def test_a_node_that_cannot_start_and_a_scene_that_cannot_go_on_end_the_run(
+def test_a_failed_start_or_a_failing_scene_ends_the_run(
     method: str, error: type[Exception], words: str, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     process = InProcess(tiny("uncoordinated", "n_adversaries=1"))

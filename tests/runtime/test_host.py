@@ -1,4 +1,4 @@
-"""The host stands between a node and everything else: it holds back, checks, numbers and counts."""
+"""The host delays, checks, numbers and counts the messages of a node."""
 
 import logging
 from collections.abc import Callable
@@ -24,7 +24,7 @@ WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
 
 
 class Listener(Node):
-    """Writes down what it is given, and does what the test wants on tracks."""
+    """Records its messages, and runs the test's action on tracks."""
 
     inputs = {"clock": "clock", "tracks": "tracks", "truth": "truth", "collated": "collated"}
     outputs = {"tracks_out": "tracks", "status": "status", "nowhere": "status"}
@@ -93,13 +93,13 @@ def test_a_message_of_a_later_step_waits_for_its_clock() -> None:
     host.deliver("clock", clock(0), 0)
     host.deliver("agent/a/tracks", said_by("a", 1), 1)
     assert host.node.got == [("clock", 0)]
-    assert host.handled["agent/a/tracks"] == 0, "lock-step goes on waiting for it"
+    assert host.handled["agent/a/tracks"] == 0, "lock-step continues to wait for it"
     host.deliver("clock", clock(1), 1)
     assert host.node.got == [("clock", 0), ("clock", 1), ("a", 1)]
     assert host.handled["agent/a/tracks"] == 1
 
 
-def test_a_clock_that_was_skipped_lets_go_what_waited_for_it() -> None:
+def test_a_skipped_clock_releases_messages_that_waited_for_it() -> None:
     host = listening()
     host.deliver("agent/a/tracks", said_by("a", 1), 1)
     host.deliver("agent/b/tracks", said_by("b", 3), 3)
@@ -107,31 +107,31 @@ def test_a_clock_that_was_skipped_lets_go_what_waited_for_it() -> None:
     assert host.node.got == [("clock", 2), ("a", 1)]
 
 
-def test_a_message_from_outside_whose_step_nobody_knows_is_taken_at_once() -> None:
+def test_a_foreign_message_of_an_unknown_step_is_accepted_at_once() -> None:
     host = listening()
     host.deliver("agent/a/tracks", said_by("a", 5), -1, counted=False)
     assert host.node.got == [("a", 5)]
     assert not host.handled
 
 
-def test_a_node_that_hears_no_clock_is_given_everything_at_once() -> None:
+def test_a_node_without_a_clock_gets_every_message_at_once() -> None:
     host = listening(clocked=False)
     host.deliver("agent/a/tracks", said_by("a", 4), 4)
     assert host.node.got == [("a", 4)]
 
 
-def test_what_a_node_without_a_clock_passes_on_is_of_the_step_of_what_it_got() -> None:
+def test_messages_forwarded_without_a_clock_keep_the_step_of_their_input() -> None:
     outbox: list[Outgoing] = []
     relay = Listener(lambda received, context: context.relay("tracks_out", received))
     host = listening(relay, clocked=False, emit=outbox.append)
     for step in (0, 1):
         host.deliver("agent/a/tracks", said_by("a", step), step)
-    assert [out.step for out in outbox] == [0, 1], "else the next node would not wait for its clock"
+    assert [out.step for out in outbox] == [0, 1], "otherwise the next node would not wait for its clock"
 
 
 @given(st.data())
 @settings(max_examples=60)
-def test_in_any_order_of_arrival_each_message_is_handled_once_and_not_before_its_clock(data: st.DataObject) -> None:
+def test_each_message_is_handled_once_after_its_clock_in_any_order_of_arrival(data: st.DataObject) -> None:
     queues: dict[str, list[tuple[str, bytes, int]]] = {
         "clock": [("clock", clock(k), k) for k in range(4)],
         **{f"agent/{x}/tracks": [(f"agent/{x}/tracks", said_by(x, k), k) for k in range(4)] for x in "ab"},
@@ -160,7 +160,7 @@ def test_in_any_order_of_arrival_each_message_is_handled_once_and_not_before_its
         ("clock", clock(0, source="mallory"), "clock"),
     ],
 )
-def test_what_is_wrong_costs_one_message_and_is_counted(key: str, payload: bytes, kind: str) -> None:
+def test_an_invalid_message_costs_one_message_and_is_counted(key: str, payload: bytes, kind: str) -> None:
     host = listening()
     host.deliver(key, payload, -1)
     assert host.node.got == []
@@ -172,7 +172,7 @@ def test_what_is_wrong_costs_one_message_and_is_counted(key: str, payload: bytes
     assert host.node.got == [("a", 0)]
 
 
-def test_what_was_not_sent_by_a_node_of_the_run_is_never_counted_for_lock_step() -> None:
+def test_foreign_messages_never_count_for_lock_step() -> None:
     host = listening()
     host.deliver("agent/a/tracks", b"rubbish", -1, counted=False)
     host.deliver("agent/a/tracks", said_by("a", 0), -1, counted=False)
@@ -190,7 +190,7 @@ def test_a_clock_never_goes_backwards() -> None:
     assert (host.frame, host.time_ns) == (3, 3 * 10**8)
 
 
-def test_a_rejected_message_is_logged_once_for_each_key(caplog: pytest.LogCaptureFixture) -> None:
+def test_rejections_are_logged_once_per_key(caplog: pytest.LogCaptureFixture) -> None:
     host = listening()
     with caplog.at_level(logging.WARNING):
         for key in ("agent/a/tracks", "agent/b/tracks"):
@@ -236,10 +236,10 @@ def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) 
     assert [who for who, _ in host.node.got] == ["clock", *"aaaaa"]
     host.deliver("agent/a/tracks", said_by("a", 9), 9)
     host.deliver("clock", clock(9), 9)
-    assert host.node.got[-1] == ("a", 9), "there is room again"
+    assert host.node.got[-1] == ("a", 9), "there is space again"
 
 
-def test_a_relayed_message_is_the_same_bytes() -> None:
+def test_a_relayed_message_keeps_its_bytes() -> None:
     outbox: list[Outgoing] = []
     host = listening(Listener(lambda received, context: context.relay("tracks_out", received)), emit=outbox.append)
     payload = said_by("a", 0)
@@ -249,7 +249,7 @@ def test_a_relayed_message_is_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_message_relayed_in_a_later_frame_is_as_it_came(encode: bool) -> None:
+def test_a_message_relayed_in_a_later_frame_is_unchanged(encode: bool) -> None:
     kept: list[Received] = []
     outbox: list[Outgoing] = []
     host = listening(Listener(lambda received, context: kept.append(received)), encode=encode, emit=outbox.append)
@@ -260,7 +260,7 @@ def test_a_message_relayed_in_a_later_frame_is_as_it_came(encode: bool) -> None:
     host.relay("tracks_out", kept[0])
     (out,) = outbox
     assert (out.payload if encode else codec.encode(out.payload)) == payload
-    assert out.step == 1, "it goes out in the step it is sent in"
+    assert out.step == 1, "it is sent with the current step"
 
 
 def test_a_relayed_message_with_another_body_keeps_its_header() -> None:
@@ -295,7 +295,7 @@ def schema_of(out: Outgoing) -> str:
     return "status" if out.key == "out/status" else "tracks"
 
 
-def test_a_message_that_could_not_be_made_takes_no_number() -> None:
+def test_a_failed_publication_takes_no_sequence_number() -> None:
     outbox: list[Outgoing] = []
     host = listening(emit=outbox.append)
     with pytest.raises(MessageError, match=r"status: columns missing: \['mobile'\]"):
@@ -304,7 +304,7 @@ def test_a_message_that_could_not_be_made_takes_no_number() -> None:
     assert codec.decode(outbox[0].payload, "status").header.seq == 0
 
 
-def test_a_message_is_about_the_current_frame_unless_said() -> None:
+def test_a_message_refers_to_the_current_frame_by_default() -> None:
     outbox: list[Outgoing] = []
     host = listening(emit=outbox.append)
     host.deliver("clock", clock(4), 4)
@@ -315,7 +315,7 @@ def test_a_message_is_about_the_current_frame_unless_said() -> None:
     assert [out.step for out in outbox] == [4, 4]
 
 
-def test_a_port_that_is_not_connected_swallows_what_is_published() -> None:
+def test_publishing_on_an_unconnected_port_does_nothing() -> None:
     outbox: list[Outgoing] = []
     host = listening(emit=outbox.append)
     host.publish("nowhere", status())
@@ -326,7 +326,7 @@ def test_a_port_that_is_not_connected_swallows_what_is_published() -> None:
     assert not host.connected("nowhere")
     assert not host.connected("tracks_out", "nobody")
     assert host.connected("tracks_out", "a")
-    assert host.connected("tracks_out"), "some wire is"
+    assert host.connected("tracks_out"), "there is a wire"
 
 
 @pytest.mark.parametrize(
@@ -337,12 +337,12 @@ def test_a_port_that_is_not_connected_swallows_what_is_published() -> None:
         lambda host: host.connected("tracks_ot"),
     ],
 )
-def test_a_port_that_does_not_exist_is_named_with_the_nearest(use: Callable[[Host], None]) -> None:
+def test_an_unknown_port_is_refused_with_the_nearest(use: Callable[[Host], None]) -> None:
     with pytest.raises(ConfigurationError, match="no output port 'tracks_ot'; did you mean 'tracks_out'"):
         use(listening())
 
 
-def test_of_several_wires_on_a_port_one_must_be_chosen() -> None:
+def test_a_port_with_several_wires_requires_a_choice() -> None:
     with pytest.raises(ConfigurationError, match="has 2 wires: say which by subject"):
         listening().publish("tracks_out", tracks())
 
@@ -359,7 +359,7 @@ def collated(**columns: np.ndarray) -> dict[str, np.ndarray]:
     return states.columns() | batch | columns
 
 
-#: (message type, body, header fields): what a node may publish by mistake, and something sound at the end.
+#: (message type, body, header fields): mistakes in publishing, and a valid message at the end.
 SLIPS = {
     "not a number": ("tracks", tracks(position=np.full((1, 3), np.nan)), {}),
     "infinite": ("tracks", tracks(velocity=np.full((1, 3), -np.inf)), {}),
@@ -383,7 +383,7 @@ class Speaker(Node):
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-def test_bytes_and_messages_themselves_are_refused_alike(slip: str) -> None:
+def test_encoded_and_decoded_messages_are_refused_alike(slip: str) -> None:
     schema, body, header = SLIPS[slip]
     outcomes = []
     for encode in (True, False):
@@ -400,7 +400,7 @@ def test_bytes_and_messages_themselves_are_refused_alike(slip: str) -> None:
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_what_a_node_receives_cannot_be_written_to(encode: bool) -> None:
+def test_received_messages_are_read_only(encode: bool) -> None:
     host = listening(encode=encode)
     outbox: list[Outgoing] = []
     ports = Ports({}, {("tracks", ""): "agent/a/tracks"})
@@ -410,33 +410,33 @@ def test_what_a_node_receives_cannot_be_written_to(encode: bool) -> None:
     host.deliver("agent/a/tracks", outbox[0].payload, -1)
     with pytest.raises(ValueError, match="read-only"):
         host.node.received[0].body["position"][0] = 1.0
-    body["position"][0] = 0.0  # the publisher's own array is still its own
+    body["position"][0] = 0.0  # the publisher's own array is still writable
 
 
-def test_a_key_that_the_node_does_not_hear_is_not_for_it() -> None:
+def test_messages_on_unsubscribed_keys_are_ignored() -> None:
     host = listening()
     host.deliver("agent/c/tracks", said_by("c", 0), 0)
     assert not host.node.got
     assert not host.rejected
 
 
-def test_every_sound_message_is_shown_to_an_observer() -> None:
+def test_every_valid_message_is_shown_to_an_observer() -> None:
     host = listening()
     seen: list[tuple[str, int]] = []
     host.observe = lambda key, header: seen.append((key, header.frame))
     host.deliver("agent/a/tracks", said_by("a", 3), 3)
     host.deliver("agent/a/tracks", b"rubbish", 3)
-    assert seen == [("agent/a/tracks", 3)], "when it comes, though it waits for its clock"
+    assert seen == [("agent/a/tracks", 3)], "on arrival, though the message waits for its clock"
 
 
-def test_random_streams_are_named_by_seed_node_and_purpose() -> None:
+def test_random_streams_depend_on_seed_node_and_purpose() -> None:
     host = listening()
     drawn = host.rng("noise", 3).random(4)
     np.testing.assert_array_equal(drawn, stream(7, "listener", "noise", 3).random(4))
     assert not np.array_equal(drawn, host.rng("noise", 4).random(4))
 
 
-def test_a_node_learns_of_the_others_before_the_first_frame_and_later() -> None:
+def test_a_node_is_told_of_other_nodes_before_the_first_frame_and_later() -> None:
     class Watcher(Node):
         def __init__(self) -> None:
             self.saw: list[tuple[str, ...]] = []
@@ -463,7 +463,7 @@ def test_a_node_learns_of_the_others_before_the_first_frame_and_later() -> None:
     ]
 
 
-def test_a_node_that_fails_at_the_end_still_ends() -> None:
+def test_a_node_that_fails_in_finish_still_ends() -> None:
     class Failing(Node):
         def finish(self, context: Context) -> dict[str, Any]:
             raise RuntimeError("no results")
@@ -473,7 +473,7 @@ def test_a_node_that_fails_at_the_end_still_ends() -> None:
     assert {name: failure.count for name, failure in host.failures.items()} == {"finish": 1}
 
 
-def test_counting_starts_anew_when_asked_and_rejections_are_kept() -> None:
+def test_counters_can_be_reset_without_losing_rejections() -> None:
     host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
     host.deliver("agent/a/tracks", said_by("a", 0), -1)
     host.deliver("agent/a/tracks", b"rubbish", -1)
@@ -497,7 +497,7 @@ def test_a_message_knows_its_frame_time_and_columns() -> None:
 
 
 class Ear(Node):
-    """Writes down everything."""
+    """Records all messages."""
 
     inputs = {"everything": ANY}
 
@@ -524,11 +524,11 @@ def test_a_node_that_hears_every_key_gets_the_bytes_and_the_header_at_once() -> 
         ("clock", clock(2), 2, 2),
     ]
     assert host.handled == {"agent/a/tracks": 1, "clock": 1}
-    assert (host.frame, host.time_ns) == (2, 2 * 10**8), "it knows how far the run is"
+    assert (host.frame, host.time_ns) == (2, 2 * 10**8), "it knows the current frame"
     assert set(host.hears) == (CLOCK | TRACKS).keys()
 
 
-def test_it_gets_what_is_malformed_and_is_told_what_is_wrong_when_it_looks() -> None:
+def test_a_node_that_hears_every_key_gets_malformed_messages_and_an_error_on_access() -> None:
     host = ear()
     for payload in (b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]):
         host.deliver("agent/a/tracks", payload, -1, counted=False)
@@ -542,7 +542,7 @@ def test_it_gets_what_is_malformed_and_is_told_what_is_wrong_when_it_looks() -> 
     assert not host.handled
 
 
-def test_bodies_are_decoded_only_when_the_node_looks_at_them() -> None:
+def test_bodies_are_decoded_on_first_access() -> None:
     host = ear()
     broken = message("tracks", "a", 0, tracks(position=np.full((1, 3), np.nan)))
     host.deliver("agent/a/tracks", broken, 0)
@@ -552,7 +552,7 @@ def test_bodies_are_decoded_only_when_the_node_looks_at_them() -> None:
         _ = overheard.body
 
 
-def test_in_one_process_messages_are_encoded_only_for_a_node_that_asks_for_bytes() -> None:
+def test_in_one_process_messages_are_encoded_only_on_demand() -> None:
     host, payload = ear(encode=False), said_by("a", 1)
     sent = codec.decode(payload, "tracks")
     host.deliver("agent/a/tracks", sent, 1)
@@ -565,7 +565,7 @@ def test_in_one_process_messages_are_encoded_only_for_a_node_that_asks_for_bytes
         _ = flawed.body
 
 
-def test_a_node_that_hears_every_key_is_spared_those_that_it_ignores_and_they_count_as_handled() -> None:
+def test_ignored_keys_are_not_delivered_but_count_as_handled() -> None:
     host = ear()
     host.ignore({"agent/a/tracks"})
     host.deliver("agent/a/tracks", said_by("a", 0), 0)
@@ -577,7 +577,7 @@ def test_a_node_that_hears_every_key_is_spared_those_that_it_ignores_and_they_co
     assert len(host.node.heard) == 2
 
 
-def test_messages_of_two_legs_are_compared_by_their_bytes() -> None:
+def test_messages_on_two_legs_are_compared_by_their_bytes() -> None:
     host = ear()
     for payload in (said_by("a", 0), bytes(bytearray(said_by("a", 0))), said_by("a", 1)):
         host.deliver("agent/a/tracks", payload, 0)

@@ -1,4 +1,4 @@
-"""A message of an impossible or an old time costs that message alone: the nodes go on, and the meter has seen it."""
+"""A message with an implausible time costs only itself, and is counted."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ class Restamper(Node):
 
 
 def restamped(folder: Path, **config: object) -> Resolved:
-    """A scenario in which the times of some batches are changed on their way to the command centre."""
+    """A scenario with changed times of some batches to the command centre."""
     file = folder / "restamper.py"
     file.write_text(RESTAMPER)
     path, content = scenario.load("baseline", ["n_infrastructure=2"])
@@ -58,7 +58,7 @@ def all_but(*frames: int) -> list[int]:
 
 @pytest.mark.parametrize("encode", [True, False])
 @pytest.mark.parametrize("by_ns", [10**17, 30 * SECOND, -3 * SECOND // 2])
-def test_one_batch_of_an_impossible_time_costs_one_picture(tmp_path: Path, by_ns: int, encode: bool) -> None:
+def test_one_batch_with_an_impossible_time_costs_one_picture(tmp_path: Path, by_ns: int, encode: bool) -> None:
     run = Run(restamped(tmp_path, frames=1, by_ns=by_ns), encode=encode)
     assert pictured(run) == all_but(WRONG)
     assert run.rejected["command_center"] == {("cc/collated", "time"): 1}
@@ -67,21 +67,21 @@ def test_one_batch_of_an_impossible_time_costs_one_picture(tmp_path: Path, by_ns
     assert [(e.effect, e.frame) for e in meter.effects.messages] == [(RESTAMPED, WRONG)]
 
 
-def test_batches_of_a_time_before_the_newest_are_left_out_and_are_no_failure(tmp_path: Path) -> None:
+def test_batches_older_than_the_newest_are_skipped_without_failure(tmp_path: Path) -> None:
     run = Run(restamped(tmp_path, frames=3, by_ns=-SECOND // 2))
     assert pictured(run) == all_but(WRONG, WRONG + 1, WRONG + 2)
     assert run.rejected["command_center"] == {("cc/collated", "old"): 3}
     assert not run.failures
 
 
-def test_a_batch_ahead_of_its_time_within_the_leeway_costs_no_more_than_that(tmp_path: Path) -> None:
+def test_a_batch_ahead_of_time_within_the_tolerance_costs_only_the_overtaken_batches(tmp_path: Path) -> None:
     run = Run(restamped(tmp_path, frames=1, by_ns=SECOND // 2))
     assert pictured(run) == all_but(*range(WRONG + 1, WRONG + 5))
     assert run.rejected["command_center"] == {("cc/collated", "old"): 4}
     assert not run.failures
 
 
-def test_a_node_that_says_by_how_much_it_changes_times_is_listened_to(tmp_path: Path) -> None:
+def test_a_declared_clock_error_is_accepted(tmp_path: Path) -> None:
     wrong = dict(frames=FRAMES, by_ns=30 * SECOND)
     assert pictured(Run(restamped(tmp_path, **wrong))) == list(range(WRONG))
     run = Run(restamped(tmp_path, **wrong, declared_s=30.0))
@@ -89,7 +89,7 @@ def test_a_node_that_says_by_how_much_it_changes_times_is_listened_to(tmp_path: 
     assert not run.rejected
 
 
-def test_a_scenario_with_a_faulty_clock_allows_for_it() -> None:
+def test_a_scenario_with_a_faulty_clock_widens_the_tolerance() -> None:
     def skewed(content: dict[str, object]) -> None:
         skew = dict(type="ClockSkew", offset_s=-20.0)
         content["links"] = {"infra_1": dict(up=[skew]), "*": dict(up=[])}
@@ -101,7 +101,7 @@ def test_a_scenario_with_a_faulty_clock_allows_for_it() -> None:
     assert not Run(faulty).rejected
 
 
-def test_detections_about_a_frame_to_come_do_not_move_an_agents_tracker() -> None:
+def test_detections_from_the_future_do_not_advance_an_agents_tracker() -> None:
     agent = Bench(tiny(), "infra_1")
     mount = detections((5.0, 0.0))
     for frame in range(3):
@@ -117,7 +117,7 @@ def test_detections_about_a_frame_to_come_do_not_move_an_agents_tracker() -> Non
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_any_pipeline_is_spared_a_batch_that_is_older_than_the_one_before(encode: bool) -> None:
+def test_no_pipeline_gets_batches_out_of_time_order(encode: bool) -> None:
     centre = Bench(tiny(), "command_center", encode=encode)
     body = states((0.0, 0.0)).columns() | {
         "agent": np.zeros(1, np.int64),

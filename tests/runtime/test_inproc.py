@@ -1,4 +1,4 @@
-"""What a run says is a function of its scenario and seed, to the last byte."""
+"""All messages of a run are a function of its scenario and seed."""
 
 from functools import cache
 from pathlib import Path
@@ -17,7 +17,7 @@ ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
 
 
 def with_loss(scenario: dict[str, Any], doubles: bool = False) -> None:
-    """Put the lossy link before infra_1, and let the broker wait a little."""
+    """Insert the lossy link before infra_1 and let the broker wait a little."""
     scenario["nodes"] = {"link": dict(role="lossy", file=str(LINK), agent="infra_1", doubles=doubles)}
     insert = [
         dict(wire=f"agent/{{agent}}/{port}", role="lossy", input=port, output=f"{port}_out")
@@ -54,7 +54,7 @@ def test_200_orders_of_delivery_give_the_same_bytes(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_so_they_do_when_messages_are_lost_or_late_and_the_broker_waits(name: str) -> None:
+def test_lost_and_late_messages_give_the_same_bytes_in_every_order(name: str) -> None:
     plain = played(name, *KINDS[name], lossy=True)
     assert len(plain.messages["agent/infra_1/pose"]) == 8
     for shuffle in range(20):
@@ -63,14 +63,14 @@ def test_so_they_do_when_messages_are_lost_or_late_and_the_broker_waits(name: st
         assert shuffled.packed == plain.packed
 
 
-def test_so_they_do_when_messages_are_doubled() -> None:
+def test_duplicate_messages_give_the_same_bytes_in_every_order() -> None:
     resolved = tiny(edit=lambda scenario: with_loss(scenario, doubles=True))
     plain = Run(resolved)
     for shuffle in range(5):
         assert Run(resolved, shuffle=shuffle).messages == plain.messages
 
 
-def test_an_agent_that_lacks_sensor_data_still_has_its_say_in_every_frame() -> None:
+def test_an_agent_without_sensor_data_still_publishes_in_every_frame() -> None:
     run = played("coordinated", *ATTACKED, lossy=True)
     for key in ("agent/infra_1/tracks/@tap/0", "agent/infra_1/tracks"):
         frames = [message.header.frame for message in run.decoded(key, "tracks")]
@@ -79,7 +79,7 @@ def test_an_agent_that_lacks_sensor_data_still_has_its_say_in_every_frame() -> N
 
 @pytest.mark.parametrize("lossy", [False, True])
 @pytest.mark.parametrize("name", KINDS)
-def test_passing_messages_themselves_gives_the_same_bytes_as_passing_bytes(name: str, lossy: bool) -> None:
+def test_decoded_and_encoded_delivery_give_the_same_bytes(name: str, lossy: bool) -> None:
     plain = played(name, *KINDS[name], lossy=lossy)
     for shuffle in (None, 5):
         unencoded = Run(world(name, *KINDS[name], lossy=lossy), encode=False, shuffle=shuffle)
@@ -108,14 +108,14 @@ def test_interposers_that_change_nothing_leave_no_trace() -> None:
         assert tapped.messages[tap] == plain.messages[tap.split("/@tap")[0]]
 
 
-def test_an_attack_that_has_not_begun_leaves_no_trace() -> None:
+def test_an_attack_before_its_start_leaves_no_trace() -> None:
     plain = played("baseline")
     for name in ("uncoordinated", "coordinated"):
         waiting = played(name, "n_adversaries=2", "attack_start_s=99.0")
         assert {key: waiting.messages[key] for key in plain.messages} == plain.messages
 
 
-def test_the_same_seed_gives_the_same_run_and_another_one_another() -> None:
+def test_equal_seeds_give_equal_runs_and_other_seeds_different_ones() -> None:
     for name in ("uncoordinated", "coordinated"):
         again = Run(tiny(name, *ATTACKED))
         assert again.messages == played(name, *ATTACKED).messages
@@ -129,8 +129,8 @@ def test_the_same_seed_gives_the_same_run_and_another_one_another() -> None:
 
 
 @pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
-def test_one_adversary_more_changes_nobody_elses_draws(name: str) -> None:
-    """Common random numbers: what is not attacked is equal, and so is what the first adversary did."""
+def test_an_additional_adversary_changes_no_other_draws(name: str) -> None:
+    """Common random numbers: unattacked data and the first adversary are equal."""
     plain, one, two = (
         played("baseline", infrastructure=3),
         played(name, "n_adversaries=1", "attack_start_s=0.2", infrastructure=3),
@@ -146,7 +146,7 @@ def test_one_adversary_more_changes_nobody_elses_draws(name: str) -> None:
 
 
 @pytest.mark.parametrize("infrastructure", [0, 1, 2, 6])
-def test_any_number_of_agents_will_do(infrastructure: int) -> None:
+def test_any_number_of_agents_can_run(infrastructure: int) -> None:
     run = played("baseline", infrastructure=infrastructure)
     agents = ["ego", *(f"infra_{i + 1}" for i in range(infrastructure))]
     assert list(run.results["evaluator"]["metrics"]["agents"]) == agents
@@ -158,20 +158,20 @@ def test_any_number_of_agents_will_do(infrastructure: int) -> None:
     assert run.decoded("cc/collated", "collated")[-1].body["agents"].tolist() == sorted(agents)
 
 
-def test_more_agents_change_nothing_for_those_that_are_there() -> None:
+def test_more_agents_change_nothing_for_existing_ones() -> None:
     few, many = played("baseline", infrastructure=2), played("baseline", infrastructure=6)
     for agent in ("ego", "infra_1", "infra_2"):
         assert few.messages[f"agent/{agent}/tracks"] == many.messages[f"agent/{agent}/tracks"]
 
 
-def test_the_picture_is_worth_having() -> None:
-    """Not a figure to be proud of; but if the wires were crossed it would not hold."""
+def test_the_picture_misses_fewer_objects_than_the_ego_alone() -> None:
+    """A weak bound, but crossed wires would violate it."""
     found = played("baseline", infrastructure=3).results["evaluator"]["metrics"]["agents"]["ego"]
     assert found["picture"]["fn"]["mean"] < found["local"]["fn"]["mean"]
     assert found["picture"]["rmse_m"] < 0.2
 
 
-def test_messages_are_numbered_on_every_key_as_their_publisher_sent_them() -> None:
+def test_messages_are_numbered_per_key_in_the_order_of_publication() -> None:
     run = played("coordinated", *ATTACKED)
     for wire in world("coordinated", *ATTACKED).wiring["wires"]:
         messages = run.decoded(wire["key"], wire["message"])
@@ -179,7 +179,7 @@ def test_messages_are_numbered_on_every_key_as_their_publisher_sent_them() -> No
         assert {message.header.source for message in messages} <= {wire["publisher"]}
 
 
-def test_progress_is_told_frame_by_frame() -> None:
+def test_progress_is_reported_frame_by_frame() -> None:
     told: list[int] = []
     outcome = InProcess(world("baseline"), progress=told.append).run()
     assert told == list(range(1, 13))
@@ -188,7 +188,7 @@ def test_progress_is_told_frame_by_frame() -> None:
     assert results_of(outcome, "nothing of this name") is None
 
 
-def test_a_run_needs_one_node_that_drives_the_scene() -> None:
+def test_a_run_needs_exactly_one_driver() -> None:
     resolved = world("baseline")
     nodes = {name: spec for name, spec in resolved.nodes.items() if name != "simulator"}
     wires = [wire for wire in resolved.wiring["wires"] if wire["publisher"] != "simulator"]

@@ -1,4 +1,4 @@
-"""What a run in real time says of its latency, by wire."""
+"""Latency of a real-time run, by wire."""
 
 import pytest
 
@@ -20,31 +20,31 @@ def ends(*nodes: str) -> tuple[Endpoint, ...]:
 
 
 def came(key: str, *ms: float) -> dict[str, dict[int, int]]:
-    """When the message of each frame came, ms after the frame was sent."""
+    """Arrival of each frame's message, ms after the frame was sent."""
     return {key: {frame: SENT[frame] + round(after * MS) for frame, after in enumerate(ms)}}
 
 
-def test_percentiles_are_of_the_frames_that_were_sent_and_came() -> None:
+def test_percentiles_cover_frames_that_were_sent_and_received() -> None:
     found = latency.between(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
     assert found == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
     assert latency.between(SENT, {}) == {}
 
 
-def test_of_a_wires_subscribers_the_first_that_says_something_counts() -> None:
+def test_the_first_subscriber_that_reports_latency_counts() -> None:
     wiring = Wiring((wire("a/tracks", "a", "evaluator", "broker", "cc"), wire("b", "broker"), wire("c", "cc")))
     arrived = {"evaluator": came("a/tracks", 90.0), "broker": came("a/tracks", 3.0), "cc": came("a/tracks", 40.0)}
     assert latency.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
     del arrived["broker"]
-    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and handed in nothing"
+    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and returned nothing"
 
 
-def test_what_only_listeners_hear_counts_at_the_first_and_what_nobody_heard_is_left_out() -> None:
+def test_wires_with_listeners_only_use_the_first_and_unheard_wires_are_left_out() -> None:
     wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
     arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
     assert {key: found["p50"] for key, found in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
 
 
-def test_it_counts_behind_interposers_on_the_trunk_and_on_a_branch() -> None:
+def test_latency_is_measured_behind_interposers_on_trunk_and_branch() -> None:
     trunk = (
         Leg("a/tracks/@tap/0", Endpoint("a", "out"), ends("adversary")),
         Leg("a/tracks", Endpoint("adversary", "out"), ends("link", "evaluator")),
@@ -66,7 +66,7 @@ def test_late_messages_are_counted_by_agent() -> None:
     assert late([]) == {}
 
 
-def test_only_what_a_broker_has_counted_is_taken_for_collation() -> None:
+def test_only_counts_of_brokers_are_taken_as_collation_results() -> None:
     nodes = {name: NodeSpec(role, "", "", {}, "fail") for name, role in (("broker", "broker"), ("spy", "visualizer"))}
     counted = {"late": {"ego": 1}}
     handed_in = {"broker": {"collation": counted}, "spy": {"collation": 7}, "gone": {"collation": counted}}

@@ -1,4 +1,4 @@
-"""What waits in a node's process is limited by source, in messages and in bytes; legitimate runs stay far below."""
+"""Waiting messages are limited by source; legitimate runs stay far below."""
 
 import logging
 import queue
@@ -32,7 +32,7 @@ LATER = 5
 
 
 class Relay(Node):
-    """Passes on the tracks of two agents, later if it is told so."""
+    """Forwards the tracks of two agents, delayed on request."""
 
     inputs = {"clock": "clock", "tracks": "tracks"}
     outputs = {"tracks_out": "tracks"}
@@ -48,7 +48,7 @@ class Relay(Node):
         context.relay("tracks_out", received, after_s=self.after_s)
 
 
-#: Two agents' tracks reach the relay; `mallory` is on the way of the second one's.
+#: Tracks of two agents reach the relay; `mallory` intercepts the second agent's.
 WIRING = Wiring(
     (
         Wire("clock", "", "clock", (Leg("clock", Endpoint("simulator", "clock"), (Endpoint("relay", "clock"),)),)),
@@ -92,26 +92,26 @@ def clock(frame: int) -> bytes:
     return codec.encode(codec.conform(Header("clock", "simulator", frame, frame * 10**8, frame), {}))
 
 
-def test_what_a_flood_leaves_waiting_for_a_clock_is_bounded_and_costs_no_other_source_its_room() -> None:
+def test_a_flood_waiting_for_a_clock_is_bounded_and_leaves_room_for_other_sources() -> None:
     host, _ = hosting(Relay())
     big = codec.encode(said("b", n=20_000))
     assert 14 * MIB < len(big) < 16 * MIB
     for _ in range(20):
         host.deliver(KEY_B, big, LATER)
     host.deliver(KEY_A, codec.encode(said("a")), LATER)
-    assert host.waiting == 3, "two of 15 MB from one source, and that of the other"
+    assert host.waiting == 3, "two of 15 MB from one source, and the other source's"
     assert host.rejected == {(KEY_B, "held"): 18}
-    assert host.handled[KEY_B] == 18, "lock-step does not wait for what was dropped"
+    assert host.handled[KEY_B] == 18, "lock-step does not wait for dropped messages"
     frame, reason = host.first_rejected[KEY_B]
     assert (frame, reason) == (-1, "held: more than 10000 messages or 32 MiB of mallory wait for their clock")
     host.deliver("clock", clock(LATER), LATER)
     assert host.node.got == [("b", 0), ("b", 0), ("a", 0)]
     host.deliver(KEY_B, big, LATER + 1)
-    assert host.waiting == 1, "there is room again"
+    assert host.waiting == 1, "there is space again"
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_flood_through_a_delaying_link_costs_its_own_messages_alone(
+def test_a_flood_through_a_delaying_link_costs_only_its_own_messages(
     encode: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = len(codec.encode(said("b", n=10)))
@@ -124,16 +124,16 @@ def test_a_flood_through_a_delaying_link_costs_its_own_messages_alone(
     content = said("a")
     host.deliver(KEY_A, codec.encode(content) if encode else content, 0)
     assert host.rejected == {(KEY_B, "delayed"): 2}
-    assert not host.failures, "what a node gets is not its own fault"
+    assert not host.failures, "receiving too much is not the node's own fault"
     host.deliver("clock", clock(1), 1)
     assert [out.key for out in outbox] == ["agent/b/tracks"] * 3 + ["agent/a/tracks"]
     host.deliver(KEY_B, codec.encode(said("b", 9, n=30)) if encode else said("b", 9, n=28), 1)
-    assert host.rejected == {(KEY_B, "delayed"): 2}, "there is room again"
+    assert host.rejected == {(KEY_B, "delayed"): 2}, "there is space again"
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 40), st.booleans())))
 @settings(max_examples=100)
-def test_no_source_has_more_than_its_room_and_none_gets_less(steps: list[tuple[str, int, bool]]) -> None:
+def test_every_source_gets_exactly_its_share_of_the_queue(steps: list[tuple[str, int, bool]]) -> None:
     room = Room(Limit(5, 100))
     waiting: dict[str, list[int]] = {source: [] for source in "abc"}
     for source, size, leaves in steps:
@@ -147,7 +147,7 @@ def test_no_source_has_more_than_its_room_and_none_gets_less(steps: list[tuple[s
             mine.append(size)
 
 
-def test_the_inbox_drops_and_counts_what_one_source_sends_too_much_of() -> None:
+def test_the_inbox_drops_and_counts_excess_messages_of_a_source() -> None:
     inbox = Inbox(Limit(3, 1000))
     for number in range(5):
         assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), number), 7) == (number < 2)
@@ -155,11 +155,11 @@ def test_the_inbox_drops_and_counts_what_one_source_sends_too_much_of() -> None:
     inbox.put(("stop", "end"))
     assert [inbox.get()[0] for _ in range(5)] == ["sample", "sample", "dropped", "sample", "stop"]
     assert inbox.take_dropped() == {("bad", 7): 3}
-    assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), None), 7), "there is room again"
+    assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), None), 7), "there is space again"
 
 
 class Session:
-    """A session on no mesh: what is declared does nothing."""
+    """A session without a mesh: declarations have no effect."""
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         return lambda *arguments, **more: SimpleNamespace(put=lambda *a, **k: None)
@@ -173,7 +173,7 @@ def on_no_mesh(node: Node) -> MeshNode:
 
 
 def arrives(mesh: MeshNode, key: str, payload: bytes, epoch: int, step: int = -1) -> None:
-    """A sample comes in the way in which Zenoh brings it."""
+    """Deliver a sample like Zenoh does."""
     stamp = ATTACHMENT.pack(MARK, epoch, step)
     sample = {"payload": lambda: payload, "attachment": lambda: stamp}
     mesh.intake.callback(key)(SimpleNamespace(**{name: SimpleNamespace(to_bytes=get) for name, get in sample.items()}))
@@ -185,7 +185,7 @@ def handle_all(mesh: MeshNode) -> None:
             mesh.handle(mesh.inbox.get_nowait())
 
 
-def test_messages_of_an_epoch_to_come_are_bounded_by_source(caplog: pytest.LogCaptureFixture) -> None:
+def test_messages_of_a_future_epoch_are_bounded_by_source(caplog: pytest.LogCaptureFixture) -> None:
     mesh = on_no_mesh(Relay())
     big = codec.encode(said("b", n=20_000))
     with caplog.at_level(logging.WARNING):
@@ -198,10 +198,10 @@ def test_messages_of_an_epoch_to_come_are_bounded_by_source(caplog: pytest.LogCa
     assert len(caplog.records) == 1
     mesh._enter_epoch(2, {"relay": "link", "a": "agent"})
     assert mesh.host.node.got == [("b", 0), ("b", 0), ("a", 0)]
-    assert mesh.host.handled[KEY_B] == 4, "the driver does not wait for what was dropped of this epoch"
+    assert mesh.host.handled[KEY_B] == 4, "the driver does not wait for messages dropped in this epoch"
 
 
-def test_a_node_that_is_slow_keeps_no_more_of_a_flood_than_its_source_may_have() -> None:
+def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_per_source() -> None:
     mesh = on_no_mesh(Relay())
     big = codec.encode(said("b", n=20_000))
     for _ in range(30):
@@ -216,7 +216,7 @@ def test_a_node_that_is_slow_keeps_no_more_of_a_flood_than_its_source_may_have()
 
 
 def test_forty_agents_in_a_large_scene_stay_far_below_every_limit() -> None:
-    """60 tracks of each of 40 agents, 300 road users, 10 Hz; listeners are as far behind as lock-step lets them."""
+    """60 tracks of each of 40 agents, 300 road users, 10 Hz; maximal lag."""
     agents, objects, seen = 40, 300, 60
     rows = {"collated": agents * seen, "picture": objects, "tracks": seen, "detections": seen, "truth": objects}
     size = {schema: _encoded(schema, n, agents) for schema, n in rows.items()} | {"pose": 300, "status": 300}
@@ -245,6 +245,6 @@ def _encoded(schema: str, n: int, agents: int) -> int:
     return len(codec.encode(codec.conform(Header(schema, "broker", 200, 20 * 10**9, 200), body)))
 
 
-def test_all_that_one_source_may_leave_waiting_fits_into_a_process() -> None:
+def test_the_limit_per_source_fits_into_a_process() -> None:
     assert HELD.bytes + EARLY.bytes + INBOX.bytes + DELAYED.bytes <= 320 * MIB
     assert all(limit.bytes >= 2 * codec.MAX_BYTES for limit in (HELD, EARLY, INBOX, DELAYED))

@@ -1,4 +1,4 @@
-"""A rewrite can add subscribers to a wire, and name one agent's wire; all other nodes hear and publish as before."""
+"""Rewrites can add listeners and select one agent's wire."""
 
 from __future__ import annotations
 
@@ -62,17 +62,17 @@ def resolve(nodes: dict[str, NodeOptions], *rewrites: dict[str, Any]) -> Wiring:
 
 
 def heard(wiring: Wiring, name: str, port: str) -> dict[str, str]:
-    """Subject by key of what a node hears on one port."""
+    """Subject by key of the messages that a node hears on one port."""
     return {key: hears.subject for key, hears in wiring.ports(name).inputs.items() if hears.port == port}
 
 
 DEFENCE = node("defence", "tracks:tracks poses:pose")
 
 
-# -- which wires, and which nodes ------------------------------------------------------------------------------------
+# -- selection of wires and nodes --------------------------------------------------------------------------------------
 
 
-def test_an_adversary_hears_every_agents_pose_and_tells_them_apart_by_their_subject() -> None:
+def test_an_adversary_hears_all_poses_and_distinguishes_them_by_subject() -> None:
     wiring = resolve(world(adversary_1=adversary("infra_1")), {"listen": [listen("agent/*/pose", "poses")]})
     assert heard(wiring, "adversary_1", "poses") == {"agent/ego/pose": "ego", "agent/infra_2/pose": "infra_2"}
     assert heard(wiring, "adversary_1", "pose") == {"agent/infra_1/pose": "infra_1"}, "a node hears a wire once"
@@ -80,7 +80,7 @@ def test_an_adversary_hears_every_agents_pose_and_tells_them_apart_by_their_subj
     assert sorted(heard(one_port, "adversary_1", "pose").values()) == sorted(AGENTS)
 
 
-def test_every_adversary_hears_the_pose_of_an_agent_that_is_named() -> None:
+def test_every_adversary_hears_the_pose_of_a_named_agent() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("infra_2"))
     wiring = resolve(nodes, {"listen": [listen("agent/ego/pose", "poses")]})
     for name in ("adversary_1", "adversary_2"):
@@ -89,7 +89,7 @@ def test_every_adversary_hears_the_pose_of_an_agent_that_is_named() -> None:
     assert found == Input("poses", "ego", "pose", "simulator")
 
 
-def test_a_placeholder_means_the_agent_that_a_listener_is_bound_to() -> None:
+def test_a_placeholder_stands_for_the_agent_of_the_listener() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("infra_2"))
     wiring = resolve(nodes, {"listen": [listen("agent/{agent}/tracks", "tracks")]})
     assert heard(wiring, "adversary_1", "tracks") == {"agent/infra_1/tracks": "infra_1"}
@@ -97,7 +97,7 @@ def test_a_placeholder_means_the_agent_that_a_listener_is_bound_to() -> None:
 
 
 @pytest.mark.parametrize("every", ["agent/*/tracks", "agent/{agent}/tracks"])
-def test_a_node_that_is_bound_to_no_agent_hears_all_tracks(every: str) -> None:
+def test_a_node_without_an_agent_hears_all_tracks(every: str) -> None:
     wiring = resolve(world(guard=DEFENCE), {"listen": [listen(every, "tracks", "defence")]})
     assert heard(wiring, "guard", "tracks") == {f"agent/{name}/tracks": name for name in AGENTS}
 
@@ -109,32 +109,32 @@ def test_one_node_of_a_role_can_be_named() -> None:
     assert len(wiring.ports("guard_2").inputs) == 3
 
 
-def test_a_wire_without_a_placeholder_is_heard_by_the_whole_role() -> None:
+def test_a_wire_without_a_placeholder_is_heard_by_all_nodes_of_the_role() -> None:
     nodes = world(guard=node("defence", "seen:picture"))
     wiring = resolve(nodes, {"listen": [listen("cc/picture", "seen", "defence")]})
     assert heard(wiring, "guard", "seen") == {"cc/picture": ""}
 
 
-# -- on which leg ----------------------------------------------------------------------------------------------------
+# -- selection of the leg ----------------------------------------------------------------------------------------------
 
 
-def test_a_listener_hears_what_the_subscribers_hear_unless_it_asks_for_the_source() -> None:
+def test_a_listener_hears_the_subscribers_leg_unless_it_asks_for_the_source() -> None:
     nodes = world(adversary_1=adversary("infra_1"), guard=DEFENCE, source_guard=DEFENCE)
     entries = [
         listen("agent/infra_1/tracks", "tracks", "defence", node="guard"),
         listen("agent/infra_1/tracks", "tracks", "defence", node="source_guard", leg="source"),
     ]
-    # Listeners come after all inserts, whichever file or entry comes first.
+    # Listeners come after all inserts, in any order of files and entries.
     for rewrites in ([{"listen": entries}, {"insert": [ON_TRACKS]}], [{"listen": entries, "insert": [ON_TRACKS]}]):
         wiring = resolve(nodes, *rewrites)
         assert list(heard(wiring, "guard", "tracks")) == ["agent/infra_1/tracks"]
         assert list(heard(wiring, "source_guard", "tracks")) == ["agent/infra_1/tracks/@tap/0"]
         assert list(heard(wiring, "adversary_1", "tracks")) == ["agent/infra_1/tracks/@tap/0"]
     plain = resolve(nodes, {"listen": entries})
-    assert list(heard(plain, "source_guard", "tracks")) == ["agent/infra_1/tracks"], "nobody sits on the wire"
+    assert list(heard(plain, "source_guard", "tracks")) == ["agent/infra_1/tracks"], "no interposer is on the wire"
 
 
-def test_a_listener_stands_before_the_branches() -> None:
+def test_a_listener_is_placed_before_the_branches() -> None:
     link = node("link", "tracks:tracks", "tracks_out:tracks", agent="ego")
     before_broker = {**ON_TRACKS, "role": "link", "to": "broker"}
     nodes = world(link_ego=link, guard=DEFENCE)
@@ -143,7 +143,7 @@ def test_a_listener_stands_before_the_branches() -> None:
     assert "agent/ego/tracks/@tap/broker/0" in heard(wiring, "broker", "tracks")
 
 
-# -- what is refused -------------------------------------------------------------------------------------------------
+# -- refusals ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -168,13 +168,13 @@ def test_a_listener_stands_before_the_branches() -> None:
         (listen("cc/picture", "tracks", "recorder"), "recorder.+carries '\\*' messages|has no input port 'tracks'"),
     ],
 )
-def test_a_listener_that_cannot_be_is_refused_with_file_entry_and_reason(entry: dict[str, Any], reason: str) -> None:
+def test_an_invalid_listener_is_refused_with_file_entry_and_reason(entry: dict[str, Any], reason: str) -> None:
     nodes = world(adversary_1=adversary("infra_1"), recorder=node("recorder", "everything:*"))
     with pytest.raises(WiringError, match=rf"^rewrite_0\.toml: listen 1: .*{reason}"):
         resolve(nodes, {"insert": [ON_TRACKS], "listen": [entry]})
 
 
-def test_a_listen_that_would_reach_no_node_of_its_role_is_refused() -> None:
+def test_a_listen_entry_without_matching_nodes_is_refused() -> None:
     nodes = world(guard=node("defence", "poses:pose", agent="mobile_7"))
     reason = r"no defence belongs to 'agent/\{agent\}/pose': expected one with agent='ego', found guard \(mobile_7\)"
     with pytest.raises(WiringError, match=reason):
@@ -182,7 +182,7 @@ def test_a_listen_that_would_reach_no_node_of_its_role_is_refused() -> None:
     assert resolve(world(), {"listen": [listen("agent/*/pose", "poses")]}) == resolve(world()), "a role without nodes"
 
 
-def test_hearing_a_wire_already_on_the_port_that_is_named_is_no_error() -> None:
+def test_listening_to_a_wire_already_heard_on_that_port_is_no_error() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"))
     twice = {"listen": [listen("agent/ego/pose", "pose"), listen("agent/ego/pose", "pose")]}
     wiring = resolve(nodes, twice)
@@ -194,7 +194,7 @@ def test_hearing_a_wire_already_on_the_port_that_is_named_is_no_error() -> None:
 # -- one named agent -------------------------------------------------------------------------------------------------
 
 
-def test_an_insert_that_names_an_agent_takes_the_nodes_bound_to_it_and_leaves_out_the_others() -> None:
+def test_an_insert_for_an_agent_takes_only_the_nodes_of_that_agent() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"), adversary_3=adversary("ego"))
     wiring = resolve(nodes, {"insert": [{**ON_TRACKS, "wire": "agent/ego/tracks"}]})
     chains = {wire.key: wire.interposers for wire in wiring.wires if wire.message == "tracks"}
@@ -215,7 +215,7 @@ def test_an_insert_on_all_wires_can_name_one_node() -> None:
     }
 
 
-def test_nodes_that_are_bound_to_no_agent_are_put_where_the_insert_says() -> None:
+def test_nodes_without_an_agent_are_inserted_as_specified() -> None:
     nodes = world(relay=node("relay", "tracks:tracks", "tracks_out:tracks"))
     wiring = resolve(nodes, {"insert": [{**ON_TRACKS, "role": "relay", "wire": "agent/infra_2/tracks"}]})
     assert {wire.key for wire in wiring.wires if wire.interposers} == {"agent/infra_2/tracks"}
@@ -230,15 +230,15 @@ def test_nodes_that_are_bound_to_no_agent_are_put_where_the_insert_says() -> Non
         (dict(node="adversary_9"), "node: no adversary is called 'adversary_9'; did you mean 'adversary_1'"),
     ],
 )
-def test_an_insert_that_names_what_is_not_there_is_refused(change: dict[str, str], reason: str) -> None:
+def test_an_insert_with_an_unknown_name_is_refused(change: dict[str, str], reason: str) -> None:
     with pytest.raises(WiringError, match=rf"^rewrite_0\.toml: insert 1: {reason}"):
         resolve(world(adversary_1=adversary("infra_1")), {"insert": [{**ON_TRACKS, **change}]})
 
 
-# -- what it looks like ----------------------------------------------------------------------------------------------
+# -- presentation ------------------------------------------------------------------------------------------------------
 
 
-def test_listeners_are_printed_drawn_and_written() -> None:
+def test_listeners_are_printed_drawn_and_serialised() -> None:
     nodes = world(adversary_1=adversary("infra_1"), guard=DEFENCE, source_guard=DEFENCE)
     entries = [
         listen("agent/infra_1/tracks", "tracks", "defence", node="guard"),
@@ -272,7 +272,7 @@ LISTENS = st.builds(
 def listening(
     nodes: dict[str, NodeOptions], plain: Wiring, entries: list[dict[str, Any]]
 ) -> set[tuple[str, str]] | None:
-    """(key, node) of what these listeners hear beside what the wiring has already; None: one of them is refused."""
+    """Additional (key, node) pairs of these listeners; None: one is refused."""
     heard = {(wire.key, end.node): (end.port, False) for wire in plain.wires for end in wire.subscribers}
     found = set()
     for entry in entries:
@@ -291,7 +291,7 @@ def listening(
 
 @given(st.lists(LISTENS, max_size=4), st.booleans())
 @settings(max_examples=200)
-def test_listeners_hear_each_wire_once_and_nothing_of_their_own_and_change_nothing_for_others(
+def test_listeners_hear_each_wire_once_but_not_their_own_and_affect_no_other_node(
     entries: list[dict[str, Any]], first: bool
 ) -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"), guard=DEFENCE)
@@ -316,15 +316,15 @@ def test_listeners_hear_each_wire_once_and_nothing_of_their_own_and_change_nothi
     for found, known in zip(wiring.wires, plain.wires, strict=True):
         ears = [end.node for leg in found.every_leg for end in found.hearers(leg)]
         assert len(ears) == len(set(ears)), "once"
-        assert {listener.end.node for listener in found.listeners}.isdisjoint(parties(known)), "nothing of its own"
+        assert {listener.end.node for listener in found.listeners}.isdisjoint(parties(known)), "not its own messages"
         assert (found.legs, found.branches, found.subscribers) == (known.legs, known.branches, known.subscribers)
     assert Wiring.from_json(wiring.to_json()) == wiring
 
 
-# -- while a run goes on ---------------------------------------------------------------------------------------------
+# -- changes during a run ----------------------------------------------------------------------------------------------
 
 
-def test_a_node_put_on_a_wire_while_a_run_goes_on_stands_before_its_listeners() -> None:
+def test_a_node_inserted_during_a_run_is_placed_before_listeners() -> None:
     wiring = resolve(world(guard=DEFENCE), {"listen": [listen("agent/ego/tracks", "tracks", "defence")]})
     changed = insert(wiring, "mallory", Place("agent/ego/tracks", "in", "out"))
     assert changed.ports("guard") == wiring.ports("guard")
@@ -334,7 +334,7 @@ def test_a_node_put_on_a_wire_while_a_run_goes_on_stands_before_its_listeners() 
         insert(wiring, "guard", Place("agent/ego/tracks", "in", "out"))
 
 
-def test_a_listener_at_the_source_keeps_its_key_while_a_run_goes_on() -> None:
+def test_a_listener_at_the_source_keeps_its_key_during_insertion() -> None:
     at_source = {"listen": [listen("agent/*/tracks", "tracks", "defence", leg="source")]}
     wiring = resolve(world(guard=DEFENCE), at_source)
     with pytest.raises(WiringError, match="guard listens at the source of 'agent/ego/tracks'"):
@@ -348,7 +348,7 @@ def test_a_listener_at_the_source_keeps_its_key_while_a_run_goes_on() -> None:
             remove(both, "first")
 
 
-def test_a_listener_that_leaves_listens_no_longer() -> None:
+def test_a_departed_listener_is_removed_from_the_wiring() -> None:
     nodes = world(first=adversary("ego"))
     wiring = resolve(nodes, {"insert": [ON_TRACKS], "listen": [listen("agent/infra_1/tracks", "tracks")]})
     assert not any(found.listeners for found in remove(wiring, "first").wires)

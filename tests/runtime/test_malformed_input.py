@@ -1,4 +1,4 @@
-"""Whatever comes in on whatever wire costs one message, and nothing else."""
+"""A malformed input on any wire costs one message and nothing else."""
 
 import pickle
 from collections import Counter
@@ -18,7 +18,7 @@ from mast_zenoh.wiring.model import Wiring
 TOTAL, TOTAL_LONG = 4_000, 200_000
 SCENARIOS = {"baseline": (), "uncoordinated": ("attack_start_s=0.2",), "coordinated": ("attack_start_s=0.2",)}
 FRAMES = 6
-BEFORE = 3  # frames that a node has played when the rubbish comes
+BEFORE = 3  # frames played before malformed messages arrive
 
 
 @cache
@@ -44,7 +44,7 @@ def inputs() -> tuple[tuple[str, str, str, str], ...]:
 
 @cache
 def sound(schema: str) -> tuple[bytes, ...]:
-    """What runs have really said."""
+    """The recorded messages of runs."""
     said = [
         payload
         for name in SCENARIOS
@@ -56,14 +56,14 @@ def sound(schema: str) -> tuple[bytes, ...]:
 
 
 def rubbish(place: int, total: int, seed: int) -> Iterator[bytes]:
-    """The malformed payloads for one of `inputs()`: its share of `total`, no two the same."""
+    """A share of `total` distinct malformed payloads for one of `inputs()`."""
     count = total // len(inputs()) + (place < total % len(inputs()))
     schema = inputs()[place][3]
     return malformed(schema, sound(schema), count, seed=(seed, place))
 
 
 def play(bench: Bench, run: Run, frames: range) -> None:
-    """Give a node what it got in a run: in each frame its clock, then the rest."""
+    """Replay a node's inputs: in each frame its clock, then the others."""
     for frame in frames:
         for key, hears in sorted(bench.ports.inputs.items(), key=lambda item: item[1].message != "clock"):
             for message, payload in zip(run.decoded(key, hears.message), run.messages[key], strict=True):
@@ -71,7 +71,7 @@ def play(bench: Bench, run: Run, frames: range) -> None:
                     bench.host.deliver(key, payload, frame)
 
 
-def test_malformed_messages_cost_one_message_each_and_no_node(fuzzing: Fuzzing) -> None:
+def test_malformed_messages_cost_one_message_each_and_end_no_node(fuzzing: Fuzzing) -> None:
     planned = TOTAL_LONG if fuzzing.long else TOTAL
     places: dict[tuple[str, str], list[int]] = {}
     for place, (name, node, _, _) in enumerate(inputs()):
@@ -104,7 +104,7 @@ def test_malformed_messages_cost_one_message_each_and_no_node(fuzzing: Fuzzing) 
         undisturbed = Bench(world(name), node)
         play(bench, played(name), range(BEFORE, FRAMES))
         play(undisturbed, played(name), range(FRAMES))
-        assert bench.outbox == undisturbed.outbox, "it goes on as if nothing had been"
+        assert bench.outbox == undisturbed.outbox, "it continues unaffected"
         if hears_all:
             scores, expected = (each.host.finish()["metrics"]["agents"] for each in (bench, undisturbed))
             assert scores == expected
@@ -113,8 +113,8 @@ def test_malformed_messages_cost_one_message_each_and_no_node(fuzzing: Fuzzing) 
 
 
 @pytest.mark.parametrize("schema", ["clock", "status", "tracks", "collated", "directive", "truth"])
-def test_malformed_messages_are_of_many_kinds(schema: str) -> None:
-    """The test above would be worth little if all its payloads failed at the first byte."""
+def test_malformed_messages_cover_many_kinds_of_errors(schema: str) -> None:
+    """Guards the test above against payloads that all fail at the first byte."""
     reasons: set[str] = set()
     for payload in malformed(schema, sound(schema), 1_000, seed=(1,)):
         with pytest.raises(MessageError) as caught:
@@ -124,7 +124,7 @@ def test_malformed_messages_are_of_many_kinds(schema: str) -> None:
 
 
 @pytest.mark.parametrize("odd", [float, bool])
-def test_a_size_that_only_equals_a_whole_number_is_refused_whatever_came_before(odd: type) -> None:
+def test_a_non_integer_size_is_refused_whatever_preceded_it(odd: type) -> None:
     payload = codec.encode(codec.conform(codec.Header("tracks", "ego", 0, 0, 0), tracks((1.0, 2.0))))
     codec.decode(payload, "tracks")
     fields = msgpack.unpackb(payload)
@@ -134,7 +134,7 @@ def test_a_size_that_only_equals_a_whole_number_is_refused_whatever_came_before(
             codec.decode(msgpack.packb(fields | {"body": body}), "tracks")
 
 
-def test_a_node_that_hears_nothing_but_rubbish_ends_well() -> None:
+def test_a_node_that_receives_only_malformed_messages_ends_normally() -> None:
     bench = Bench(world("baseline"), "evaluator")
     for key, hears in bench.ports.inputs.items():
         for payload in malformed(hears.message, sound(hears.message), 50, seed=(2,)):

@@ -1,4 +1,4 @@
-"""What an interposer can do with a message: pass it on changed, damaged, twice, with another time, or later."""
+"""Relaying: unchanged, changed, damaged, twice, restamped or delayed."""
 
 import logging
 from collections.abc import Callable
@@ -25,7 +25,7 @@ Act = Callable[[Received, Context], None]
 
 
 class Interposer(Node):
-    """Does what the test wants with statuses."""
+    """Runs the test's action on statuses."""
 
     inputs = {"clock": "clock", "status": "status"}
     outputs = {"status_out": "status"}
@@ -40,7 +40,7 @@ class Interposer(Node):
 
 
 class Reporting(Interposer):
-    """One that publishes at every clock."""
+    """A relay that publishes at every clock."""
 
     outputs = {"status_out": "status", "report": "tracks"}
 
@@ -49,13 +49,13 @@ class Reporting(Interposer):
 
 
 class Deaf(Interposer):
-    """One that hears no clock."""
+    """A relay without a clock."""
 
     inputs = {"status": "status"}
 
 
 class Time:
-    """A clock of the machine that goes when the test says so."""
+    """A machine clock advanced by the test."""
 
     def __init__(self) -> None:
         self.ns = 5_000
@@ -67,7 +67,7 @@ class Time:
 def hosting(
     act: Act, *, encode: bool = True, now: Callable[[], int] | None = None, node: type = Interposer
 ) -> tuple[Host, list[Outgoing]]:
-    """A host, and what will have left it."""
+    """A host, and the messages that left it."""
     inputs = {"in": Input("status", "a", "status", "a")}
     if "clock" in node.inputs:
         inputs["clock"] = Input("clock", "", "clock", "simulator")
@@ -97,7 +97,7 @@ def content(out: Outgoing) -> Message:
 
 
 def said(outbox: list[Outgoing]) -> list[tuple[int, int]]:
-    """(step, seq) of what has left so far."""
+    """(step, seq) of the messages that left."""
     return [(out.step, content(out).header.seq) for out in outbox if out.key == "out"]
 
 
@@ -109,7 +109,7 @@ both = pytest.mark.parametrize("encode", [True, False], ids=["bytes", "objects"]
 
 
 @both
-def test_a_message_can_be_given_another_time_and_nothing_else(encode: bool) -> None:
+def test_the_time_of_a_message_can_be_changed_alone(encode: bool) -> None:
     host, outbox = hosting(relaying(time_ns=123), encode=encode)
     clock(host, 0)
     send(host, status(0, n_tracks=4))
@@ -119,15 +119,15 @@ def test_a_message_can_be_given_another_time_and_nothing_else(encode: bool) -> N
 
 
 @both
-def test_exactly_the_bytes_that_are_given_are_sent(encode: bool) -> None:
+def test_explicitly_given_bytes_are_sent_unchanged(encode: bool) -> None:
     host, outbox = hosting(relaying(payload=b"\xc1 nonsense"), encode=encode)
     clock(host, 0)
     send(host, status(0))
     assert [out.payload for out in outbox] == [b"\xc1 nonsense"]
 
 
-def test_bytes_in_one_process_are_decoded_and_passed_on_as_they_are() -> None:
-    """A damaged message that still is one may be packed otherwise than we would: the next node keeps it."""
+def test_bytes_in_one_process_are_decoded_and_forwarded_unchanged() -> None:
+    """Valid bytes with another packing are kept by the next node."""
     sound = status(0, n_tracks=3)
     odd = codec.encode(sound).replace(b"\xa5frame\x00", b"\xa5frame\xcc\x00")
     assert odd != codec.encode(sound)
@@ -146,7 +146,7 @@ def test_bytes_in_one_process_are_decoded_and_passed_on_as_they_are() -> None:
     assert seen[0].encoded == odd
 
 
-def test_damaged_bytes_in_one_process_cost_their_receiver_one_message() -> None:
+def test_damaged_bytes_in_one_process_cost_the_receiver_one_message() -> None:
     host, outbox = hosting(relaying(), encode=False)
     clock(host, 0)
     host.deliver("in", codec.encode(status(0))[:-3], 0)
@@ -154,11 +154,11 @@ def test_damaged_bytes_in_one_process_cost_their_receiver_one_message() -> None:
     assert host.rejected.total() == 1
 
 
-def test_the_bytes_of_a_message_that_never_was_bytes_are_those_it_would_have() -> None:
+def test_an_unencoded_message_is_encoded_when_its_bytes_are_needed() -> None:
     assert Received(status(2), "a").encoded == codec.encode(status(2))
 
 
-def test_a_message_passed_on_twice_is_the_same_twice() -> None:
+def test_a_message_forwarded_twice_is_the_same_both_times() -> None:
     host, outbox = hosting(lambda received, context: [context.relay("status_out", received) for _ in range(2)] and None)
     clock(host, 0)
     send(host, status(0))
@@ -171,7 +171,7 @@ def test_a_message_passed_on_twice_is_the_same_twice() -> None:
 @pytest.mark.parametrize(
     ("after_s", "leaves"), [(0.0, 1), (1e-9, 1), (0.0999, 1), (0.1, 2), (0.19, 2), (0.3, 4), (0.1 + 0.2, 4)]
 )
-def test_in_lock_step_a_message_leaves_in_the_frame_into_which_its_delay_falls(
+def test_in_lock_step_a_message_leaves_in_the_frame_that_contains_its_due_time(
     encode: bool, after_s: float, leaves: int
 ) -> None:
     host, outbox = hosting(relaying(after_s=after_s), encode=encode)
@@ -183,7 +183,7 @@ def test_in_lock_step_a_message_leaves_in_the_frame_into_which_its_delay_falls(
     assert host.sent["out"] == host.handled["in"] == 1
 
 
-def test_what_is_delayed_leaves_by_due_time_and_then_by_arrival_before_what_comes_in_that_frame() -> None:
+def test_delayed_messages_leave_by_due_time_then_arrival_before_new_ones() -> None:
     delays = iter([0.25, 0.1, 0.12, 0.0])
     host, outbox = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
     clock(host, 0)
@@ -191,12 +191,12 @@ def test_what_is_delayed_leaves_by_due_time_and_then_by_arrival_before_what_come
     clock(host, 1)
     send(host, status(1, seq=1))  # due at 0.2
     send(host, status(1, seq=2))  # due at 0.22
-    send(host, status(2, seq=3))  # of the next frame: it has to wait for that
+    send(host, status(2, seq=3))  # of the next frame: it has to wait
     clock(host, 2)
     assert said(outbox) == [(2, 1), (2, 2), (2, 0), (2, 3)]
 
 
-def test_what_is_due_together_leaves_as_it_came() -> None:
+def test_messages_due_at_once_leave_in_order_of_arrival() -> None:
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)
     for seq in range(5):
@@ -205,7 +205,7 @@ def test_what_is_due_together_leaves_as_it_came() -> None:
     assert said(outbox) == [(1, seq) for seq in range(5)]
 
 
-def test_a_clock_that_never_came_holds_nothing_up() -> None:
+def test_a_missing_clock_does_not_block_delayed_messages() -> None:
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)
     send(host, status(0))
@@ -213,7 +213,7 @@ def test_a_clock_that_never_came_holds_nothing_up() -> None:
     assert said(outbox) == [(3, 0)]
 
 
-def test_what_is_delayed_leaves_after_what_the_node_says_at_the_clock() -> None:
+def test_delayed_messages_leave_after_those_published_at_the_clock() -> None:
     host, outbox = hosting(relaying(after_s=0.1), node=Reporting)
     clock(host, 0)
     send(host, status(0))
@@ -221,7 +221,7 @@ def test_what_is_delayed_leaves_after_what_the_node_says_at_the_clock() -> None:
     assert [(out.key, out.step) for out in outbox] == [("report", 0), ("report", 1), ("out", 1)]
 
 
-def test_a_message_that_is_delayed_is_not_sent_until_it_leaves() -> None:
+def test_a_delayed_message_counts_as_sent_only_when_it_leaves() -> None:
     host, _ = hosting(relaying(after_s=0.1))
     clock(host, 0)
     send(host, status(0))
@@ -231,7 +231,7 @@ def test_a_message_that_is_delayed_is_not_sent_until_it_leaves() -> None:
     assert host.sent["out"] == 1, "it counts when it leaves"
 
 
-def test_in_lock_step_the_time_is_that_of_the_frame() -> None:
+def test_in_lock_step_time_is_that_of_the_frame() -> None:
     seen: list[int] = []
     host, _ = hosting(lambda received, context: seen.append(context.now_ns))
     clock(host, 3)
@@ -240,7 +240,7 @@ def test_in_lock_step_the_time_is_that_of_the_frame() -> None:
     assert host.release() is None
 
 
-def test_in_real_time_a_message_leaves_when_its_time_has_come_and_not_at_a_clock() -> None:
+def test_in_real_time_a_message_leaves_at_its_due_time_not_at_a_clock() -> None:
     now = Time()
     host, outbox = hosting(relaying(after_s=0.05), now=now)
     clock(host, 0)
@@ -255,7 +255,7 @@ def test_in_real_time_a_message_leaves_when_its_time_has_come_and_not_at_a_clock
     assert said(outbox) == [(1, 0)]
 
 
-def test_in_real_time_the_clock_goes_on_between_frames_from_the_first() -> None:
+def test_in_real_time_the_clock_advances_between_frames_from_the_first() -> None:
     now, seen = Time(), []
     host, _ = hosting(lambda received, context: seen.append(context.now_ns), now=now)
     assert host.now_ns == 0
@@ -269,7 +269,7 @@ def test_in_real_time_the_clock_goes_on_between_frames_from_the_first() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.floats(0.0, 1.0)), max_size=30))
 @settings(max_examples=60)
-def test_whatever_the_delays_each_message_leaves_once_and_not_before_its_time(plan: list[tuple[int, float]]) -> None:
+def test_each_message_leaves_once_and_not_before_its_due_time(plan: list[tuple[int, float]]) -> None:
     delays = iter([after_s for _, after_s in sorted(plan, key=lambda entry: entry[0])])
     host, outbox = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
     order = sorted(plan, key=lambda entry: entry[0])
@@ -284,7 +284,7 @@ def test_whatever_the_delays_each_message_leaves_once_and_not_before_its_time(pl
 
 
 @pytest.mark.parametrize("after_s", [-0.1, float("nan"), float("inf"), -float("inf"), 3601.0, 1e300])
-def test_a_delay_that_is_none_costs_one_message(after_s: float, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_invalid_delay_costs_one_message(after_s: float, caplog: pytest.LogCaptureFixture) -> None:
     delays = iter([after_s, 0.0])
     host, outbox = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
     clock(host, 0)
@@ -303,13 +303,13 @@ def test_a_delay_that_is_none_costs_one_message(after_s: float, caplog: pytest.L
         (dict(payload=b"", body={}), "no body or time_ns with it"),
     ],
 )
-def test_what_contradicts_itself_is_refused(how: dict[str, Any], problem: str) -> None:
+def test_contradictory_relay_arguments_are_refused(how: dict[str, Any], problem: str) -> None:
     host, _ = hosting(relaying())
     with pytest.raises(ConfigurationError, match=problem):
         host.relay("status_out", Received(status(0), "a"), **how)
 
 
-def test_a_time_before_the_scene_is_refused_by_the_receiver() -> None:
+def test_a_negative_time_is_refused_by_the_receiver() -> None:
     for encode in (True, False):
         host, outbox = hosting(relaying(time_ns=-1), encode=encode)
         clock(host, 0)
@@ -322,19 +322,19 @@ def test_a_time_before_the_scene_is_refused_by_the_receiver() -> None:
             assert "time_ns" in out.flaw
 
 
-def test_a_node_that_hears_no_clock_cannot_delay() -> None:
+def test_a_node_without_a_clock_cannot_delay_messages() -> None:
     host, _ = hosting(relaying(), node=Deaf)
     with pytest.raises(ConfigurationError, match="does not hear the clock"):
         host.relay("status_out", Received(status(0), "a"), after_s=0.2)
 
 
-def test_not_more_than_so_many_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_delayed_messages_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(context_module, "DELAYED", Limit(3, 10**6))
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)
     for seq in range(5):
         send(host, status(0, seq=seq))
     assert host.rejected == {("in", "delayed"): 2}
-    assert not host.failures, "what a node gets is not its own fault"
+    assert not host.failures, "receiving too much is not the node's own fault"
     clock(host, 1)
     assert said(outbox) == [(1, 0), (1, 1), (1, 2)]

@@ -1,4 +1,4 @@
-"""On its recording a run is measured as it was measured while it went on."""
+"""Replaying a recording gives the metrics measured during the run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mast_zenoh.report import html, terminal
 from mast_zenoh.runtime.replaying import replay
 
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parents[2] / "scenarios").glob("*.py"))
-#: These act on hosts or in real time, which one process cannot.
+#: These affect hosts or need real time, which one process cannot provide.
 ELSEWHERE = {"rogue", "two_hosts"}
 
 
@@ -35,7 +35,7 @@ def recorded(folder: Path, name: str, *settings: str, frames: int = 60) -> Path:
 
 
 def results_in(folder: Path) -> dict[str, Any]:
-    """Everything that the evaluator has left in a run folder."""
+    """All files of the evaluator in a run folder."""
     tables = {path.name: read_table(path) for path in folder.glob("*.parquet")}
     return {"metrics.json": json.loads((folder / "metrics.json").read_text()), **tables}
 
@@ -52,7 +52,7 @@ def assert_equal(once: dict[str, Any], again: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in SCENARIOS if name not in ELSEWHERE])
-def test_a_run_is_measured_the_same_from_its_recording(tmp_path: Path, name: str) -> None:
+def test_a_replayed_recording_gives_the_same_metrics(tmp_path: Path, name: str) -> None:
     folder = recorded(tmp_path / "run", name)
     once = results_in(folder)
     for file in (folder / measurement.METRICS, *folder.glob("*.parquet")):
@@ -65,7 +65,7 @@ def test_a_run_is_measured_the_same_from_its_recording(tmp_path: Path, name: str
     assert_equal(once, again)
 
 
-def test_what_no_recording_tells_is_kept(tmp_path: Path) -> None:
+def test_results_missing_from_the_recording_are_kept(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "realistic_network", frames=30)
     metrics = json.loads((folder / measurement.METRICS).read_text())
     metrics |= {"latency_ms": {"sim_to_picture": {"p50": 12.0}}, "frames_per_second": 9.5, "late": {"ego": 3}}
@@ -88,7 +88,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def cut(run: Path, to: Path, part: float) -> Path:
-    """A copy of a run whose recording is only the first part of its bytes."""
+    """A copy of a run with a truncated recording."""
     shutil.copytree(run, to)
     data = (to / "messages.mcap").read_bytes()
     (to / "messages.mcap").write_bytes(data[: int(part * len(data))])
@@ -96,7 +96,7 @@ def cut(run: Path, to: Path, part: float) -> Path:
 
 
 @pytest.mark.parametrize("part", [0.6, 0.98, 0.001], ids=["60 %", "the last chunk", "all but its head"])
-def test_metrics_are_kept_where_the_recording_ends_before_the_run_did(tmp_path: Path, whole: Path, part: float) -> None:
+def test_metrics_are_kept_if_the_recording_ends_before_the_run(tmp_path: Path, whole: Path, part: float) -> None:
     folder = cut(whole, tmp_path / "run", part)
     once = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in (".json", ".parquet")}
     ends = r"ends (at frame \d+ of 60|before its first frame), .*metrics\.json is kept.*restore the recording"
@@ -105,7 +105,7 @@ def test_metrics_are_kept_where_the_recording_ends_before_the_run_did(tmp_path: 
     assert {name: (folder / name).read_bytes() for name in once} == once
 
 
-def test_a_recording_with_an_end_but_without_the_last_frames_does_not_replace_metrics(tmp_path: Path) -> None:
+def test_a_recording_without_its_last_frames_does_not_replace_metrics(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=20)
     run = json.loads((folder / "run.json").read_text())
     for node in run["nodes"].values():
@@ -115,7 +115,7 @@ def test_a_recording_with_an_end_but_without_the_last_frames_does_not_replace_me
         measurement.measure(folder)
 
 
-def test_a_run_without_metrics_is_measured_as_far_as_its_recording_goes_and_says_so(
+def test_a_run_without_metrics_is_measured_as_far_as_recorded_and_says_so(
     tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = cut(whole, tmp_path / "run", 0.6)
@@ -134,11 +134,11 @@ def test_a_run_without_metrics_is_measured_as_far_as_its_recording_goes_and_says
     terminal.show_run(Console(width=300), folder)
     assert said in capsys.readouterr().out
     assert said in html.write_report(folder).read_text()
-    measurement.measure(folder)  # again: these metrics are of no more frames
+    measurement.measure(folder)  # repeated: these metrics cover no more frames
     assert json.loads((folder / "metrics.json").read_text()) == metrics
 
 
-def test_a_recording_that_is_gone_is_told_from_one_that_never_was(tmp_path: Path) -> None:
+def test_a_deleted_recording_is_distinguished_from_one_never_made(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=4)
     (folder / "messages.mcap").unlink()
     with pytest.raises(RunFolderError, match=r"messages\.mcap: missing; the run was recorded.* counts \d+ messages"):
@@ -149,7 +149,7 @@ def test_a_recording_that_is_gone_is_told_from_one_that_never_was(tmp_path: Path
     ("file", "content"),
     [("scenario.json", ""), ("scenario.json", "[]"), ("scenario.json", '{"nodes": 3}'), ("wiring.json", "")],
 )
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, file: str, content: str) -> None:
+def test_a_folder_without_a_run_is_refused(tmp_path: Path, file: str, content: str) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=2)
     (folder / file).write_text(content)
     with pytest.raises(RunFolderError, match="cannot be read"):
@@ -157,7 +157,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, file: str, content: 
 
 
 @pytest.mark.parametrize("wiring", [{}, {"wires": 3}, {"wires": [{"key": "clock"}]}])
-def test_a_wiring_in_a_recording_that_is_none_is_named(tmp_path: Path, wiring: dict[str, Any]) -> None:
+def test_an_invalid_wiring_in_a_recording_is_named(tmp_path: Path, wiring: dict[str, Any]) -> None:
     path, loaded = scenario.load("baseline")
     resolved = scenario.resolve(path, loaded, frames=2)
     log = MessageLog(tmp_path / "messages.mcap")

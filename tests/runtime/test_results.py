@@ -1,4 +1,4 @@
-"""What nodes hand in at the end comes out as it went in."""
+"""Node results survive a round trip."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from mast_zenoh.errors import MessageError
         np.arange(6).reshape(2, 3).T,
     ],
 )
-def test_arrays_keep_their_numbers_dtype_and_shape(array: np.ndarray) -> None:
+def test_arrays_keep_values_dtype_and_shape(array: np.ndarray) -> None:
     back = results.unpack(results.pack({"table": array}))["table"]
     np.testing.assert_array_equal(back, array)
     assert back.dtype == array.dtype
@@ -27,13 +27,13 @@ def test_arrays_keep_their_numbers_dtype_and_shape(array: np.ndarray) -> None:
 @pytest.mark.parametrize(
     "array", [np.array(["ego", "é"], dtype=object), np.array(["ego", "infra_1"]), np.array([], str)]
 )
-def test_arrays_of_text_come_out_as_objects(array: np.ndarray) -> None:
+def test_text_arrays_become_object_arrays(array: np.ndarray) -> None:
     back = results.unpack(results.pack(array))
     assert back.dtype == object
     assert back.tolist() == array.tolist()
 
 
-def test_nested_plain_values_are_as_they_were() -> None:
+def test_nested_plain_values_are_unchanged() -> None:
     value = {
         "metrics": {"mean": 1.25, "n": 3, "none": None, "yes": True, "rows": [1, [2.0, "x"]], "empty": {}},
         7: "seven",
@@ -41,18 +41,18 @@ def test_nested_plain_values_are_as_they_were() -> None:
     assert results.unpack(results.pack(value)) == value
 
 
-def test_numbers_of_numpy_become_plain_ones() -> None:
+def test_numpy_numbers_become_plain_ones() -> None:
     back = results.unpack(results.pack({"n": np.int64(3), "x": np.float64(0.5), "yes": np.bool_(True)}))
     assert back == {"n": 3, "x": 0.5, "yes": True}
     assert [type(value) for value in back.values()] == [int, float, bool]
 
 
-def test_what_is_neither_is_refused_by_name() -> None:
+def test_other_values_are_refused_by_name() -> None:
     with pytest.raises(TypeError, match="a result holds a set, expected plain values and arrays"):
         results.pack({"names": {"ego"}})
 
 
-def test_arrays_of_eight_dimensions_come_out_and_of_nine_do_not() -> None:
+def test_arrays_of_at_most_eight_dimensions_are_accepted() -> None:
     assert results.unpack(results.pack(np.zeros((1,) * 8))).shape == (1,) * 8
     with pytest.raises(MessageError):
         results.unpack(results.pack(np.zeros((1,) * 9)))
@@ -61,13 +61,13 @@ def test_arrays_of_eight_dimensions_come_out_and_of_nine_do_not() -> None:
 @pytest.mark.parametrize(
     "array", [np.zeros((1 << 24, 0)), np.zeros(1 << 21, bool), np.array(["x"] * (1 << 21), object)]
 )
-def test_arrays_that_would_be_lists_of_millions_are_for_tables_alone(array: np.ndarray) -> None:
+def test_large_arrays_are_allowed_only_in_tables(array: np.ndarray) -> None:
     results.checked({"tables": {"t": {"x": array}}})
     with pytest.raises(TypeError, match="beside those of tables"):
         results.checked({"x": [{"y": array}]})
 
 
-def test_what_cannot_be_handed_in_is_found_where_it_stands_however_long_the_names_are() -> None:
+def test_an_unserialisable_value_is_located_even_below_long_names() -> None:
     with pytest.raises(TypeError, match=r"^results\.a\.1\.b: found a set, expected plain values"):
         results.checked({"a": [0, {"b": {1}}]})
     results.checked({"x" * (1 << 20): {"y" * (1 << 20): list(range(1 << 17))}})  # as many names of 2 MB would be 256 GB

@@ -1,4 +1,4 @@
-"""Messages whose frame or time the run cannot have are rejected on arrival; clock faults and delays are not."""
+"""Messages with impossible frames or times are rejected on arrival."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def header(frame: int, time_ns: int) -> Header:
         (50, 5 * SECOND, 10**9, "step"),
     ],
 )
-def test_what_the_run_cannot_have_is_rejected_on_arrival(frame: int, time_ns: int, step: int, kind: str) -> None:
+def test_impossible_frames_and_times_are_rejected_on_arrival(frame: int, time_ns: int, step: int, kind: str) -> None:
     host = hosting()
     host.deliver("clock", clock(50), 50)
     host.deliver(KEY, stamped(frame, time_ns), step)
@@ -59,13 +59,13 @@ def test_what_the_run_cannot_have_is_rejected_on_arrival(frame: int, time_ns: in
     ("frame", "time_ns"),
     [
         (50, 5 * SECOND),
-        (0, 0),  # held up on the way since the scene began
-        (50, 5 * SECOND + SECOND),  # within the leeway: a wrong clock, or an adversary
+        (0, 0),  # delayed since the scene began
+        (50, 5 * SECOND + SECOND),  # within the tolerance: a wrong clock, or an adversary
         (50, 5 * SECOND - SECOND),
-        (20, 5 * SECOND),  # about an earlier frame, with the time of now
+        (20, 5 * SECOND),  # about an earlier frame, with the current time
     ],
 )
-def test_what_delays_and_wrong_clocks_can_make_of_a_message_is_taken(frame: int, time_ns: int) -> None:
+def test_effects_of_delays_and_clock_errors_are_accepted(frame: int, time_ns: int) -> None:
     host = hosting()
     host.deliver("clock", clock(50), 50)
     host.deliver(KEY, stamped(frame, time_ns), 50)
@@ -73,7 +73,7 @@ def test_what_delays_and_wrong_clocks_can_make_of_a_message_is_taken(frame: int,
     assert not host.rejected
 
 
-def test_a_message_from_outside_is_held_to_the_newest_clock() -> None:
+def test_a_foreign_message_is_checked_against_the_newest_clock() -> None:
     host = hosting()
     host.deliver("clock", clock(50), 50)
     host.deliver(KEY, stamped(150, 15 * SECOND), -1, counted=False)
@@ -87,14 +87,14 @@ def test_a_clock_beyond_the_end_of_the_scene_is_rejected() -> None:
     assert host.frame == -1
 
 
-def test_a_node_that_comes_in_the_middle_waits_for_its_first_clock_whatever_frame_that_is_of() -> None:
+def test_a_node_that_joins_later_waits_for_its_first_clock_of_any_frame() -> None:
     host = hosting()
     host.deliver(KEY, said_by("a", 120), 120)
     host.deliver("clock", clock(120), 120)
     assert host.node.got == [("clock", 120), ("a", 120)]
 
 
-def test_in_real_time_a_node_may_be_behind_by_more_than_a_frame() -> None:
+def test_in_real_time_a_node_may_lag_by_more_than_a_frame() -> None:
     host = hosting(now=lambda: 0)
     host.deliver("clock", clock(50), 50)
     host.deliver(KEY, said_by("a", 53), 53)
@@ -103,21 +103,19 @@ def test_in_real_time_a_node_may_be_behind_by_more_than_a_frame() -> None:
 
 
 @given(st.integers(0, 199), st.integers(0, 199), st.integers(-SECOND, SECOND))
-def test_every_message_about_a_frame_that_has_begun_is_of_the_run(frame: int, later: int, wrong_ns: int) -> None:
+def test_every_message_about_a_started_frame_is_accepted(frame: int, later: int, wrong_ns: int) -> None:
     step = min(199, frame + later)
     assert SPAN.refusal(header(frame, max(0, frame * PERIOD_NS + wrong_ns)), step) == ""
 
 
 @given(st.integers(0, 1 << 61), st.integers(0, 1 << 61), st.integers(-1, 1 << 61))
-def test_nothing_is_taken_that_would_put_a_node_ahead_of_the_run_by_more_than_the_leeway(
-    frame: int, time_ns: int, step: int
-) -> None:
+def test_messages_beyond_the_tolerance_are_rejected(frame: int, time_ns: int, step: int) -> None:
     if not SPAN.refusal(header(frame, time_ns), step):
         assert time_ns <= (step if step >= 0 else 199) * PERIOD_NS + 2 * SECOND
         assert frame <= 199 + SECOND // PERIOD_NS
 
 
-def test_who_overhears_a_message_can_tell_that_it_is_rejected_and_still_read_it() -> None:
+def test_a_node_that_overhears_a_rejected_message_can_tell_and_still_read_it() -> None:
     overheard = Overheard(KEY, TRACKS[KEY], stamped(50, 10**18), 50, "", SPAN)
     assert overheard.header.time_ns == 10**18
     assert len(overheard.body["id"]) == 1, "the meter compares it"
@@ -126,7 +124,7 @@ def test_who_overhears_a_message_can_tell_that_it_is_rejected_and_still_read_it(
             check()
 
 
-def test_a_faulty_clock_says_by_how_much_it_is_wrong() -> None:
+def test_a_faulty_clock_declares_its_error() -> None:
     skew = ClockSkew(offset_s=-5.0, drift=0.1)
     assert skew.restamps_s(20.0) == pytest.approx(7.0)
     times = np.arange(0, 20 * SECOND, PERIOD_NS)

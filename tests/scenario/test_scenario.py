@@ -1,4 +1,4 @@
-"""A scenario is a Python file of plain dicts; errors in it are reported before any process starts."""
+"""Scenarios are files of plain dicts; errors are reported before the start."""
 
 import inspect
 import json
@@ -23,7 +23,7 @@ TINY = dict(type="TinyScene", n_infrastructure=2)
 TRACKER = dict(type="KalmanBoxTracker3D")
 AGENT = dict(pipeline=dict(type="AgentPipeline", tracker=TRACKER, mission=dict(type="PictureFirst")))
 
-#: The configuration listing of the paper, as it is there.
+#: The configuration listing of the paper, unchanged.
 LISTING = """
 commandcenter = dict(type="CommandCenter", pipeline=dict(type="CommandCenterPipeline",
     clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
@@ -48,7 +48,7 @@ def written(folder: Path, text: str, name: str = "mine.py") -> str:
 
 
 def mine(folder: Path, key: str = "command_center") -> str:
-    """A scenario file of a user's own."""
+    """A user-defined scenario file."""
     return written(folder, LISTING + REST % key)
 
 
@@ -121,18 +121,20 @@ def at(content: Any, path: str) -> Any:
 def test_a_dotted_key_sets_a_value_in_the_scenario(tmp_path: Path, key: str, spelling: str) -> None:
     _, content = load(mine(tmp_path, key), [f"{spelling}.pipeline.clustering.assign_radius=3.5", "run.seed=4"])
     assert at(content, "command_center.pipeline.clustering.assign_radius") == 3.5
-    assert at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", "the rest stays"
-    assert content["run"] == {"seed": 4}, "a part that the file does not have is begun"
+    assert at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", (
+        "the other values are kept"
+    )
+    assert content["run"] == {"seed": 4}, "a missing section is created"
 
 
 def test_a_setting_changes_one_node_only(tmp_path: Path) -> None:
-    """Scenario files may use one dict in many places; our own do."""
+    """Scenario files may use one dict in many places; shipped ones do."""
     for _ in range(2):
         _, content = load("uncoordinated", ["adversaries.adversary_1.attack.start_s=1.0", "agents.*.status_every=3"])
         starts = [at(content, f"adversaries.adversary_{i}.attack.start_s") for i in (1, 2)]
         assert starts == [1.0, 4.0]
     _, content = load("uncoordinated")
-    assert at(content, "adversaries.adversary_1.attack.start_s") == 4.0, "nor for the next time"
+    assert at(content, "adversaries.adversary_1.attack.start_s") == 4.0, "also not for the next call"
     assert "status_every" not in content["agents"]["*"]
 
 
@@ -176,14 +178,14 @@ def test_an_unknown_last_part_of_a_dotted_key_is_refused_with_its_path(
 
 
 @pytest.mark.parametrize("key", ["commandcenter", "command_center"])
-def test_the_papers_configuration_listing_builds_as_it_is(tmp_path: Path, key: str) -> None:
+def test_the_configuration_listing_of_the_paper_builds_unchanged(tmp_path: Path, key: str) -> None:
     found = resolved(mine(tmp_path, key))
     assert found.nodes["command_center"].type == "CommandCenter"
     assert isinstance(build_node(found.nodes["command_center"], "command_center").pipeline, CommandCenterPipeline)
     assert len(Run(found).messages["cc/picture"]) == 2
 
 
-def test_both_spellings_at_once_are_refused(tmp_path: Path) -> None:
+def test_both_spellings_of_a_key_at_once_are_refused(tmp_path: Path) -> None:
     text = LISTING + "def scenario():\n    return dict(commandcenter=commandcenter, command_center=commandcenter)\n"
     with pytest.raises(ConfigurationError, match=r"mine\.py: commandcenter and command_center are the same"):
         load(written(tmp_path, text))
@@ -201,7 +203,7 @@ def test_shipped_scenarios_resolve(name: str) -> None:
     for role in ("broker", "command_center", "evaluator"):
         assert roles.count(role) == 1
     wired = {name for wire in found.wiring["wires"] for name in touched(wire)}
-    assert found.nodes.keys() == wired | {end["node"] for end in found.wiring["overhearers"]}, "none left out"
+    assert found.nodes.keys() == wired | {end["node"] for end in found.wiring["overhearers"]}, "none is omitted"
 
 
 def touched(wire: dict[str, Any]) -> set[str]:
@@ -267,7 +269,7 @@ def test_user_defined_algorithms_can_be_named_by_type(tmp_path: Path) -> None:
     )
     found = resolved(written(tmp_path, text))
     assert build_node(found.nodes["eve"], "eve").attack.shyness == 2.0
-    assert found.modules == (str(tmp_path / "mine.py"),), "for the processes of the nodes, which do not read scenarios"
+    assert found.modules == (str(tmp_path / "mine.py"),), "for the nodes' processes, which do not read scenarios"
     assert tiny().modules == ()
     run = Run(found)
     assert not run.failures
@@ -566,7 +568,7 @@ def test_pictures_are_scored_for_as_long_as_agents_use_them() -> None:
     ]
 
 
-def test_agents_count_as_cut_off_when_their_tracks_are_too_old_for_the_broker() -> None:
+def test_agents_count_as_disconnected_when_their_tracks_are_too_old_for_the_broker() -> None:
     def patient(content: dict[str, Any]) -> None:
         content["broker"] = {**content["broker"], "max_age_s": 1.5}
 
@@ -594,16 +596,16 @@ def test_an_agent_gets_its_sensor_and_mobility_from_the_scene() -> None:
     assert (ego.lidar.azimuth_min_deg, pole.lidar.azimuth_min_deg) == (-180.0, -45.0)
 
 
-# -- written and read back --------------------------------------------------------------------------------------------
+# -- round trip -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["baseline", "uncoordinated", "coordinated", "passthrough"])
-def test_a_resolved_scenario_that_is_written_and_read_gives_the_same_run(
+def test_a_resolved_scenario_survives_a_round_trip_and_gives_the_same_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = tiny(name, *(() if name in ("baseline", "passthrough") else ("n_adversaries=1", "attack_start_s=0.2")))
     found.write(tmp_path)
-    monkeypatch.chdir(tmp_path)  # as a node's process does: the scene lies there
+    monkeypatch.chdir(tmp_path)  # like a node's process: the scene is stored there
     back = Resolved.read(tmp_path)
     assert json.loads(json.dumps(back.to_json())) == json.loads(json.dumps(found.to_json()))
     assert Wiring.from_json(back.wiring) == Wiring.from_json(found.wiring)
@@ -627,7 +629,7 @@ def test_every_run_builds_new_nodes() -> None:
     assert isinstance(first.attack, PassThrough)
     assert first.attack is not second.attack
     pipelines = [build_node(found.nodes[name], name).pipeline for name in ("infra_1", "infra_2")]
-    assert pipelines[0].tracker is not pipelines[1].tracker, "agents of one configuration share nothing"
+    assert pipelines[0].tracker is not pipelines[1].tracker, "agents with one configuration share no objects"
 
 
 def test_a_node_without_any_wire_to_it_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Links, faults and attacks of a scenario: which agents get links, with which rules, and the timeline."""
+"""Links, faults and attacks: links of agents, their rules, and the timeline."""
 
 import json
 import logging
@@ -29,7 +29,7 @@ ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
 
 
 def world(name: str = "baseline", *settings: str, **keys: Any) -> Resolved:
-    """A scenario in the tiny world, 12 frames, with more keys."""
+    """A scenario in the tiny world, 12 frames, with additional keys."""
     return tiny(name, *settings, edit=lambda scenario: scenario.update(keys))
 
 
@@ -40,7 +40,7 @@ def links(resolved: Resolved) -> dict[str, dict[str, Any]]:
 PARTITION = dict(type="Partition", at=0.3, until=0.6, nodes=["infra_1"])
 
 
-# -- which agents get a link ------------------------------------------------------------------------------------------
+# -- selection of links -----------------------------------------------------------------------------------------------
 
 
 def test_a_scenario_without_links_and_faults_has_no_link_nodes() -> None:
@@ -76,7 +76,7 @@ def test_a_partition_keeps_an_agent_out_of_the_collation_until_it_is_healed() ->
     assert [frame for frame, agents in sorted(named.items()) if "infra_1" not in agents] == [3, 4, 5]
 
 
-def test_the_longest_pattern_decides_which_links_an_agent_has() -> None:
+def test_the_longest_matching_pattern_selects_the_links_of_an_agent() -> None:
     found = world(links={"*": dict(up=[dict(type="Delay", mean_s=0.1)]), "infra_*": "wired", "infra_2": "perfect"})
     rules = {config["agent"]: config for config in links(found).values()}
     assert [rule["type"] for rule in rules["ego"]["rules_up"]] == ["Delay"]
@@ -85,7 +85,7 @@ def test_the_longest_pattern_decides_which_links_an_agent_has() -> None:
     assert rules["infra_2"]["rules_up"] == []
 
 
-def test_an_agent_that_no_pattern_matches_has_no_link() -> None:
+def test_an_agent_without_a_matching_pattern_has_no_link() -> None:
     assert list(links(world(links={"infra_*": "wired", "mobile_*": "wireless_v2x"}))) == [
         "link_infra_1",
         "link_infra_2",
@@ -106,7 +106,7 @@ def test_radio_range_is_measured_from_static_agents() -> None:
     assert all(gateway[2] == 15.0 for gateway in limit["gateways"]), "the poles"
 
 
-def test_the_rewrite_that_a_scenario_names_itself_keeps_its_place() -> None:
+def test_a_rewrite_named_by_the_scenario_keeps_its_position() -> None:
     def own(scenario: dict[str, Any]) -> None:
         scenario["faults"] = [PARTITION]
         scenario["keyexpr"]["rewrites"] = ["network.toml"]
@@ -135,7 +135,7 @@ def test_attacks_faults_and_links_are_on_one_timeline() -> None:
     ]
 
 
-def test_adversaries_that_begin_together_share_a_band_and_idle_ones_have_none() -> None:
+def test_adversaries_with_equal_starts_share_a_band_and_idle_ones_have_none() -> None:
     (band,) = world("uncoordinated", "n_adversaries=2", "attack_start_s=0.5").timeline
     assert band["nodes"] == ["adversary_1", "adversary_2"]
     assert world("passthrough").timeline == ()
@@ -164,7 +164,9 @@ def test_hosts_are_part_of_the_resolved_scenario() -> None:
         scenario["run"]["mode"] = "realtime"
 
     found = tiny(edit=real)
-    assert found.network["hosts"]["west"]["nodes"] == ["infra_1", "infra_2", "link_infra_1"], "a link is at its agent's"
+    assert found.network["hosts"]["west"]["nodes"] == ["infra_1", "infra_2", "link_infra_1"], (
+        "a link is on its agent's host"
+    )
     assert [band["backend"] for band in found.timeline] == ["links", "network"]
 
 
@@ -206,7 +208,7 @@ def test_delivery_order_does_not_change_the_effect_of_faults() -> None:
         assert shuffled.packed == plain.packed
 
 
-# -- what is refused -------------------------------------------------------------------------------------------------
+# -- refusals -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What detectors make of what a lidar sees."""
+"""Detectors applied to lidar returns."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def objects(n: int) -> ObjectStates:
 
 
 def detected(detector: Detector, points: np.ndarray, frame: int = 0) -> tuple[Detections, Ints]:
-    """Detections in the world frame, and the ids behind them."""
+    """Detections in the world frame, and their object ids."""
     found, ids = detector.detect(objects(len(points)), points, LIDAR, POLE, DOWN, 0.0, stream(3, "test", frame))
     return to_world(found, POLE, DOWN), ids
 
@@ -90,7 +90,7 @@ def test_clutter_is_poisson_in_view_and_on_the_ground() -> None:
     np.testing.assert_allclose(position[:, 2], size[:, 2] / 2, atol=1e-9)
 
 
-def test_the_order_of_the_objects_makes_no_difference() -> None:
+def test_the_order_of_the_objects_does_not_matter() -> None:
     truth, points = objects(30), np.arange(10, 40, dtype=np.int32)
     order = np.random.default_rng(0).permutation(30)
     one = DetectionModel().detect(truth, points, LIDAR, POLE, DOWN, 0.0, stream(1, "x"))

@@ -1,4 +1,4 @@
-"""Studies on several processes give equal tables, also after interruptions."""
+"""Studies on several processes give equal tables, even when interrupted."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def reference(study_file: Path, tmp_path_factory: pytest.TempPathFactory) -> dic
 
 
 def until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for something to become true, looking often."""
+    """Poll until a condition holds."""
     pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
     while not condition():
         assert time.monotonic() < deadline, f"waited in vain for {what}"
@@ -78,13 +78,13 @@ def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
     assert again.returncode == 0, output
     assert f"{len(finished)} of 12 trials are done already" in output or len(finished) == 12
     for name, written in finished.items():
-        assert (out / "trials" / name).stat().st_mtime_ns == written, "a finished trial was run again"
+        assert (out / "trials" / name).stat().st_mtime_ns == written, "a finished trial was repeated"
     assert tables(out) == reference
 
 
 @contextmanager
 def dask(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
-    """A scheduler or a worker, as a user starts it by hand."""
+    """Start a scheduler or a worker, like a user by hand."""
     command = [sys.executable, "-m", "dask", *words]
     process = subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, text=True
@@ -101,7 +101,7 @@ def dask(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def address_in(scheduler_file: Path) -> str:
-    """Where the scheduler listens; "" until it has written that."""
+    """The scheduler's address; "" until it has written it."""
     try:
         return str(json.loads(scheduler_file.read_text())["address"])
     except (OSError, ValueError):

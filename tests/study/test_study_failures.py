@@ -1,4 +1,4 @@
-"""A study in which a handler failed does not pass for a sound one, neither of single runs nor of trials."""
+"""Studies with failed handlers are reported as failed."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_command_line_writes_all_results_and_exits_with_the_failure_code(
         app.main()
     captured = capsys.readouterr()
     assert int(ended.value.code or 0) == (0 if allowed else 24 if words else 30)
-    assert MESSAGE in captured.err + captured.out, "a warning at least"
+    assert MESSAGE in captured.err + captured.out, "at least a warning"
     assert "Traceback" not in captured.err
     written = tmp_path / "out" / ("table.md" if words else "report.html")
     assert written.is_file()

@@ -1,4 +1,4 @@
-"""Trials are stored one by one: none is repeated, and a failure keeps the others."""
+"""Trials are stored one by one: failures and repeats leave others intact."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> definition.Study:
 
 @pytest.fixture(scope="module")
 def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.StudyResult:
-    """The study, run without any trouble."""
+    """The study, run without interruption."""
     return trials.run(small, tmp_path_factory.mktemp("whole") / "out", count=2)
 
 
 @pytest.fixture
 def ran(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
-    """The trials that are really run from here on."""
+    """The trials that actually run from here on."""
     trials_run: list[Trial] = []
     run = trial.run
 
@@ -55,7 +55,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
 
 
 def stopping(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
-    """Press Ctrl-C while the trial after this many runs."""
+    """Simulate Ctrl-C during the trial after this many."""
     run, done = trial.run, []
 
     def stopped(each: Trial) -> Outcome:
@@ -112,7 +112,7 @@ def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.S
 
 
 def test_column_names_of_tables_are_rejected_as_parameters(whole: trials.StudyResult) -> None:
-    """Those of frames.parquet as far as all runs have them; a metric that is added gives way, as `grid.<name>`."""
+    """The columns of frames.parquet that all runs have; others as `grid.<name>`."""
     columns = set((whole.out / "table.csv").read_text().splitlines()[0].split(","))
     columns |= set(parquet.read_schema(whole.out / "results.parquet").names)
     columns |= set(parquet.read_schema(whole.out / "frames.parquet").names) & definition.COLUMNS
@@ -141,7 +141,7 @@ def test_more_seeds_can_be_added_later(small, whole, tmp_path: Path, ran) -> Non
     assert tables(tmp_path / "out") == tables(whole.out)
 
 
-def test_a_trial_whose_file_is_broken_is_run_again(small, whole, tmp_path: Path, ran) -> None:
+def test_a_trial_with_a_broken_file_is_run_again(small, whole, tmp_path: Path, ran) -> None:
     trials.run(small, tmp_path / "out", count=2)
     files = sorted((tmp_path / "out" / "trials").iterdir())
     files[0].write_bytes(files[0].read_bytes()[:-20])
@@ -182,7 +182,7 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
     trials.run(small, tmp_path / "out", count=2, resume=True).raise_failures()
 
 
-def test_the_command_of_a_trial_runs_it_alone_with_the_same_figures(small, whole, tmp_path: Path) -> None:
+def test_the_command_of_a_trial_reproduces_its_numbers(small, whole, tmp_path: Path) -> None:
     noted = json.loads((whole.out / "study.json").read_text())["trials"][-1]
     words = shlex.split(noted["command"])
     assert words[:2] == ["mast", "run"]
@@ -201,15 +201,15 @@ def test_worker_with_different_code_or_versions_runs_no_trial(small) -> None:
     assert "the study was started with 0.1" in outcome.error
 
 
-def test_an_attack_that_does_nothing_adds_nothing_in_any_frame(small, tmp_path: Path) -> None:
-    """Baseline and attack share scene, detections and clutter: paired differences are zero, not small."""
+def test_an_ineffective_attack_has_zero_increments_in_every_frame(small, tmp_path: Path) -> None:
+    """Attack and baseline share scene and detections: differences are exactly 0."""
     waiting = definition.load(str(small.path), ["start_s=99.0"])
     ended = trials.run(waiting, tmp_path / "out", count=2)
     table = parquet.read_table(ended.out / "results.parquet").to_pydict()
     added = [
         (value, std)
         for metric, value, std in zip(table["metric"], table["value"], table["std"], strict=True)
-        if metric.endswith("_iob") and value is not None  # such as the least time to a collision that is not due
+        if metric.endswith("_iob") and value is not None  # such as the least time to collision when none is due
     ]
     assert len(added) > 2 * 2 * 30
     over_frames = {pair for pair in added if pair[1] is not None}
@@ -227,7 +227,7 @@ def test_digest_covers_configuration_seed_frames_and_user_files(small, tmp_path:
     assert not digests(small, seed=2) & first
     assert not digests(small, frames=9) & first
     assert not digests(small, runtime="mesh") & first
-    assert len(digests(definition.load(str(small.path), ["start_s=0.3"])) & first) == 2, "the baseline's"
+    assert len(digests(definition.load(str(small.path), ["start_s=0.3"])) & first) == 2, "of the baseline"
 
     (tmp_path / "mine.py").write_text("def study():\n    return dict(runs=dict(a=dict(scenario='own.py')))\n")
     variants = []

@@ -1,4 +1,4 @@
-"""A container engine and an image to test with, and what is left of them."""
+"""A container engine, a test image, and remnants of runs."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from mast_zenoh.errors import EngineError
 
 TAG = "mast-zenoh:test"
 
-#: Set where the tests with containers must run, so that they cannot be skipped: as in CI.
+#: Set where the container tests must not be skipped, as in CI.
 MUST = "MAST_TEST_DOCKER"
 BASES = ("mast-base:bookworm", image.BASE)
 
 
 def base() -> str:
-    """An image to build on that is here; skips the test where there is no engine or none such."""
+    """A local base image; skips without an engine or such an image."""
     try:
         docker.check()
         here = docker.docker("image", "ls", "--format", "{{.Repository}}:{{.Tag}}").split()
@@ -35,7 +35,7 @@ def base() -> str:
 
 
 def built() -> str:
-    """The image of these sources: built, unless it is here."""
+    """The image of these sources, built if missing."""
     on = base()
     try:
         image.check(TAG)
@@ -45,7 +45,7 @@ def built() -> str:
 
 
 def left(run: str) -> dict[str, list[str]]:
-    """What there is of a run: containers, networks, volumes."""
+    """Remnants of a run: containers, networks, volumes."""
     label = f"label=org.mast-zenoh.run={run}"
     found = {"containers": docker.docker("ps", "--all", "--quiet", "--filter", label).split()}
     for kind in ("network", "volume"):
@@ -56,5 +56,5 @@ def left(run: str) -> dict[str, list[str]]:
 
 
 def mast(*words: str) -> subprocess.CompletedProcess[str]:
-    """A command of ours."""
+    """Run `mast` with these arguments."""
     return subprocess.run([*MAST, *words], capture_output=True, text=True, timeout=240, check=False)

@@ -1,4 +1,4 @@
-"""What the chain from detections to the picture makes of the reference scene."""
+"""Tracks and pictures of the reference scene."""
 
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def test_every_alternative_stage_performs_as_well(scene, result, other):
 
 
 def run_again(scene: Frames, tracks: list[list[ObjectStates]], centre: CommandCenterPipeline) -> list[ObjectStates]:
-    """The pictures that another centre makes of the same tracks."""
+    """The pictures of another command centre from the same tracks."""
     names = tuple(f"agent_{row}" for row in range(len(tracks[0])))
     return [
         centre.step(time_ns, concatenate(own), np.repeat(np.arange(len(own)), [len(o) for o in own]), names)[0]
@@ -123,7 +123,7 @@ def shuffle(detections: Detections, random: np.random.Generator) -> Detections:
 
 
 class ShuffledPipeline(CommandCenterPipeline):
-    """Gives a pipeline the tracks in any order, and the agents too."""
+    """Gives a pipeline tracks and agents in random order."""
 
     def __init__(self, inner: CommandCenterPipeline, random: np.random.Generator) -> None:
         self.inner, self.random = inner, random

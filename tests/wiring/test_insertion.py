@@ -1,4 +1,4 @@
-"""Inserting a node changes nothing for a wire's subscribers, and removing it restores the former wiring."""
+"""Insertion is invisible to subscribers; removal restores the wiring."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def ends(wiring: Wiring) -> dict[str, tuple]:
 
 
 @given(st.lists(st.tuples(st.sampled_from(NODES), st.sampled_from(WIRES)), max_size=12))
-def test_insertions_and_removals_keep_the_ends_of_wires_and_the_chain_whole(steps: list[tuple[str, str]]) -> None:
+def test_insertions_and_removals_keep_wire_ends_and_chains_intact(steps: list[tuple[str, str]]) -> None:
     wiring, sitting = PLAIN, {}
     for node, key in steps:
         if node in sitting:
@@ -64,21 +64,21 @@ def test_insertions_and_removals_keep_the_ends_of_wires_and_the_chain_whole(step
     assert wiring == PLAIN
 
 
-def test_an_inserted_node_has_the_wires_of_its_place_until_it_is_removed() -> None:
+def test_an_inserted_node_has_the_wires_of_its_position_until_removed() -> None:
     report = wire("attack/m/report", "m", "c")
     wiring = insert(PLAIN, "m", Place("a/tracks", "in", "out", {"clock": "clock"}, (report,)))
     ports = wiring.ports("m")
     assert {key: heard.port for key, heard in ports.inputs.items()} == {"clock": "clock", f"a/tracks/{TAP}/0": "in"}
     assert wiring.ports("c").inputs["attack/m/report"].source == "m"
     assert wiring.ports("a").outputs == {("out", ""): f"a/tracks/{TAP}/0"}
-    assert wiring.ports("b").inputs == PLAIN.ports("b").inputs, "a subscriber's ports are what they were"
+    assert wiring.ports("b").inputs == PLAIN.ports("b").inputs, "a subscriber's ports are unchanged"
     assert f"a/tracks/{TAP}/0" in wiring.ports("recorder").inputs
     assert taps_into(wiring, ["m"]) == {f"a/tracks/{TAP}/0": "m"}
     assert interposer_of(wiring, "a/tracks") == "m"
     assert remove(wiring, "m") == PLAIN
 
 
-def test_the_next_free_tap_is_taken_so_that_no_leg_of_a_chain_changes_its_key_twice() -> None:
+def test_the_next_free_tap_is_used_so_each_leg_changes_its_key_at_most_once() -> None:
     chain = insert(insert(PLAIN, "m", Place("clock", "in", "out")), "n", Place("clock", "in", "out"))
     without = remove(chain, "m")
     assert [leg.key for leg in without.wires[0].legs] == [f"clock/{TAP}/1", "clock"]

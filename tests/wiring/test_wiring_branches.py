@@ -1,4 +1,4 @@
-"""A rewrite with `to` affects one subscriber only; other subscribers and the trunk stay unchanged."""
+"""A rewrite with `to` affects one subscriber only."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_only_the_broker_receives_from_a_link_before_the_broker() -> None:
     assert wiring.ports("broker").inputs[leg] == Input("tracks", "infra_1", "tracks", "infra_1")
     assert "agent/infra_1/tracks" not in wiring.ports("broker").inputs
     assert wiring.ports("evaluator") == resolve(nodes).ports("evaluator")
-    assert "agent/ego/tracks" in wiring.ports("broker").inputs, "who has no link is heard as before"
+    assert "agent/ego/tracks" in wiring.ports("broker").inputs, "agents without a link are heard as before"
 
 
 def test_each_link_is_inserted_before_the_agent_that_its_option_names() -> None:
@@ -147,7 +147,7 @@ names = st.from_regex(r"[a-z0-9]{1,4}", fullmatch=True)
 
 @given(agents=st.lists(names, min_size=1, max_size=4, unique=True), data=st.data())
 @settings(max_examples=80)
-def test_any_mix_of_links_and_adversaries_leaves_every_subscriber_hearing_every_wire_once(
+def test_any_mix_of_links_and_adversaries_delivers_every_wire_once_to_every_subscriber(
     agents: list[str], data: st.DataObject
 ) -> None:
     nodes = world(*(f"a_{name}" for name in agents))

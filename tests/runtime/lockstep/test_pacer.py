@@ -1,4 +1,4 @@
-"""The next frame begins when nothing is under way, and not before."""
+"""The next frame begins exactly when no message is in transit."""
 
 import itertools
 
@@ -27,7 +27,7 @@ def pacer() -> Pacer:
     return made
 
 
-def test_it_is_not_quiet_until_everyone_has_reported() -> None:
+def test_the_mesh_is_not_quiet_until_all_nodes_have_reported() -> None:
     made = pacer()
     made.report("simulator", 1, {}, {})
     made.report("agent", 1, {}, {})
@@ -37,7 +37,7 @@ def test_it_is_not_quiet_until_everyone_has_reported() -> None:
     assert made.quiet()
 
 
-def test_a_message_under_way_is_not_quiet_whoever_reports_first() -> None:
+def test_a_message_in_transit_prevents_quiet_in_any_order_of_reports() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("broker", 1, {}, {"clock": 1})
@@ -48,7 +48,7 @@ def test_a_message_under_way_is_not_quiet_whoever_reports_first() -> None:
     assert made.quiet()
 
 
-def test_reports_of_another_epoch_or_of_strangers_say_nothing() -> None:
+def test_reports_of_another_epoch_or_of_unknown_nodes_are_ignored() -> None:
     made = pacer()
     made.begin_epoch(MEMBERS)
     for name in MEMBERS:
@@ -57,7 +57,7 @@ def test_reports_of_another_epoch_or_of_strangers_say_nothing() -> None:
     assert made.silent == set(MEMBERS)
 
 
-def test_the_dead_are_not_waited_for() -> None:
+def test_dead_nodes_are_not_waited_for() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("broker", 1, {}, {"clock": 1})
@@ -65,7 +65,7 @@ def test_the_dead_are_not_waited_for() -> None:
     assert made.quiet()
 
 
-def test_who_only_listens_is_waited_for_only_when_everyone_is() -> None:
+def test_listen_only_nodes_are_waited_for_only_on_request() -> None:
     made = Pacer(WIRING)
     made.begin_epoch({**MEMBERS, "evaluator": "evaluator"})
     made.report("simulator", 1, {"clock": 1}, {})
@@ -77,20 +77,20 @@ def test_who_only_listens_is_waited_for_only_when_everyone_is() -> None:
     assert made.quiet(everyone=True)
 
 
-def test_a_key_on_which_a_node_does_not_speak_or_that_it_does_not_hear_is_refused_and_named() -> None:
+def test_reports_on_keys_that_a_node_does_not_use_are_refused_and_named() -> None:
     made = pacer()
     assert made.report("agent", 1, {"tracks": 1}, {"clock": 1}) == ""
     said = made.report("agent", 1, {"collated": 1}, {})
     assert said == "agent reports messages sent on 'collated', on which it does not speak"
     said = made.report("agent", 1, {}, {"tracks": 1})
     assert said == "agent reports messages handled on 'tracks', which it does not hear"
-    assert made.report("stranger", 1, {"tracks": 1}, {}) == "", "who is no member says nothing"
+    assert made.report("stranger", 1, {"tracks": 1}, {}) == "", "reports of non-members are ignored"
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("broker", 1, {}, {"clock": 1, "tracks": 1})
-    assert made.quiet(), "what was refused changes nothing"
+    assert made.quiet(), "refused reports change nothing"
 
 
-def test_what_was_heard_in_the_wiring_before_may_still_be_reported() -> None:
+def test_messages_of_the_previous_wiring_may_still_be_reported() -> None:
     made = pacer()
     made.rewire(Wiring(WIRING.wires[:1]))
     made.begin_epoch(MEMBERS)
@@ -98,7 +98,7 @@ def test_what_was_heard_in_the_wiring_before_may_still_be_reported() -> None:
     assert made.report("broker", 2, {}, {"tracks": 1}) == ""
 
 
-def test_who_has_handled_more_than_was_sent_is_named() -> None:
+def test_a_node_that_handled_more_than_was_sent_is_named() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 3}, {})
     made.report("agent", 1, {"tracks": 3}, {"clock": 3})
@@ -109,7 +109,7 @@ def test_who_has_handled_more_than_was_sent_is_named() -> None:
     )
 
 
-def test_who_has_handled_more_of_the_drivers_messages_than_were_sent_is_the_one_that_is_named() -> None:
+def test_a_node_that_handled_more_driver_messages_than_were_sent_is_named() -> None:
     made = Pacer(Wiring((*WIRING.wires[1:], wire("clock", "simulator", "agent"))))
     made.begin_epoch(MEMBERS)
     made.report("simulator", 1, {"clock": 3}, {})
@@ -118,7 +118,7 @@ def test_who_has_handled_more_of_the_drivers_messages_than_were_sent_is_the_one_
     assert made.implausible() == "agent reports 4 messages of simulator handled on clock, of which 3 were sent"
 
 
-def test_a_publisher_that_is_still_busy_has_not_reported_what_it_sent_and_nobody_is_accused() -> None:
+def test_no_node_is_blamed_while_a_publisher_is_busy() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("agent", 1, {}, {})
@@ -127,7 +127,7 @@ def test_a_publisher_that_is_still_busy_has_not_reported_what_it_sent_and_nobody
     assert made.implausible() == ""
 
 
-def test_a_publisher_that_reports_too_little_is_named_by_all_who_hear_it() -> None:
+def test_a_publisher_that_reports_too_few_messages_is_named_by_all_its_subscribers() -> None:
     made = Pacer(WIRING)
     made.begin_epoch({**MEMBERS, "evaluator": "evaluator"})
     made.report("simulator", 1, {"clock": 0}, {})
@@ -138,8 +138,8 @@ def test_a_publisher_that_reports_too_little_is_named_by_all_who_hear_it() -> No
     assert made.implausible().startswith("agent reports 2 messages of simulator handled on clock, of which 0 were sent")
 
 
-def test_whatever_reports_of_a_sound_mesh_are_still_missing_nobody_is_accused() -> None:
-    """Of three frames, each node's newest report that has come is of any; the driver's own count is that of now."""
+def test_no_node_is_blamed_for_outstanding_reports_of_a_sound_mesh() -> None:
+    """Each node's last report may be of any of three frames; the driver's is new."""
     made = pacer()
     made.report("simulator", 1, {"clock": 3}, {})
     for of_agent, of_broker in itertools.product(range(4), repeat=2):
@@ -149,20 +149,20 @@ def test_whatever_reports_of_a_sound_mesh_are_still_missing_nobody_is_accused() 
         assert made.quiet() == ((of_agent, of_broker) == (3, 3))
 
 
-def test_a_node_behind_a_busy_one_may_have_more_to_report_than_it_has_yet() -> None:
-    """The agent has published on, and works on; so does the broker, of whose last report nobody knows how old it is."""
+def test_no_node_is_blamed_while_an_upstream_node_is_busy() -> None:
+    """Agent and broker are still working; the broker's report may be outdated."""
     made = pacer()
     made.report("simulator", 1, {"clock": 2}, {})
     made.report("agent", 1, {"tracks": 1}, {"clock": 1})
     made.report("broker", 1, {"collated": 1}, {"clock": 2, "tracks": 1})
     made.members["evaluator"] = "evaluator"
     made.report("evaluator", 1, {}, {"clock": 2, "collated": 2})
-    assert made.implausible() == "", "the broker may have handled what the agent has sent since"
+    assert made.implausible() == "", "the broker may have handled later messages of the agent"
     made.report("agent", 1, {"tracks": 1}, {"clock": 2})
-    assert made.implausible() != "", "now nobody is busy: one of the two does not tell the truth"
+    assert made.implausible() != "", "no node is busy, so one of the two reports is false"
 
 
-def test_who_reports_more_than_all_others_have_heard_is_named_first() -> None:
+def test_a_publisher_that_reports_more_than_was_handled_is_named_first() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 2}, {})
     made.report("agent", 1, {}, {"clock": 1})

@@ -1,4 +1,4 @@
-"""The driver notes which nodes were lost and came back, however quickly their tokens come and go."""
+"""The driver notes lost and returned nodes, however fast their tokens change."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MEMBERS = {"driver": "simulator", "a": "agent"}
 
 
 class Driver:
-    """A membership whose events are taken when the test says so."""
+    """A membership whose events are processed on request."""
 
     def __init__(self) -> None:
         self.events: list[Any] = []
@@ -39,7 +39,7 @@ def driver() -> Driver:
     return Driver()
 
 
-def test_a_node_that_is_gone_and_back_before_the_driver_looks_was_lost_and_came_back(driver: Driver) -> None:
+def test_a_node_that_left_and_returned_between_two_polls_was_lost_and_returned(driver: Driver) -> None:
     driver.token(False, True)
     driver.take(1)
     assert "a" not in driver.membership.alive, "a new epoch can begin without it"
@@ -48,7 +48,7 @@ def test_a_node_that_is_gone_and_back_before_the_driver_looks_was_lost_and_came_
     assert driver.membership.alive == {"driver", "a"}
 
 
-def test_a_node_that_goes_again_before_the_driver_sees_it_back_is_not_lost_twice_in_a_row(driver: Driver) -> None:
+def test_a_node_that_leaves_again_unseen_is_not_lost_twice_in_a_row(driver: Driver) -> None:
     driver.token(False, True)
     driver.take(1)
     driver.token(False)
@@ -57,14 +57,14 @@ def test_a_node_that_goes_again_before_the_driver_sees_it_back_is_not_lost_twice
     assert driver.events == []
 
 
-def test_a_node_whose_end_the_scenario_wants_is_not_lost(driver: Driver) -> None:
+def test_a_node_ended_by_the_scenario_is_not_lost(driver: Driver) -> None:
     driver.membership.leaving.add("a")
     driver.token(False)
     assert driver.take(1) == ""
     assert driver.churn == []
 
 
-def test_a_node_that_comes_and_goes_all_the_time_ends_the_run_by_name(driver: Driver) -> None:
+def test_a_node_that_comes_and_goes_repeatedly_ends_the_run_by_name(driver: Driver) -> None:
     reasons = []
     for _ in range(MAX_LOSSES + 1):
         driver.token(False)

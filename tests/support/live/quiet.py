@@ -1,4 +1,4 @@
-"""A scenario with little to compute, played 200 times over: two agents, two cars; its evaluator says what it heard."""
+"""A cheap scenario of 200 repetitions: two agents, two cars, a listener."""
 
 from mast_zenoh.config import loading
 
