@@ -75,12 +75,12 @@ def cycles(graph: dict[str, set[str]]) -> list[set[str]]:
     """The strongly connected components with more than one module."""
 
     def reached(start: str) -> set[str]:
-        found, waiting = set[str](), [start]
+        modules, waiting = set[str](), [start]
         while waiting:
-            new = graph[waiting.pop()] - found
-            found |= new
+            new = graph[waiting.pop()] - modules
+            modules |= new
             waiting += new
-        return found
+        return modules
 
     reach = {name: reached(name) for name in graph}
     circles = {frozenset(other for other in reach[name] if name in reach[other]) for name in graph}

@@ -47,14 +47,14 @@ def locked(name: str) -> list[Requirement]:
 def pins(name: str, python: str) -> dict[str, str]:
     """Version by package for a Python version on Linux; duplicates fail."""
     here = {**default_environment(), "python_version": python, "python_full_version": f"{python}.0"}
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     for entry in locked(name):
         if entry.marker is None or entry.marker.evaluate(here):
             package = canonicalize_name(entry.name)
-            assert package not in found, f"{package} is twice in {name} for Python {python}"
+            assert package not in versions, f"{package} is twice in {name} for Python {python}"
             (specifier,) = entry.specifier
-            found[package] = specifier.version
-    return found
+            versions[package] = specifier.version
+    return versions
 
 
 @pytest.mark.parametrize("name", LOCKS)
@@ -75,10 +75,10 @@ def test_a_lock_file_names_no_index_and_no_path(name: str) -> None:
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("name", LOCKS)
 def test_the_lock_file_satisfies_all_requirements_of_pyproject(name: str, python: str) -> None:
-    found = pins(name, python)
+    versions = pins(name, python)
     for text in LOCKS[name]:
         asked = Requirement(text)
-        version = found.get(canonicalize_name(asked.name))
+        version = versions.get(canonicalize_name(asked.name))
         assert version is not None, f"{asked.name} is not in {name}: run `make lock`"
         assert asked.specifier.contains(version), (
             f"{name} has {asked.name} {version}, expected {asked}: run `make lock`"

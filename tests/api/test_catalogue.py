@@ -113,12 +113,12 @@ def test_parameter_descriptions_are_read_from_lines_and_from_sentences() -> None
 
 
 def test_listings_show_defaults_units_and_descriptions() -> None:
-    shown = str(mast.list("scenarios")["coordinated"])
-    assert "attack_start_s = 4.0 s" in shown
-    assert "how often the coordinator makes a new plan" in shown, "has its own description"
-    assert "mean number added by each (Poisson)" in shown, "has the description of `uncoordinated`"
-    shown = str(mast.list("faults")["Pause"])
-    assert "until (s), required" in shown
+    listing = str(mast.list("scenarios")["coordinated"])
+    assert "attack_start_s = 4.0 s" in listing
+    assert "how often the coordinator makes a new plan" in listing, "has its own description"
+    assert "mean number added by each (Poisson)" in listing, "has the description of `uncoordinated`"
+    listing = str(mast.list("faults")["Pause"])
+    assert "until (s), required" in listing
 
 
 def test_a_listing_is_a_sequence_with_a_readable_repr() -> None:

@@ -30,16 +30,16 @@ def test_a_name_a_file_a_function_and_a_dict_are_the_same_scenario(tmp_path: Pat
     def scenario(n_adversaries: int = 1) -> dict[str, Any]:
         return load("uncoordinated", ["n_infrastructure=2", f"n_adversaries={n_adversaries}"])[1]
 
-    given = dict(n_infrastructure=2, n_adversaries=1)
+    parameters = dict(n_infrastructure=2, n_adversaries=1)
     runs = [
-        mast.run("uncoordinated", frames=5, out=tmp_path / "name", **given),
-        mast.run(path, frames=5, out=tmp_path / "file", **given),
+        mast.run("uncoordinated", frames=5, out=tmp_path / "name", **parameters),
+        mast.run(path, frames=5, out=tmp_path / "file", **parameters),
         mast.run(scenario, frames=5, out=tmp_path / "function", n_adversaries=1),
         mast.run(content, frames=5, out=tmp_path / "dict"),
     ]
     for run in runs[1:]:
-        found = compare(runs[0].path, run.path)
-        assert found.first is None
+        difference = compare(runs[0].path, run.path)
+        assert difference.first is None
 
 
 def test_a_dict_is_not_changed_by_being_run(tmp_path: Path) -> None:
@@ -87,8 +87,8 @@ def test_invalid_arguments_are_refused_before_anything_starts(
 
 
 def test_an_integer_is_accepted_as_a_float(tmp_path: Path) -> None:
-    given = dict(n_infrastructure=1, n_adversaries=1, attack_start_s=3)
-    run = mast.run("uncoordinated", frames=2, out=tmp_path / "run", **given)
+    parameters = dict(n_infrastructure=1, n_adversaries=1, attack_start_s=3)
+    run = mast.run("uncoordinated", frames=2, out=tmp_path / "run", **parameters)
     config = json.loads((run.path / "scenario.json").read_text())["nodes"]["adversary_1"]["config"]
     assert config["attack"]["start_s"] == 3.0
 

@@ -39,9 +39,9 @@ def test_the_truth_equals_that_of_the_scene(attacked: mast.Run) -> None:
         rows = truth.filter(np.asarray(truth["frame"]) == frame)
         there = recording.truth_at(frame)
         order = np.argsort(there.id)
-        mine = np.argsort(np.asarray(rows["id"]))
-        np.testing.assert_array_equal(np.asarray(rows["x"])[mine], there.position[order, 0])
-        np.testing.assert_array_equal(np.asarray(rows["yaw"])[mine], there.yaw[order])
+        by_id = np.argsort(np.asarray(rows["id"]))
+        np.testing.assert_array_equal(np.asarray(rows["x"])[by_id], there.position[order, 0])
+        np.testing.assert_array_equal(np.asarray(rows["yaw"])[by_id], there.yaw[order])
         np.testing.assert_allclose(rows["time_s"], frame * 0.1)
 
 

@@ -83,15 +83,15 @@ print(json.dumps(dict(
     nodes=json.loads((one.path / "scenario.json").read_text())["nodes"],
 )))
 """
-    found = session(code, tmp_path)
-    assert found["name"] == "uncoordinated"
-    assert found["results"][0] == found["results"][1]
-    assert found["results"][0]["count"] > 100
-    assert "twice" in found["columns"]
-    assert found["equal"]
-    assert found["inserted"] > 20
-    assert found["listed"] == "Ten false objects"
-    attack = found["nodes"]["adversary_1"]["config"]["attack"]
+    output = session(code, tmp_path)
+    assert output["name"] == "uncoordinated"
+    assert output["results"][0] == output["results"][1]
+    assert output["results"][0]["count"] > 100
+    assert "twice" in output["columns"]
+    assert output["equal"]
+    assert output["inserted"] > 20
+    assert output["listed"] == "Ten false objects"
+    attack = output["nodes"]["adversary_1"]["config"]["attack"]
     assert attack["type"] == "UncoordinatedAttack"
     assert attack["selection"] == {"type": "Many"}
 
@@ -111,10 +111,12 @@ third = mast.run(attack, frames=8, seed=3, metric=old)
 sums = [sum(run.metrics["twice"].to_pylist()) / run.metrics.num_rows for run in (first, second, third)]
 print(json.dumps(dict(sums=sums, positions=[run.truth["x"][0].as_py() for run in (first, second)])))
 """
-    found = session(code, tmp_path)
-    assert found["sums"][1] == 7.0
-    assert found["sums"][2] != 7.0
-    assert found["positions"][0] != found["positions"][1], "a scene defined in the session is not taken from the cache"
+    output = session(code, tmp_path)
+    assert output["sums"][1] == 7.0
+    assert output["sums"][2] != 7.0
+    assert output["positions"][0] != output["positions"][1], (
+        "a scene defined in the session is not taken from the cache"
+    )
 
 
 @pytest.mark.parametrize("named", ["Many", "'Many'"])
@@ -148,6 +150,6 @@ def scenario():
 run = mast.run(scenario, frames=5, runtime="mesh")
 print(json.dumps(dict(status=run.status, modules=json.loads((run.path / "scenario.json").read_text())["modules"])))
 """
-    found = session(code, tmp_path)
-    assert found["status"] == "ok"
-    assert found["modules"] == [str(tmp_path / "selections.py")]
+    output = session(code, tmp_path)
+    assert output["status"] == "ok"
+    assert output["modules"] == [str(tmp_path / "selections.py")]

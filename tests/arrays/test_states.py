@@ -63,8 +63,8 @@ def test_states_have_the_columns_of_the_messages_that_carry_them() -> None:
     assert set(DETECTION_COLUMNS) <= {column.name for column in SCHEMAS["detections"].columns}
     states = some(3)
     assert_equal(ObjectStates.from_columns(states.columns() | {"origin": np.zeros(3)}), states)
-    found = Detections.from_columns(Detections.empty().columns() | {"mount_position": np.zeros(3)})
-    assert len(found) == 0
+    detections = Detections.from_columns(Detections.empty().columns() | {"mount_position": np.zeros(3)})
+    assert len(detections) == 0
 
 
 def test_columns_are_shared_not_copied() -> None:

@@ -146,8 +146,8 @@ def directive(position, velocity=(0.0, 0.0, 0.0), time_ns=None) -> Targets:
 
 def test_a_directive_is_predicted_to_the_current_time():
     attack = CoordinatedAttack(start_s=0.0, imitation=Exact())
-    told = directive((0.0, 0.0), (10.0, 0.0, 0.0), time_ns=0)
-    added = [attack.step(f, f * PERIOD, world(3), ORIGIN, told if f < 3 else None).added for f in range(1, 6)]
+    initial = directive((0.0, 0.0), (10.0, 0.0, 0.0), time_ns=0)
+    added = [attack.step(f, f * PERIOD, world(3), ORIGIN, initial if f < 3 else None).added for f in range(1, 6)]
     assert [round(float(a.position[0, 0]), 9) for a in added] == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert len({int(a.id[0]) for a in added}) == 1
 
@@ -169,8 +169,10 @@ def test_the_newest_directive_takes_precedence():
 
 def test_a_directive_before_the_start_takes_effect_at_the_start():
     attack = CoordinatedAttack(start_s=1.0, imitation=Exact())
-    told = directive((0.0, 0.0), time_ns=0)
-    counts = [len(attack.step(f, f * PERIOD, world(3), ORIGIN, told if f == 1 else None).added) for f in range(1, 12)]
+    initial = directive((0.0, 0.0), time_ns=0)
+    counts = [
+        len(attack.step(f, f * PERIOD, world(3), ORIGIN, initial if f == 1 else None).added) for f in range(1, 12)
+    ]
     assert counts == [0] * 9 + [1, 1]
 
 
@@ -180,15 +182,15 @@ def mesh(n_adversaries, n_frames=80, coordinator=None, seed=3, imitation=None):
     coordinator.bind(seed, "coordinator")
     attacks = [CoordinatedAttack(imitation=imitation) for _ in range(n_adversaries)]
     victims = np.array([[5.0 * i, 0.0, 15.0] for i in range(n_adversaries)]).reshape(-1, 3)
-    told = [None] * n_adversaries
+    directives = [None] * n_adversaries
     first, done = world(12, spread=15.0), []
     for frame in range(n_frames):
         objects = propagate(first, frame * 0.1)
         time_ns = frame * PERIOD
-        done.append([a.step(frame, time_ns, objects, victims[i], told[i]) for i, a in enumerate(attacks)])
+        done.append([a.step(frame, time_ns, objects, victims[i], directives[i]) for i, a in enumerate(attacks)])
         seen = concatenate([objects] * n_adversaries)
-        told = coordinator.step(frame, time_ns, seen, np.repeat(np.arange(n_adversaries), len(objects)), victims)
-        assert len(told) == n_adversaries
+        directives = coordinator.step(frame, time_ns, seen, np.repeat(np.arange(n_adversaries), len(objects)), victims)
+        assert len(directives) == n_adversaries
     return done
 
 
@@ -219,10 +221,10 @@ def test_adversaries_of_one_coordinator_hide_the_same_objects():
 
 def test_coordinated_false_objects_saturate_where_uncoordinated_ones_grow():
     def uncoordinated(n):
-        found = [
+        attacks = [
             drive(UncoordinatedAttack(), 60, seed=seed, name=f"adversary_{i}") for seed in range(8) for i in range(n)
         ]
-        return sum(len(t.added) for done in found for t in done)
+        return sum(len(t.added) for done in attacks for t in done)
 
     def coordinated(n):
         frames = [tamperings for seed in range(8) for tamperings in mesh(n, 60, seed=seed)]
@@ -245,8 +247,8 @@ def test_the_coordinator_does_not_depend_on_the_order_of_the_tracks(order):
         coordinator = Coordinator(selection=selection, start_s=0.0, propagation=StaticPropagation())
         coordinator.bind(1, "coordinator")
         for frame in range(3):
-            told = coordinator.step(frame, frame * PERIOD, objects.select(rows), source[rows], np.zeros((3, 3)))
-        results.append(told[0])
+            directives = coordinator.step(frame, frame * PERIOD, objects.select(rows), source[rows], np.zeros((3, 3)))
+        results.append(directives[0])
     a, b = results
     assert equal(a.add, b.add)
     assert equal(a.remove, b.remove)

@@ -54,14 +54,14 @@ def test_a_displaced_object_changes_only_its_position_and_its_target_follows_the
 def test_targets_at_known_positions_take_the_nearest_objects():
     typical = {"score": np.full(4, 0.7), "covariance": np.tile(np.eye(9), (4, 1, 1))}
     objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0), (0.0, 90.0), **typical)
-    wanted = targets(
+    requested = targets(
         add=at((10.0, 0.0), (200.0, 0.0)),
         remove=at((3.0, 0.0), (1.5, 0.0), (40.0, 0.0)),
         move=at((21.0, 0.0)),
         offset=[[0.0, 5.0, 0.0]],
     )
     order = np.array([2, 0, 3, 1])
-    tampering = apply(wanted, objects.select(order), np.zeros(3), assign_radius_m=3.0)
+    tampering = apply(requested, objects.select(order), np.zeros(3), assign_radius_m=3.0)
     seen = tampering.applied_to(objects.select(order))
     assert sorted(map(tuple, seen.position[:, :2].tolist())) == [(0.0, 90.0), (10.0, 0.0), (20.0, 5.0)]
     assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the other objects"
@@ -69,13 +69,13 @@ def test_targets_at_known_positions_take_the_nearest_objects():
 
 def test_the_report_has_positions_before_and_after_each_change():
     objects = at((0.0, 0.0), (20.0, 0.0), velocity=np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
-    wanted = targets(
+    requested = targets(
         add=at((5.0, 5.0), velocity=np.array([[3.0, 0.0, 0.0]])),
         remove=at((0.0, 0.0)),
         move=at((20.0, 0.0)),
         offset=[[0.0, 4.0, 0.0]],
     )
-    report = applied(wanted, objects, remove=(0,), move=(1,)).report
+    report = applied(requested, objects, remove=(0,), move=(1,)).report
     assert [ACTIONS[a] for a in report.action] == ["inserted", "removed", "moved"]
     assert report.target.tolist() == [0, 1, 2]
     assert report.before_position[:, :2].tolist() == [[0.0, 0.0], [0.0, 0.0], [20.0, 0.0]]
@@ -104,8 +104,8 @@ def test_the_report_has_the_columns_of_its_message():
 def test_targets_refer_to_the_same_rows_in_any_order(n, random):
     message = world(n, seed=n)
     order = np.array(random.sample(range(n), n), int)
-    wanted = targets(remove=world(1), move=world(1), offset=[[1.0, 2.0, 0.0]])
-    tampering = applied(wanted, message, remove=(0,), move=(1,), order=order)
+    requested = targets(remove=world(1), move=world(1), offset=[[1.0, 2.0, 0.0]])
+    tampering = applied(requested, message, remove=(0,), move=(1,), order=order)
     assert np.flatnonzero(~tampering.keep).tolist() == [order[0]]
     assert tampering.moved_index.tolist() == [order[1]]
     assert np.allclose(tampering.moved.position - message.position[order[1]], [1.0, 2.0, 0.0])

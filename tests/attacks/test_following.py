@@ -15,9 +15,9 @@ PERIOD = SECOND // 10
 NO_ID = -1
 
 
-def follow(frames: list[ObjectStates], wanted: tuple[float, float], radius: float = 6.0) -> list[int]:
+def follow(frames: list[ObjectStates], position: tuple[float, float], radius: float = 6.0) -> list[int]:
     """In each frame the row of the target at `wanted`, or -1 when it is missed."""
-    follower, target, rows = Follower(radius), at(wanted), []
+    follower, target, rows = Follower(radius), at(position), []
     for frame, objects in enumerate(frames):
         order = canonical_order(objects)
         follower.observe(objects.select(order), frame * PERIOD)
@@ -58,8 +58,8 @@ def test_a_lost_target_never_takes_an_object_that_was_distinct_from_it_before():
     rng = np.random.default_rng(3)
     start = np.array([[4.0 * k, 0.0] for k in range(8)])
     velocity = np.array([[5.0, 0.0]] * 8)
-    for wanted in range(8):
-        follower, target = Follower(6.0), at(tuple(start[wanted]))
+    for index in range(8):
+        follower, target = Follower(6.0), at(tuple(start[index]))
         for frame in range(80):
             seen = rng.random(8) < 0.7 if frame else np.ones(8, bool)
             places = start + velocity * frame * 0.1 + (rng.normal(0.0, 0.2, (8, 2)) if frame else 0.0)
@@ -69,7 +69,7 @@ def test_a_lost_target_never_takes_an_object_that_was_distinct_from_it_before():
             follower.observe(objects.select(order), frame * PERIOD)
             target, row = follower.locate(target, 0.5)
             if row[0] >= 0:
-                assert rows[order[row[0]]] == wanted
+                assert rows[order[row[0]]] == index
 
 
 @settings(max_examples=50, deadline=None)

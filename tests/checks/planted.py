@@ -71,14 +71,14 @@ def rewritten(
     return copy
 
 
-def lost(*wanted: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
+def lost(*targets: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
     """Remove the messages of these keys and frames."""
-    return lambda message: [] if (message.key, message.frame) in wanted else [None]
+    return lambda message: [] if (message.key, message.frame) in targets else [None]
 
 
-def doubled(*wanted: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
+def doubled(*targets: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
     """Duplicate messages in the record."""
-    return lambda message: [None, None] if (message.key, message.frame) in wanted else [None]
+    return lambda message: [None, None] if (message.key, message.frame) in targets else [None]
 
 
 def changed(
@@ -99,11 +99,11 @@ def changed(
 def without_agent(body: dict[str, Any], name: str) -> dict[str, Any]:
     """Remove an agent's tracks from a collation."""
     names = list(body["agents"])
-    gone = names.index(name)
-    rows = body["agent"] != gone
+    index = names.index(name)
+    rows = body["agent"] != index
     columns = {key: column[rows] for key, column in body.items() if key not in ("agents", "age_ns")}
-    columns["agent"] = columns["agent"] - (columns["agent"] > gone)
-    return columns | {"agents": text([n for n in names if n != name]), "age_ns": np.delete(body["age_ns"], gone)}
+    columns["agent"] = columns["agent"] - (columns["agent"] > index)
+    return columns | {"agents": text([n for n in names if n != name]), "age_ns": np.delete(body["age_ns"], index)}
 
 
 def without_row(body: dict[str, Any]) -> dict[str, Any]:

@@ -35,12 +35,12 @@ def test_checks_of_a_scenario_are_applied_and_a_failing_check_is_named(tmp_path:
     (tmp_path / "mine.py").write_text(SCENARIO)
     run = mast.run(str(tmp_path / "mine.py"), frames=3, out=str(tmp_path / "run"))
     assert run.status == "ok"
-    found = {check["name"]: check for check in json.loads((run.path / "checks.json").read_text())["checks"]}
-    assert found["Recorded"]["ok"]
-    assert not found["Broken"]["ok"]
-    assert "the check itself failed: KeyError" in found["Broken"]["detail"]
-    assert "mine.py:13" in found["Broken"]["detail"]
-    assert "Unfinished" not in found
+    checks_by_name = {check["name"]: check for check in json.loads((run.path / "checks.json").read_text())["checks"]}
+    assert checks_by_name["Recorded"]["ok"]
+    assert not checks_by_name["Broken"]["ok"]
+    assert "the check itself failed: KeyError" in checks_by_name["Broken"]["detail"]
+    assert "mine.py:13" in checks_by_name["Broken"]["detail"]
+    assert "Unfinished" not in checks_by_name
 
 
 def test_a_run_without_faults_or_user_checks_is_not_checked(tmp_path: Path) -> None:

@@ -26,8 +26,8 @@ def mast(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
         monkeypatch.setattr("sys.argv", ["mast", *words])
         with pytest.raises(SystemExit) as ended:
             app.main()
-        said = capsys.readouterr()
-        return int(ended.value.code or 0), said.out, said.err
+        printed = capsys.readouterr()
+        return int(ended.value.code or 0), printed.out, printed.err
 
     return run
 
@@ -59,7 +59,7 @@ def test_without_out_the_run_folder_is_named_automatically(mast, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("run",), 2, "Missing argument"),
         (("ruin", "baseline"), 2, "No such command"),
@@ -94,10 +94,10 @@ def test_without_out_the_run_folder_is_named_automatically(mast, tmp_path: Path)
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )
 def test_errors_are_reported_before_anything_starts(
-    mast, tmp_path: Path, words: tuple[str, ...], code: int, said: str
+    mast, tmp_path: Path, words: tuple[str, ...], code: int, message: str
 ) -> None:
-    found, out, err = mast(*words)
-    assert (found, said in (out + err).replace("\n", " ")) == (code, True), out + err
+    exit_code, out, err = mast(*words)
+    assert (exit_code, message in (out + err).replace("\n", " ")) == (code, True), out + err
     assert "Traceback" not in err
     assert not (tmp_path / "runs").exists()
 
@@ -178,13 +178,13 @@ def test_a_failed_handler_gives_exit_code_30_and_is_named_unless_allowed(mast, t
     short = ("--frames", "8", "--runtime", "inproc")
     code, out, err = mast("run", path, *short, "--out", "loud")
     assert code == 30
-    said = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
-    assert said in err
+    description = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
+    assert description in err
     assert f"{tmp_path / 'loud' / 'logs' / 'eve.log'}" in err
     assert "report:" in out, "the output names the twin as well"
     code, out, err = mast("run", path, *short, "--no-report", "--out", "allowed", "--allow-failures")
     assert code == 0
-    assert f"warning: handlers failed, so the numbers may be wrong:\n  {said}" in err
+    assert f"warning: handlers failed, so the numbers may be wrong:\n  {description}" in err
 
 
 def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> None:
@@ -258,9 +258,9 @@ def test_output_of_a_node_cannot_move_the_cursor_or_change_the_terminal() -> Non
     text = StringIO()
     console = PlainConsole(file=text, force_terminal=True)
     console.print("[bold]a\x1b]0;title\x07b\x1b[2J\rc\u202ed", style="red", highlight=False)
-    said = text.getvalue()
-    assert "a�]0;title�b�[2J�c�d" in said
-    assert said.startswith("\x1b["), "the console's own styling stays"
+    output = text.getvalue()
+    assert "a�]0;title�b�[2J�c�d" in output
+    assert output.startswith("\x1b["), "the console's own styling stays"
 
 
 @pytest.mark.parametrize(

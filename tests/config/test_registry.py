@@ -88,8 +88,8 @@ def test_importing_a_base_makes_all_shipped_subclasses_available(package: str) -
     """In a new process, where modules not imported by the package are missing."""
     folder = Path(mast_zenoh.__file__).parent / package
     defined = {}
-    for found in pkgutil.iter_modules([str(folder)]):
-        module = importlib.import_module(f"mast_zenoh.{package}.{found.name}")
+    for info in pkgutil.iter_modules([str(folder)]):
+        module = importlib.import_module(f"mast_zenoh.{package}.{info.name}")
         for cls in vars(module).values():
             if inspect.isclass(cls) and cls.__module__ == module.__name__ and inspect.isabstract(cls.__base__):
                 defined[cls.__module__] = cls.__base__.__module__

@@ -37,12 +37,12 @@ ANYTHING = st.recursive(
 
 def decoded_or_refused(name: str, payload: bytes) -> None:
     """Decode a payload; any error but MessageError fails the test."""
-    said = ""
+    message = ""
     try:
         CODECS[name][0](payload)
     except MessageError as error:
-        said = str(error)
-    assert len(said) < 1000, "errors never quote the whole payload"
+        message = str(error)
+    assert len(message) < 1000, "errors never quote the whole payload"
 
 
 @every_codec
@@ -73,11 +73,11 @@ def test_the_wirings_of_all_shipped_scenarios_are_accepted(resolved_wirings: lis
 def resolved_wirings() -> list[dict[str, Any]]:
     from mast_zenoh import scenario
 
-    found = []
+    wirings = []
     for name in ("baseline", "coordinated", "downlink"):
         path, loaded = scenario.load(name, [])
-        found.append(json.loads(json.dumps(scenario.resolve(Path(path), loaded, frames=2).wiring)))
-    return found
+        wirings.append(json.loads(json.dumps(scenario.resolve(Path(path), loaded, frames=2).wiring)))
+    return wirings
 
 
 @every_codec

@@ -434,8 +434,8 @@ def test_an_unexpected_error_costs_one_query(
         raise OverflowError("no such number")
 
     monkeypatch.setattr(file_server, "_give", fail)
-    kind, (_, said) = answered(file_server, "fetch", "ego", encode({"do": "clock"}))
-    assert (kind, said) == ("error", "OverflowError: no such number")
+    kind, (_, error) = answered(file_server, "fetch", "ego", encode({"do": "clock"}))
+    assert (kind, error) == ("error", "OverflowError: no such number")
     assert context.invalid.counts == {"fetch/ego": 1}
     monkeypatch.undo()
     assert answered(file_server, "fetch", "ego", encode({"do": "clock"}))[0] == "ok"
@@ -466,15 +466,15 @@ def test_a_dead_file_server_ends_the_run_and_is_named(
 
 
 def test_the_first_refusal_on_each_key_is_logged_and_the_number_of_keys_is_limited() -> None:
-    said: list[str] = []
-    invalid = InvalidMessages(said.append)
+    logged: list[str] = []
+    invalid = InvalidMessages(logged.append)
     for i in range(MAX_KEYS + 50):
         for _ in range(3):
             invalid.note(f"key {i}", f"why\n{'x' * 1000}")
-    assert len(said) == MAX_KEYS + 1
+    assert len(logged) == MAX_KEYS + 1
     assert invalid.counts["key 0"] == 3
     assert invalid.counts[OTHERS] == 150
-    assert all("\n" not in line and len(line) < 400 for line in said)
+    assert all("\n" not in line and len(line) < 400 for line in logged)
 
 
 def test_every_error_class_survives_encoding_as_a_refusal() -> None:
@@ -484,8 +484,8 @@ def test_every_error_class_survives_encoding_as_a_refusal() -> None:
 @pytest.mark.parametrize("name", sorted(set(CONTROLS) - {"rewire", "drain", "intercept"}))
 def test_the_routers_rules_grant_no_more_than_the_table(name: str) -> None:
     def may(node: str, verbs: tuple[str, ...]) -> set[str]:
-        found = rights(WIRING, node, driver="sim")
-        keys = {right.key for right in found if (right.flow, right.message) in [("ingress", verb) for verb in verbs]}
+        granted = rights(WIRING, node, driver="sim")
+        keys = {right.key for right in granted if (right.flow, right.message) in [("ingress", verb) for verb in verbs]}
         return {key for key in keys if key.startswith(f"@control/{name}") and key.split("/")[1] == name}
 
     sending: Callable[[str], set[str]] = lambda node: may(node, ("put", "query"))  # noqa: E731

@@ -44,8 +44,8 @@ def test_a_message_signed_by_a_permitted_sender_is_accepted(what: str, signer: s
         assert NODE.open(what, payload, bytes) == b"body"
         assert NODE.obeyed == 0
     else:
-        assert "expected" not in (said := refused(NODE, what, payload))
-        assert said.startswith(f"{what}: found a signature that is not that of the")
+        assert "expected" not in (reason := refused(NODE, what, payload))
+        assert reason.startswith(f"{what}: found a signature that is not that of the")
 
 
 def test_a_signature_is_not_valid_for_another_run_key_or_node() -> None:
@@ -96,8 +96,8 @@ def test_every_node_can_verify_but_only_driver_and_launcher_can_sign(tmp_path: P
         stop = Signatures("r", deployment.control).sign("stop", b"end")
         assert [each.open("stop", stop, bytes) for each in (ego, sim)] == [b"end", b"end"]
         assert ego.open("epoch", sim.sign("epoch", b"1"), bytes) == b"1"
-        told = ControlKeys.from_json(Credentials.read(tmp_path / "keys" / "ego").control, "")
-        assert told.private == b""
+        keys = ControlKeys.from_json(Credentials.read(tmp_path / "keys" / "ego").control, "")
+        assert keys.private == b""
         assert (tmp_path / "keys" / "ego" / CONTROL).stat().st_mode & 0o077 == 0
     assert "private" not in repr(KEYS[DRIVER])
 

@@ -217,12 +217,12 @@ def _watch(context: RunContext, folder: Path, peaks: dict[str, float], over: thr
         if context.frame >= HELD_BEFORE - 1 and not (folder / "ready").exists():
             assert context.mesh is not None
             assert context.mesh.deployment is not None
-            told = {
+            access = {
                 "keys": str(context.mesh.deployment.folder),
                 "endpoint": context.record["endpoint"],
                 "prefix": prefix(context.run_id),
             }
-            (folder / "ready.part").write_text(json.dumps(told))
+            (folder / "ready.part").write_text(json.dumps(access))
             (folder / "ready.part").rename(folder / "ready")
         pids = {"launcher": os.getpid(), **{name: node["pid"] for name, node in dict(context.record["nodes"]).items()}}
         for name, pid in pids.items():

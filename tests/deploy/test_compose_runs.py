@@ -54,9 +54,9 @@ def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) 
     code, output = run.end()
     assert code == 0, output
     assert json.loads((run.out / "metrics.json").read_text()) == json.loads((plain.folder / "metrics.json").read_text())
-    found = compare(plain.folder, run.out, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
+    difference = compare(plain.folder, run.out, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
     record = run.record()
     assert record["security"] == "acl"
     assert all(node["exit"] == 0 and node["container"] and node["clock"] for node in record["nodes"].values())
@@ -71,8 +71,8 @@ def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> No
     assert code == 0, output
     assert [step["action"] for step in run.record()["steps"]] == ["kill", "start"]
     assert run.record()["nodes"]["infra_2"]["restarts"] == 1
-    found = compare(plain.folder, run.out, taps=True)
-    assert found.first is None, "\n".join(explain(found))
+    difference = compare(plain.folder, run.out, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
     assert not left(run.record()["id"])
 
 
@@ -116,10 +116,10 @@ def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
     assert [step["action"] for step in record["steps"]] == ["disconnect", "connect"]
     assert record["nodes"]["infra_1"]["exit"] == 0
     assert record["nodes"]["infra_1"]["restarts"] == 0, "it is the same process"
-    said = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
-    assert {5, 15} < said, "before"
-    assert not said & set(range(30, 45)), "the link is cut"
-    assert max(said) >= 105, "it reconnects by itself and rejoins at the current frame"
+    frames = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
+    assert {5, 15} < frames, "before"
+    assert not frames & set(range(30, 45)), "the link is cut"
+    assert max(frames) >= 105, "it reconnects by itself and rejoins at the current frame"
     checks = json.loads((run.out / "checks.json").read_text())["checks"]
     assert all(check["ok"] for check in checks), checks
     assert not left(record["id"])
@@ -151,8 +151,8 @@ def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up)
     assert "PRIVATE" not in docker("inspect", *(node["container"] for node in record["nodes"].values()))
     reached = docker("network", "inspect", "--format", "{{.Internal}}", f"mast-{record['id']}_wired")
     assert reached.strip() == "true", "nodes reach only the router"
-    said = mast("deploy", "status", str(run.out)).stdout
-    assert all(name in said for name in (*record["nodes"], "router")), said
+    status = mast("deploy", "status", str(run.out)).stdout
+    assert all(name in status for name in (*record["nodes"], "router")), status
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == 130, output

@@ -42,10 +42,10 @@ def test_only_their_user_can_read_the_credentials_of_containers(tmp_path: Path, 
         level, "r", WIRING, ["a", "b"], prefix="mast/r", driver="a", hosts=["router"], folder=folder
     ) as made:
         engine._hand_over(folder, made.router, USER if not os.getuid() else f"{os.getuid()}:{os.getgid()}")
-        found = modes(folder)
-        assert {"a/ca.pem", "b", "router/router.json", "router"} <= found.keys()
-        assert ("a/key.pem" in found) == (level != "tls")
-        for path, mode in found.items():
+        permissions = modes(folder)
+        assert {"a/ca.pem", "b", "router/router.json", "router"} <= permissions.keys()
+        assert ("a/key.pem" in permissions) == (level != "tls")
+        for path, mode in permissions.items():
             assert mode == (0o600 if Path(path).suffix else 0o700), path
         if not os.getuid():
             owner = folder / "router" / "router.json"
@@ -68,10 +68,10 @@ def test_other_users_cannot_change_installed_files_on_a_host(tmp_path: Path) -> 
     with zipfile.ZipFile(new / "some.whl", "w") as wheel:
         wheel.writestr("package/module.py", "x = 1\n")
     on_host(tmp_path, "unpack", str(new), str(tmp_path / "mast" / "releases" / "r"), "0")
-    found = modes(tmp_path / "mast")
-    assert "releases/r/package/module.py" in found
-    assert found["runs"] == 0o700
-    assert {path: oct(mode) for path, mode in found.items() if mode & 0o022} == {}
+    permissions = modes(tmp_path / "mast")
+    assert "releases/r/package/module.py" in permissions
+    assert permissions["runs"] == 0o700
+    assert {path: oct(mode) for path, mode in permissions.items() if mode & 0o022} == {}
 
 
 def test_other_users_cannot_read_the_files_of_a_remote_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,9 +32,9 @@ def test_a_run_with_remote_nodes_equals_the_one_in_one_process(tmp_path: Path, l
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     there = launcher.run(resolved, tmp_path / "there", engine=Beside(), secure=level)
     assert there.error is None
-    found = compare(here.folder, there.folder, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
+    difference = compare(here.folder, there.folder, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
     metrics = [json.loads((run.folder / "metrics.json").read_text()) for run in (here, there)]
     assert metrics[0] == metrics[1]
     for node in there.record["nodes"].values():
@@ -95,8 +95,8 @@ def test_a_users_files_and_their_imports_reach_the_nodes(tmp_path: Path) -> None
     }
     there = launcher.run(resolved, tmp_path / "there", engine=Beside())
     assert there.error is None, there.error
-    found = compare(here.folder, there.folder)
-    assert found.first is None, "\n".join(explain(found))
+    difference = compare(here.folder, there.folder)
+    assert difference.first is None, "\n".join(explain(difference))
 
 
 def test_remote_nodes_have_the_same_failures_and_results_as_in_one_process(tmp_path: Path) -> None:

@@ -144,11 +144,11 @@ def test_a_node_that_claims_it_cannot_start_ends_the_run_by_name(
 
 def outcomes(run: Resolved, node: str) -> list[dict[str, Any]]:
     """The false results that are accepted."""
-    found = []
+    accepted = []
     for outcome in false_results(at(run, node)):
         if not refused("result", node, results.pack(outcome)):
-            found.append(outcome)
-    return found
+            accepted.append(outcome)
+    return accepted
 
 
 N_RESULTS = 60

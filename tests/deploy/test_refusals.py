@@ -187,10 +187,10 @@ def test_an_invalid_parameter_of_an_engine_is_named(engine_file: Path, option: s
 
 
 def test_the_doctor_finds_the_mesh_and_suggests_fixes_for_missing_tools() -> None:
-    found = {finding.name: finding for finding in doctor.examine()}
-    assert found["python"].ok
-    assert found["zenoh"].ok
-    assert all(finding.fix for finding in found.values() if not finding.ok)
+    findings = {finding.name: finding for finding in doctor.examine()}
+    assert findings["python"].ok
+    assert findings["zenoh"].ok
+    assert all(finding.fix for finding in findings.values() if not finding.ok)
 
 
 def test_the_doctor_diagnoses_a_certificate(tmp_path: Path) -> None:
@@ -220,9 +220,9 @@ def test_the_scene_is_served_only_to_the_driver(tmp_path: Path) -> None:
     files = {name: {path for path, _ in files_for_node(resolved, name, tmp_path)} for name in resolved.nodes}
     assert files["simulator"] == {"scenario.json", "wiring.json", "files/0/simulator.py", "scene.npz"}
     assert files["ego"] == {"scenario.json", "wiring.json", "files/0/agent.py"}
-    told = dict(files_for_node(resolved, "ego", tmp_path))["scenario.json"]
-    assert isinstance(told, bytes)
-    assert str(Path(__file__).parents[2]).encode() not in told, "no path of the launcher's machine"
+    served = dict(files_for_node(resolved, "ego", tmp_path))["scenario.json"]
+    assert isinstance(served, bytes)
+    assert str(Path(__file__).parents[2]).encode() not in served, "no path of the launcher's machine"
 
 
 def test_only_a_recorder_may_send_a_log() -> None:
@@ -236,7 +236,7 @@ def test_only_a_recorder_may_send_a_log() -> None:
 def test_file_names_cannot_escape_the_folder(name: str) -> None:
     folder = Path("/tmp/somewhere")
     try:
-        found = _below(folder, name)
+        path = _below(folder, name)
     except RunError:
         return
-    assert found.is_relative_to(folder)
+    assert path.is_relative_to(folder)

@@ -76,12 +76,12 @@ def test_an_invalid_file_is_refused_with_the_location_of_the_fault(text: str, ex
 
 @given(st.text(max_size=200) | st.text(alphabet='[]hosts.="1\n{}', max_size=60))
 def test_any_text_is_read_or_refused(text: str) -> None:
-    said = "h.toml: "
+    error_message = "h.toml: "
     try:
         assert isinstance(parse(text, "h.toml"), Hosts)
     except ConfigurationError as error:
-        said = str(error)
-    assert said.startswith("h.toml: ")
+        error_message = str(error)
+    assert error_message.startswith("h.toml: ")
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:

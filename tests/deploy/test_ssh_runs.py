@@ -41,15 +41,15 @@ def hosts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshHosts]:
 
 def left(hosts: SshHosts) -> list[str]:
     """Remnants of runs: processes in hosts, except SSH servers, and files."""
-    found = []
+    remnants = []
     for name in NAMES:
         words = [" ".join(_cmdline(process)) for process in hosts.processes(name)]
-        found += [f"{name}: {line}" for line in words if not line.startswith("sshd:")]
-        found += [str(path) for path in (hosts.home(name) / "runs").glob("*")]
+        remnants += [f"{name}: {line}" for line in words if not line.startswith("sshd:")]
+        remnants += [str(path) for path in (hosts.home(name) / "runs").glob("*")]
         # not `rglob`: it fails if a folder disappears meanwhile
         files = [Path(folder, file) for folder, _, files in os.walk(hosts.home(name)) for file in files]
-        found += [str(path) for path in files if path.suffix == ".pem" and "certifi" not in path.parts]
-    return found
+        remnants += [str(path) for path in files if path.suffix == ".pem" and "certifi" not in path.parts]
+    return remnants
 
 
 def _cmdline(process: psutil.Process) -> list[str]:
@@ -98,11 +98,11 @@ def test_a_secure_run_on_three_hosts_equals_the_one_in_one_process(launch, hosts
     for node in record["nodes"].values():
         assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
     here = launcher.run(ssh_launch.resolved(15, steps=steps), tmp_path / "here", runtime="inproc")
-    found = compare(here.folder, run.out)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
-    told = [json.loads((folder / "metrics.json").read_text()) for folder in (here.folder, run.out)]
-    assert told[0] == told[1]
+    difference = compare(here.folder, run.out)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
+    metrics = [json.loads((folder / "metrics.json").read_text()) for folder in (here.folder, run.out)]
+    assert metrics[0] == metrics[1]
     assert "router at tls/" in (run.out / "logs" / "@router.log").read_text()
 
 
@@ -145,9 +145,9 @@ def test_remnants_of_a_killed_launchers_run_are_listed_and_can_be_removed(launch
     run: Launched = launch("patience_s = 600", mode="realtime", frames=5000, n_infrastructure=1, places=shared)
     run.until(run.recorded, "frames are played")
     run.kill()
-    shown = json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)
-    assert {entry["state"] for entry in shown} == {"running"}
-    assert {entry["node"] for entry in shown} == set(run.record()["nodes"])
+    status = json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)
+    assert {entry["state"] for entry in status} == {"running"}
+    assert {entry["node"] for entry in status} == set(run.record()["nodes"])
     before = hosts.run(*PROGRAM, "logs", str(run.out))
     assert before.returncode == 0, before.stderr
     for _ in range(2):  # removing what does not exist has no effect
@@ -228,11 +228,11 @@ def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tm
     finally:
         for codec, text in codecs.items():
             codec.write_text(text)
-    found = json.loads(done.stdout)
-    assert found.pop("fine") == [0, ""]
-    assert found.pop("full")[0] == 28, "DiskFull"
-    assert {code for code, _ in found.values()} == {EngineError.exit_code}, found
-    assert all("host alpha (root@10.78.0." in message for _, message in found.values())
+    content = json.loads(done.stdout)
+    assert content.pop("fine") == [0, ""]
+    assert content.pop("full")[0] == 28, "DiskFull"
+    assert {code for code, _ in content.values()} == {EngineError.exit_code}, content
+    assert all("host alpha (root@10.78.0." in message for _, message in content.values())
     expected = {
         "key": "its host key is not the one in",
         "unknown": "its host key is not the one in",
@@ -243,7 +243,7 @@ def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tm
         "old": "is Python 3.9, expected 3.11 or newer",
         "closed": "Not a directory",
     }
-    assert {name: expected[name] for name, (_, message) in found.items() if expected[name] in message} == expected
+    assert {name: expected[name] for name, (_, message) in content.items() if expected[name] in message} == expected
     (code, message) = json.loads(other.stdout)["fine"]
     assert code == 29, "VersionMismatch"
     assert message.count("(sources ") == 2, "both versions are named"

@@ -87,13 +87,13 @@ def serve() -> Iterator[Callable[..., Path]]:
 
 def of(top: Path) -> list[psutil.Process]:
     """The running supervisors and nodes in a folder."""
-    found = []
+    pids = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):
             words = [*process.cmdline(), process.environ().get("TMPDIR", "")]
             if process.status() != psutil.STATUS_ZOMBIE and any(str(top) in word for word in words):
-                found.append(process)
-    return found
+                pids.append(process)
+    return pids
 
 
 def started(attached: Attached, name: str, *argv: str) -> int:
@@ -133,9 +133,9 @@ def test_only_the_owner_can_read_a_runs_files_on_a_host_with_any_umask(serve) ->
     program = "import pathlib, sys; pathlib.Path('written').touch(); sys.exit(0)"
     started(attached, "ego", sys.executable, "-c", program)
     attached.wait(lambda said: said.get("node") == "ego" and said["exit"] == 0)
-    found = {path: path.stat().st_mode & 0o777 for path in (folder.parent, folder, *folder.rglob("*"))}
-    assert {"control", "logs", "ego.log", "@warden.log", "written"} <= {path.name for path in found}
-    assert {str(path): oct(mode) for path, mode in found.items() if mode & 0o077} == {}
+    permissions = {path: path.stat().st_mode & 0o777 for path in (folder.parent, folder, *folder.rglob("*"))}
+    assert {"control", "logs", "ego.log", "@warden.log", "written"} <= {path.name for path in permissions}
+    assert {str(path): oct(mode) for path, mode in permissions.items() if mode & 0o077} == {}
     attached.do("leave", "leave", grace_s=10.0)
     assert attached.ended()
 
@@ -145,9 +145,9 @@ def test_nodes_get_their_environment_and_folder_and_report_their_exit_code(serve
     attached = Attached(folder)
     program = "import os, sys; print(os.environ['WORD'], os.environ['TMPDIR'], os.getcwd(), flush=True); sys.exit(5)"
     started(attached, "ego", sys.executable, "-c", program)
-    assert attached.wait(lambda said: said.get("node") == "ego")["exit"] == 5
-    said = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
-    assert said == f"given {folder}/tmp/ego {folder}\n", "output arrives before the exit event"
+    assert attached.wait(lambda output: output.get("node") == "ego")["exit"] == 5
+    output = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
+    assert output == f"given {folder}/tmp/ego {folder}\n", "output arrives before the exit event"
     attached.do("leave", "leave", grace_s=1.0)
     attached.close()
 

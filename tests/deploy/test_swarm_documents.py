@@ -31,9 +31,9 @@ THERE = Machine("id-there", "there", True, {"mast.host": "east"})
 @pytest.fixture(scope="module")
 def resolved() -> Resolved:
     path, loaded = scenario.load("uncoordinated", ["n_infrastructure=2", "n_adversaries=1", "n_mobile=1"])
-    found = scenario.resolve(path, loaded, frames=2)
-    changed = {"infra_2": replace(found.nodes["infra_2"], on_exit="restart")}
-    return replace(found, nodes=found.nodes | changed)
+    resolved_scenario = scenario.resolve(path, loaded, frames=2)
+    changed = {"infra_2": replace(resolved_scenario.nodes["infra_2"], on_exit="restart")}
+    return replace(resolved_scenario, nodes=resolved_scenario.nodes | changed)
 
 
 def stacked(resolved: Resolved, **options: Any) -> dict[str, Any]:
@@ -41,13 +41,13 @@ def stacked(resolved: Resolved, **options: Any) -> dict[str, Any]:
 
 
 def test_every_node_is_a_service_with_one_task_and_a_limit(resolved: Resolved) -> None:
-    found = stacked(resolved, absent=["infra_1"])["services"]
-    assert found.keys() == {"router", *resolved.nodes}
-    for name, service in found.items():
-        told = service["deploy"]
-        assert told["replicas"] == (0 if name == "infra_1" else 1)
-        assert told["endpoint_mode"] == "dnsrr", "a kernel without IPVS has no virtual addresses"
-        assert told["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
+    services_by_name = stacked(resolved, absent=["infra_1"])["services"]
+    assert services_by_name.keys() == {"router", *resolved.nodes}
+    for name, service in services_by_name.items():
+        deploy = service["deploy"]
+        assert deploy["replicas"] == (0 if name == "infra_1" else 1)
+        assert deploy["endpoint_mode"] == "dnsrr", "a kernel without IPVS has no virtual addresses"
+        assert deploy["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
 
 
 def test_a_stack_file_has_no_compose_only_keys(resolved: Resolved) -> None:
@@ -68,15 +68,15 @@ def test_nodes_get_the_same_commands_as_from_compose(resolved: Resolved) -> None
 
 
 def test_docker_restarts_only_nodes_with_a_restart_policy(resolved: Resolved) -> None:
-    found = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
-    assert found.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
-    assert {policy["condition"] for policy in found.values()} == {"none"}
+    policies = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
+    assert policies.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
+    assert {policy["condition"] for policy in policies.values()} == {"none"}
 
 
 def test_the_router_is_restarted_in_real_time_only(resolved: Resolved) -> None:
     for mode, condition in (("lockstep", "none"), ("realtime", "on-failure")):
-        found = stacked(replace(resolved, mode=mode))["services"]["router"]
-        assert found["deploy"]["restart_policy"]["condition"] == condition
+        router = stacked(replace(resolved, mode=mode))["services"]["router"]
+        assert router["deploy"]["restart_policy"]["condition"] == condition
 
 
 def test_mobile_agents_have_their_own_network_and_no_node_has_external_access(resolved: Resolved) -> None:
@@ -84,21 +84,21 @@ def test_mobile_agents_have_their_own_network_and_no_node_has_external_access(re
     assert {network["driver"] for network in content["networks"].values()} == {"overlay"}
     assert content["networks"]["wired"]["internal"]
     assert content["networks"]["wireless"]["internal"]
-    found = {name: service["networks"] for name, service in content["services"].items()}
-    assert found.pop("router") == ["launcher", "wired", "wireless"]
-    assert {name for name, networks in found.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
+    networks_by_node = {name: service["networks"] for name, service in content["services"].items()}
+    assert networks_by_node.pop("router") == ["launcher", "wired", "wireless"]
+    assert {name for name, networks in networks_by_node.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
 
 
 def test_the_router_and_nodes_killed_by_the_scenario_are_on_the_launchers_machine(resolved: Resolved) -> None:
     steps = (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"), ProcessStep(4, "leave", "broker"))
     place = placement.resolve({"infra_*": "west"}, resolved.nodes)
     services = stacked(resolved, place=place, pinned=placement.pinned(steps))["services"]
-    found = {name: s["deploy"].get("placement", {}).get("constraints", []) for name, s in services.items()}
+    constraints = {name: s["deploy"].get("placement", {}).get("constraints", []) for name, s in services.items()}
     west = "node.labels.mast.host == west"
-    assert found["router"] == ["node.id == id-here"]
-    assert found["infra_1"] == ["node.id == id-here", west]
-    assert found["infra_2"] == [west]
-    assert found["broker"] == [], "a node to be disconnected may run on any machine"
+    assert constraints["router"] == ["node.id == id-here"]
+    assert constraints["infra_1"] == ["node.id == id-here", west]
+    assert constraints["infra_2"] == [west]
+    assert constraints["broker"] == [], "a node to be disconnected may run on any machine"
 
 
 def test_only_the_nodes_user_can_read_secrets_which_are_named_by_their_files(resolved: Resolved) -> None:
@@ -112,9 +112,9 @@ def test_only_the_nodes_user_can_read_secrets_which_are_named_by_their_files(res
 
 
 def test_the_router_is_checked_often_because_its_name_resolves_only_when_healthy(resolved: Resolved) -> None:
-    found = stacked(resolved)
-    assert found["services"]["router"]["healthcheck"]["interval"] == "2s"
-    assert found["services"]["router"]["healthcheck"]["test"] == found["x-node"]["healthcheck"]["test"]
+    stack_file = stacked(resolved)
+    assert stack_file["services"]["router"]["healthcheck"]["interval"] == "2s"
+    assert stack_file["services"]["router"]["healthcheck"]["test"] == stack_file["x-node"]["healthcheck"]["test"]
 
 
 @given(name=st.text(alphabet=string.ascii_letters + string.digits + "_-.é ", min_size=1, max_size=60))
@@ -162,7 +162,7 @@ def line(identity: str, state: str, error: str = "", node: str = "infra_1", want
 
 
 @pytest.mark.parametrize(
-    ("said", "code"),
+    ("state", "code"),
     [
         (("Running 3 seconds ago",), None),
         (("Preparing less than a second ago",), None),
@@ -174,9 +174,9 @@ def line(identity: str, state: str, error: str = "", node: str = "infra_1", want
         (("Shutdown 1 second ago",), -15),
     ],
 )
-def test_the_exit_code_of_a_task_is_read_from_docker(said: tuple[str, ...], code: int | None) -> None:
-    found = tasks.parse(document.stack(RUN), [line("t1", *said)])
-    assert [task.exit for task in found["infra_1"]] == [code]
+def test_the_exit_code_of_a_task_is_read_from_docker(state: tuple[str, ...], code: int | None) -> None:
+    task_states = tasks.parse(document.stack(RUN), [line("t1", *state)])
+    assert [task.exit for task in task_states["infra_1"]] == [code]
 
 
 def test_a_task_that_was_not_started_has_the_reason_from_docker() -> None:
@@ -192,8 +192,8 @@ def test_a_task_that_was_not_started_has_the_reason_from_docker() -> None:
 
 @given(st.lists(st.text(max_size=80)))
 def test_any_output_of_docker_is_parsed_without_an_error(lines: list[str]) -> None:
-    for found in tasks.parse(document.stack(RUN), lines).values():
-        assert all(isinstance(task.exit, int | None) and isinstance(task.refused, str) for task in found)
+    for history in tasks.parse(document.stack(RUN), lines).values():
+        assert all(isinstance(task.exit, int | None) and isinstance(task.refused, str) for task in history)
 
 
 class Engine:
@@ -225,9 +225,11 @@ def dockerd(monkeypatch: pytest.MonkeyPatch) -> Engine:
 
 def supervised(resolved: Resolved, tmp_path: Path, mode: str = "lockstep") -> Services:
     (tmp_path / "logs").mkdir()
-    found = Services(document.stack(RUN), lambda name: document.service(RUN, name), "here", tmp_path / "logs", mode)
-    found.start_all({"infra_2": resolved.nodes["infra_2"]})
-    return found
+    supervisor = Services(
+        document.stack(RUN), lambda name: document.service(RUN, name), "here", tmp_path / "logs", mode
+    )
+    supervisor.start_all({"infra_2": resolved.nodes["infra_2"]})
+    return supervisor
 
 
 KILLED = "task: non-zero exit (137)"
@@ -339,7 +341,7 @@ def test_docker_may_be_unavailable_for_a_short_time_only(
 
 
 @pytest.mark.parametrize(
-    ("said", "reason"),
+    ("swarm_state", "reason"),
     [
         ("inactive false", r"in no swarm: make one by `docker swarm init --advertise-addr 127\.0\.0\.1`"),
         ("locked false", "the swarm of this machine is locked"),
@@ -347,8 +349,10 @@ def test_docker_may_be_unavailable_for_a_short_time_only(
         ("active true", None),
     ],
 )
-def test_worker_node_cannot_deploy_a_stack(monkeypatch: pytest.MonkeyPatch, said: str, reason: str | None) -> None:
-    monkeypatch.setattr(engine, "docker", lambda *words: said + "\n")
+def test_worker_node_cannot_deploy_a_stack(
+    monkeypatch: pytest.MonkeyPatch, swarm_state: str, reason: str | None
+) -> None:
+    monkeypatch.setattr(engine, "docker", lambda *words: swarm_state + "\n")
     if reason is None:
         engine.check_manager()
     else:
@@ -398,6 +402,6 @@ def test_a_machine_without_a_swarm_has_only_containers_of_a_stack(monkeypatch: p
 
 def test_remote_nodes_get_only_the_variables_that_affect_floating_point_results() -> None:
     ours = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2", "HOME": "/somewhere"}
-    theirs = numeric_environment.environment(ours)
-    assert theirs.pop("MAST_KERNELS", kernels.USED) == kernels.USED
-    assert theirs == {"OPENBLAS_CORETYPE": "Haswell"}
+    environment = numeric_environment.environment(ours)
+    assert environment.pop("MAST_KERNELS", kernels.USED) == kernels.USED
+    assert environment == {"OPENBLAS_CORETYPE": "Haswell"}

@@ -40,13 +40,13 @@ def nothing_is_left_behind(image: str) -> Iterator[None]:
     """Fails if a test leaves anything of a stack behind."""
 
     def stacked() -> set[str]:
-        found = set()
+        names = set()
         for kind in ("service", "network", "secret", "config", "volume", "container"):
             more = ("--all",) if kind == "container" else ()
             form = f"{kind} {{{{.{'Names' if kind == 'container' else 'Name'}}}}}"
             words = (kind, "ls", *more, "--filter", "label=com.docker.stack.namespace", "--format", form)
-            found |= set(docker(*words).splitlines())
-        return found
+            names |= set(docker(*words).splitlines())
+        return names
 
     before = stacked()
     yield
@@ -60,9 +60,9 @@ def metrics(run: Run) -> Any:
 def same(here: Run, there: Run) -> None:
     assert there.error is None, there.error
     assert metrics(here) == metrics(there)
-    found = compare(here.folder, there.folder, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
+    difference = compare(here.folder, there.folder, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
 
 
 def test_a_secure_run_equals_the_one_in_one_process_and_reveals_no_key(tmp_path: Path, image: str) -> None:

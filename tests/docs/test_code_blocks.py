@@ -52,9 +52,9 @@ class Block(NamedTuple):
 def blocks_of(path: Path) -> list[Block]:
     """All fenced blocks of a page; a fence without a language fails."""
     text = path.read_text(encoding="utf-8")
-    found = re.findall(r"^```([^\n]*)\n(.*?)^```$", text, flags=re.S | re.M)
-    assert 2 * len(found) == len(re.findall(r"^ *```", text, flags=re.M)), f"{path.name}: a fence that is not closed"
-    return [Block(path.name, *head.partition(" ")[::2], content) for head, content in found]
+    fences = re.findall(r"^```([^\n]*)\n(.*?)^```$", text, flags=re.S | re.M)
+    assert 2 * len(fences) == len(re.findall(r"^ *```", text, flags=re.M)), f"{path.name}: a fence that is not closed"
+    return [Block(path.name, *head.partition(" ")[::2], content) for head, content in fences]
 
 
 BLOCKS = [block for path in PAGES for block in blocks_of(path)]
@@ -185,7 +185,7 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
     detections = Detections(place, size, zero, zero + 0.9, np.ones(1, np.uint8), np.zeros((1, 3, 3)))
     view = SensorView(np.zeros(3), np.eye(3), -np.pi, np.pi, -1.0, 1.0, 60.0)
     all_tracks = ObjectStates.of(place, size=size, covariance=np.eye(9)[None])
-    found = executed(
+    names = executed(
         block,
         time_ns=0,
         detections=detections,
@@ -194,8 +194,8 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
         agent=zero.astype(int),
         agents=("ego",),
     )
-    assert found["tracker"].matched.tolist() == [-1] or len(found["tracker"].matched) <= 1
-    assert len(found["picture"]) == len(found["support"])
+    assert names["tracker"].matched.tolist() == [-1] or len(names["tracker"].matched) <= 1
+    assert len(names["picture"]) == len(names["support"])
 
 
 #: By page the function that runs its Python blocks in order; None: another test runs them.

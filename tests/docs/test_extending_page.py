@@ -128,9 +128,9 @@ def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run
 def test_the_check_is_applied_to_the_run(play: Callable[..., mast.Run]) -> None:
     run = play("checked.py")
     checks = json.loads((run.path / "checks.json").read_text())["checks"]
-    (found,) = [check for check in checks if check["name"] == "PictureNeverEmpty"]
-    assert found["ok"]
-    assert found["detail"] == "0 frames without any object after the first one"
+    (result,) = [check for check in checks if check["name"] == "PictureNeverEmpty"]
+    assert result["ok"]
+    assert result["detail"] == "0 frames without any object after the first one"
 
 
 CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {

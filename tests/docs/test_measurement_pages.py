@@ -60,19 +60,19 @@ def test_the_example_metric_is_in_the_summary_and_the_table(run: Path) -> None:
 
 def test_the_page_lists_all_columns_and_effects_of_attacks(run: Path) -> None:
     columns = set(read_table(run / "attacks.parquet"))
-    said = named_in(EFFECTS_PAGE, "## attacks.parquet")
+    documented = named_in(EFFECTS_PAGE, "## attacks.parquet")
     spelled_out = {f"{side}_{axis}" for side in ("before", "after") for axis in "xyz"}
-    assert (said - {"before_x", "after_z"}) | spelled_out == columns
+    assert (documented - {"before_x", "after_z"}) | spelled_out == columns
     effects = named_in(EFFECTS_PAGE, "## Effects on objects") | named_in(EFFECTS_PAGE, "## Effects on messages")
     assert {name for name in effects if name != "columns"} == set(EFFECTS)
 
 
 def test_the_page_lists_all_columns_of_the_tables(run: Path) -> None:
     for name in ("targets", "driving"):
-        (said,) = re.findall(rf"^`{name}\.parquet`, (.*?)\n\n", METRICS, flags=re.S | re.M)
+        (documented,) = re.findall(rf"^`{name}\.parquet`, (.*?)\n\n", METRICS, flags=re.S | re.M)
         for column in read_table(run / f"{name}.parquet"):
             stem = column.removesuffix("_centre").removesuffix("_ego")
-            assert re.search(rf"\b{stem}\b", said), f"{name}.parquet: {column} is not on the page"
+            assert re.search(rf"\b{stem}\b", documented), f"{name}.parquet: {column} is not on the page"
 
 
 def test_the_page_lists_all_causes() -> None:
@@ -83,11 +83,11 @@ def test_the_page_lists_all_causes() -> None:
 def test_achievements_and_consequences_for_driving_are_documented(run: Path) -> None:
     metrics = json.loads((run / "metrics.json").read_text())
     achieved: dict[str, Any] = metrics["achieved"]["all"]
-    said = named_in(METRICS, "## What an attack achieved")
-    stems = {name.rstrip("…").removesuffix("_centre").rstrip("_") for name in said} | {"inserted_frames"}
+    documented = named_in(METRICS, "## What an attack achieved")
+    stems = {name.rstrip("…").removesuffix("_centre").rstrip("_") for name in documented} | {"inserted_frames"}
     for key in achieved:
         stem = key.removesuffix("_centre").removesuffix("_ego")
         assert stem in stems or stem.endswith("_frames"), f"achieved: {key} is not on the page"
-    said = {name.replace("…", "") for name in named_in(METRICS, "## What it would mean for driving")}
+    documented = {name.replace("…", "") for name in named_in(METRICS, "## What it would mean for driving")}
     for key in metrics["driving"]["ego"]["mission"]:
-        assert key in said or key.removesuffix("_attack") in said, f"driving: {key} is not on the page"
+        assert key in documented or key.removesuffix("_attack") in documented, f"driving: {key} is not on the page"

@@ -52,12 +52,12 @@ def test_the_notebook_plots_false_positives_of_two_runs_in_fewer_than_15_lines(
     code = cells()
     assert sum(bool(line.strip()) for cell in code for line in cell.splitlines()) < 15
     names: dict[str, Any] = {}
-    shown = []
+    displayed = []
     for cell in code:  # like a notebook: display the value of the last line
         *body, last = cell.splitlines()
         exec("\n".join(body), names)
-        shown.append(eval(last, names))
-    run, over_time, birdseye, _ = shown
+        displayed.append(eval(last, names))
+    run, over_time, birdseye, _ = displayed
     assert isinstance(run, mast.Run)
     assert isinstance(over_time, Figure)
     labels = {line.get_label() for line in over_time.axes[0].get_lines()}

@@ -70,22 +70,24 @@ def test_references_in_texts_exist(path: Path) -> None:
         for reference in re.findall(r"[\w./-]*\w/[\w./-]*\.(?:pyx|pxd|py|md|toml)\b", text):
             assert reference in PLACEHOLDERS or exists(reference, path.parent), f"no file {reference}"
         for reference in re.findall(r"\bmast_zenoh((?:\.[a-z_]\w*)+)", text):
-            first, *rest = reference[1:].split(".")
+            first, *remaining = reference[1:].split(".")
             folder = PACKAGE / first
             if first in PUBLIC:
                 continue
             assert folder.is_dir() or folder.with_suffix(".py").is_file(), f"no module mast_zenoh.{first}"
-            if rest:
-                module = folder / rest[0]
+            if remaining:
+                module = folder / remaining[0]
                 is_module = module.is_dir() or module.with_suffix(".py").is_file()
-                assert is_module or re.search(rf"\b{rest[0]}\b", text_of(folder)), f"no {reference}"
+                assert is_module or re.search(rf"\b{remaining[0]}\b", text_of(folder)), f"no {reference}"
         if path.suffix == ".py":
             for first, second in re.findall(r"`([A-Za-z]\w*)\.([A-Za-z]\w*)[\w.()]*`", text):
                 if first not in {"mast_zenoh", *FOREIGN}:
                     word = re.compile(rf"\b{second}\b")
-                    beside = [found.parent / f"{second}.py" for found in named(first)]
-                    known = any(word.search(text_of(found)) for found in named(first))
-                    known |= any((found / f"{second}.py").is_file() for found in named(first) if found.is_dir())
+                    beside = [candidate.parent / f"{second}.py" for candidate in named(first)]
+                    known = any(word.search(text_of(candidate)) for candidate in named(first))
+                    known |= any(
+                        (candidate / f"{second}.py").is_file() for candidate in named(first) if candidate.is_dir()
+                    )
                     assert known or any(file.is_file() for file in beside), f"no `{first}.{second}`"
         assert not NOT_SHIPPED.search(text), "refers to a document that is not shipped"
 

@@ -38,10 +38,10 @@ def drive(
     rng: np.random.Generator, start: tuple[float, float], velocity: tuple[float, float], frames: int, share: float
 ) -> tuple[list[int], list[tuple[float, float]]]:
     """Frames and noisy positions of an object shown in a share of the frames."""
-    shown = [k for k in range(frames) if k % 8 == 0 or rng.random() < share]
-    noise = rng.normal(0.0, 0.4, (len(shown), 2))
-    places = [(start[0] + velocity[0] * k * PERIOD_S, start[1] + velocity[1] * k * PERIOD_S) for k in shown]
-    return shown, [(x + dx, y + dy) for (x, y), (dx, dy) in zip(places, noise.tolist(), strict=True)]
+    visible_frames = [k for k in range(frames) if k % 8 == 0 or rng.random() < share]
+    noise = rng.normal(0.0, 0.4, (len(visible_frames), 2))
+    places = [(start[0] + velocity[0] * k * PERIOD_S, start[1] + velocity[1] * k * PERIOD_S) for k in visible_frames]
+    return visible_frames, [(x + dx, y + dy) for (x, y), (dx, dy) in zip(places, noise.tolist(), strict=True)]
 
 
 def test_noise_and_misses_split_at_most_one_object_in_a_hundred() -> None:

@@ -47,18 +47,18 @@ class Run:
 
     def targets(self) -> set[Target]:
         """Every object that an adversary, not a link, manipulated."""
-        found = set()
+        manipulated = set()
         for row in self.attacks:
             if row["role"] == "link":
                 continue
             before, after = (row["before_x"], row["before_y"]), (row["after_x"], row["after_y"])
             kind, frame = row["effect"], row["frame"]
             if kind == "inserted":
-                found.add(Target(row["interposer"], kind, frame, -1, *after))
+                manipulated.add(Target(row["interposer"], kind, frame, -1, *after))
             elif kind in ("removed", "altered") or (kind == "moved" and math.dist(before, after) >= MIN_MOVE_M):
                 place = before if kind == "removed" else after
-                found.add(Target(row["interposer"], kind, frame, self.nearest(frame, *before), *place))
-        return found
+                manipulated.add(Target(row["interposer"], kind, frame, self.nearest(frame, *before), *place))
+        return manipulated
 
     def nearest(self, frame: int, x: float, y: float) -> int:
         """The nearest truth object within the gate."""
@@ -80,12 +80,12 @@ class Run:
                 math.dist(places[self.agents.index(agent)][:2], (target.x, target.y)) <= RANGE_M for agent in agents
             )
             return Verdict(near, in_range, math.nan)
-        mine = [row for row in boxes if row["kind"] == "truth" and row["id"] == target.object]
-        mine = [row for row in mine if row["outcome"] != "unevaluated"]
-        if not mine:
+        matching = [row for row in boxes if row["kind"] == "truth" and row["id"] == target.object]
+        matching = [row for row in matching if row["outcome"] != "unevaluated"]
+        if not matching:
             return Verdict(False, False, math.nan)
-        matched = [row for row in mine if row["outcome"] == "matched"]
-        if (ghost := self.ghost(target, boxes, mine[0])) is not None:
+        matched = [row for row in matching if row["outcome"] == "matched"]
+        if (ghost := self.ghost(target, boxes, matching[0])) is not None:
             return Verdict(True, True, ghost)
         if not matched:
             return Verdict(True, True, math.nan)
@@ -102,16 +102,16 @@ class Run:
         """Distance, m, of the false track that follows a moved object; None: no track."""
         if target.kind != "moved":
             return None
-        here, shown = (truth["x"], truth["y"]), (target.x, target.y)
+        here, claimed = (truth["x"], truth["y"]), (target.x, target.y)
         others = [(each.x, each.y) for each in self.moved()[target.adversary, target.frame]]
         best: tuple[float, float] | None = None
         for row in boxes:
             at = row["x"], row["y"]
             if row["cause"] != "moved" or row["kind"] != "track" or target.adversary not in row["by"].split("+"):
                 continue
-            apart, off = math.dist(at, shown), math.dist(at, here)
-            mine = apart <= ACCEPTED_M and all(apart <= math.dist(at, other) for other in others)
-            if mine and off > DISPLACED_M and apart < off and (best is None or apart < best[0]):
+            apart, off = math.dist(at, claimed), math.dist(at, here)
+            follows = apart <= ACCEPTED_M and all(apart <= math.dist(at, other) for other in others)
+            if follows and off > DISPLACED_M and apart < off and (best is None or apart < best[0]):
                 best = apart, off
         return best and best[1]
 
@@ -132,7 +132,7 @@ def rows(table: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def summary(targets: list[dict[str, Any]], who: str) -> dict[str, Any]:
+def summary(targets: list[dict[str, Any]], judge: str) -> dict[str, Any]:
     """Rows of targets.parquet summarised for an adversary, or all, by estimate."""
     result: dict[str, Any] = {}
     hits: list[int] = []
@@ -148,20 +148,22 @@ def summary(targets: list[dict[str, Any]], who: str) -> dict[str, Any]:
             if row["kind"] in kinds:
                 same = by_object[row["object"]].setdefault((row["kind"], row["frame"]), row)
                 errors = [
-                    each[f"error_m_{who}"] for each in (same, row) if each[f"error_m_{who}"] == each[f"error_m_{who}"]
+                    each[f"error_m_{judge}"]
+                    for each in (same, row)
+                    if each[f"error_m_{judge}"] == each[f"error_m_{judge}"]
                 ]
                 by_object[row["object"]][row["kind"], row["frame"]] = same | {
-                    f"believed_{who}": same[f"believed_{who}"] or row[f"believed_{who}"],
-                    f"error_m_{who}": max(errors, default=math.nan),
+                    f"believed_{judge}": same[f"believed_{judge}"] or row[f"believed_{judge}"],
+                    f"error_m_{judge}": max(errors, default=math.nan),
                 }
         result[what] = len(by_object)
         if not by_object:
             continue
-        judged = [row for each in by_object.values() for row in each.values() if row[f"judged_{who}"]]
+        judged = [row for each in by_object.values() for row in each.values() if row[f"judged_{judge}"]]
         shares, lasting = [], []
         for each in by_object.values():
-            possible = [row for row in each.values() if row[f"judged_{who}"]]
-            believed = [row for row in possible if row[f"believed_{who}"]]
+            possible = [row for row in each.values() if row[f"judged_{judge}"]]
+            believed = [row for row in possible if row[f"believed_{judge}"]]
             success = bool(believed)
             if what != "inserted":
                 success = round(len(believed) * PERIOD_S, 9) >= LASTING_S and 2 * len(believed) > len(possible)
@@ -170,16 +172,16 @@ def summary(targets: list[dict[str, Any]], who: str) -> dict[str, Any]:
             if success:
                 lasting.append(len(believed) * PERIOD_S)
                 hits += [row["frame"] for row in believed]
-        result[f"{what}_share_{who}"] = sum(shares) / len(shares) if shares else None
-        share = sum(row[f"believed_{who}"] for row in judged) / len(judged) if judged else None
-        result[f"{what}_time_share_{who}"] = share
+        result[f"{what}_share_{judge}"] = sum(shares) / len(shares) if shares else None
+        share = sum(row[f"believed_{judge}"] for row in judged) / len(judged) if judged else None
+        result[f"{what}_time_share_{judge}"] = share
         if what == "inserted":
-            result[f"inserted_s_{who}"] = sum(lasting) / len(lasting) if lasting else None
+            result[f"inserted_s_{judge}"] = sum(lasting) / len(lasting) if lasting else None
         if what in ("moved", "altered"):
-            known = [row[f"error_m_{who}"] for each in by_object.values() for row in each.values()]
+            known = [row[f"error_m_{judge}"] for each in by_object.values() for row in each.values()]
             known = [error for error in known if error == error]
-            result[f"{what}_error_m_{who}"] = sum(known) / len(known) if known else None
-    result[f"success_{who}"] = bool(hits)
+            result[f"{what}_error_m_{judge}"] = sum(known) / len(known) if known else None
+    result[f"success_{judge}"] = bool(hits)
     first = min((row["frame"] for row in real), default=0)
-    result[f"first_success_s_{who}"] = (min(hits) - first) * PERIOD_S if hits else None
+    result[f"first_success_s_{judge}"] = (min(hits) - first) * PERIOD_S if hits else None
     return result

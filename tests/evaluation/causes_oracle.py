@@ -62,12 +62,12 @@ class Causes:
 
     def hidden(self, row: Row) -> dict[str, set[str]]:
         """Adversaries that manipulated a missed object in the last 4 s, by kind."""
-        found: dict[str, set[str]] = defaultdict(set)
+        by_kind: dict[str, set[str]] = defaultdict(set)
         for attack in self.hiding[row["id"]]:
             late = row["frame"] - attack["frame"]
             if 0 <= late <= COAST and reaches(attack, row["agent"], row["estimator"]):
-                found[attack["effect"]].add(attack["interposer"])
-        return found
+                by_kind[attack["effect"]].add(attack["interposer"])
+        return by_kind
 
     def shown(self, row: Row) -> bool:
         """The adversaries that insert an object where a false track is."""

@@ -210,15 +210,15 @@ def by_motmetrics(estimates: dict[Series, list[Frame]]) -> dict[Series, list[Row
         distance = [[_apart(frame, t, k) for k in frame.tracks] for t in frame.truth]
         gated = np.where(np.array(distance) <= GATE_M, distance, np.nan) if truth and tracks else []
         matching.update(truth, tracks, gated, frameid=number)
-    found: list[dict[str, list[Any]]] = [defaultdict(list) for _ in keys]
+    scores: list[dict[str, list[Any]]] = [defaultdict(list) for _ in keys]
     events = matching.mot_events
     columns = (events.index.get_level_values(0), events["Type"], events["OId"], events["HId"], events["D"])
     for number, kind, oid, hid, apart in zip(*(list(column) for column in columns), strict=True):
-        found[number][kind].append((oid, hid, apart))
+        scores[number][kind].append((oid, hid, apart))
     names = list(codes)
     switching = motmetrics.MOTAccumulator()
     for number, (series, _) in enumerate(keys):
-        pairs = found[number]["MATCH"]
+        pairs = scores[number]["MATCH"]
         apart = np.full((len(pairs), len(pairs)), np.nan)
         np.fill_diagonal(apart, [pair[2] for pair in pairs])
         truth, tracks = ([code(series, names[int(pair[side])][1]) for pair in pairs] for side in (0, 1))
@@ -228,7 +228,7 @@ def by_motmetrics(estimates: dict[Series, list[Frame]]) -> dict[Series, list[Row
         switches[number] += kind == "SWITCH"
     result: dict[Series, list[Row]] = defaultdict(list)
     for number, (series, _) in enumerate(keys):
-        kinds = found[number]
+        kinds = scores[number]
         apart = [pair[2] for pair in kinds["MATCH"]]
         rmse = math.sqrt(np.mean(np.square(apart))) if apart else math.nan
         result[series].append(Row(len(kinds["MISS"]), len(kinds["FP"]), len(apart), rmse, switches[number]))

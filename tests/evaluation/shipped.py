@@ -29,14 +29,14 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
 
 def every() -> list[tuple[str, ...]]:
     """(name, setting, …) of each."""
-    found = []
+    variants = []
     for path in sorted((bundle.ROOT / "scenarios").glob("*.py")):
         parameters = inspect.signature(loading.function("scenarios", path.stem, "scenario")[1]).parameters
         for more in VARIANTS.get(path.stem, [()]):
             own_start = any(setting.startswith("attack_start_s=") for setting in more)
             early = ("attack_start_s=0.5",) if "attack_start_s" in parameters and not own_start else ()
-            found.append((path.stem, *early, *more))
-    return found
+            variants.append((path.stem, *early, *more))
+    return variants
 
 
 def label(variant: Any) -> str:

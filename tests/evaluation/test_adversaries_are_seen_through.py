@@ -97,26 +97,26 @@ def test_reports_of_an_adversary_are_compared_with_its_measured_effects(
 ) -> None:
     """The verdict on `one` does not depend on `other`, which reports correctly."""
     played = play(tmp_path, "hidden", f"one={says}", "other=truth", frames=FRAMES, **FILES)
-    found = played.metrics["interposers"]
-    one = found["one"]
+    verdicts = played.metrics["interposers"]
+    one = verdicts["one"]
     assert one["effects"] == {"removed": ACTIVE}
     # Reports about the last frame may not arrive before the run ends, so it does not count as unreported.
     assert one["agreement"] == agreement
     assert one["unreported"] == max(0, unreported - 1)
     assert one["unfounded"] == unfounded
-    assert found["other"]["agreement"] == "agrees"
+    assert verdicts["other"]["agreement"] == "agrees"
     table = played.table("attacks")
-    mine = table["interposer"] == "one"
-    assert table["frame"][mine].tolist() == list(range(FRAMES - ACTIVE, FRAMES))
-    assert set(table["reported"][mine]) == {says in ("truth", "more")}
-    assert set(table["reported"][~mine]) == {True}
+    selected = table["interposer"] == "one"
+    assert table["frame"][selected].tolist() == list(range(FRAMES - ACTIVE, FRAMES))
+    assert set(table["reported"][selected]) == {says in ("truth", "more")}
+    assert set(table["reported"][~selected]) == {True}
 
 
 def test_unfounded_reports_of_an_adversary_are_identified(tmp_path: Path) -> None:
     played = play(tmp_path, "hidden", "one=truth", "other=silence", "hides=False", frames=FRAMES, **FILES)
-    found = played.metrics["interposers"]["one"]
-    assert (found["effects"], found["agreement"]) == ({}, "disagrees")
-    assert (found["reports"], found["unfounded"], found["unreported"]) == (ACTIVE, ACTIVE, 0)
+    verdict = played.metrics["interposers"]["one"]
+    assert (verdict["effects"], verdict["agreement"]) == ({}, "disagrees")
+    assert (verdict["reports"], verdict["unfounded"], verdict["unreported"]) == (ACTIVE, ACTIVE, 0)
     assert "one" not in set(played.table("attacks")["interposer"])
     assert "one" not in {name for by in set(played.table("objects")["by"]) for name in by.split("+")}
 
@@ -132,9 +132,9 @@ def test_a_crashing_adversary_is_measured_as_dropping_messages_and_named(tmp_pat
     for words in ("one", "on_detections", "20 frames", "ZeroDivisionError: no plan", "hider.py:"):
         assert words in str(ended.error), words
     played = Played(ended.folder)
-    found = played.metrics["interposers"]["one"]
-    assert found["effects"] == {"dropped": ACTIVE}
-    assert (found["agreement"], found["unreported"]) == ("silent", ACTIVE - 1)
+    verdict = played.metrics["interposers"]["one"]
+    assert verdict["effects"] == {"dropped": ACTIVE}
+    assert (verdict["agreement"], verdict["unreported"]) == ("silent", ACTIVE - 1)
     assert played.metrics["interposers"]["other"]["agreement"] == "agrees"
     assert played.agents["infra_1"]["local"]["fn_split"]["attack"] > 0.0
     objects = played.table("objects")

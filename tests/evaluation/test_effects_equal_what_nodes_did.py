@@ -48,14 +48,18 @@ def compare(played: Played, process: Watched) -> Counter[str]:
             *np.round(np.nan_to_num(numbers, nan=-1e9), 5).tolist(),
         )
 
-    found = sorted(measured(played), key=place)
+    measured_rows = sorted(measured(played), key=place)
     done = sorted(expected(process, played.metrics["frames"]), key=place)
-    kinds = [Counter(row["effect"] for row in rows) for rows in (found, done)]
+    kinds = [Counter(row["effect"] for row in rows) for rows in (measured_rows, done)]
     assert kinds[0] == kinds[1]
-    for mine, other in zip(found, done, strict=True):
-        assert {name: mine[name] for name in (*TEXTS, *WHOLE)} == {name: other[name] for name in (*TEXTS, *WHOLE)}
+    for measured_row, other in zip(measured_rows, done, strict=True):
+        assert {name: measured_row[name] for name in (*TEXTS, *WHOLE)} == {
+            name: other[name] for name in (*TEXTS, *WHOLE)
+        }
         for name in ("delay_s", "before", "after", "velocity"):
-            np.testing.assert_allclose(mine[name], other[name], rtol=0.0, atol=1e-8, err_msg=f"{name}: {mine}")
+            np.testing.assert_allclose(
+                measured_row[name], other[name], rtol=0.0, atol=1e-8, err_msg=f"{name}: {measured_row}"
+            )
     return kinds[0]
 
 
@@ -65,8 +69,8 @@ def test_effects_equal_the_oracles_in_every_shipped_scenario(
     played, process = shipped(variant)
     kinds = compare(played, process)
     assert bool(kinds) == (variant[0] not in HARMLESS)
-    for name, found in played.metrics["interposers"].items():
-        assert found["agreement"] in ("agrees", "nothing to report"), (name, found)
+    for name, counts in played.metrics["interposers"].items():
+        assert counts["agreement"] in ("agrees", "nothing to report"), (name, counts)
 
 
 def chain(seed: int) -> dict[str, Any]:

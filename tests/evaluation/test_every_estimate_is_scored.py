@@ -68,8 +68,8 @@ def baseline(once: Once) -> Played:
 def counts(played: Played, agent: str, estimator: str) -> dict[str, list[float]]:
     """Counts and errors of an estimate, frame by frame."""
     table = played.table("metrics")
-    mine = (table["agent"] == agent) & (table["estimator"] == estimator)
-    return {name: table[name][mine].tolist() for name in ("fn", "fp", "tp", "id_switches", "ospa_m")}
+    selected = (table["agent"] == agent) & (table["estimator"] == estimator)
+    return {name: table[name][selected].tolist() for name in ("fn", "fp", "tp", "id_switches", "ospa_m")}
 
 
 def test_an_attack_on_the_downlink_changes_what_the_ego_receives_and_acts_on(once: Once, baseline: Played) -> None:
@@ -170,8 +170,8 @@ def test_user_metrics_are_in_the_summary_and_tables_of_every_estimate(once: Once
                 now = rows & (objects["frame"] == frame)
                 x, y, _ = places[frame, agent]
                 values.append(np.sum(np.hypot(objects["x"][now] - x, objects["y"][now] - y) <= 25.0))
-            mine = (per_frame["agent"] == agent) & (per_frame["estimator"] == estimator)
-            assert per_frame["ahead"][mine].tolist() == values
+            selected = (per_frame["agent"] == agent) & (per_frame["estimator"] == estimator)
+            assert per_frame["ahead"][selected].tolist() == values
             assert summary["ahead"]["mean"] == pytest.approx(np.mean(values[first : last + 1]), abs=1e-12)
             assert summary["ahead"]["std"] == pytest.approx(np.std(values[first : last + 1]), abs=1e-12)
             assert summary["highest_id"] == objects["id"][rows].max()

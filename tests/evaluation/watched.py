@@ -83,9 +83,9 @@ class Watched(InProcess):
 
     def _built(self, name: str) -> Host:
         host = super()._built(name)
-        mine = [passage for passage in self._wiring.passages() if passage.node == name]
-        if mine:
-            self._watch(host, mine)
+        passages = [passage for passage in self._wiring.passages() if passage.node == name]
+        if passages:
+            self._watch(host, passages)
         return host
 
     def _watch(self, host: Host, passages: list[Passage]) -> None:

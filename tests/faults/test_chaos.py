@@ -61,8 +61,8 @@ def test_20_random_schedules_on_the_mesh_equal_those_in_one_process(seed: int, t
     assert {check["name"] for check in told(folder) if check["values"]["checked"]} >= {"processes", "sequences"}
     lines = [" ".join(process.info["cmdline"] or ()) for process in psutil.process_iter(["cmdline"])]
     assert not [line for line in lines if str(tmp_path) in line]
-    found = compare(folder, played(tmp_path / "inproc", seed, "inproc", *SMALL), taps=True)
-    assert found.first is None, "\n".join([*explain(found), f"replay: {command(seed, 'mesh', *SMALL)}"])
+    difference = compare(folder, played(tmp_path / "inproc", seed, "inproc", *SMALL), taps=True)
+    assert difference.first is None, "\n".join([*explain(difference), f"replay: {command(seed, 'mesh', *SMALL)}"])
 
 
 def test_a_failing_schedule_prints_a_command_that_replays_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

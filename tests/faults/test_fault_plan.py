@@ -54,11 +54,11 @@ def test_frames_need_not_be_evenly_spaced() -> None:
 
 
 def test_a_partition_cuts_both_directions_from_start_to_end() -> None:
-    found = planned(dict(type="Partition", at=3.0, until=6.0, nodes=["infra_1", "infra_2"]))
+    fault_plan = planned(dict(type="Partition", at=3.0, until=6.0, nodes=["infra_1", "infra_2"]))
     cut = [dict(type="Cut", at=3.0, until=6.0)]
-    assert found.rules == {name: {"up": cut, "down": cut} for name in ("infra_1", "infra_2")}
-    assert found.steps == ()
-    assert found.bands == [
+    assert fault_plan.rules == {name: {"up": cut, "down": cut} for name in ("infra_1", "infra_2")}
+    assert fault_plan.steps == ()
+    assert fault_plan.bands == [
         dict(
             label="Partition infra_1, infra_2",
             kind="fault",
@@ -72,11 +72,11 @@ def test_a_partition_cuts_both_directions_from_start_to_end() -> None:
 
 
 def test_rules_keep_the_order_of_the_faults() -> None:
-    found = planned(
+    fault_plan = planned(
         dict(type="Loss", at=5.0, until=6.0, node="infra_1", probability=0.5),
         dict(type="Partition", at=1.0, until=6.0, node="infra_1"),
     )
-    assert [rule["type"] for rule in found.rules["infra_1"]["up"]] == ["Loss", "Cut"]
+    assert [rule["type"] for rule in fault_plan.rules["infra_1"]["up"]] == ["Loss", "Cut"]
 
 
 @pytest.mark.parametrize(
@@ -97,9 +97,9 @@ def test_rules_keep_the_order_of_the_faults() -> None:
     ],
 )
 def test_every_message_fault_is_a_known_link_rule(fault: dict[str, Any], rule: dict[str, Any]) -> None:
-    found = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
-    assert found == [{**rule, "at": 1.0, "until": 2.0}]
-    assert isinstance(registry.build(found[0], links.Rule, "here"), links.Rule)
+    fault_plan = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
+    assert fault_plan == [{**rule, "at": 1.0, "until": 2.0}]
+    assert isinstance(registry.build(fault_plan[0], links.Rule, "here"), links.Rule)
 
 
 @pytest.mark.parametrize("fault", [cls for cls in KINDS.values() if issubclass(cls, LinkFault)])
@@ -116,8 +116,8 @@ def test_parameters_have_the_same_default_in_faults_and_rules(fault: type[LinkFa
 
 
 def test_a_directed_fault_acts_in_one_direction() -> None:
-    found = planned(dict(type="Loss", at=1.0, node="ego", probability=0.5, direction="down"))
-    assert found.rules["ego"] == {"up": [], "down": [dict(type="Loss", probability=0.5, at=1.0, until=None)]}
+    fault_plan = planned(dict(type="Loss", at=1.0, node="ego", probability=0.5, direction="down"))
+    assert fault_plan.rules["ego"] == {"up": [], "down": [dict(type="Loss", probability=0.5, at=1.0, until=None)]}
 
 
 def test_a_slow_node_delays_its_published_messages() -> None:
@@ -175,10 +175,14 @@ def test_a_key_of_a_wire_selects_one_direction() -> None:
 
 
 def test_a_killed_node_restarts_at_the_configured_time() -> None:
-    found = planned(dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0))
-    assert found.steps == (ProcessStep(40, "kill", "infra_3"), ProcessStep(60, "start", "infra_3"))
-    assert found.rules == {}
-    assert (found.bands[0]["at_s"], found.bands[0]["until_s"], found.bands[0]["backend"]) == (4.0, 6.0, "process")
+    fault_plan = planned(dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0))
+    assert fault_plan.steps == (ProcessStep(40, "kill", "infra_3"), ProcessStep(60, "start", "infra_3"))
+    assert fault_plan.rules == {}
+    assert (fault_plan.bands[0]["at_s"], fault_plan.bands[0]["until_s"], fault_plan.bands[0]["backend"]) == (
+        4.0,
+        6.0,
+        "process",
+    )
 
 
 @pytest.mark.parametrize(
@@ -195,14 +199,14 @@ def test_a_killed_node_restarts_at_the_configured_time() -> None:
     ],
 )
 def test_every_process_fault_becomes_steps(fault: dict[str, Any], steps: list[tuple[int, str]]) -> None:
-    found = planned({**fault, "node": "infra_1"})
-    assert found.steps == tuple(ProcessStep(frame, action, "infra_1") for frame, action in steps)
+    fault_plan = planned({**fault, "node": "infra_1"})
+    assert fault_plan.steps == tuple(ProcessStep(frame, action, "infra_1") for frame, action in steps)
 
 
 @pytest.mark.parametrize("node", ["broker", "command_center", "adversary_1", "coordinator"])
 def test_nodes_other_than_agents_can_be_killed_and_restarted(node: str) -> None:
-    found = planned(dict(type="Kill", at=1.0, node=node, restart_after=1.0))
-    assert [step.node for step in found.steps] == [node, node]
+    fault_plan = planned(dict(type="Kill", at=1.0, node=node, restart_after=1.0))
+    assert [step.node for step in fault_plan.steps] == [node, node]
 
 
 def test_a_joining_node_is_absent_until_it_joins() -> None:
@@ -219,19 +223,19 @@ def test_a_fault_that_outlasts_the_run_has_no_end() -> None:
 
 
 def test_faults_after_the_last_frame_have_no_effect() -> None:
-    found = planned(
+    fault_plan = planned(
         dict(type="Kill", at=9.95, node="infra_1"), dict(type="Partition", at=30.0, until=40.0, node="infra_2")
     )
-    assert found.steps == ()
-    assert found.bands == []
-    assert found.missed == ["mine.py: faults[0]", "mine.py: faults[1]"]
+    assert fault_plan.steps == ()
+    assert fault_plan.bands == []
+    assert fault_plan.missed == ["mine.py: faults[0]", "mine.py: faults[1]"]
 
 
 def test_steps_are_in_the_order_of_frames() -> None:
-    found = planned(
+    fault_plan = planned(
         dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0), dict(type="Restart", at=1.0, node="ego")
     )
-    assert [step.frame for step in found.steps] == [10, 15, 40, 60]
+    assert [step.frame for step in fault_plan.steps] == [10, 15, 40, 60]
 
 
 # -- pauses ----------------------------------------------------------------------------------------------------------
@@ -250,14 +254,14 @@ def test_a_pause_is_signals_in_real_time_and_delayed_messages_in_lock_step() -> 
 
 
 def test_a_pause_beyond_the_run_ends_before_its_last_frame() -> None:
-    found = planned(dict(type="Pause", at=9.0, until=12.0, node="infra_1"), lockstep=False)
-    assert found.steps[-1] == ProcessStep(99, "resume", "infra_1")
+    fault_plan = planned(dict(type="Pause", at=9.0, until=12.0, node="infra_1"), lockstep=False)
+    assert fault_plan.steps[-1] == ProcessStep(99, "resume", "infra_1")
 
 
 def test_pausing_the_command_centre_pauses_every_link() -> None:
-    found = planned(dict(type="Pause", at=2.0, until=3.0, node="command_center"))
-    assert list(found.rules) == list(AGENTS)
-    assert found.bands[0]["nodes"] == ["command_center"]
+    fault_plan = planned(dict(type="Pause", at=2.0, until=3.0, node="command_center"))
+    assert list(fault_plan.rules) == list(AGENTS)
+    assert fault_plan.bands[0]["nodes"] == ["command_center"]
 
 
 # -- disconnections --------------------------------------------------------------------------------------------------
@@ -267,10 +271,10 @@ UNPLUG = dict(type="Unplug", at=2.0, until=3.0, node="infra_1")
 
 
 def test_an_unplugged_node_is_disconnected_and_reconnected() -> None:
-    found = planned(UNPLUG, lockstep=False)
-    assert found.steps == (ProcessStep(20, "disconnect", "infra_1"), ProcessStep(30, "connect", "infra_1"))
-    assert found.rules == {}
-    (band,) = found.bands
+    fault_plan = planned(UNPLUG, lockstep=False)
+    assert fault_plan.steps == (ProcessStep(20, "disconnect", "infra_1"), ProcessStep(30, "connect", "infra_1"))
+    assert fault_plan.rules == {}
+    (band,) = fault_plan.bands
     assert (band["kind"], band["type"], band["backend"]) == ("fault", "Unplug", "process")
     assert (band["at_s"], band["until_s"], band["nodes"]) == (2.0, 3.0, ["infra_1"])
 
@@ -382,10 +386,10 @@ PARAMETERS = sorted({name for cls in KINDS.values() for name in inspect.signatur
     st.booleans(),
 )
 def test_every_list_of_faults_is_planned_or_refused(specs: list[dict[str, Any]], lockstep: bool) -> None:
-    refused, found = "", Plan()
+    refused, fault_plan = "", Plan()
     try:
-        found = planned(*specs, lockstep=lockstep)
+        fault_plan = planned(*specs, lockstep=lockstep)
     except ConfigurationError as error:
         refused = str(error)
-    assert refused.startswith("mine.py: faults[") or len(found.bands) + len(found.missed) == len(specs)
-    assert all(0 <= step.frame < len(TIMES_NS) for step in found.steps)
+    assert refused.startswith("mine.py: faults[") or len(fault_plan.bands) + len(fault_plan.missed) == len(specs)
+    assert all(0 <= step.frame < len(TIMES_NS) for step in fault_plan.steps)

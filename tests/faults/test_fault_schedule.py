@@ -25,11 +25,11 @@ def test_every_schedule_is_feasible_and_heals_in_time(seed: int, duration_s: flo
     assert 1 <= len(specs) <= most
     times_ns = np.arange(round(duration_s * 10)) * 100_000_000
     faults = [("", registry.build(spec, Fault, f"faults[{i}]")) for i, spec in enumerate(specs)]
-    found = plan(faults, ROLES, times_ns, seed, lockstep=lockstep)
-    assert not found.missed
+    fault_plan = plan(faults, ROLES, times_ns, seed, lockstep=lockstep)
+    assert not fault_plan.missed
     assert all(fault.over is not None and fault.over <= duration_s - 1.0 + 1e-9 for _, fault in faults)
     up = dict.fromkeys(ROLES, True)
-    for step in found.steps:
+    for step in fault_plan.steps:
         up[step.node] = step.action in ("start", "resume")
     assert all(up.values()), "all agents are present at the end"
 

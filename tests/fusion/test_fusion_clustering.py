@@ -105,8 +105,8 @@ def test_pairs_are_joined_nearest_first(rows):
     objects, agent = states(rows)
     # Away from the radius by more than rounding errors, which depend on the order of sums.
     labels = SampledAssignmentClusterer(assign_radius=2.005).cluster(objects, agent)
-    found = [{int(row) for row in np.flatnonzero(labels == label)} for label in range(labels.max(initial=-1) + 1)]
-    assert sorted(found, key=min) == nearest_first(objects, agent, 2.005)
+    clusters = [{int(row) for row in np.flatnonzero(labels == label)} for label in range(labels.max(initial=-1) + 1)]
+    assert sorted(clusters, key=min) == nearest_first(objects, agent, 2.005)
 
 
 @pytest.mark.parametrize("clusterer", [SampledAssignmentClusterer(), DBSCANClusterer()])

@@ -93,11 +93,11 @@ def test_an_object_seen_by_three_agents_has_one_id_and_support_three(group):
 def test_the_picture_has_the_covariance_of_the_fusion():
     pipeline = centre(wrapper())
     for frame in range(20):
-        sure, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.01), tracks([10, 0], 0.01)), NAMES)
+        certain, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.01), tracks([10, 0], 0.01)), NAMES)
     pipeline = centre(wrapper())
     for frame in range(20):
         unsure, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.5), tracks([10, 0], 0.5)), NAMES)
-    assert 0.003 < sure.covariance[0, 0, 0] < 0.02
+    assert 0.003 < certain.covariance[0, 0, 0] < 0.02
     assert 0.1 < unsure.covariance[0, 0, 0] < 0.7
 
 

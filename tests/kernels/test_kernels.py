@@ -43,8 +43,8 @@ def covariances(random, n, k=9):
 def places(random, n):
     """Points, some coincident or collinear."""
     spread = random.choice([0.5, 5.0, 50.0])
-    found = random.normal(0.0, spread, (n, 3))
-    return np.round(found) if random.random() < 0.3 else found
+    points = random.normal(0.0, spread, (n, 3))
+    return np.round(points) if random.random() < 0.3 else points
 
 
 def table(random, n):
@@ -61,8 +61,8 @@ def table(random, n):
 
 
 def pairs(random, n, m):
-    found = np.flatnonzero(random.random(n * m) < 0.4) if n and m else np.zeros(0, np.int64)
-    return found // max(m, 1), found % max(m, 1)
+    indices = np.flatnonzero(random.random(n * m) < 0.4) if n and m else np.zeros(0, np.int64)
+    return indices // max(m, 1), indices % max(m, 1)
 
 
 def gated(random, n, m):
@@ -232,8 +232,8 @@ def test_every_kernel_is_compared_with_its_reference():
 @settings(max_examples=25)
 @given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
 def test_a_compiled_kernel_equals_its_reference(name, seed, n, m):
-    given = ARGUMENTS[name](np.random.default_rng(seed), n, m)
-    ours, theirs = copy.deepcopy(given), copy.deepcopy(given)
+    arguments = ARGUMENTS[name](np.random.default_rng(seed), n, m)
+    ours, theirs = copy.deepcopy(arguments), copy.deepcopy(arguments)
     with np.errstate(all="ignore"):
         expected = kernels.REFERENCES[name](*theirs)
     assert_same(kernels.COMPILED[name](*ours), expected)
@@ -266,10 +266,10 @@ np.savez(sys.argv[2], kernels=kernels.USED, **{name: np.concatenate(parts) for n
 """
 
 
-def played(scene: str, wanted: str, file: Path):
+def played(scene: str, mode: str, file: Path):
     """Tracks and pictures of a whole run with one kind of kernels."""
     command = [sys.executable, "-c", PLAY, scene, str(file)]
-    subprocess.run(command, env=os.environ | {"MAST_KERNELS": wanted}, check=True)
+    subprocess.run(command, env=os.environ | {"MAST_KERNELS": mode}, check=True)
     return np.load(file)
 
 
@@ -280,22 +280,20 @@ def test_compiled_and_numpy_kernels_give_the_same_tracks_of_a_recorded_scene(tmp
         with tarfile.open(DATA / "scene_a.tar.gz") as archive:
             archive.extractall(tmp_path, filter="data")
         scene = f"avstack:{tmp_path}/scene_a"
-    ours, theirs = (played(scene, wanted, tmp_path / f"{wanted}.npz") for wanted in ("compiled", "numpy"))
-    assert (str(ours["kernels"]), str(theirs["kernels"])) == ("compiled", "numpy")
-    assert ours.files == theirs.files
+    ours, numpy = (played(scene, mode, tmp_path / f"{mode}.npz") for mode in ("compiled", "numpy"))
+    assert (str(ours["kernels"]), str(numpy["kernels"])) == ("compiled", "numpy")
+    assert ours.files == numpy.files
     assert any(name.endswith("picture id") for name in ours.files)
     for name in set(ours.files) - {"kernels"}:
         if name.endswith("yaw"):  # half a turn in either direction is equal
-            np.testing.assert_allclose(np.exp(1j * ours[name]), np.exp(1j * theirs[name]), atol=1e-9)
+            np.testing.assert_allclose(np.exp(1j * ours[name]), np.exp(1j * numpy[name]), atol=1e-9)
         else:
-            np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9, atol=1e-9, err_msg=name)
+            np.testing.assert_allclose(ours[name], numpy[name], rtol=1e-9, atol=1e-9, err_msg=name)
 
 
-def used(code: str, wanted: str) -> subprocess.CompletedProcess[str]:
+def used(code: str, mode: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", f"{code}; from mast_zenoh import kernels; print(kernels.USED)"]
-    return subprocess.run(
-        command, env=os.environ | {"MAST_KERNELS": wanted}, capture_output=True, text=True, check=False
-    )
+    return subprocess.run(command, env=os.environ | {"MAST_KERNELS": mode}, capture_output=True, text=True, check=False)
 
 
 @compiled
@@ -309,9 +307,7 @@ def test_kernels_built_from_other_sources_are_not_used(tmp_path):
     assert used(here, "").stdout.strip() == "numpy"
 
 
-@pytest.mark.parametrize(
-    ("wanted", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")]
-)
-def test_unavailable_kernels_are_refused_when_requested(wanted, message):
+@pytest.mark.parametrize(("mode", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")])
+def test_unavailable_kernels_are_refused_when_requested(mode, message):
     hidden = "import sys; sys.modules['mast_zenoh.kernels.tracks'] = None"
-    assert message in used(hidden, wanted).stderr
+    assert message in used(hidden, mode).stderr

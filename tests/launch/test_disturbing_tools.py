@@ -63,9 +63,9 @@ def test_a_plan_depends_on_its_number_and_covers_every_scenario() -> None:
 
 
 def test_statements_about_a_recording_are_verified(runs: list[Path]) -> None:
-    def judged(run: Path, status: str, **said: object) -> list[str]:
+    def judged(run: Path, status: str, **changes: object) -> list[str]:
         record = json.loads((run / "run.json").read_text())
-        return endings._wrongly_told({**record, **said}, status, run, runs[0])
+        return endings._wrongly_told({**record, **changes}, status, run, runs[0])
 
     complete, cut = {"complete": True}, {"complete": False, "from_frame": 0}
     assert judged(runs[1], "ok", recording=complete) == []

@@ -154,8 +154,8 @@ def test_a_launcher_killed_at_any_stage_leaves_readable_results(out: Path, stage
     Ended(out, at(stage, "SIGKILL", run=with_report())).is_as(ending(what))
     assert out.exists() == (stage != "loading")
     if stage in ("playing", "collecting", "reporting"):
-        told = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
-        assert told.returncode == 0, told.stderr
+        report = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
+        assert report.returncode == 0, report.stderr
         assert (out / "report.html").is_file()
 
 

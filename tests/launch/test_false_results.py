@@ -65,8 +65,8 @@ def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dic
     reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, context.invalid)
     parts = dict.fromkeys(("steps", "requests", "interceptions"), MagicMock())
     watch = Watch(context, Mesh(MagicMock(), supervisor), MagicMock(), reports=reports, **parts)
-    came = MagicMock(to_bytes=lambda: payload)
-    reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=came))
+    query = MagicMock(to_bytes=lambda: payload)
+    reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=query))
     try:
         watch.take_reports()
         conclude(context, supervisor, reports, time.monotonic())

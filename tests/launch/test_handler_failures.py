@@ -128,8 +128,10 @@ def test_a_run_with_links_is_checked_even_if_handlers_failed(tmp_path: Path) -> 
     world = scenario.resolve(file, loaded, frames=12, record=True)
     ended = run.run(world, tmp_path / "run", runtime="inproc")
     assert isinstance(ended.error, HandlerFailed)
-    found = {check["name"]: check for check in json.loads((ended.folder / checks.FILE).read_text())["checks"]}
-    assert found["sequences"]["values"].get("checked", True), "the run was completed, so its record is complete"
+    checks_by_name = {check["name"]: check for check in json.loads((ended.folder / checks.FILE).read_text())["checks"]}
+    assert checks_by_name["sequences"]["values"].get("checked", True), (
+        "the run was completed, so its record is complete"
+    )
 
 
 def test_a_failing_metric_is_named_with_its_line_and_affects_no_other_number(tmp_path: Path) -> None:

@@ -31,9 +31,9 @@ def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) 
     }
     measured = {"late": more.get("late", {})} | more.get("measured", {})
     collations, refused = more.get("collations", []), more.get("refused", [])
-    found = notices.of_run(resolved, record, collations, measured, refused)
-    assert all(notice["count"] > 0 for notice in found)
-    return {notice["kind"]: notice["text"] for notice in found}
+    all_notices = notices.of_run(resolved, record, collations, measured, refused)
+    assert all(notice["count"] > 0 for notice in all_notices)
+    return {notice["kind"]: notice["text"] for notice in all_notices}
 
 
 def node(**counted: Any) -> dict[str, Any]:
@@ -60,9 +60,9 @@ def test_the_notice_on_late_messages_names_the_agent_with_the_most(world: Resolv
 
 
 def test_tracks_omitted_by_a_broker_have_a_line_per_reason(world: Resolved) -> None:
-    said = texts(world, collations=[{"overflowed": 3, "duplicates": 0, "absurd": 5}, {"overflowed": 1}])
-    assert said.keys() == {"overflowed", "absurd"}
-    assert said["overflowed"].startswith("4 messages dropped")
+    notice_texts = texts(world, collations=[{"overflowed": 3, "duplicates": 0, "absurd": 5}, {"overflowed": 1}])
+    assert notice_texts.keys() == {"overflowed", "absurd"}
+    assert notice_texts["overflowed"].startswith("4 messages dropped")
 
 
 def test_a_message_rejected_by_several_nodes_counts_once_and_the_first_is_quoted(world: Resolved) -> None:
@@ -72,16 +72,16 @@ def test_a_message_rejected_by_several_nodes_counts_once_and_the_first_is_quoted
         "broker": node(rejected={"agent/a/tracks: tracks": 15}, first_rejected={"agent/a/tracks": [7, "tracks: x"]}),
         "evaluator": node(rejected=heard, first_rejected=first),
     }
-    said = texts(world, nodes)["rejected"]
-    assert said == "17 messages on 2 keys (first, by evaluator: cc/picture: picture: truncated)"
+    notice_texts = texts(world, nodes)["rejected"]
+    assert notice_texts == "17 messages on 2 keys (first, by evaluator: cc/picture: picture: truncated)"
 
 
 def test_the_notice_on_foreign_messages_names_their_keys(world: Resolved) -> None:
     heard = {f"agent/{name}/tracks": 2 for name in "abcde"}
     nodes = {"broker": node(foreign=heard), "evaluator": node(foreign={"agent/a/tracks": 3})}
-    said = texts(world, nodes)["foreign"]
+    notice_texts = texts(world, nodes)["foreign"]
     where = "agent/a/tracks, agent/b/tracks, agent/c/tracks and 2 more"
-    assert said == f"11 messages without the mark of this run's nodes, on {where}"
+    assert notice_texts == f"11 messages without the mark of this run's nodes, on {where}"
 
 
 def test_the_notice_on_refused_control_messages_names_the_main_key_and_reason(world: Resolved) -> None:
@@ -91,8 +91,10 @@ def test_the_notice_on_refused_control_messages_names_the_main_key_and_reason(wo
         "broker": node(invalid_control={"epoch": [2, "epoch: not MessagePack"]}),
         "dead": node(invalid_control=None),
     }
-    said = texts(world, nodes, invalid_control={"result/ego": [4, "result: it has handed in its results before"]})
-    assert said["control"] == (
+    notice_texts = texts(
+        world, nodes, invalid_control={"result/ego": [4, "result: it has handed in its results before"]}
+    )
+    assert notice_texts["control"] == (
         "4 invalid control messages refused on 1 key "
         "(most: result/ego, 4, the first: result: it has handed in its results before); "
         "nodes report 3 invalid control messages on 1 key (most: epoch, 3 by ego, the first: epoch: not MessagePack)"
@@ -106,11 +108,11 @@ def test_a_real_time_run_that_keeps_up_has_no_notice(world: Resolved) -> None:
 
 
 def test_a_real_time_run_that_falls_behind_gets_the_reason_and_advice(world: Resolved) -> None:
-    said = realtime(world, 2800.0, speed=7.0, late={"ego": 102})
+    notice_texts = realtime(world, 2800.0, speed=7.0, late={"ego": 102})
     for part in ("2800 ms", "a frame lasts 100 ms", "7.0 frames/s instead of 10.0", "102 messages came too late"):
-        assert part in said
+        assert part in notice_texts
     for advice in ("lower --rate", "more cores", "latency_s or patience"):
-        assert advice in said
+        assert advice in notice_texts
 
 
 def test_lateness_depends_on_the_broker_and_the_rate(world: Resolved) -> None:
@@ -135,9 +137,11 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
 
     ended = run.run(tiny(edit=slow_and_corrupt), tmp_path / "run", runtime="inproc")
     assert ended.error is None
-    found = {notice["kind"]: notice for notice in json.loads((ended.folder / "run.json").read_text())["notices"]}
-    assert found["late"]["text"] == "10 messages of infra_1 came too late for their batch"
-    assert found["rejected"]["text"].startswith(f"{found['rejected']['count']} messages on ")
+    notices_by_kind = {
+        notice["kind"]: notice for notice in json.loads((ended.folder / "run.json").read_text())["notices"]
+    }
+    assert notices_by_kind["late"]["text"] == "10 messages of infra_1 came too late for their batch"
+    assert notices_by_kind["rejected"]["text"].startswith(f"{notices_by_kind['rejected']['count']} messages on ")
     page = write_report(ended.folder).read_text()
     assert "late: 10 messages of infra_1 came too late for their batch" in page
     assert "messages on" in page
@@ -147,10 +151,10 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
 def test_a_run_too_short_to_skip_its_first_frames_is_reported(tmp_path: Path, frames: int, expected: str) -> None:
     file, content = scenario.load("baseline", ["n_infrastructure=1"])
     ended = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
-    found = {notice["kind"]: notice["text"] for notice in ended.record["notices"]}
+    notices_by_kind = {notice["kind"]: notice["text"] for notice in ended.record["notices"]}
     assert json.loads((ended.folder / "metrics.json").read_text())["settled"] == (not expected)
-    assert ("unsettled" in found) == bool(expected)
-    assert expected in found.get("unsettled", "")
+    assert ("unsettled" in notices_by_kind) == bool(expected)
+    assert expected in notices_by_kind.get("unsettled", "")
 
 
 def test_a_stall_error_lists_refused_messages() -> None:

@@ -25,8 +25,8 @@ def played(folder: Path, name: str, *settings: str, **changes: Any) -> Path:
 
 
 def results(folder: Path) -> dict[str, Any]:
-    found = json.loads((folder / "metrics.json").read_text())
-    return {name: found[name] for name in ("frames", "scored_frames", "agents", "driving")}
+    scores = json.loads((folder / "metrics.json").read_text())
+    return {name: scores[name] for name in ("frames", "scored_frames", "agents", "driving")}
 
 
 @pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
@@ -81,19 +81,19 @@ class OwnAgent(Base):
 
 
 def test_a_twin_is_played_again_when_a_user_file_or_its_import_changed(tmp_path: Path) -> None:
-    mine = tmp_path / "mine"
-    mine.mkdir()
-    (mine / "own_agent.py").write_text(OWN_AGENT)
-    (mine / "offset.py").write_text("OFFSET = 1\n")
-    (mine / "own.py").write_text(
+    user_files = tmp_path / "mine"
+    user_files.mkdir()
+    (user_files / "own_agent.py").write_text(OWN_AGENT)
+    (user_files / "offset.py").write_text("OFFSET = 1\n")
+    (user_files / "own.py").write_text(
         "from mast_zenoh.scenario import load\n\n\ndef scenario():\n"
         "    content = dict(load('uncoordinated')[1])\n"
         "    content['agents'] = {'*': {**content['agents']['*'], 'file': 'own_agent.py'}}\n    return content\n"
     )
-    attacked = played(tmp_path / "attacked", str(mine / "own.py"))
+    attacked = played(tmp_path / "attacked", str(user_files / "own.py"))
     first = run_id(twin.of(attacked))
     assert run_id(twin.of(attacked)) == first
-    (mine / "offset.py").write_text("OFFSET = 2\n")
+    (user_files / "offset.py").write_text("OFFSET = 2\n")
     second = run_id(twin.of(attacked))
     assert second != first
     assert run_id(twin.of(attacked)) == second

@@ -56,10 +56,10 @@ def test_without_rules_every_message_passes_at_once() -> None:
 
 @pytest.mark.parametrize("name", EVERY)
 def test_a_rule_acts_from_its_start_until_before_its_end(name: str) -> None:
-    sure = EVERY[name] | dict(probability=1.0) if "probability" in EVERY[name] else EVERY[name]
+    parameters = EVERY[name] | dict(probability=1.0) if "probability" in EVERY[name] else EVERY[name]
     if name == "GilbertElliott":
-        sure = dict(good_to_bad=1.0, bad_to_good=0.0)
-    rule = dict(type=name, **(sure | dict(at=1.0, until=2.0)))
+        parameters = dict(good_to_bad=1.0, bad_to_good=0.0)
+    rule = dict(type=name, **(parameters | dict(at=1.0, until=2.0)))
     far = dict(size=1000, position=np.array([90.0, 0.0, 0.0]), referenced=True)
     for at_s, acts in ((0.9, False), (1.0, True), (1.9, True), (2.0, False)):
         outcome = through(rule, at_s=at_s, **far)
@@ -141,10 +141,10 @@ def test_a_pose_error_leaves_messages_without_a_frame_of_reference_unchanged() -
 def test_a_pose_error_moves_and_rotates_the_frame_of_reference_about_the_vertical() -> None:
     half = math.sqrt(0.5)
     body = {"origin": np.array([5.0, 6.0, 7.0]), "rotation": np.array([half, 0.0, 0.0, half]), "id": np.arange(3)}
-    found = displaced(body, (1.0, -1.0), 0.25)
-    assert found["origin"].tolist() == [6.0, 5.0, 7.0]
-    assert heading(rotation_from_quaternion(found["rotation"])) == pytest.approx(math.pi / 2 + 0.25)
-    assert found["id"] is body["id"]
+    displaced_body = displaced(body, (1.0, -1.0), 0.25)
+    assert displaced_body["origin"].tolist() == [6.0, 5.0, 7.0]
+    assert heading(rotation_from_quaternion(displaced_body["rotation"])) == pytest.approx(math.pi / 2 + 0.25)
+    assert displaced_body["id"] is body["id"]
 
 
 @given(payload=st.binary(max_size=50), places=st.lists(st.floats(0.0, 1.0), max_size=8))

@@ -43,10 +43,10 @@ def test_burst_lengths_and_loss_rate_match_the_channel(good_to_bad: float, bad_t
     n = 8000
     rule = dict(type="GilbertElliott", good_to_bad=good_to_bad, bad_to_good=bad_to_good)
     lost = ~came(carry([rule], n, seed=seed))
-    found = bursts(lost)
+    lengths = bursts(lost)
     # Bursts of a channel that loses everything while bad are geometric: mean 1/b, variance (1 - b)/b².
-    error = np.sqrt(1.0 - bad_to_good) / bad_to_good / np.sqrt(len(found))
-    assert abs(found.mean() - 1.0 / bad_to_good) < 3.3 * error
+    error = np.sqrt(1.0 - bad_to_good) / bad_to_good / np.sqrt(len(lengths))
+    assert abs(lengths.mean() - 1.0 / bad_to_good) < 3.3 * error
     # The variance of a mean of a two-state chain is that of independent draws times (1 + λ)/(1 - λ), λ = 1 - g - b.
     rate = good_to_bad / (good_to_bad + bad_to_good)
     eigenvalue = 1.0 - good_to_bad - bad_to_good
@@ -73,22 +73,22 @@ def test_the_channel_starts_in_its_stationary_distribution(seed: int) -> None:
 @pytest.mark.parametrize(("mean", "jitter"), [(0.02, 0.004), (0.05, 0.012)])
 def test_delays_have_the_configured_mean_and_deviation(distribution: str, mean: float, jitter: float) -> None:
     rule = dict(type="Delay", mean_s=mean, jitter_s=jitter, distribution=distribution)
-    found = delays(carry([rule], N, every_ns=20 * PERIOD_NS))  # far enough apart that none waits for another
-    assert abs(found.mean() - mean) < 3.3 * jitter / np.sqrt(N)
-    assert abs(found.std() / jitter - 1.0) < 0.08
-    assert found.min() >= 0.0
+    delays_s = delays(carry([rule], N, every_ns=20 * PERIOD_NS))  # far enough apart that none waits for another
+    assert abs(delays_s.mean() - mean) < 3.3 * jitter / np.sqrt(N)
+    assert abs(delays_s.std() / jitter - 1.0) < 0.08
+    assert delays_s.min() >= 0.0
 
 
 def test_gamma_delays_follow_a_gamma_distribution() -> None:
-    found = delays(carry([dict(type="Delay", mean_s=0.02, jitter_s=0.01)], N, every_ns=20 * PERIOD_NS))
-    assert kstest(found, gamma_law(a=4.0, scale=0.005).cdf).pvalue > 1.0 - SURE
+    delays_s = delays(carry([dict(type="Delay", mean_s=0.02, jitter_s=0.01)], N, every_ns=20 * PERIOD_NS))
+    assert kstest(delays_s, gamma_law(a=4.0, scale=0.005).cdf).pvalue > 1.0 - SURE
 
 
 def test_a_normal_delay_is_truncated_at_zero() -> None:
     rule = dict(type="Delay", mean_s=0.005, jitter_s=0.02, distribution="normal")
-    found = delays(carry([rule], N, every_ns=20 * PERIOD_NS))
-    assert found.min() >= 0.0
-    assert (found < 1e-6).mean() < 0.005
+    delays_s = delays(carry([rule], N, every_ns=20 * PERIOD_NS))
+    assert delays_s.min() >= 0.0
+    assert (delays_s < 1e-6).mean() < 0.005
 
 
 @pytest.mark.parametrize("p", [0.1, 0.5])
@@ -96,8 +96,8 @@ def test_duplication_reordering_and_corruption_rates_equal_the_probability(p: fl
     doubled = sum(len(o.leaving) == 2 for o in carry([dict(type="Duplicate", probability=p)], N))
     reordered = sum(o.leaving[0][0].overtakes for o in carry([dict(type="Reorder", probability=p, by_s=0.1)], N))
     flipped = sum(len(o.leaving[0][0].flips) == 3 for o in carry([dict(type="Corrupt", probability=p, flips=3)], N))
-    for found in (doubled, reordered, flipped):
-        assert binomtest(found, N, p).pvalue > 1.0 - SURE
+    for affected in (doubled, reordered, flipped):
+        assert binomtest(affected, N, p).pvalue > 1.0 - SURE
 
 
 def test_copies_are_lost_independently() -> None:
@@ -110,10 +110,10 @@ def test_copies_are_lost_independently() -> None:
 def test_pose_errors_have_the_configured_bias_and_deviation() -> None:
     rule = dict(type="PoseError", position_std_m=0.5, yaw_std_rad=0.02, bias_m=[1.0, -2.0], bias_yaw_rad=0.1)
     copies = [outcome.leaving[0][0] for outcome in carry([rule], N, referenced=True)]
-    found = np.array([[*copy.shift, copy.turn] for copy in copies])
+    errors = np.array([[*copy.shift, copy.turn] for copy in copies])
     std = np.array([0.5, 0.5, 0.02])
-    assert np.all(np.abs(found.mean(axis=0) - [1.0, -2.0, 0.1]) < 3.3 * std / np.sqrt(N))
-    assert np.all(np.abs(found.std(axis=0) / std - 1.0) < 0.08)
+    assert np.all(np.abs(errors.mean(axis=0) - [1.0, -2.0, 0.1]) < 3.3 * std / np.sqrt(N))
+    assert np.all(np.abs(errors.std(axis=0) / std - 1.0) < 0.08)
 
 
 @pytest.mark.parametrize("size", [1000, 15_000])

@@ -26,11 +26,11 @@ def nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> I
     threads = set(threading.enumerate())
 
     def processes() -> list[psutil.Process]:
-        mine = []
+        children = []
         for process in psutil.process_iter(["cmdline"]):
             if process.pid != os.getpid() and any(str(tmp_path) in word for word in process.info["cmdline"] or ()):
-                mine.append(process)
-        return mine
+                children.append(process)
+        return children
 
     with tempfile.TemporaryDirectory(prefix="mast_", dir="/tmp") as own:  # short, as socket paths are limited
         monkeypatch.setenv("TMPDIR", own)

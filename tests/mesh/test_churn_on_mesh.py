@@ -43,8 +43,8 @@ STEPS = (
 
 def resolved(*steps: tuple[int, str, str], frames: int, **options: object) -> Resolved:
     path, loaded = scenario.load("coordinated", ["n_infrastructure=3", "attack_start_s=0.2"])
-    found = scenario.resolve(path, loaded, frames=frames, record=True, **options)
-    return replace(found, steps=tuple(ProcessStep(*step) for step in steps))
+    resolved_scenario = scenario.resolve(path, loaded, frames=frames, record=True, **options)
+    return replace(resolved_scenario, steps=tuple(ProcessStep(*step) for step in steps))
 
 
 def frames_of(folder: Path, key: str) -> list[int]:
@@ -57,9 +57,9 @@ def test_in_lock_step_the_mesh_equals_one_process_despite_kills_and_restarts(tmp
     assert mesh.error is None, mesh.error
     inproc = launcher.run(what, tmp_path / "inproc", runtime="inproc")
     assert inproc.error is None
-    found = compare(mesh.folder, inproc.folder, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal == len(list(read(mesh.folder)))
+    difference = compare(mesh.folder, inproc.folder, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal == len(list(read(mesh.folder)))
     assert (mesh.folder / "metrics.json").read_bytes() == (inproc.folder / "metrics.json").read_bytes()
     assert frames_of(mesh.folder, "agent/infra_1/tracks/@tap/0") == [0, 1, 2, *range(5, 16)]
     assert frames_of(mesh.folder, "agent/infra_1/tracks") == [0, 1, 2, 5, *range(10, 16)], "its adversary was away"

@@ -235,9 +235,9 @@ def test_a_killed_launcher_leaves_no_nodes_running(launch) -> None:
     eventually(lambda: not alive(pids), "all nodes have left", seconds=5.0)
     row = ending("launcher killed (SIGKILL)")
     assert (run.record()["status"], 128 - run.process.returncode) == row, "earlier messages are readable"
-    told = subprocess.run([*MAST, "report", str(run.out)], capture_output=True, text=True)
-    assert told.returncode == 0, told.stderr
-    assert "The run was cut off" in told.stderr.replace("\n", " ")
+    report = subprocess.run([*MAST, "report", str(run.out)], capture_output=True, text=True)
+    assert report.returncode == 0, report.stderr
+    assert "The run was cut off" in report.stderr.replace("\n", " ")
     assert "killed" in (run.out / "report.html").read_text()
 
 

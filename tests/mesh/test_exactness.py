@@ -41,9 +41,9 @@ def on_mesh(launch, name: str, *settings: str) -> Path:
 
 
 def assert_equal(a: Path, b: Path, *, taps: bool = True) -> None:
-    found = compare(a, b, taps=taps)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal == sum(taps or not message.tap for message in read(a)) > 0
+    difference = compare(a, b, taps=taps)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal == sum(taps or not message.tap for message in read(a)) > 0
 
 
 def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path: Path) -> None:

@@ -53,9 +53,9 @@ def test_unsigned_messages_change_nothing_and_are_counted(launch, tmp_path: Path
     assert code == 0, output
     path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
     sound = launcher.run(scenario.resolve(path, loaded, frames=20, record=True), tmp_path / "sound", runtime="inproc")
-    found = compare(sound.folder, run.out)
-    assert found.first is None
-    assert found.equal > 0
+    difference = compare(sound.folder, run.out)
+    assert difference.first is None
+    assert difference.equal > 0
     ended = run.record()
     assert ended["unsigned_control"] == 0
     assert {key: count for key, (count, _) in ended["invalid_control"].items()} == {"act": 1}

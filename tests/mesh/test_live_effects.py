@@ -57,7 +57,7 @@ def test_an_inserted_node_is_measured_from_then_on_and_credited_alone(launch, tm
     assert attacks["frame"][moved].max() >= 148, "until the end"
     offset = np.column_stack([attacks[f"after_{axis}"] - attacks[f"before_{axis}"] for axis in "xyz"])[moved]
     np.testing.assert_allclose(offset, np.tile([0.0, 5.0, 0.0], (len(offset), 1)), atol=1e-9)
-    verdicts = {name: found["agreement"] for name, found in metrics["interposers"].items()}
+    verdicts = {name: verdict["agreement"] for name, verdict in metrics["interposers"].items()}
     assert verdicts == {"adversary_1": "nothing to report", "mallory": "silent"}
     blamed = objects["by"] != ""
     assert set(objects["by"][blamed]) == {"mallory"}

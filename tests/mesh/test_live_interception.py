@@ -71,14 +71,14 @@ def lost(run: Launched, observer: Observer) -> list[tuple[str, str, list[tuple[i
         seen.append((key, (header.seq, header.frame)))
     table = read_table(run.out / "results" / "evaluator" / "heard.parquet")
     heard = list(zip(table["wire"], zip(table["seq"].tolist(), table["frame"].tolist(), strict=True), strict=True))
-    found = [
-        (who, wire, gaps([number for key, number in messages if key == wire]))
-        for who, messages in (("stranger", seen), ("recorder", recorded), ("evaluator", heard))
+    all_gaps = [
+        (hearer, wire, gaps([number for key, number in messages if key == wire]))
+        for hearer, messages in (("stranger", seen), ("recorder", recorded), ("evaluator", heard))
         for wire in sorted({key for key, _ in messages})
     ]
-    heard_by = [(who, wire) for who, wire, _ in found if wire in (TRACKS, DETECTIONS)]
+    heard_by = [(hearer, wire) for hearer, wire, _ in all_gaps if wire in (TRACKS, DETECTIONS)]
     assert len(heard_by) == 5, "all three hear them, except detections, which the evaluator does not need"
-    return [entry for entry in found if entry[2]]
+    return [entry for entry in all_gaps if entry[2]]
 
 
 @pytest.mark.timeout(600)

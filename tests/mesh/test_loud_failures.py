@@ -31,7 +31,7 @@ def failures(record: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("attack", "eve.on_detections failed 7 times in 7 frames (5 to 11): ValueError: no [plan] for frame 5 ("),
         ("center", "command_center.on_collated failed 4 times in 4 frames (2 to 11): RuntimeError: no clusters ("),
@@ -39,7 +39,7 @@ def failures(record: dict[str, Any]) -> dict[str, Any]:
     ],
 )
 def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(
-    launch, tmp_path: Path, name: str, said: str
+    launch, tmp_path: Path, name: str, message: str
 ) -> None:
     path = failing.write(name, tmp_path)
     run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record")
@@ -47,7 +47,7 @@ def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(
     assert code == 30, output
     record = run.record()
     assert record["status"] == "handler_failures"
-    assert f"HandlerFailed: handlers failed, so the numbers may be wrong:\n  {said}" in output
+    assert f"HandlerFailed: handlers failed, so the numbers may be wrong:\n  {message}" in output
     (node,) = failures(record)
     assert str(run.out / "logs" / f"{node}.log") in output
     assert failures(record) == failures(in_process(path, tmp_path / "inproc"))
@@ -65,11 +65,11 @@ def test_a_node_that_fails_to_start_ends_the_run_on_a_mesh_and_in_one_process(
     run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record", "--allow-failures")
     code, output = run.end()
     assert code == 21, output
-    said = f"eve.start failed once before the first frame: {error}: no weights ("
-    assert f"StartError: {said}" in output
+    message = f"eve.start failed once before the first frame: {error}: no weights ("
+    assert f"StartError: {message}" in output
     record = in_process(path, tmp_path / "inproc")
     assert record["status"] == run.record()["status"] == "failed"
-    assert record["message"].startswith(said)
+    assert record["message"].startswith(message)
     assert failures(record) == failures(run.record())
 
 

@@ -132,14 +132,14 @@ def test_a_dead_relay_is_noticed(tmp_path: Path) -> None:
 
 def test_remnants_of_a_killed_launcher_are_removed_at_the_next_start(tmp_path: Path) -> None:
     require()
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    left, ours = f"mast-{gone.pid}-1-0-centre", Owner.this_process().name("centre")
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    left, ours = f"mast-{ended.pid}-1-0-centre", Owner.this_process().name("centre")
     reused = f"mast-{os.getpid()}-1-0-centre"  # a reused pid: this process was not started at tick 1
-    others = f"not-mast-{gone.pid}"
+    others = f"not-mast-{ended.pid}"
     for name in (left, ours, reused, others):
         subprocess.run(["ip", "netns", "add", name], check=True)
-    folder = Path(tempfile.gettempdir()) / f"mast-{gone.pid}-1-0-abc"
+    folder = Path(tempfile.gettempdir()) / f"mast-{ended.pid}-1-0-abc"
     folder.mkdir()
     try:
         sweep()

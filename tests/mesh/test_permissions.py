@@ -23,8 +23,8 @@ def modes(*folders: Path) -> dict[Path, int]:
     return {path: stat.S_IMODE(path.stat().st_mode) for path in paths if not path.is_symlink()}
 
 
-def writable_by_others(found: dict[Path, int]) -> dict[str, str]:
-    return {str(path): oct(mode) for path, mode in found.items() if mode & 0o022}
+def writable_by_others(permissions: dict[Path, int]) -> dict[str, str]:
+    return {str(path): oct(mode) for path, mode in permissions.items() if mode & 0o022}
 
 
 def test_runs_reports_and_the_cache_are_not_writable_by_others(
@@ -33,10 +33,10 @@ def test_runs_reports_and_the_cache_are_not_writable_by_others(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     run = start(*LAX, "run", "baseline", "--frames", "12", *SMALL)
     assert run.end()[0] == 0
-    found = modes(run.out, tmp_path / "cache")
-    names = {path.name for path in found}
+    permissions = modes(run.out, tmp_path / "cache")
+    names = {path.name for path in permissions}
     assert {"run.json", "messages.mcap", "metrics.json", "report.html", "scene.npz", "broker.log", "scenes"} <= names
-    assert writable_by_others(found) == {}
+    assert writable_by_others(permissions) == {}
 
 
 def test_keys_of_a_secure_run_are_not_readable_by_others(start: Callable[..., Launched], tmp_path: Path) -> None:

@@ -93,11 +93,11 @@ def test_interposers_that_change_nothing_leave_no_trace(launch, tmp_path: Path) 
     assert plain.keys() == tapped.keys()
     for key in plain:
         assert plain[key] == tapped[key], key
-    told, expected = json.loads(tapped_metrics), json.loads(plain_metrics)
-    assert all(interposer["effects"] == {} for interposer in told.pop("interposers").values())
-    assert not any(each["success_centre"] or each["success_ego"] for each in told.pop("achieved").values())
+    measured, expected = json.loads(tapped_metrics), json.loads(plain_metrics)
+    assert all(interposer["effects"] == {} for interposer in measured.pop("interposers").values())
+    assert not any(each["success_centre"] or each["success_ego"] for each in measured.pop("achieved").values())
     assert (expected.pop("interposers"), expected.pop("achieved")) == ({}, {})
-    assert told == expected
+    assert measured == expected
 
 
 def test_simultaneous_runs_do_not_interfere(launch, tmp_path: Path) -> None:
@@ -114,15 +114,15 @@ def test_a_real_time_run_keeps_pace_and_measures_its_latency(launch) -> None:
     run: Launched = launch("baseline", "--frames", "40", "--mode", "realtime", "--rate", "2")
     code, output = run.end()
     assert code == 0, output
-    found = json.loads(metrics(run.out))
-    assert found["frames"] == 40
-    assert found["frames_per_second"] == pytest.approx(20, rel=0.2), "twice 10 Hz"
-    assert 0 < found["latency_ms"]["sim_to_picture"]["p50"] <= found["latency_ms"]["sim_to_picture"]["p99"]
-    wires = found["latency_ms"]["by_wire"]
+    scores = json.loads(metrics(run.out))
+    assert scores["frames"] == 40
+    assert scores["frames_per_second"] == pytest.approx(20, rel=0.2), "twice 10 Hz"
+    assert 0 < scores["latency_ms"]["sim_to_picture"]["p50"] <= scores["latency_ms"]["sim_to_picture"]["p99"]
+    wires = scores["latency_ms"]["by_wire"]
     assert {"clock", "agent/ego/detections", "agent/infra_1/tracks", "cc/picture"} <= wires.keys()
     assert all(0 < wire["p50"] <= wire["p95"] <= wire["p99"] and 0 < wire["n"] <= 40 for wire in wires.values())
     assert wires["agent/ego/pose"]["p50"] < wires["agent/ego/tracks"]["p50"] < wires["cc/picture"]["p50"]
-    assert found["agents"]["ego"]["picture"]["tp"]["mean"] > 5
+    assert scores["agents"]["ego"]["picture"]["tp"]["mean"] > 5
 
 
 def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:

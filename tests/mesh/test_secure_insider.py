@@ -21,8 +21,8 @@ def test_forged_reports_of_an_insider_stop_an_open_run_but_no_secure_one(tmp_pat
     twin = run.run(resolved, tmp_path / "twin", runtime="inproc")
     assert twin.error is None
     insider = ForgeControls("link", "link_ego")
-    admitted, sent, found = infiltrate(resolved, tmp_path / "acl", "acl", insider, twin.folder)
-    assert (admitted, sent, found.verdict) == (True, 30, "no effect")
-    admitted, sent, found = infiltrate(resolved, tmp_path / "open", "open", insider, twin.folder)
+    admitted, sent, findings = infiltrate(resolved, tmp_path / "acl", "acl", insider, twin.folder)
+    assert (admitted, sent, findings.verdict) == (True, 30, "no effect")
+    admitted, sent, findings = infiltrate(resolved, tmp_path / "open", "open", insider, twin.folder)
     assert admitted
-    assert found.succeeded, found
+    assert findings.succeeded, findings

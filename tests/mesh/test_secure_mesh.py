@@ -72,8 +72,8 @@ def test_a_client_without_a_certificate_is_refused_with_the_reason(level: str) -
     with meshed(level) as (deployment, endpoint):
         assert deployment.authority is not None
         authority, now = deployment.authority, datetime.now(UTC)
-        theirs = Authority("r").issue("a")
-        assert "another authority" in refused(endpoint, Credentials(authority.pem, theirs.certificate, theirs.key))
+        foreign = Authority("r").issue("a")
+        assert "another authority" in refused(endpoint, Credentials(authority.pem, foreign.certificate, foreign.key))
         expired = authority.issue("a", begins=now - timedelta(hours=2), ends=now - timedelta(hours=1))
         assert "has expired" in refused(endpoint, expired)
         assert "none was shown" in refused(endpoint, Credentials(authority.pem))
@@ -133,9 +133,9 @@ def test_the_router_reveals_no_key() -> None:
     router, _ = open_router("tls/127.0.0.1:0", security=router_settings("mtls", credentials))
     secret = credentials.key.splitlines()[1]
     with router:
-        shown = [reply.ok.payload.to_bytes() for reply in router.get("@/**", timeout=2.0) if reply.ok is not None]
-    assert shown
-    assert not any(secret in content or b"PRIVATE" in content for content in shown)
+        answers = [reply.ok.payload.to_bytes() for reply in router.get("@/**", timeout=2.0) if reply.ok is not None]
+    assert answers
+    assert not any(secret in content or b"PRIVATE" in content for content in answers)
 
 
 def test_the_router_forwards_what_the_wiring_permits_and_refuses_anything_else() -> None:

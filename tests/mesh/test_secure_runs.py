@@ -44,9 +44,9 @@ def test_a_secure_run_equals_the_open_one_exactly(launch, tmp_path: Path, level:
     folders = credentials(run.started())
     code, output = run.end()
     assert code == 0, output
-    found = compare(plain.folder, run.out, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
+    difference = compare(plain.folder, run.out, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
     assert json.loads((run.out / "metrics.json").read_text()) == json.loads((plain.folder / "metrics.json").read_text())
     assert run.record()["security"] == level
     assert run.record()["endpoint"].startswith("tls/")

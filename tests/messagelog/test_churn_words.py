@@ -20,8 +20,10 @@ EVENTS = [
 def test_the_error_names_nodes_frames_and_the_option_that_allows_churn():
     error = churn.error(EVENTS)
     assert isinstance(error, NodeLost)
-    said = "infra_2 was lost before frame 40; infra_2 came back before frame 52; recorder was lost before frame 60"
-    assert str(error).startswith(said)
+    description = (
+        "infra_2 was lost before frame 40; infra_2 came back before frame 52; recorder was lost before frame 60"
+    )
+    assert str(error).startswith(description)
     assert "--allow-churn" in str(error)
 
 

@@ -20,9 +20,9 @@ DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" 
 
 def equal(a: Path, b: Path, **options: bool) -> int:
     """Assert that two runs are equal; returns the number of messages."""
-    found = compare(a, b, **options)
-    assert found.first is None, "\n".join(explain(found))
-    return found.equal
+    difference = compare(a, b, **options)
+    assert difference.first is None, "\n".join(explain(difference))
+    return difference.equal
 
 
 @pytest.fixture(scope="session")
@@ -71,11 +71,11 @@ def test_interposers_that_change_nothing_leave_no_trace(tmp_path: Path, infrastr
 
 def test_additional_agents_change_nothing_for_the_others(tmp_path: Path) -> None:
     runs = {n: run(tmp_path / str(n), "baseline", f"n_infrastructure={n}") for n in (1, 2, 5)}
-    said = {
+    payloads = {
         n: {(m.key, m.frame): m.payload for m in read(folder) if m.message == "pose" or m.message == "clock"}
         for n, folder in runs.items()
     }
-    assert said[1].items() <= said[2].items() <= said[5].items()
+    assert payloads[1].items() <= payloads[2].items() <= payloads[5].items()
 
 
 @pytest.mark.parametrize("scene", ["scene_a", "av2_log"])

@@ -37,11 +37,11 @@ def test_messages_are_read_in_the_order_of_frame_wire_publisher_and_sequence(
     sent = small_run()
     for shuffle in range(5):
         shuffled = random.Random(shuffle).sample(sent, len(sent))
-        found = list(read(write(tmp_path / f"{shuffle}.mcap", shuffled)))
-        assert [(message.frame, message.wire, message.tap) for message in found] == [
+        messages = list(read(write(tmp_path / f"{shuffle}.mcap", shuffled)))
+        assert [(message.frame, message.wire, message.tap) for message in messages] == [
             (frame, key.split("/@")[0], "@" in key) for frame in range(6) for key in sorted(HEARS)
         ]
-        assert [(message.key, message.payload) for message in found] == sent
+        assert [(message.key, message.payload) for message in messages] == sent
 
 
 def test_messages_of_one_frame_on_one_wire_keep_their_sequence_order(tmp_path: Path) -> None:
@@ -60,9 +60,9 @@ def test_a_key_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
         log.add(key, sound, header, header.frame)
     log.add_malformed(TAP, b"nonsense", 0, 0, 0)
     log.close()
-    found = list(read(tmp_path / "run.mcap"))
-    assert [(message.key, message.payload) for message in found if not message.malformed] == sent
-    assert sum(message.malformed for message in found) == 1
+    messages = list(read(tmp_path / "run.mcap"))
+    assert [(message.key, message.payload) for message in messages if not message.malformed] == sent
+    assert sum(message.malformed for message in messages) == 1
 
 
 def test_the_step_in_which_a_message_was_sent_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,15 +136,15 @@ def test_invalid_metadata_is_refused_with_its_fault(tmp_path: Path, name: str, m
 def test_duplicates_are_kept_in_their_order_of_arrival(tmp_path: Path) -> None:
     sent = [("clock", payload("clock", 0)), ("agent/a/status", payload("agent/a/status", 0))]
     twice = payload("agent/a/status", 0, {name: [9] for name in ("mobile", "detections", "tracks")})
-    found = list(read(write(tmp_path / "run.mcap", [*sent, ("agent/a/status", twice)])))
-    assert [message.payload for message in found] == [sent[1][1], twice, sent[0][1]]
+    messages = list(read(write(tmp_path / "run.mcap", [*sent, ("agent/a/status", twice)])))
+    assert [message.payload for message in messages] == [sent[1][1], twice, sent[0][1]]
 
 
 def test_other_readers_understand_channels_metadata_and_schemas(tmp_path: Path) -> None:
     with write(tmp_path / "run.mcap", small_run()).open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
-        found = list(reader.iter_messages())
+        messages = list(reader.iter_messages())
     assert summary is not None
     channels = {channel.topic: channel for channel in summary.channels.values()}
     assert channels.keys() == HEARS.keys()
@@ -164,10 +164,10 @@ def test_other_readers_understand_channels_metadata_and_schemas(tmp_path: Path) 
         "<f8",
         "n, 3",
     )
-    assert [message.data for _, _, message in found] == [data for _, data in small_run()], (
+    assert [message.data for _, _, message in messages] == [data for _, data in small_run()], (
         "in the same order for other readers"
     )
-    for _, channel, message in found:
+    for _, channel, message in messages:
         header = codec.decode_header(message.data, channel.metadata["message"])
         assert message.publish_time == header.time_ns
         assert 0 <= message.log_time - header.time_ns < len(HEARS)
@@ -177,13 +177,13 @@ def test_other_readers_understand_channels_metadata_and_schemas(tmp_path: Path) 
 def test_malformed_messages_are_kept_unchanged_and_marked(tmp_path: Path) -> None:
     rubbish = [b"", b"\xc1", payload("agent/a/status", 1)[:-3], payload("clock", 1)]
     sent = [*small_run(3), *(("agent/a/status", data) for data in rubbish)]
-    found = list(read(write(tmp_path / "run.mcap", sent)))
-    marked = [message for message in found if message.malformed]
+    messages = list(read(write(tmp_path / "run.mcap", sent)))
+    marked = [message for message in messages if message.malformed]
     assert [message.payload for message in marked] == rubbish
     assert {(m.key, m.wire, m.frame, m.time_ns) for m in marked} == {
         ("agent/a/status/@malformed", "agent/a/status", -1, 2 * PERIOD_NS)
     }
-    assert len(found) - len(marked) == len(small_run(3))
+    assert len(messages) - len(marked) == len(small_run(3))
 
 
 def test_a_truncated_file_is_readable_up_to_its_last_whole_chunk(
@@ -206,10 +206,10 @@ def test_a_truncated_file_is_readable_up_to_its_last_whole_chunk(
     before = 0
     for size in range(8, len(data), 7):
         cut.write_bytes(data[:size])
-        found = [message.payload for message in read(cut)]
-        assert found == whole[: len(found)]
-        assert len(found) >= before, "whole chunks stay intact"
-        before = len(found)
+        payloads = [message.payload for message in read(cut)]
+        assert payloads == whole[: len(payloads)]
+        assert len(payloads) >= before, "whole chunks stay intact"
+        before = len(payloads)
     assert before == len(whole)
     for end, chunks in ends:
         cut.write_bytes(data[:end])
@@ -233,9 +233,9 @@ def test_a_killed_process_leaves_all_whole_chunks(tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
     ended = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=False)
     assert ended.returncode == -signal.SIGKILL
-    found = [(message.key, message.payload) for message in read(tmp_path / "run.mcap")]
-    assert found == small_run(60)[: len(found)]
-    assert {frame for frame in range(60) if ("clock", payload("clock", frame)) in found} >= set(range(50))
+    messages = [(message.key, message.payload) for message in read(tmp_path / "run.mcap")]
+    assert messages == small_run(60)[: len(messages)]
+    assert {frame for frame in range(60) if ("clock", payload("clock", frame)) in messages} >= set(range(50))
 
 
 def test_a_recording_without_messages_is_readable(tmp_path: Path) -> None:
@@ -268,7 +268,7 @@ def test_a_damaged_chunk_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "reason"),
     [
         (lambda folder: folder / "nowhere", "no such folder"),
         (lambda folder: folder, "is not the folder of a run"),
@@ -280,8 +280,8 @@ def test_a_damaged_chunk_is_named(tmp_path: Path) -> None:
         (lambda folder: (folder / "x.mcap").write_text("") == 0 and folder / "x.mcap", "does not begin as an MCAP"),
     ],
 )
-def test_a_file_that_is_not_a_recording_is_refused(tmp_path: Path, make, said: str) -> None:
-    with pytest.raises(RunFolderError, match=said):
+def test_a_file_that_is_not_a_recording_is_refused(tmp_path: Path, make, reason: str) -> None:
+    with pytest.raises(RunFolderError, match=reason):
         list(read(make(tmp_path)))
 
 

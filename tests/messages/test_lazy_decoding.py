@@ -73,9 +73,9 @@ def test_malformed_bytes_are_refused_at_once_or_on_access(cut: int, flip: int, b
         with pytest.raises(MessageError):
             len(codec.decode_lazily(broken, "status").body)
     else:
-        found = codec.decode_lazily(broken, "status")
-        assert found.header == expected.header
-        assert {name: column.tobytes() for name, column in found.body.items()} == {
+        message = codec.decode_lazily(broken, "status")
+        assert message.header == expected.header
+        assert {name: column.tobytes() for name, column in message.body.items()} == {
             name: column.tobytes() for name, column in expected.body.items()
         }
 

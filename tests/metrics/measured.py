@@ -57,17 +57,17 @@ def effects(*rows: Row, passages: Sequence[Passage] = (), of: Sequence[int] | No
     )
 
 
-def explained(record: Record, found: Effects, roles: dict[str, str] | None = None, **more) -> dict[str, np.ndarray]:
+def explained(record: Record, measured: Effects, roles: dict[str, str] | None = None, **more) -> dict[str, np.ndarray]:
     """The table of objects of a record with causes; more: see `Attribution.label`."""
-    return labelled(record, found, roles, **more)[1]
+    return labelled(record, measured, roles, **more)[1]
 
 
-def labelled(record: Record, found: Effects, roles: dict[str, str] | None = None, **more):
+def labelled(record: Record, measured: Effects, roles: dict[str, str] | None = None, **more):
     """(scores, table of objects with causes, labels, manipulations) of a record."""
     scores: Scores = Scorer().score(record)
     truth = record.truth(scores.frames)
     boxes = truth.boxes.in_group(scores.frames[truth.boxes.group])
-    known = {way.node: "adversary" for way in found.passages} | (roles or {})
-    done = manipulations(found, known, scores.series, boxes, PERIOD_S, np.zeros(len(found), bool), Attribution())
+    known = {way.node: "adversary" for way in measured.passages} | (roles or {})
+    done = manipulations(measured, known, scores.series, boxes, PERIOD_S, np.zeros(len(measured), bool), Attribution())
     labels = Attribution().label(scores, done, truth, record.agents, PERIOD_S, **more)
     return scores, scores.objects() | {"cause": named(labels.cause), "by": labels.by}, labels, done

@@ -33,8 +33,8 @@ def driven(
         record.add_truth(frame, objects, np.full((len(objects), 1), 50), np.array([[*ego(frame), 0.0]]), np.array([0]))
         believed = cars(ego(frame), *tracked, id=[100, *(200 + k for k in range(len(tracked)))])
         record.add(frame, [Series("ego", "local")], Snapshot.of(believed))
-    found = effects(*(lies or []), passages=[passage("eve", "detections", "ego")] if lies else ())
-    scores, _, labels, _ = labelled(record, found)
+    measured_effects = effects(*(lies or []), passages=[passage("eve", "detections", "ego")] if lies else ())
+    scores, _, labels, _ = labelled(record, measured_effects)
     return consequences.drives(Driving(), record, scores, labels, record.truth(scores.frames))
 
 
@@ -43,15 +43,15 @@ def frames(mask: np.ndarray) -> list[int]:
 
 
 def test_a_correct_estimate_brakes_when_the_truth_does() -> None:
-    found = driven([CAR], [[CAR]] * FRAMES)
+    driving = driven([CAR], [[CAR]] * FRAMES)
     for estimate in ("truth", "local"):
-        drive = found["ego", estimate]
+        drive = driving["ego", estimate]
         assert frames(drive.brake) == list(range(FIRST, FRAMES))
         assert drive.gap_m == pytest.approx([CAR[0] - frame - 4.5 for frame in range(FRAMES)])
         assert drive.ttc_s == pytest.approx(drive.gap_m / 10.0)
         assert not drive.needless.any()
         assert not drive.omitted.any()
-    assert found["ego", "truth"].objects.tolist() == [1] * FRAMES, "the ego does not block itself"
+    assert driving["ego", "truth"].objects.tolist() == [1] * FRAMES, "the ego does not block itself"
 
 
 @pytest.mark.parametrize("attacked", [True, False])
@@ -67,8 +67,8 @@ def test_missed_braking_is_due_to_an_attack_that_hid_the_object(attacked: bool) 
 
 @pytest.mark.parametrize("attacked", [True, False])
 def test_needless_braking_is_due_to_an_attack_that_inserted_the_object(attacked: bool) -> None:
-    shown: list[Row] = [("eve", frame, "inserted", 7, CAR, (0.0, 0.0)) for frame in range(FRAMES)]
-    drive = driven([], [[CAR]] * FRAMES, shown if attacked else [])["ego", "local"]
+    lies: list[Row] = [("eve", frame, "inserted", 7, CAR, (0.0, 0.0)) for frame in range(FRAMES)]
+    drive = driven([], [[CAR]] * FRAMES, lies if attacked else [])["ego", "local"]
     assert frames(drive.needless) == list(range(FIRST, FRAMES))
     assert frames(drive.attacked) == (list(range(FIRST, FRAMES)) if attacked else [])
     assert drive.false.tolist() == [1] * FRAMES
@@ -78,8 +78,8 @@ def test_needless_braking_is_due_to_an_attack_that_inserted_the_object(attacked:
 def test_needless_braking_is_not_blamed_on_an_attack_elsewhere_in_the_corridor() -> None:
     """The inserted object is too far ahead to brake for; the near one is clutter."""
     far = (90.0, 0.0)
-    shown: list[Row] = [("eve", frame, "inserted", 7, far, (0.0, 0.0)) for frame in range(FRAMES)]
-    drive = driven([], [[CAR, far]] * FRAMES, shown)["ego", "local"]
+    lies: list[Row] = [("eve", frame, "inserted", 7, far, (0.0, 0.0)) for frame in range(FRAMES)]
+    drive = driven([], [[CAR, far]] * FRAMES, lies)["ego", "local"]
     assert frames(drive.needless) == list(range(FIRST, FRAMES))
     assert not drive.attacked.any()
     assert drive.false[FIRST] == 2
@@ -97,10 +97,10 @@ def test_a_duplicate_of_the_ego_that_overlaps_it_is_counted_but_no_obstacle(ahea
 
 
 def test_a_past_collision_cannot_be_braked_for_even_by_the_truth() -> None:
-    found = driven([CAR], [[CAR]] * 60)
+    driving = driven([CAR], [[CAR]] * 60)
     for estimate in ("truth", "local"):
-        assert frames(found["ego", estimate].brake) == list(range(FIRST, 46))
-    assert frames(found["ego", "truth"].overlapping > 0) == list(range(46, 55))
+        assert frames(driving["ego", estimate].brake) == list(range(FIRST, 46))
+    assert frames(driving["ego", "truth"].overlapping > 0) == list(range(46, 55))
 
 
 def test_an_agent_that_is_not_an_object_of_the_scene_is_no_vehicle() -> None:
@@ -112,9 +112,9 @@ def test_an_agent_that_is_not_an_object_of_the_scene_is_no_vehicle() -> None:
 
 
 def test_the_summary_covers_the_scored_frames() -> None:
-    found = consequences.summary(driven([CAR], [[]] * FRAMES), slice(20, 30))["ego"]
-    assert found["truth"]["brake_share"] == pytest.approx((30 - FIRST) / 10)
-    assert found["local"]["missed_brake_share"] == pytest.approx((30 - FIRST) / 10)
-    assert found["local"]["corridor_missed"] == 1.0
-    assert found["local"]["min_ttc_s"] is None
-    assert found["truth"]["min_ttc_s"] == pytest.approx((CAR[0] - 29 - 4.5) / 10.0)
+    driving = consequences.summary(driven([CAR], [[]] * FRAMES), slice(20, 30))["ego"]
+    assert driving["truth"]["brake_share"] == pytest.approx((30 - FIRST) / 10)
+    assert driving["local"]["missed_brake_share"] == pytest.approx((30 - FIRST) / 10)
+    assert driving["local"]["corridor_missed"] == 1.0
+    assert driving["local"]["min_ttc_s"] is None
+    assert driving["truth"]["min_ttc_s"] == pytest.approx((CAR[0] - 29 - 4.5) / 10.0)

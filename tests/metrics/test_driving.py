@@ -65,12 +65,12 @@ def path_from(where: Vehicle, frame: int, horizon_m: float) -> LineString:
     radius=st.sampled_from([math.inf, 12.0, 30.0, -15.0]),
     frame=st.integers(0, 60),
     forward=st.floats(-20.0, 60.0),
-    aside=st.floats(-7.0, 7.0),
+    lateral=st.floats(-7.0, 7.0),
     turn=st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2]),
     size=st.sampled_from([(4.5, 1.8), (8.0, 2.5), (0.6, 0.6)]),
 )
 def test_objects_that_touch_the_widened_path_are_in_the_corridor(
-    radius: float, frame: int, forward: float, aside: float, turn: float, size: tuple[float, float]
+    radius: float, frame: int, forward: float, lateral: float, turn: float, size: tuple[float, float]
 ) -> None:
     """Objects by arc length and offset from the path, without borderline cases."""
     speed = 5.0  # 50 m in 100 frames: less than a circle
@@ -81,11 +81,11 @@ def test_objects_that_touch_the_widened_path_are_in_the_corridor(
     if forward >= 0.0:
         at, beyond = way.interpolate(forward), way.interpolate(forward + 0.01)
         direction = math.atan2(beyond.y - at.y, beyond.x - at.x)
-        x, y = at.x - aside * math.sin(direction), at.y + aside * math.cos(direction)
+        x, y = at.x - lateral * math.sin(direction), at.y + lateral * math.cos(direction)
     else:
         direction = where.heading[frame]
-        x = where.position[frame, 0] + forward * math.cos(direction) - aside * math.sin(direction)
-        y = where.position[frame, 1] + forward * math.sin(direction) + aside * math.cos(direction)
+        x = where.position[frame, 0] + forward * math.cos(direction) - lateral * math.sin(direction)
+        y = where.position[frame, 1] + forward * math.sin(direction) + lateral * math.cos(direction)
     body = outline(x, y, direction + turn, *size)
     corridor = way.buffer(WIDTH / 2 + margin, cap_style="flat")
     doubt = corridor.boundary.distance(body) if not corridor.intersects(body) else corridor.intersection(body).area
@@ -95,28 +95,28 @@ def test_objects_that_touch_the_widened_path_are_in_the_corridor(
     assume(abs(gap - horizon) > 1.0)
     assume(abs(forward) > 3.0)
     assume(math.hypot(x - where.position[frame, 0], y - where.position[frame, 1]) > 2.5)
-    found = ahead_of(where, objects((frame, x, y, direction + turn, *size)), horizon_m=horizon, margin_m=margin)
+    obstacles = ahead_of(where, objects((frame, x, y, direction + turn, *size)), horizon_m=horizon, margin_m=margin)
     itself = outline(*where.position[frame, :2], where.heading[frame], LENGTH, WIDTH)
     overlaps = itself.intersection(body).area > 1e-6
     assume(overlaps or itself.distance(body) > 0.01)
     expected = corridor.intersects(body) and forward > 0.0 and gap <= horizon and not overlaps
-    assert len(found.row) == expected
-    assert len(found.overlapping) == overlaps
+    assert len(obstacles.row) == expected
+    assert len(obstacles.overlapping) == overlaps
     if expected:
-        assert found.gap_m[0] == pytest.approx(max(gap, 0.0), abs=0.05 if math.isinf(radius) else 0.6)
+        assert obstacles.gap_m[0] == pytest.approx(max(gap, 0.0), abs=0.05 if math.isinf(radius) else 0.6)
 
 
 def test_an_object_ahead_where_the_path_bends_is_not_in_the_corridor() -> None:
     where = vehicle(radius_m=12.0, speed=5.0, heading=0.0)
-    found = ahead_of(where, objects((0, 9.0, 0.0, 0.0, 0.6, 0.6), (0, 9.0, 4.0, 0.0, 0.6, 0.6)))
-    assert found.row.tolist() == [1]
+    obstacles = ahead_of(where, objects((0, 9.0, 0.0, 0.0, 0.6, 0.6), (0, 9.0, 4.0, 0.0, 0.6, 0.6)))
+    assert obstacles.row.tolist() == [1]
 
 
 def test_an_object_beside_a_self_crossing_path_is_reached_on_the_return() -> None:
     """A circle of 75 m: from frame 100 (50 m) the object at the start is 25 m ahead."""
     where = vehicle(radius_m=12.0, speed=5.0, frames=200, heading=0.0)
-    found = ahead_of(where, objects((100, 0.0, 0.0, 0.0, 4.5, 1.8)))
-    assert found.gap_m == pytest.approx([2 * math.pi * 12.0 - 50.0 - 4.5], abs=0.6)
+    obstacles = ahead_of(where, objects((100, 0.0, 0.0, 0.0, 4.5, 1.8)))
+    assert obstacles.gap_m == pytest.approx([2 * math.pi * 12.0 - 50.0 - 4.5], abs=0.6)
 
 
 def test_the_vehicle_and_objects_behind_it_are_not_in_its_corridor() -> None:
@@ -127,11 +127,11 @@ def test_the_vehicle_and_objects_behind_it_are_not_in_its_corridor() -> None:
 
 def test_a_stationary_vehicle_has_a_straight_corridor_and_need_not_brake() -> None:
     where = vehicle(speed=0.0, heading=math.pi / 2)
-    found = ahead_of(where, objects((50, 0.0, 5.0, 0.0, 4.5, 1.8), (50, 5.0, 0.0, 0.0, 4.5, 1.8)))
-    assert found.row.tolist() == [0]
-    assert found.gap_m == pytest.approx([5.0 - 0.9 - LENGTH / 2])
-    assert not found.brake.any()
-    assert np.isinf(found.ttc_s).all()
+    obstacles = ahead_of(where, objects((50, 0.0, 5.0, 0.0, 4.5, 1.8), (50, 5.0, 0.0, 0.0, 4.5, 1.8)))
+    assert obstacles.row.tolist() == [0]
+    assert obstacles.gap_m == pytest.approx([5.0 - 0.9 - LENGTH / 2])
+    assert not obstacles.brake.any()
+    assert np.isinf(obstacles.ttc_s).all()
 
 
 def test_closing_speed_is_measured_along_the_path() -> None:
@@ -161,15 +161,15 @@ def test_the_gap_closes_after_the_time_to_collision(gap: float, own: float, othe
 
 def stopping_gap(own: float, other: float, rule: SafeDistance, step_s: float = 2e-4) -> float:
     """The used gap, m, in the worst case of Responsibility-Sensitive Safety."""
-    used = most = time_s = 0.0
+    used = max_used = time_s = 0.0
     while own > 0.0 or time_s < rule.response_s:
         rate = rule.acceleration if time_s < rule.response_s else -rule.braking
         faster = max(0.0, own + rate * step_s)
         slower = max(0.0, other - rule.braking_ahead * step_s)
         used += ((own + faster) - (other + slower)) / 2.0 * step_s
         own, other, time_s = faster, slower, time_s + step_s
-        most = max(most, used)
-    return most
+        max_used = max(max_used, used)
+    return max_used
 
 
 @settings(max_examples=40)

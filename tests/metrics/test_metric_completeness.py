@@ -39,12 +39,12 @@ def test_only_scored_frames_count() -> None:
 
 
 def test_without_objects_completeness_is_null_in_json() -> None:
-    found = summary([NONE, NONE], [FIRST, FIRST])
-    assert found["completeness"] is None
-    json.dumps(found, allow_nan=False)
+    scores = summary([NONE, NONE], [FIRST, FIRST])
+    assert scores["completeness"] is None
+    json.dumps(scores, allow_nan=False)
 
 
 def test_set_distances_are_computed_per_frame_and_summarised_like_counts() -> None:
-    found = summary([BOTH, BOTH], [BOTH, FIRST])
-    assert found["ospa_m"] == {"mean": pytest.approx(np.sqrt(25 / 2) / 2), "std": pytest.approx(np.sqrt(25 / 2) / 2)}
-    assert found["gospa_m"]["mean"] == pytest.approx(np.sqrt(25 / 2) / 2)
+    scores = summary([BOTH, BOTH], [BOTH, FIRST])
+    assert scores["ospa_m"] == {"mean": pytest.approx(np.sqrt(25 / 2) / 2), "std": pytest.approx(np.sqrt(25 / 2) / 2)}
+    assert scores["gospa_m"]["mean"] == pytest.approx(np.sqrt(25 / 2) / 2)

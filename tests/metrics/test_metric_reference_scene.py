@@ -47,14 +47,14 @@ def test_the_egos_detections_score_as_labelled(scene):
         points = np.array([[5 if a in row[8] else 0 for a in range(5)] for row in rows])
         places = np.array([agents[frame, a]["x"] for a in range(5)])
         run.add_truth(frame, objects, points, places, np.array([EGO, -1, -1, -1, -1]))
-        ego, found = agents[frame, 0], detections[frame, 0]["detections"]
-        local = np.array([[d["x"], d["y"], d["z"]] for d in found]).reshape(-1, 3)
+        ego, detected = agents[frame, 0], detections[frame, 0]["detections"]
+        local = np.array([[d["x"], d["y"], d["z"]] for d in detected]).reshape(-1, 3)
         # The scene's quaternions are passive: its transpose turns the lidar's components into the world's.
         seen = to_world(local, np.array(ego["lidar_x"]), rotation_from_quaternion(np.array(ego["q"])).T)
         run.add(frame, [Series("ego", "local")], Snapshot.of(ObjectStates.of(seen)))
         near = np.hypot(*(objects.position[:, :2] - places[0, :2]).T) <= 100.0
         heard = np.hypot(*(seen[:, :2] - places[0, :2]).T) <= 100.0
-        true = np.isin([d["gt"] for d in found], ids[near])
+        true = np.isin([d["gt"] for d in detected], ids[near])
         labelled[frame], clutter[frame] = int(np.sum(true & heard)), int(np.sum(~true & heard))
     scores = Scorer().score(run)
     scored = slice(6, -10)

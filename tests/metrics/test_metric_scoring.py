@@ -27,8 +27,8 @@ def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=Non
 
 def counts(scores, agent="ego", estimator="picture"):
     table = scores.per_frame()
-    mine = (table["agent"] == agent) & (table["estimator"] == estimator)
-    return [tuple(int(table[name][k]) for name in ("fn", "fp", "tp")) for k in np.flatnonzero(mine)]
+    selected = (table["agent"] == agent) & (table["estimator"] == estimator)
+    return [tuple(int(table[name][k]) for name in ("fn", "fp", "tp")) for k in np.flatnonzero(selected)]
 
 
 def outcomes(scores) -> set[tuple[str, str, int, int]]:
@@ -332,10 +332,10 @@ def test_every_box_has_one_outcome_and_outcomes_add_up_to_the_counts(seed):
     scores = Scorer(range_m=7.0).score(random_run(seed)[0])
     t, counted = scores.objects(), scores.per_frame()
     for k in range(len(counted["frame"])):
-        mine = np.all([t[name] == counted[name][k] for name in ("frame", "agent", "estimator")], axis=0)
+        selected = np.all([t[name] == counted[name][k] for name in ("frame", "agent", "estimator")], axis=0)
 
-        def number(kind, outcome, mine=mine):
-            return int(np.sum(mine & (t["kind"] == kind) & (t["outcome"] == outcome)))
+        def number(kind, outcome, selected=selected):
+            return int(np.sum(selected & (t["kind"] == kind) & (t["outcome"] == outcome)))
 
         assert number("truth", "missed") == counted["fn"][k]
         assert number("track", "false") == counted["fp"][k]

@@ -53,15 +53,15 @@ places = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6)), max_size=5)
 )
 def test_the_distance_is_minimal_over_all_assignments(frames, p: float, c: float, alpha: float) -> None:
     how = SetDistance(c=c, p=p, alpha=alpha)
-    sets = [[np.array(found, float).reshape(-1, 2) for found in frame] for frame in frames]
+    sets = [[np.array(estimate, float).reshape(-1, 2) for estimate in frame] for frame in frames]
     sides = [
         boxes(
             np.concatenate([frame[k] for frame in sets]), group=np.repeat(range(len(sets)), [len(f[k]) for f in sets])
         )
         for k in (0, 1)
     ]
-    found = np.column_stack(how.of(*sides, len(sets)))
-    assert found == pytest.approx(np.array([by_trying(x, y, how) for x, y in sets]), abs=1e-6)
+    estimate = np.column_stack(how.of(*sides, len(sets)))
+    assert estimate == pytest.approx(np.array([by_trying(x, y, how) for x, y in sets]), abs=1e-6)
 
 
 @pytest.mark.parametrize("p", [1.0, 2.0])
@@ -74,12 +74,12 @@ def test_distances_equal_those_of_stone_soup(p: float) -> None:
     for _ in range(20):
         sets = [rng.uniform(0.0, 15.0, (rng.integers(1, 9), 2)) for _ in range(2)]
         states = [[State(place.reshape(2, 1), timestamp=0) for place in places] for places in sets]
-        mine = SetDistance(c=4.0, p=p).of(boxes(sets[0]), boxes(sets[1]), 1)
+        ours = SetDistance(c=4.0, p=p).of(boxes(sets[0]), boxes(sets[1]), 1)
         if p == 1.0:
-            theirs = ospa.OSPAMetric(p=p, c=4.0).compute_OSPA_distance(*states[::-1])
-            assert mine[0] == pytest.approx([theirs.value])
-        theirs, _ = ospa.GOSPAMetric(p=p, c=4.0).compute_gospa_metric(*states[::-1])
-        assert mine[1] == pytest.approx([theirs.value["distance"]])
+            stone_soup = ospa.OSPAMetric(p=p, c=4.0).compute_OSPA_distance(*states[::-1])
+            assert ours[0] == pytest.approx([stone_soup.value])
+        stone_soup, _ = ospa.GOSPAMetric(p=p, c=4.0).compute_gospa_metric(*states[::-1])
+        assert ours[1] == pytest.approx([stone_soup.value["distance"]])
 
 
 @pytest.mark.parametrize(

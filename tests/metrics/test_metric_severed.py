@@ -125,17 +125,17 @@ def test_a_restarted_agent_needs_a_second_to_track_objects() -> None:
     def picture(frame: int) -> ObjectStates:
         return some(FAR, BOTH) if frame < CUT.start else some(BOTH)
 
-    found = missed(judged(local=local, picture=picture, silent=cut(), unheard=cut()), FAR)
-    assert {found[frame] for frame in range(20, 50)} == {"link or fault"}
-    assert {found[frame] for frame in range(50, FRAMES)} == {"occlusion or range"}
+    misses = missed(judged(local=local, picture=picture, silent=cut(), unheard=cut()), FAR)
+    assert {misses[frame] for frame in range(20, 50)} == {"link or fault"}
+    assert {misses[frame] for frame in range(50, FRAMES)} == {"occlusion or range"}
 
 
 def test_a_running_disconnected_agent_is_judged_by_its_tracks() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return NOTHING if agent == "infra_1" else holds(agent, frame)
 
-    found = missed(judged(local=local, picture=without(FAR), silent=cut()), FAR)
-    assert set(found.values()) == {"occlusion or range"}
+    misses = missed(judged(local=local, picture=without(FAR), silent=cut()), FAR)
+    assert set(misses.values()) == {"occlusion or range"}
 
 
 def test_new_objects_in_view_of_a_killed_agent_would_not_have_been_tracked_at_once() -> None:
@@ -181,8 +181,8 @@ def test_attack_partition_and_natural_causes_are_distinguished() -> None:
         silent=cut(),
         attacks=hidden(range(20, 40), places[2]),
     )
-    found = {id_: set(missed(table, id_).values()) for id_ in places}
-    assert found == {1: {"link or fault"}, 2: {"removed"}, 3: {"occlusion or range"}, 4: set()}
+    causes_by_id = {id_: set(missed(table, id_).values()) for id_ in places}
+    assert causes_by_id == {1: {"link or fault"}, 2: {"removed"}, 3: {"occlusion or range"}, 4: set()}
     missing = (table["kind"] == "truth") & (table["outcome"] == "missed")
     counted = dict(zip(*np.unique(table["cause"][missing], return_counts=True), strict=True))
     assert split(counted, FRAMES) == {"fault": 20 / FRAMES, "attack": 20 / FRAMES, "natural": 20 / FRAMES}
@@ -221,22 +221,22 @@ def false(table) -> dict[int, str]:
 
 def test_a_drifting_track_whose_only_source_is_disconnected_is_due_to_the_fault() -> None:
     """It leaves its object at frame 25; the agent returns at 40, effective 1 s later."""
-    found = false(judged(local=holds, picture=drifting(FAR), silent=cut()))
-    assert {found[frame] for frame in range(25, 50)} == {"link or fault"}
-    assert found[50] == "lag"
+    false_tracks = false(judged(local=holds, picture=drifting(FAR), silent=cut()))
+    assert {false_tracks[frame] for frame in range(25, 50)} == {"link or fault"}
+    assert false_tracks[50] == "lag"
 
 
 def test_a_drifting_track_of_an_object_reported_by_another_agent_is_not_due_to_the_fault() -> None:
-    found = false(judged(local=holds, picture=drifting(BOTH), silent=cut()))
-    assert {found[frame] for frame in range(25, 40)} == {"lag"}
+    false_tracks = false(judged(local=holds, picture=drifting(BOTH), silent=cut()))
+    assert {false_tracks[frame] for frame in range(25, 40)} == {"lag"}
 
 
 def test_a_track_that_outlives_its_object_is_not_due_to_the_fault_for_a_while() -> None:
     def truth(frame: int) -> ObjectStates:
         return some(FAR, BOTH) if frame < 30 else some(BOTH)
 
-    found = false(judged(local=holds, truth=truth, picture=lambda f: some(FAR, BOTH), silent=cut()))
-    assert {found[frame] for frame in range(30, 40)} == {"lag"}
+    false_tracks = false(judged(local=holds, truth=truth, picture=lambda f: some(FAR, BOTH), silent=cut()))
+    assert {false_tracks[frame] for frame in range(30, 40)} == {"lag"}
 
 
 # -- absent agents, by frame ------------------------------------------------------------------------------------------
@@ -300,7 +300,7 @@ def on_links(*rows: tuple[str, str, int, str]) -> Effects:
 
 
 def test_dropped_damaged_or_late_tracks_and_batches_count_as_disconnected() -> None:
-    found = on_links(
+    disconnected = on_links(
         ("infra_1", "tracks", 1, "dropped"),
         ("infra_1", "tracks", 2, "delayed"),
         ("infra_1", "tracks", 3, "corrupted"),
@@ -312,10 +312,10 @@ def test_dropped_damaged_or_late_tracks_and_batches_count_as_disconnected() -> N
         ("nobody", "tracks", 9, "dropped"),
         ("centre", "collated", 10, "dropped"),
     )
-    roles = {way.node: "link" for way in found.passages}
-    mask = stopped_by_links(found, roles, AGENTS, np.arange(12))
+    roles = {way.node: "link" for way in disconnected.passages}
+    mask = stopped_by_links(disconnected, roles, AGENTS, np.arange(12))
     assert [np.flatnonzero(column).tolist() for column in mask.T] == [[10], [1, 2, 3, 10], [8, 10]]
-    assert not stopped_by_links(found, {}, AGENTS, np.arange(12)).any(), "an adversary's drop is no fault"
+    assert not stopped_by_links(disconnected, {}, AGENTS, np.arange(12)).any(), "an adversary's drop is no fault"
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:

@@ -101,11 +101,11 @@ def test_unscored_and_undefined_frames_do_not_count(rows) -> None:
 def test_a_metric_gets_the_scored_estimate_with_its_causes() -> None:
     metric = Told(np.zeros(2))
     computed([metric], [[True, False], [False, False]], [False, True])
-    (given,) = metric.given
-    assert (given.agent, given.estimator, given.period_s) == ("ego", "local", 0.1)
-    assert given.frames.tolist() == [0, 1]
-    assert given.scored.tolist() == [False, True]
-    boxes = zip(given.frame, given.is_track, given.outcome, given.range_m, given.cause, strict=True)
+    (estimate,) = metric.given
+    assert (estimate.agent, estimate.estimator, estimate.period_s) == ("ego", "local", 0.1)
+    assert estimate.frames.tolist() == [0, 1]
+    assert estimate.scored.tolist() == [False, True]
+    boxes = zip(estimate.frame, estimate.is_track, estimate.outcome, estimate.range_m, estimate.cause, strict=True)
     assert [(int(f), bool(t), str(o), float(r), str(c)) for f, t, o, r, c in boxes] == [
         (0, False, "matched", 10.0, ""),
         (0, False, "missed", 20.0, "lag"),

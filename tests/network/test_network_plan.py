@@ -44,7 +44,7 @@ def test_a_host_may_have_a_link_without_its_agent() -> None:
 
 
 @pytest.mark.parametrize(
-    ("hosts", "said"),
+    ("hosts", "reason"),
     [
         ([], "hosts: found [], expected a dict"),
         ({"../x": {"nodes": ["ego"]}}, "hosts: found the name '../x', expected letters, digits, _ and -"),
@@ -60,15 +60,15 @@ def test_a_host_may_have_a_link_without_its_agent() -> None:
         ({"west": {"nodes": []}}, "hosts.west: no node runs on this host"),
     ],
 )
-def test_an_invalid_host_is_refused_with_its_path(hosts: object, said: str) -> None:
+def test_an_invalid_host_is_refused_with_its_path(hosts: object, reason: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         resolved(hosts)
-    assert said in str(refused.value)
+    assert reason in str(refused.value)
     assert str(refused.value).startswith("s.py: hosts")
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "reason"),
     [
         ({"type": "HostPartition", "hosts": "*"}, "HostPartition needs at"),
         ({"type": "HostLoss", "at": 1, "hosts": "*"}, "HostLoss needs probability"),
@@ -80,11 +80,11 @@ def test_an_invalid_host_is_refused_with_its_path(hosts: object, said: str) -> N
         ({"type": "HostDelay", "at": 1, "hosts": "*", "delay_ms": "20"}, "delay_ms: found '20', expected a number"),
     ],
 )
-def test_an_invalid_host_fault_is_refused_with_its_path(fault: dict, said: str) -> None:
+def test_an_invalid_host_fault_is_refused_with_its_path(fault: dict, reason: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         resolved(TWO, fault)
     assert str(refused.value).startswith("s.py: faults[0]")
-    assert said in str(refused.value)
+    assert reason in str(refused.value)
 
 
 def test_host_faults_are_refused_in_lock_step_with_the_reason() -> None:
@@ -98,7 +98,7 @@ def test_hosts_without_faults_are_allowed_in_lock_step() -> None:
 
 def test_overlapping_faults_add_up_and_heal_separately() -> None:
     hosts = {"west": {"nodes": ["infra_1"], "delay_ms": 10.0, "loss": 0.5, "bits_per_s": 1e6}}
-    found = network.steps(
+    steps = network.steps(
         resolved(
             hosts,
             {"type": "HostDelay", "at": 1, "until": 4, "hosts": ["west"], "delay_ms": 20, "jitter_ms": 2},
@@ -109,7 +109,7 @@ def test_overlapping_faults_add_up_and_heal_separately() -> None:
         )
     )
     own = LinkState(False, 0.5, 10.0, 0.0, 1e6)
-    assert [(at_s, states["west"]) for at_s, states in found] == [
+    assert [(at_s, states["west"]) for at_s, states in steps] == [
         (1.0, LinkState(False, 0.5, 30.0, 2.0, 1e6)),
         (2.0, LinkState(False, 0.75, 30.0, 2.0, 1e5)),
         (3.0, LinkState(False, 0.5, 30.0, 2.0, 1e5)),

@@ -50,8 +50,8 @@ def play(adversary: Bench, wire: str, frames: int, places=PLACES) -> list[tuple[
         adversary.send("pose", pose(), frame)
         key = adversary.key(wire)
         message = adversary.message(key, body_on(wire, *places), frame)
-        said = adversary.deliver(key, message)
-        pairs.append((message, [sent for out, sent in said if out == out_key(wire)]))
+        published = adversary.deliver(key, message)
+        pairs.append((message, [sent for out, sent in published if out == out_key(wire)]))
     return pairs
 
 
@@ -133,8 +133,8 @@ def test_a_late_message_is_not_lost(worlds, wire: str) -> None:
     adversary.clock(3)
     adversary.send("pose", pose(), 3)
     adversary.clock(4)
-    said = adversary.send(wire, body_on(wire, *PLACES), 3, step=4)
-    assert [message.header.frame for key, message in said if key == out_key(wire)] == [3]
+    published = adversary.send(wire, body_on(wire, *PLACES), 3, step=4)
+    assert [message.header.frame for key, message in published if key == out_key(wire)] == [3]
 
 
 @pytest.mark.parametrize("wire", WIRES)
@@ -187,9 +187,9 @@ def test_the_order_of_pose_and_message_does_not_matter(worlds, wire: str, data: 
 
     plain = run(list)
     assert run(lambda order: data.draw(st.permutations(order))) == plain
-    came = [frame for frame in range(5) if fate[wire, frame] != "lost"]
+    arrived = [frame for frame in range(5) if fate[wire, frame] != "lost"]
     sent = [codec.decode(payload, wire).header.frame for payload in plain.get(out_key(wire), [])]
-    assert sorted(sent) == came, "nothing is held back"
+    assert sorted(sent) == arrived, "nothing is held back"
 
 
 @pytest.mark.parametrize("wire", WIRES)
@@ -204,8 +204,8 @@ def test_reports_give_objects_before_and_after_each_change(worlds, wire: str) ->
         ) == len(after) - len(before)
         if reports:
             assert reports[0].header.time_ns == message.header.time_ns
-            gone = reports[0].body["before_position"][actions == ACTIONS.index("removed"), :2]
-            for place in gone:
+            removed = reports[0].body["before_position"][actions == ACTIONS.index("removed"), :2]
+            for place in removed:
                 assert np.abs(before - place).sum(axis=1).min() < 1e-6, "on a pole at the origin: world = sensor"
                 assert np.abs(after - place).sum(axis=1).min() > 1e-6
 
@@ -299,9 +299,9 @@ def test_two_adversaries_on_one_wire_make_a_chain() -> None:
 def directive(*add: tuple[float, float]) -> dict[str, np.ndarray]:
     """Columns of a directive for cars at these positions."""
     columns: dict[str, np.ndarray] = {"move_offset": np.zeros((0, 3))}
-    for prefix, wanted in (("add_", states(*add)), ("remove_", states()), ("move_", states())):
+    for prefix, objects in (("add_", states(*add)), ("remove_", states()), ("move_", states())):
         for name in ("id", "position", "velocity", "size", "yaw", "class_id"):
-            columns[prefix + name] = getattr(wanted, name)
+            columns[prefix + name] = getattr(objects, name)
     return columns
 
 

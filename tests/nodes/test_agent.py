@@ -32,11 +32,11 @@ def bench(resolved, **config: Any) -> Bench:
 
 def frame_of(bench: Bench, frame: int, *ports: str) -> list[tuple[str, Message]]:
     """A frame with only some of clock, pose and detections; a car is 10 m ahead."""
-    said = []
+    published = []
     for port in ports or ("clock", "pose", "detections"):
         body = {"clock": {}, "pose": pose(x=0.5 * frame), "detections": detections((10.0, 2.0))}[port]
-        said += bench.send(port, body, frame)
-    return said
+        published += bench.send(port, body, frame)
+    return published
 
 
 def frames_of(messages: list[Message]) -> list[int]:
@@ -249,8 +249,8 @@ def estimator(name: str) -> MissionEstimator:
 
 
 def states(body: dict[str, np.ndarray], first_id: int = 0) -> ObjectStates:
-    found = ObjectStates.from_columns(body)
-    return found.with_(id=found.id + first_id)
+    objects = ObjectStates.from_columns(body)
+    return objects.with_(id=objects.id + first_id)
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)

@@ -33,11 +33,11 @@ def say(broker: Bench, agent: str, frame: int, *, step: int | None = None, x: fl
 
 def summary(messages: Any) -> list[tuple[int, dict[str, float]]]:
     """(frame, age in ms of each agent in the batch)."""
-    found = []
+    batches = []
     for _, message in messages:
         ages = message.body["age_ns"] * 1e-6
-        found.append((message.header.frame, dict(zip(message.body["agents"], ages.tolist(), strict=True))))
-    return found
+        batches.append((message.header.frame, dict(zip(message.body["agents"], ages.tolist(), strict=True))))
+    return batches
 
 
 def test_a_batch_is_emitted_when_all_agents_have_sent_their_tracks(resolved) -> None:
@@ -70,9 +70,9 @@ def test_an_empty_message_counts(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
     for agent in AGENTS:
-        said = broker.send("tracks", tracks(), 0, subject=agent)
-    assert summary(said) == [(0, dict.fromkeys(sorted(AGENTS), 0.0))]
-    assert len(said[0][1].body["id"]) == 0
+        published = broker.send("tracks", tracks(), 0, subject=agent)
+    assert summary(published) == [(0, dict.fromkeys(sorted(AGENTS), 0.0))]
+    assert len(published[0][1].body["id"]) == 0
 
 
 def test_the_broker_waits_for_a_silent_agent_until_the_next_clock(resolved) -> None:
@@ -96,7 +96,7 @@ def test_the_last_tracks_of_a_silent_agent_are_propagated_until_too_old(resolved
         batches += broker.clock(frame)
         for agent in ("ego", "infra_1"):
             say(broker, agent, frame)
-    ages = [found.get("infra_2") for _, found in summary(batches)]
+    ages = [ages_by_agent.get("infra_2") for _, ages_by_agent in summary(batches)]
     assert ages == [100.0, 200.0, None, None]
     carried = [message.body["position"][message.body["agent"] == 2, 0] for _, message in batches[:2]]
     np.testing.assert_allclose(carried, [[1.0], [2.0]], err_msg="moved at 10 m/s")
@@ -120,8 +120,8 @@ def test_other_nodes_may_join_and_leave(resolved) -> None:
     broker.host.joined("recorder", "recorder")
     broker.clock(0)
     for agent in AGENTS:
-        said = say(broker, agent, 0)
-    assert len(said) == 1
+        published = say(broker, agent, 0)
+    assert len(published) == 1
     assert broker.left("recorder", "recorder") == []
 
 
@@ -143,8 +143,8 @@ def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(
         say(broker, "ego", frame)
         if frame == 0:
             broker.send("status", STATUS, frame, subject="infra_2")
-        said = say(broker, "infra_1", frame)
-        assert len(said) == (1 if frame == 0 else 0)
+        published = say(broker, "infra_1", frame)
+        assert len(published) == (1 if frame == 0 else 0)
     assert summary(say(broker, "infra_2", 1)) == [(1, dict.fromkeys(AGENTS, 0.0))]
 
 
@@ -152,12 +152,12 @@ def test_the_tracks_of_a_new_agent_count_from_the_frame_after_its_first_ones(res
     for newcomer_first in (True, False):
         broker = bench(resolved)
         broker.node.agents.discard("infra_2")
-        said = []
+        published = []
         for frame in (0, 1):
             broker.clock(frame)
             for agent in ("infra_2", "ego", "infra_1") if newcomer_first else ("ego", "infra_1", "infra_2"):
-                said += say(broker, agent, frame)
-        assert summary(said) == [(0, dict.fromkeys(("ego", "infra_1"), 0.0)), (1, dict.fromkeys(AGENTS, 0.0))]
+                published += say(broker, agent, frame)
+        assert summary(published) == [(0, dict.fromkeys(("ego", "infra_1"), 0.0)), (1, dict.fromkeys(AGENTS, 0.0))]
 
 
 def test_a_late_status_does_not_bring_back_an_agent_that_has_left(resolved) -> None:
@@ -172,14 +172,14 @@ def test_a_late_status_does_not_bring_back_an_agent_that_has_left(resolved) -> N
 
 def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
     broker = bench(resolved, latency_s=0.2)
-    said = []
+    published = []
     for frame in range(5):
         fresh = broker.clock(frame)
         for agent in AGENTS:
             fresh += say(broker, agent, frame, x=float(frame))
-        said.append(summary(fresh))
+        published.append(summary(fresh))
     whole = dict.fromkeys(sorted(AGENTS), 0.0)
-    assert said == [[], [], [(0, whole)], [(1, whole)], [(2, whole)]]
+    assert published == [[], [], [(0, whole)], [(1, whole)], [(2, whole)]]
     batch = broker.heard(COLLATED)[-1]
     assert batch.header.time_ns == 2 * PERIOD_NS
     np.testing.assert_array_equal(batch.body["position"][:, 0], [2.0, 2.0, 2.0])
@@ -284,8 +284,8 @@ def test_a_clock_error_beyond_max_age_excludes_only_that_agent(resolved, offset_
         assert summary(say_at(broker, "infra_2", frame, offset_s)) == [(frame, {"ego": 0.0, "infra_1": 0.0})]
     broker.clock(7)
     for agent in AGENTS:
-        said = say(broker, agent, 7)
-    assert summary(said) == [(7, dict.fromkeys(AGENTS, 0.0))], "a corrected clock is accepted again"
+        published = say(broker, agent, 7)
+    assert summary(published) == [(7, dict.fromkeys(AGENTS, 0.0))], "a corrected clock is accepted again"
 
 
 def test_a_duplicate_message_changes_nothing(resolved) -> None:
@@ -313,9 +313,9 @@ def test_the_last_tracks_of_a_dead_agent_expire_by_age(resolved) -> None:
             broker.left("infra_2", "agent")
         broker.clock(frame)
         for agent in AGENTS if frame < 2 else AGENTS[:2]:
-            said = say(broker, agent, frame)
-        ((_, found),) = summary(said)
-        ages.append(found.get("infra_2"))
+            published = say(broker, agent, frame)
+        ((_, ages_by_agent),) = summary(published)
+        ages.append(ages_by_agent.get("infra_2"))
     assert ages == [0.0, 0.0, 100.0, 200.0, None, None]
 
 

@@ -15,8 +15,8 @@ def resolved():
 def batch(*places_by_agent: tuple[tuple[float, float], ...]) -> dict[str, np.ndarray]:
     """Columns of a batch: the tracks of each agent in turn."""
     n = [len(places) for places in places_by_agent]
-    found = states(*(place for places in places_by_agent for place in places))
-    return found.columns() | {
+    tracks = states(*(place for places in places_by_agent for place in places))
+    return tracks.columns() | {
         "agent": np.repeat(np.arange(len(n)), n),
         "agents": text([f"agent_{i}" for i in range(len(n))]),
         "age_ns": np.zeros(len(n), np.int64),

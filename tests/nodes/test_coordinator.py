@@ -36,9 +36,9 @@ def test_all_adversaries_get_the_same_plan_when_all_have_reported(resolved) -> N
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)
     assert observe(coordinator, 2, 0) == []
-    said = observe(coordinator, 1, 0)
-    assert [key for key, _ in said] == list(DIRECTIVES)
-    first, second = (message for _, message in said)
+    published = observe(coordinator, 1, 0)
+    assert [key for key, _ in published] == list(DIRECTIVES)
+    first, second = (message for _, message in published)
     assert first.header.frame == second.header.frame == 0
     assert len(first.body["add_id"]) > 0
     for name, column in first.body.items():
@@ -62,8 +62,8 @@ def test_the_coordinator_waits_for_a_silent_adversary_until_the_next_clock(resol
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)
     assert observe(coordinator, 1, 0) == []
-    said = coordinator.clock(1)
-    assert [(key, message.header.frame) for key, message in said] == [(DIRECTIVES[0], 0)]
+    published = coordinator.clock(1)
+    assert [(key, message.header.frame) for key, message in published] == [(DIRECTIVES[0], 0)]
     observe(coordinator, 1, 1)
     assert [key for key, _ in observe(coordinator, 2, 1)] == list(DIRECTIVES), "it may send again"
 

@@ -72,9 +72,9 @@ def test_the_first_six_and_last_ten_frames_are_unscored_unless_more_than_half(
 
 
 def test_a_run_without_frames_has_empty_metrics(resolved) -> None:
-    found = metrics(Bench(resolved, "evaluator"))
-    assert (found["frames"], found["scored_frames"], found["frames_per_second"]) == (0, [], None)
-    assert found["latency_ms"]["sim_to_picture"] == {"p50": None, "p95": None, "p99": None}
+    scores = metrics(Bench(resolved, "evaluator"))
+    assert (scores["frames"], scores["scored_frames"], scores["frames_per_second"]) == (0, [], None)
+    assert scores["latency_ms"]["sim_to_picture"] == {"p50": None, "p95": None, "p99": None}
 
 
 def test_frames_that_are_not_scored_do_not_count(resolved) -> None:
@@ -82,21 +82,21 @@ def test_frames_that_are_not_scored_do_not_count(resolved) -> None:
         if frame < 6 or frame >= 30:
             evaluator.hear("cc/picture", picture((60.0, 60.0)), frame)
 
-    found = metrics(heard(resolved, 40, at=wrong_at_the_ends))["agents"]["ego"]["picture"]
-    assert (found["fp"]["mean"], found["fn"]["mean"]) == (0.0, 0.0)
-    found = metrics(heard(resolved, 40, at=wrong_at_the_ends, skip_first=0, skip_last=0))["agents"]["ego"]["picture"]
-    assert (found["fp"]["mean"], found["fn"]["mean"]) == (16 / 40, 32 / 40)
+    scores = metrics(heard(resolved, 40, at=wrong_at_the_ends))["agents"]["ego"]["picture"]
+    assert (scores["fp"]["mean"], scores["fn"]["mean"]) == (0.0, 0.0)
+    scores = metrics(heard(resolved, 40, at=wrong_at_the_ends, skip_first=0, skip_last=0))["agents"]["ego"]["picture"]
+    assert (scores["fp"]["mean"], scores["fn"]["mean"]) == (16 / 40, 32 / 40)
 
 
 def test_every_estimate_of_every_agent_is_scored(resolved) -> None:
-    found = metrics(heard(resolved, 3))
-    assert found["agents"].keys() == set(AGENTS)
-    for of_agent in found["agents"].values():
+    scores = metrics(heard(resolved, 3))
+    assert scores["agents"].keys() == set(AGENTS)
+    for of_agent in scores["agents"].values():
         assert tuple(of_agent) == ESTIMATORS
         for estimator in of_agent.values():
             assert (estimator["tp"]["mean"], estimator["fp"]["mean"], estimator["rmse_m"]) == (2.0, 0.0, 0.0)
     same = {"received": "local", "picture_received": "picture", "picture_on_arrival": "picture"}
-    assert found["same_as"] == dict.fromkeys(AGENTS, same)
+    assert scores["same_as"] == dict.fromkeys(AGENTS, same)
 
 
 def test_tracks_in_another_frame_of_reference_are_converted_to_the_world_frame(resolved) -> None:
@@ -107,9 +107,9 @@ def test_tracks_in_another_frame_of_reference_are_converted_to_the_world_frame(r
         }
         evaluator.hear("agent/ego/tracks", tracks((10.0, 0.0), (15.0, -10.0)) | reference, frame)
 
-    found = metrics(heard(resolved, 3, at=turned))["agents"]["ego"]["local"]
-    assert found["tp"]["mean"] == 2.0
-    assert found["rmse_m"] == pytest.approx(0.0, abs=1e-9)
+    scores = metrics(heard(resolved, 3, at=turned))["agents"]["ego"]["local"]
+    assert scores["tp"]["mean"] == 2.0
+    assert scores["rmse_m"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_latency_is_the_scene_time_between_a_frame_and_its_picture(resolved) -> None:
@@ -129,10 +129,10 @@ def test_a_late_picture_is_scored_for_its_own_frame_and_for_the_frame_of_its_arr
         evaluator.hear("scene/truth", truth((1.5 * frame, 0.0)), frame)
         if frame >= 3:
             evaluator.hear("cc/picture", picture((1.5 * (frame - 3), 0.0)), frame - 3, step=frame)
-    found = metrics(evaluator)["agents"]["ego"]
-    assert found["picture"]["tp"]["mean"] == found["picture_received"]["tp"]["mean"] == 17 / 20
-    assert found["picture_on_arrival"]["tp"]["mean"] == 0.0
-    assert found["picture_on_arrival"]["fp"]["mean"] == 17 / 20
+    scores = metrics(evaluator)["agents"]["ego"]
+    assert scores["picture"]["tp"]["mean"] == scores["picture_received"]["tp"]["mean"] == 17 / 20
+    assert scores["picture_on_arrival"]["tp"]["mean"] == 0.0
+    assert scores["picture_on_arrival"]["fp"]["mean"] == 17 / 20
 
 
 def test_a_malformed_estimate_is_ignored(resolved) -> None:
@@ -140,8 +140,8 @@ def test_a_malformed_estimate_is_ignored(resolved) -> None:
         evaluator.host.deliver("cc/picture", b"rubbish", frame)
         evaluator.host.deliver("agent/ego/tracks", b"\x80", frame)
 
-    found = metrics(heard(resolved, 3, at=broken))["agents"]["ego"]
-    assert found["picture"]["tp"]["mean"] == found["local"]["tp"]["mean"] == 2.0
+    scores = metrics(heard(resolved, 3, at=broken))["agents"]["ego"]
+    assert scores["picture"]["tp"]["mean"] == scores["local"]["tp"]["mean"] == 2.0
 
 
 # -- estimates where they are sent and where they are received ------------------------------------------------------
@@ -160,8 +160,8 @@ def test_own_tracks_are_scored_as_they_were_computed_and_as_the_broker_received_
         evaluator.hear("scene/truth", truth(*PLACES), frame)
         evaluator.hear("agent/infra_1/tracks/@tap/0", tracks(*PLACES), frame)
         evaluator.hear("agent/infra_1/tracks", tracks(PLACES[0], (-30.0, 0.0)), frame)
-    found = metrics(evaluator)["agents"]["infra_1"]
-    assert [found[name][what]["mean"] for name in ("local", "received") for what in ("fn", "fp", "tp")] == [
+    scores = metrics(evaluator)["agents"]["infra_1"]
+    assert [scores[name][what]["mean"] for name in ("local", "received") for what in ("fn", "fp", "tp")] == [
         *(0.0, 0.0, 2.0),
         *(1.0, 1.0, 1.0),
     ]
@@ -221,8 +221,8 @@ def test_unreported_changes_of_an_adversary_are_measured_in_the_world_frame(reso
     assert after == pytest.approx(np.array([[100.0, 8.0, 1.0]] * 2))
     assert table["columns"].tolist() == ["position"] * 2
     assert not table["reported"].any()
-    found = outcome["metrics"]["interposers"]["adversary_1"]
-    assert (found["agreement"], found["effects"], found["reports"]) == ("silent", {"moved": 2}, 0)
+    verdict = outcome["metrics"]["interposers"]["adversary_1"]
+    assert (verdict["agreement"], verdict["effects"], verdict["reports"]) == ("silent", {"moved": 2}, 0)
 
 
 def report(*changes: tuple[int, int, tuple[float, float, float], tuple[float, float, float]]) -> dict[str, np.ndarray]:
@@ -252,8 +252,8 @@ def test_true_reports_become_labels_and_false_ones_contradictions(
         evaluator.hear("attack/adversary_1/report", report(*changes), frame)
 
     outcome = heard(resolved, 2, at=told).host.finish()
-    found = outcome["metrics"]["interposers"]["adversary_1"]
-    assert (found["agreement"], found["unreported"], found["unfounded"]) == (verdict, unreported, unfounded)
+    measured = outcome["metrics"]["interposers"]["adversary_1"]
+    assert (measured["agreement"], measured["unreported"], measured["unfounded"]) == (verdict, unreported, unfounded)
     table = outcome["tables"]["attacks"]
     assert table["effect"].tolist() == ["moved"] * 2, "reporting adds no effect"
     assert table["label"].tolist() == ([7, 7] if TRUE in changes else [-1, -1])
@@ -298,10 +298,10 @@ def blamed(linked, *, at: Any = None, passes: Any = None, frames: int = 30, **co
 
 
 def test_a_missed_object_without_any_loss_is_natural(linked) -> None:
-    found = blamed(linked)
-    assert found["causes"]["fn"] == {"fusion": 5}
-    assert found["fn_split"] == {"fault": 0.0, "attack": 0.0, "natural": pytest.approx(5 / 30)}
-    assert found["fp_split"] == {"fault": 0.0, "attack": 0.0, "natural": 0.0}
+    causes = blamed(linked)
+    assert causes["causes"]["fn"] == {"fusion": 5}
+    assert causes["fn_split"] == {"fault": 0.0, "attack": 0.0, "natural": pytest.approx(5 / 30)}
+    assert causes["fp_split"] == {"fault": 0.0, "attack": 0.0, "natural": 0.0}
 
 
 def test_a_missed_object_after_a_dropped_message_is_due_to_the_fault_even_if_unreported(linked) -> None:
@@ -342,9 +342,9 @@ def test_attribution_parameters_change_the_blame(linked) -> None:
 
 
 def test_a_run_without_links_attributes_nothing_to_faults() -> None:
-    found = Run(tiny()).results["evaluator"]
-    assert "link or fault" not in found["tables"]["objects"]["cause"]
-    for of_agent in found["metrics"]["agents"].values():
+    results = Run(tiny()).results["evaluator"]
+    assert "link or fault" not in results["tables"]["objects"]["cause"]
+    for of_agent in results["metrics"]["agents"].values():
         split = of_agent["picture"]["fn_split"]
         assert split["fault"] == split["attack"] == 0.0
         assert split["natural"] == pytest.approx(of_agent["picture"]["fn"]["mean"])

@@ -43,9 +43,9 @@ def world(up: list[dict[str, Any]], down: list[dict[str, Any]] | None = None, **
 
 def bench(*up: dict[str, Any], down: list[dict[str, Any]] | None = None, encode: bool = True) -> Bench:
     """The ego's link by itself, at the first frame."""
-    found = Bench(world(list(up), down), "link_ego", encode=encode)
-    found.clock(0)
-    return found
+    link = Bench(world(list(up), down), "link_ego", encode=encode)
+    link.clock(0)
+    return link
 
 
 def status() -> dict[str, np.ndarray]:
@@ -56,9 +56,9 @@ def status() -> dict[str, np.ndarray]:
 def rows(link: Bench) -> list[tuple[Any, ...]]:
     """All reports of the link: (step after it, port, frame, seq, fate, rule)."""
     return [
-        (message.header.frame, WIRES[port], *found, FATES[fate], rule)
+        (message.header.frame, WIRES[port], *columns, FATES[fate], rule)
         for message in link.heard(REPORT)
-        for port, *found, fate, rule in zip(
+        for port, *columns, fate, rule in zip(
             *(message.body[name].tolist() for name in ("port", "frame", "seq", "fate", "rule")), strict=True
         )
     ]
@@ -73,7 +73,7 @@ def test_a_link_without_rules_forwards_everything_unchanged(encode: bool) -> Non
         (PICTURE, "picture", picture((3.0, 4.0))),
     ):
         message = link.message(link.key(port), body, 0)
-        assert [said for said, _ in link.deliver(link.key(port), message)] == [key]
+        assert [out_key for out_key, _ in link.deliver(link.key(port), message)] == [key]
         assert link.payloads[-1] == codec.encode(message)
     link.clock(1)
     assert rows(link) == []
@@ -131,13 +131,13 @@ def test_a_new_agent_position_takes_effect_in_the_next_frame_in_any_order() -> N
 def test_a_wrong_clock_and_pose_change_only_the_header_time_and_the_frame_of_reference() -> None:
     link = bench(dict(type="ClockSkew", offset_s=0.03), dict(type="PoseError", bias_m=[2.0, -1.0]))
     body = tracks((1.0, 2.0))
-    ((_, found),) = link.send("tracks", body, 0)
-    assert found.header == Header("tracks", "ego", 0, 30_000_000, 0)
-    assert found.body["origin"].tolist() == [2.0, -1.0, 0.0]
+    ((_, message),) = link.send("tracks", body, 0)
+    assert message.header == Header("tracks", "ego", 0, 30_000_000, 0)
+    assert message.body["origin"].tolist() == [2.0, -1.0, 0.0]
     for name in body.keys() - {"origin"}:
-        assert np.array_equal(found.body[name], body[name])
-    ((_, found),) = link.send("status", status(), 0)
-    assert found.header.time_ns == 30_000_000
+        assert np.array_equal(message.body[name], body[name])
+    ((_, message),) = link.send("status", status(), 0)
+    assert message.header.time_ns == 30_000_000
     link.clock(1)
     assert rows(link) == [
         (1, "tracks", 0, 0, "altered", 0),
@@ -147,8 +147,8 @@ def test_a_wrong_clock_and_pose_change_only_the_header_time_and_the_frame_of_ref
 
 def test_time_does_not_become_negative() -> None:
     link = bench(dict(type="ClockSkew", offset_s=-5.0))
-    ((_, found),) = link.send("tracks", tracks(), 0)
-    assert found.header.time_ns == 0
+    ((_, message),) = link.send("tracks", tracks(), 0)
+    assert message.header.time_ns == 0
 
 
 @pytest.mark.parametrize("encode", [True, False])
@@ -222,8 +222,8 @@ def test_links_without_rules_change_only_their_own_legs() -> None:
     seen = {key: payloads for key, payloads in linked.messages.items() if "@tap/broker" not in key}
     seen = {key: payloads for key, payloads in seen.items() if not key.startswith("cc/picture/@tap")}
     assert seen == plain.messages
-    told = {key: linked.messages[key.split("/@tap/broker")[0]] for key in linked.messages if "@tap/broker" in key}
-    assert told == {key: linked.messages[key] for key in told}
+    by_key = {key: linked.messages[key.split("/@tap/broker")[0]] for key in linked.messages if "@tap/broker" in key}
+    assert by_key == {key: linked.messages[key] for key in by_key}
 
 
 @given(payload=st.binary(max_size=200))
@@ -276,7 +276,7 @@ def test_the_results_count_the_fates_of_messages() -> None:
 def test_in_a_realistic_network_static_agents_are_wired_and_mobile_ones_wireless(attack: str) -> None:
     resolved = tiny("realistic_network", f"attack={attack}")
     rules = {name: spec.config["rules_up"] for name, spec in resolved.nodes.items() if spec.role == "link"}
-    ranged = {name: any(rule["type"] == "RangeLimit" for rule in its) for name, its in rules.items()}
+    ranged = {name: any(rule["type"] == "RangeLimit" for rule in directions) for name, directions in rules.items()}
     assert ranged == {"link_ego": True, "link_infra_1": False, "link_infra_2": False}
     assert any(spec.role == "adversary" for spec in resolved.nodes.values()) is (attack != "none")
     plain, other = Run(resolved), Run(resolved, shuffle=1, encode=False)
@@ -308,9 +308,9 @@ def test_a_user_map_can_insert_a_link_into_another_wire() -> None:
 
     run = Run(tiny("baseline", edit=edit))
     sent = [message.header.frame for message in run.decoded("agent/ego/detections/@tap/0", "detections")]
-    came = [message.header.frame for message in run.decoded("agent/ego/detections", "detections")]
+    frames = [message.header.frame for message in run.decoded("agent/ego/detections", "detections")]
     assert sent == list(range(12))
-    assert came == [frame for frame in sent if not 3 <= frame < 6]
+    assert frames == [frame for frame in sent if not 3 <= frame < 6]
 
 
 def test_a_user_defined_link_can_have_other_ports(tmp_path: Path) -> None:

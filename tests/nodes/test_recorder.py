@@ -32,19 +32,19 @@ def recorded(folder: Path, *, encode: bool) -> dict[str, list[bytes]]:
     """The recorded bytes by key."""
     process = InProcess(resolved().in_folder(folder), encode=encode)
     outcome = process.run()
-    found: dict[str, list[bytes]] = defaultdict(list)
+    by_key: dict[str, list[bytes]] = defaultdict(list)
     for message in read(folder / "messages.mcap"):
-        found[message.key].append(message.payload)
-    assert outcome["recorder"]["recorded"] == {"messages": sum(map(len, found.values())), "malformed": 0, "lost": 0}
-    return found
+        by_key[message.key].append(message.payload)
+    assert outcome["recorder"]["recorded"] == {"messages": sum(map(len, by_key.values())), "malformed": 0, "lost": 0}
+    return by_key
 
 
 @pytest.mark.parametrize("encode", [True, False], ids=["bytes are passed", "messages are passed"])
 def test_a_recording_has_every_byte_sent_on_every_key(tmp_path: Path, encode: bool) -> None:
-    said = Run(resolved(record=False))
-    found = recorded(tmp_path, encode=encode)
-    assert any("@tap" in key for key in found)
-    assert found == {key: payloads for key, payloads in said.messages.items() if payloads}
+    run = Run(resolved(record=False))
+    recorded_bytes = recorded(tmp_path, encode=encode)
+    assert any("@tap" in key for key in recorded_bytes)
+    assert recorded_bytes == {key: payloads for key, payloads in run.messages.items() if payloads}
 
 
 def test_recording_changes_no_message_and_no_result_of_other_nodes(tmp_path: Path) -> None:

@@ -29,9 +29,9 @@ def crossing(frames: int = FRAMES) -> Recording:
     lane = np.arange(n) % 4
     yaw = np.array([0.0, np.pi / 2, np.pi, -np.pi / 2])[lane]
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-    aside = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
+    lateral = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
     speed = np.where(lane % 2 == 0, 8.0, 3.0)
-    start = ahead * (-70.0 + 22.0 * (np.arange(n) // 4))[:, None] + 3.0 * aside
+    start = ahead * (-70.0 + 22.0 * (np.arange(n) // 4))[:, None] + 3.0 * lateral
     times = np.arange(frames) * 100_000_000
     offset = ahead * speed[:, None]
     position = np.concatenate([np.column_stack([start + offset * t * 1e-9, np.full(n, 0.75)]) for t in times])

@@ -191,8 +191,8 @@ NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
 def test_dropped_messages_have_reasons_of_their_own(attacked: RunFolder, first_dropped: int) -> None:
     effects = attacked.effects
     assert effects is not None
-    mine = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
-    dropped = mine & (effects["frame"] >= first_dropped)
+    selected = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
+    dropped = selected & (effects["frame"] >= first_dropped)
     effects["effect"] = np.where(dropped, "dropped", effects["effect"])
     reason = "other agents still saw the objects in the messages that it dropped, all the time"
     removed = "removed: other agents still saw what it removed, all the time; " if first_dropped > 15 else ""
@@ -270,8 +270,8 @@ def test_reason_for_moved_objects_without_displacement(attacked: RunFolder) -> N
         table = targets(kind, error_m_centre=0.4)
         nothing |= {f"{kind}_share_centre": 0.0, f"{kind}_error_m_centre": 0.4}
         assert why(attacked, table, **nothing) == f"{kind}: {reason.format(done)}"
-        for who in ("centre", "ego"):
-            assert why(attacked, table, **nothing, **{f"id_switches_{who}": 2}) == "", "they are also an effect"
+        for judge in ("centre", "ego"):
+            assert why(attacked, table, **nothing, **{f"id_switches_{judge}": 2}) == "", "they are also an effect"
 
 
 def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: RunFolder) -> None:

@@ -143,9 +143,9 @@ def test_each_message_is_handled_once_after_its_clock_in_any_order_of_arrival(da
         if not queues[key]:
             del queues[key]
     got = host.node.got
-    assert sorted(got) == sorted((who, k) for who in ("clock", "a", "b") for k in range(4))
-    for who, frame in got:
-        assert got.index((who, frame)) >= got.index(("clock", frame))
+    assert sorted(got) == sorted((source, k) for source in ("clock", "a", "b") for k in range(4))
+    for source, frame in got:
+        assert got.index((source, frame)) >= got.index(("clock", frame))
     assert set(host.handled.values()) == {4}
 
 
@@ -233,7 +233,7 @@ def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) 
         host.deliver("agent/a/tracks", said_by("a", frame), frame)
     assert sum(host.rejected.values()) == 3
     host.deliver("clock", clock(8), 8)
-    assert [who for who, _ in host.node.got] == ["clock", *"aaaaa"]
+    assert [source for source, _ in host.node.got] == ["clock", *"aaaaa"]
     host.deliver("agent/a/tracks", said_by("a", 9), 9)
     host.deliver("clock", clock(9), 9)
     assert host.node.got[-1] == ("a", 9), "there is space again"

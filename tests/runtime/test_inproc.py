@@ -98,8 +98,8 @@ def test_interposers_that_change_nothing_leave_no_trace() -> None:
     assert measured[0] == measured[1]
     assert not interposers[0]
     assert not achieved[0]
-    assert all(told["effects"] == {} for told in interposers[1].values())
-    assert not any(told["success_centre"] or told["success_ego"] for told in achieved[1].values())
+    assert all(verdict["effects"] == {} for verdict in interposers[1].values())
+    assert not any(verdict["success_centre"] or verdict["success_ego"] for verdict in achieved[1].values())
     for name in ("metrics", "objects", "targets", "driving"):
         assert results.pack(tapped.results["evaluator"]["tables"][name]) == results.pack(
             plain.results["evaluator"]["tables"][name]
@@ -180,9 +180,9 @@ def test_messages_are_numbered_per_key_in_the_order_of_publication() -> None:
 
 
 def test_progress_is_reported_frame_by_frame() -> None:
-    told: list[int] = []
-    outcome = InProcess(world("baseline"), progress=told.append).run()
-    assert told == list(range(1, 13))
+    progress: list[int] = []
+    outcome = InProcess(world("baseline"), progress=progress.append).run()
+    assert progress == list(range(1, 13))
     assert outcome[""]["frames"] == 12
     assert results_of(outcome, "metrics")["frames"] == 12
     assert results_of(outcome, "nothing of this name") is None

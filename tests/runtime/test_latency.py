@@ -25,8 +25,8 @@ def came(key: str, *ms: float) -> dict[str, dict[int, int]]:
 
 
 def test_percentiles_cover_frames_that_were_sent_and_received() -> None:
-    found = latency.between(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
-    assert found == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
+    percentiles = latency.between(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
+    assert percentiles == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
     assert latency.between(SENT, {}) == {}
 
 
@@ -41,7 +41,7 @@ def test_the_first_subscriber_that_reports_latency_counts() -> None:
 def test_wires_with_listeners_only_use_the_first_and_unheard_wires_are_left_out() -> None:
     wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
     arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
-    assert {key: found["p50"] for key, found in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
+    assert {key: by_frame["p50"] for key, by_frame in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
 
 
 def test_latency_is_measured_behind_interposers_on_trunk_and_branch() -> None:

@@ -137,14 +137,14 @@ def test_every_source_gets_exactly_its_share_of_the_queue(steps: list[tuple[str,
     room = Room(Limit(5, 100))
     waiting: dict[str, list[int]] = {source: [] for source in "abc"}
     for source, size, leaves in steps:
-        mine = waiting[source]
-        if leaves and mine:
-            room.free(source, mine.pop(0))
+        own = waiting[source]
+        if leaves and own:
+            room.free(source, own.pop(0))
             continue
-        fits = len(mine) < 5 and sum(mine) + size <= 100
+        fits = len(own) < 5 and sum(own) + size <= 100
         assert room.take(source, size) == fits
         if fits:
-            mine.append(size)
+            own.append(size)
 
 
 def test_the_inbox_drops_and_counts_excess_messages_of_a_source() -> None:

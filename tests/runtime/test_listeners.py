@@ -85,8 +85,8 @@ def test_every_adversary_hears_the_pose_of_a_named_agent() -> None:
     wiring = resolve(nodes, {"listen": [listen("agent/ego/pose", "poses")]})
     for name in ("adversary_1", "adversary_2"):
         assert heard(wiring, name, "poses") == {"agent/ego/pose": "ego"}
-    found = wiring.ports("adversary_1").inputs["agent/ego/pose"]
-    assert found == Input("poses", "ego", "pose", "simulator")
+    keys = wiring.ports("adversary_1").inputs["agent/ego/pose"]
+    assert keys == Input("poses", "ego", "pose", "simulator")
 
 
 def test_a_placeholder_stands_for_the_agent_of_the_listener() -> None:
@@ -274,19 +274,19 @@ def listening(
 ) -> set[tuple[str, str]] | None:
     """Additional (key, node) pairs of these listeners; None: one is refused."""
     heard = {(wire.key, end.node): (end.port, False) for wire in plain.wires for end in wire.subscribers}
-    found = set()
+    pairs = set()
     for entry in entries:
         for wire, name in product(plain.wires, nodes):
             if nodes[name].role != entry["role"] or not fnmatch(wire.key, entry["wire"]):
                 continue
-            wanted = entry["input"], "leg" in entry
+            request = entry["input"], "leg" in entry
             taking_part = name in (leg.publisher.node for leg in wire.legs)
-            if (taking_part or heard.get((wire.key, name), wanted) != wanted) and "*" not in entry["wire"]:
+            if (taking_part or heard.get((wire.key, name), request) != request) and "*" not in entry["wire"]:
                 return None
             if not taking_part and (wire.key, name) not in heard:
-                heard[wire.key, name] = wanted
-                found.add((wire.legs[0 if wanted[1] else -1].key, name))
-    return found
+                heard[wire.key, name] = request
+                pairs.add((wire.legs[0 if request[1] else -1].key, name))
+    return pairs
 
 
 @given(st.lists(LISTENS, max_size=4), st.booleans())
@@ -313,11 +313,11 @@ def test_listeners_hear_each_wire_once_but_not_their_own_and_affect_no_other_nod
         assert after.inputs.items() >= before.inputs.items()
         if name not in ("adversary_1", "adversary_2", "guard"):
             assert after.inputs == before.inputs
-    for found, known in zip(wiring.wires, plain.wires, strict=True):
-        ears = [end.node for leg in found.every_leg for end in found.hearers(leg)]
+    for current, known in zip(wiring.wires, plain.wires, strict=True):
+        ears = [end.node for leg in current.every_leg for end in current.hearers(leg)]
         assert len(ears) == len(set(ears)), "once"
-        assert {listener.end.node for listener in found.listeners}.isdisjoint(parties(known)), "not its own messages"
-        assert (found.legs, found.branches, found.subscribers) == (known.legs, known.branches, known.subscribers)
+        assert {listener.end.node for listener in current.listeners}.isdisjoint(parties(known)), "not its own messages"
+        assert (current.legs, current.branches, current.subscribers) == (known.legs, known.branches, known.subscribers)
     assert Wiring.from_json(wiring.to_json()) == wiring
 
 
@@ -351,4 +351,4 @@ def test_a_listener_at_the_source_keeps_its_key_during_insertion() -> None:
 def test_a_departed_listener_is_removed_from_the_wiring() -> None:
     nodes = world(first=adversary("ego"))
     wiring = resolve(nodes, {"insert": [ON_TRACKS], "listen": [listen("agent/infra_1/tracks", "tracks")]})
-    assert not any(found.listeners for found in remove(wiring, "first").wires)
+    assert not any(current.listeners for current in remove(wiring, "first").wires)

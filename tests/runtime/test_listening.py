@@ -37,9 +37,9 @@ def test_an_adversary_that_listens_to_poses_acts_the_same_in_any_order_of_delive
     for key in ("agent/ego/pose", "agent/infra_2/pose", "agent/infra_2/detections"):
         assert run.messages[key] == plain.messages[key]
     sent = run.decoded("agent/infra_1/detections/@tap/0", "detections")
-    shown = run.decoded("agent/infra_1/detections", "detections")
+    detections = run.decoded("agent/infra_1/detections", "detections")
     places = [run.decoded(f"agent/{agent}/pose", "pose") for agent in ("ego", "infra_1", "infra_2")]
-    for frame, (before, after) in enumerate(zip(sent, shown, strict=True)):
+    for frame, (before, after) in enumerate(zip(sent, detections, strict=True)):
         offset = sum(poses[frame].body["position"] for poses in places) * 0.01
         assert (after.body["position"] == before.body["position"] + offset).all()
     for shuffle in range(30):

@@ -34,25 +34,25 @@ def played(name: str) -> Run:
 @cache
 def inputs() -> tuple[tuple[str, str, str, str], ...]:
     """(scenario, node, key, schema) of every input of every node."""
-    found = []
+    entries = []
     for name in SCENARIOS:
         wiring = Wiring.from_json(world(name).wiring)
         for node in world(name).nodes:
-            found += [(name, node, key, hears.message) for key, hears in wiring.ports(node).inputs.items()]
-    return tuple(found)
+            entries += [(name, node, key, hears.message) for key, hears in wiring.ports(node).inputs.items()]
+    return tuple(entries)
 
 
 @cache
 def sound(schema: str) -> tuple[bytes, ...]:
     """The recorded messages of runs."""
-    said = [
+    payloads = [
         payload
         for name in SCENARIOS
         for wire in world(name).wiring["wires"]
         if wire["message"] == schema
         for payload in played(name).messages[wire["key"]]
     ]
-    return tuple(said[:: 1 + len(said) // 40])
+    return tuple(payloads[:: 1 + len(payloads) // 40])
 
 
 def rubbish(place: int, total: int, seed: int) -> Iterator[bytes]:
@@ -83,7 +83,7 @@ def test_malformed_messages_cost_one_message_each_and_end_no_node(fuzzing: Fuzzi
         bench = Bench(world(name), node)
         hears_all = world(name).nodes[node].role == "evaluator"
         play(bench, played(name), range(BEFORE))
-        state, said, handled = pickle.dumps(bench.node), list(bench.outbox), bench.host.handled.copy()
+        state, published, handled = pickle.dumps(bench.node), list(bench.outbox), bench.host.handled.copy()
         if not hears_all:
             bench.host.observe = lambda key, header: pytest.fail(f"{key}: a malformed message was taken for sound")
         sent: Counter[str] = Counter()
@@ -97,7 +97,7 @@ def test_malformed_messages_cost_one_message_each_and_end_no_node(fuzzing: Fuzzi
             rejected[key] += n
         assert rejected == ({key: sent[key] for key in bench.node.routes} if hears_all else sent)
         assert hears_all or pickle.dumps(bench.node) == state
-        assert (bench.outbox, bench.host.handled) == (said, handled)
+        assert (bench.outbox, bench.host.handled) == (published, handled)
         total += sent.total()
 
         bench.host.observe = None

@@ -129,11 +129,11 @@ def test_a_run_without_metrics_is_measured_as_far_as_recorded_and_says_so(
     frames = metrics["frames"]
     assert 0 < frames < 60
     assert metrics["recording"] == {"frames": frames, "played_frames": 60}
-    said = f"ends at frame {frames - 1} of 60, so the numbers are of these frames alone"
-    assert said in terminal.failure(folder)
+    notice = f"ends at frame {frames - 1} of 60, so the numbers are of these frames alone"
+    assert notice in terminal.failure(folder)
     terminal.show_run(Console(width=300), folder)
-    assert said in capsys.readouterr().out
-    assert said in html.write_report(folder).read_text()
+    assert notice in capsys.readouterr().out
+    assert notice in html.write_report(folder).read_text()
     measurement.measure(folder)  # repeated: these metrics cover no more frames
     assert json.loads((folder / "metrics.json").read_text()) == metrics
 

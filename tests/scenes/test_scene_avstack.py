@@ -119,8 +119,18 @@ def test_an_archive_with_paths_outside_its_folder_is_refused(run: Path, tmp_path
 
 def test_detections_beside_the_scene_are_replayed(run: Path) -> None:
     lines = nothing("detections")
-    found = {"x": 10.0, "y": 3.0, "z": -1.0, "l": 4.0, "w": 2.0, "h": 1.5, "yaw": 1.5, "score": 0.75, "class": "car"}
-    lines[0]["detections"] = [found | {"gt": 0}, found | {"covariance": np.eye(3).tolist()}]
+    detection = {
+        "x": 10.0,
+        "y": 3.0,
+        "z": -1.0,
+        "l": 4.0,
+        "w": 2.0,
+        "h": 1.5,
+        "yaw": 1.5,
+        "score": 0.75,
+        "class": "car",
+    }
+    lines[0]["detections"] = [detection | {"gt": 0}, detection | {"covariance": np.eye(3).tolist()}]
     write_lines(run.parent / "detections.jsonl", lines)
     recording = read(run)
     detections = recording.detections_at(0, 0)
@@ -134,8 +144,8 @@ def test_detections_beside_the_scene_are_replayed(run: Path) -> None:
 
 def test_a_detection_may_give_an_attitude_instead_of_a_yaw(run: Path) -> None:
     lines = nothing("detections")
-    found = {"x": 10.0, "y": 3.0, "z": -1.0, "l": 4.0, "w": 2.0, "h": 1.5}
-    lines[0]["detections"] = [found | {"q": [np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]}]
+    detection = {"x": 10.0, "y": 3.0, "z": -1.0, "l": 4.0, "w": 2.0, "h": 1.5}
+    lines[0]["detections"] = [detection | {"q": [np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]}]
     write_lines(run / "detections.jsonl", lines)
     np.testing.assert_allclose(read(run).detections_at(0, 0).yaw, [0.4])
 
@@ -400,10 +410,10 @@ def test_detections_of_scene_a_match_their_objects(scene_a: Path) -> None:
                 agent.sensor.mount_rotation,
             )
             ids = recording.detection_truth_id_at(frame, a)
-            found = to_world(recording.detections_at(frame, a), *pose).select(ids >= 0)
+            detections = to_world(recording.detections_at(frame, a), *pose).select(ids >= 0)
             rows = np.searchsorted(truth.id, ids[ids >= 0])
-            turned = wrap_angle(found.yaw - truth.yaw[rows])
-            errors.append(np.column_stack([found.position - truth.position[rows], turned]))
+            turned = wrap_angle(detections.yaw - truth.yaw[rows])
+            errors.append(np.column_stack([detections.position - truth.position[rows], turned]))
     # Its README: 0.3 m in x and y, 0.1 m in z, 3 degrees.
     spread = np.concatenate(errors).std(axis=0)
     np.testing.assert_allclose(spread, [0.3, 0.3, 0.1, np.radians(3)], rtol=0.1)

@@ -101,11 +101,11 @@ def test_rights_outside_the_wiring_are_denied(wiring: Wiring, expression: str, m
     access = rules(wiring)
     says = {(leg.publisher.node, f"{PREFIX}/{leg.key}") for _, leg in wiring.legs()}
     hears = {(subscriber, f"{PREFIX}/{key}") for key, _, subscriber in wiring.flows()}
-    wanted = says if (flow, message) in (("ingress", "put"), ("egress", "declare_subscriber")) else hears
+    expected = says if (flow, message) in (("ingress", "put"), ("egress", "declare_subscriber")) else hears
     data = message in ("put", "declare_subscriber")
     for node in NODES:
         if "@control" not in expression and not expression.startswith(f"{PREFIX}/alive"):
-            given_ = data and (node, expression) in wanted
+            given_ = data and (node, expression) in expected
             assert allows(access, NAMES[node], flow, message, expression) == given_, node
 
 

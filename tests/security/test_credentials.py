@@ -73,11 +73,11 @@ def test_credentials_without_a_certificate_hold_only_the_authority(tmp_path: Pat
     assert "enable_mtls" not in client_settings(credentials)["transport/link/tls"]
 
 
-@pytest.mark.parametrize("gone", ["ca.pem", "certificate.pem", "key.pem"])
-def test_a_missing_file_is_named(tmp_path: Path, gone: str) -> None:
+@pytest.mark.parametrize("missing", ["ca.pem", "certificate.pem", "key.pem"])
+def test_a_missing_file_is_named(tmp_path: Path, missing: str) -> None:
     folder = Authority("r").issue("a").write(tmp_path / "a")
-    (folder / gone).unlink()
-    with pytest.raises(CredentialsError, match=gone):
+    (folder / missing).unlink()
+    with pytest.raises(CredentialsError, match=missing):
         Credentials.read(folder)
 
 

@@ -32,7 +32,7 @@ def test_valid_credentials_have_no_reasons() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "reason"),
     [
         ({"certificate": replace(SOUND, not_after=NOW - HOUR)}, "expired at 2026-11-20 11:00:00 UTC, now it is"),
         ({"certificate": replace(SOUND, not_before=NOW + HOUR)}, "not valid before 2026-11-20 13:00:00 UTC"),
@@ -54,9 +54,9 @@ def test_valid_credentials_have_no_reasons() -> None:
         ({"router": Router(certificate=THEIRS, verdict="SOMETHING_NEW")}, "SOMETHING_NEW"),
     ],
 )
-def test_each_fault_is_explained_once(changed: dict, said: str) -> None:
+def test_each_fault_is_explained_once(changed: dict, reason: str) -> None:
     (sentence,) = reasons(replace(FACTS, **changed))
-    assert said in sentence
+    assert reason in sentence
 
 
 def test_valid_files_have_no_reasons(tmp_path: Path) -> None:

@@ -46,9 +46,9 @@ def test_the_security_level_is_optional(chosen, words: tuple[str, ...], level: s
 
 @pytest.mark.parametrize("words", [("--runtime", "inproc"), ("--endpoint", "tcp/127.0.0.1:1"), ("--secure=tlss",)])
 def test_the_option_is_refused_without_a_mesh(chosen, words: tuple[str, ...]) -> None:
-    levels, said = chosen("baseline", "--secure", *words)
+    levels, output = chosen("baseline", "--secure", *words)
     assert levels == []
-    assert "--secure" in said
+    assert "--secure" in output
 
 
 @pytest.mark.parametrize("level", ["aclx", "ACL", "mtsl"])

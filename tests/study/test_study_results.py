@@ -140,13 +140,13 @@ def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
         done.append(outcome("baseline", 0, seed, fp=1.0))
         done.append(outcome("attacked", 0, seed, fp=value, agents=own, achieved=achieved, driving=driving))
     row = summary(done, seeds=6, scenes=1)["attacked"]
-    for metric, estimator, who in (
+    for metric, estimator, adversary in (
         *((name, "achieved", "all") for name in ("moved_share_centre", "inserted_s_ego", "hidden")),
         *((name, "mission", "ego") for name in ("completeness", "fp_split.attack", "fp inserted")),
         *((f"driving.{name}", "mission", "ego") for name in ("brake_share", "corridor_false")),
         ("fp", "picture", "ego"),
     ):
-        each = row.get(metric, estimator, who)
+        each = row.get(metric, estimator, adversary)
         share = each.trial_mean > 0.5
         assert (each.high if share else each.low) == (1.0 if share else 0.0), metric
         assert each.low < each.trial_mean < each.high

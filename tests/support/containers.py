@@ -47,12 +47,12 @@ def built() -> str:
 def left(run: str) -> dict[str, list[str]]:
     """Remnants of a run: containers, networks, volumes."""
     label = f"label=org.mast-zenoh.run={run}"
-    found = {"containers": docker.docker("ps", "--all", "--quiet", "--filter", label).split()}
+    remnants = {"containers": docker.docker("ps", "--all", "--quiet", "--filter", label).split()}
     for kind in ("network", "volume"):
-        found[kind] = docker.docker(kind, "ls", "--quiet", "--filter", label).split()
+        remnants[kind] = docker.docker(kind, "ls", "--quiet", "--filter", label).split()
         named = docker.docker(kind, "ls", "--format", "{{.Name}}").split()
-        found[kind] += [name for name in named if re.sub(r"[^a-z0-9_-]", "-", run) in name]
-    return {kind: names for kind, names in found.items() if names}
+        remnants[kind] += [name for name in named if re.sub(r"[^a-z0-9_-]", "-", run) in name]
+    return {kind: names for kind, names in remnants.items() if names}
 
 
 def mast(*words: str) -> subprocess.CompletedProcess[str]:

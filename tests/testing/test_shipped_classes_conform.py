@@ -41,8 +41,8 @@ def made(cls: type, base: type) -> Any:
     """An object built like in a scenario."""
     parameters = inspect.signature(cls).parameters
     required = {name for name, each in parameters.items() if each.default is each.empty}
-    given = {name: NEEDED[name] for name in required | (parameters.keys() & {"until", "node", "gateways"})}
-    return registry.build({"type": cls, **given}, base, cls.__name__)
+    arguments = {name: NEEDED[name] for name in required | (parameters.keys() & {"until", "node", "gateways"})}
+    return registry.build({"type": cls, **arguments}, base, cls.__name__)
 
 
 CHECKS: dict[type, Callable[[Any], None]] = {

@@ -118,17 +118,17 @@ def score(scene: Frames, tracks: list[ObjectStates]) -> Score:
     fn, fp, squared, switches = [], [], [], 0
     last: dict[int, int] = {}
     frames = list(zip(scene.truth, scene.ego, tracks, strict=True))[FIRST:LAST]
-    for (ids, position), ego, found in frames:
+    for (ids, position), ego, estimate in frames:
         truth = _near(position, ego)
-        mine = _near(found.position, ego)
-        distance = np.linalg.norm(position[truth, None, :2] - found.position[None, mine, :2], axis=2)
+        in_range = _near(estimate.position, ego)
+        distance = np.linalg.norm(position[truth, None, :2] - estimate.position[None, in_range, :2], axis=2)
         rows, columns = linear_sum_assignment(np.where(distance <= GATE_M, distance, 1e6))
         pairs = [(r, c) for r, c in zip(rows, columns, strict=True) if distance[r, c] <= GATE_M]
         fn.append(len(truth) - len(pairs))
-        fp.append(len(mine) - len(pairs))
+        fp.append(len(in_range) - len(pairs))
         for r, c in pairs:
             squared.append(distance[r, c] ** 2)
-            object_id, track_id = int(ids[truth[r]]), int(found.id[mine[c]])
+            object_id, track_id = int(ids[truth[r]]), int(estimate.id[in_range[c]])
             switches += last.get(object_id, track_id) != track_id
             last[object_id] = track_id
     return Score(float(np.mean(fn)), float(np.mean(fp)), float(np.sqrt(np.mean(squared))), switches)

@@ -41,17 +41,17 @@ def result(scene: Frames) -> tuple[list[list[ObjectStates]], list[ObjectStates]]
 
 
 def test_the_picture_misses_few_objects_and_has_few_false_ones(scene, result):
-    found = score(scene, result[1])
-    assert found.fn <= 1.25
-    assert found.fp <= 0.15
-    assert found.rmse_m <= 0.30
-    assert found.id_switches <= 3
+    scores = score(scene, result[1])
+    assert scores.fn <= 1.25
+    assert scores.fp <= 0.15
+    assert scores.rmse_m <= 0.30
+    assert scores.id_switches <= 3
 
 
 def test_the_ego_alone_misses_unseen_objects_and_has_few_false_ones(scene, result):
-    found = score(scene, [tracks[0] for tracks in result[0]])
-    assert found.fn <= 6.35
-    assert found.fp <= 0.05
+    scores = score(scene, [tracks[0] for tracks in result[0]])
+    assert scores.fn <= 6.35
+    assert scores.fp <= 0.05
 
 
 @pytest.mark.parametrize(
@@ -68,11 +68,11 @@ def test_the_ego_alone_misses_unseen_objects_and_has_few_false_ones(scene, resul
     ids=["dbscan", "optimised weights", "best member", "unfiltered"],
 )
 def test_every_alternative_stage_performs_as_well(scene, result, other):
-    found = score(scene, run_again(scene, result[0], other))
-    assert found.fn <= 1.25
-    assert found.fp <= 0.15
-    assert found.rmse_m <= 0.30
-    assert found.id_switches <= 3
+    scores = score(scene, run_again(scene, result[0], other))
+    assert scores.fn <= 1.25
+    assert scores.fp <= 0.15
+    assert scores.rmse_m <= 0.30
+    assert scores.id_switches <= 3
 
 
 def run_again(scene: Frames, tracks: list[list[ObjectStates]], centre: CommandCenterPipeline) -> list[ObjectStates]:

@@ -85,8 +85,8 @@ def test_an_object_that_returns_within_a_second_keeps_its_id():
     tracker = KalmanBoxTracker3D()
     before = settled(tracker, [20.0, 5.0], 20)
     for frame in range(20, 30):
-        gone = tracker.step(nanoseconds(frame), NOTHING, view())
-    assert len(gone) == 0
+        missed = tracker.step(nanoseconds(frame), NOTHING, view())
+    assert len(missed) == 0
     after = tracker.step(nanoseconds(30), detected([20.2, 5.0]), view())
     np.testing.assert_array_equal(after.id, before.id)
 
@@ -157,10 +157,10 @@ def test_the_class_is_the_most_frequent_one():
 
 
 def test_a_detection_with_a_small_covariance_has_a_large_weight():
-    sure, unsure = KalmanBoxTracker3D(), KalmanBoxTracker3D()
+    certain, unsure = KalmanBoxTracker3D(), KalmanBoxTracker3D()
     for frame in range(3):
         covariance = np.eye(3)[None] * 1e-3
-        a = sure.step(nanoseconds(frame), detected([10.0, 0.0], covariance=covariance))
+        a = certain.step(nanoseconds(frame), detected([10.0, 0.0], covariance=covariance))
         b = unsure.step(nanoseconds(frame), detected([10.0, 0.0]))
     assert a.covariance[0, 0, 0] < 0.05 * b.covariance[0, 0, 0]
 
@@ -329,7 +329,7 @@ def test_a_state_with_a_low_score_is_not_confirmed_at_once():
 def test_invalid_covariances_do_not_stop_the_tracker(covariance):
     tracker = KalmanBoxTracker3D()
     for frame in range(6):
-        said = np.stack([np.eye(3) * 0.1, covariance[:3, :3]])
-        tracks = tracker.step(nanoseconds(frame), detected([[10.0, 0.0], [30.0, 0.0]], covariance=said))
+        reported = np.stack([np.eye(3) * 0.1, covariance[:3, :3]])
+        tracks = tracker.step(nanoseconds(frame), detected([[10.0, 0.0], [30.0, 0.0]], covariance=reported))
     assert all(np.isfinite(column).all() for column in tracks.columns().values())
     assert np.isclose(tracks.position[:, 0], 10.0, atol=0.1).any()

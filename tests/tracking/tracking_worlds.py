@@ -52,8 +52,8 @@ def turning(x: float, y: float, yaw: float, speed: float, radius: float, start_s
         angle = min(arc / radius, np.pi / 2)
         px += radius * (np.sin(yaw + angle) - np.sin(yaw))
         py -= radius * (np.cos(yaw + angle) - np.cos(yaw))
-        rest = max(arc - radius * np.pi / 2, 0.0)
-        return px + rest * np.cos(yaw + angle), py + rest * np.sin(yaw + angle), yaw + angle
+        remaining = max(arc - radius * np.pi / 2, 0.0)
+        return px + remaining * np.cos(yaw + angle), py + remaining * np.sin(yaw + angle), yaw + angle
 
     return path
 
@@ -74,8 +74,8 @@ def changing_lanes(path: Path, at_s: float, width: float) -> Path:
 
     def shifted(t: float) -> tuple[float, float, float]:
         x, y, yaw = path(t)
-        aside = width if t >= at_s else 0.0
-        return x - aside * np.sin(yaw), y + aside * np.cos(yaw), yaw
+        lateral = width if t >= at_s else 0.0
+        return x - lateral * np.sin(yaw), y + lateral * np.cos(yaw), yaw
 
     return shifted
 
@@ -112,16 +112,16 @@ def watch(
         for _ in range(random.poisson(clutter)):
             spot = range_m * np.sqrt(random.random()) * np.exp(1j * random.uniform(-np.pi, np.pi))
             seen.append(detected([spot.real, spot.imag], random.uniform(-np.pi, np.pi)))
-        found = tracker.step(nanoseconds(frame), joined(*seen))
+        tracks = tracker.step(nanoseconds(frame), joined(*seen))
         if frame < 10:
             continue
-        pairs = matched(pose[:, :2], found)
+        pairs = matched(pose[:, :2], tracks)
         counts["fn"] += np.sum((inside > 10) & ~np.isin(np.arange(len(objects)), [row for row, _ in pairs]))
-        counts["fp"] += len(found) - len(pairs)
+        counts["fp"] += len(tracks) - len(pairs)
         for row, column in pairs:
-            squared.append(float(np.sum((pose[row, :2] - found.position[column, :2]) ** 2)))
-            counts["switches"] += last.get(row, found.id[column]) != found.id[column]
-            last[row] = found.id[column]
+            squared.append(float(np.sum((pose[row, :2] - tracks.position[column, :2]) ** 2)))
+            counts["switches"] += last.get(row, tracks.id[column]) != tracks.id[column]
+            last[row] = tracks.id[column]
     scored = frames - 10
     return {
         "fn": counts["fn"] / scored,
@@ -131,8 +131,8 @@ def watch(
     }
 
 
-def matched(truth: np.ndarray, found: ObjectStates) -> list[tuple[int, int]]:
+def matched(truth: np.ndarray, tracks: ObjectStates) -> list[tuple[int, int]]:
     """Pairs of truth (n, 2) and tracks within 2 m, by least total distance."""
-    distance = np.linalg.norm(truth[:, None, :] - found.position[None, :, :2], axis=2)
+    distance = np.linalg.norm(truth[:, None, :] - tracks.position[None, :, :2], axis=2)
     rows, columns = linear_sum_assignment(np.where(distance <= 2.0, distance, 1e6))
     return [(r, c) for r, c in zip(rows, columns, strict=True) if distance[r, c] <= 2.0]

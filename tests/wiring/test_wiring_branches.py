@@ -194,8 +194,8 @@ def test_any_mix_of_links_and_adversaries_delivers_every_wire_once_to_every_subs
         assert wire.legs[-1].key == before.legs[0].key
         if wire.message == "tracks":
             for end, way in reached:
-                mine = [(n, to) for n, agent, to in order if agent == wire.subject and to in (None, end.node)]
-                assert way == tuple(n for n, to in sorted(mine, key=lambda entry: entry[1] is not None))
+                own = [(n, to) for n, agent, to in order if agent == wire.subject and to in (None, end.node)]
+                assert way == tuple(n for n, to in sorted(own, key=lambda entry: entry[1] is not None))
     for name in nodes:
         if nodes[name].role in ("broker", "evaluator", "agent"):
             with_, without = wiring.ports(name), plain.ports(name)
@@ -212,10 +212,10 @@ def test_branches_are_printed_drawn_and_overheard() -> None:
     assert "link_1 ── agent/ego/tracks/@tap/broker/0 ──▶ broker" in text
     assert 'link_1 -.->|"agent/ego/tracks/@tap/broker/0"| broker' in to_mermaid(wiring)
     assert "agent/ego/tracks/@tap/broker/0" in wiring.ports("ear").inputs
-    told = next(wire for wire in wiring.to_json()["wires"] if wire["key"] == "agent/ego/tracks")
-    assert told["subscribers"] == ["broker", "evaluator"]
-    assert told["interposers"] == ["link_1"]
-    assert [leg.get("before") for leg in told["legs"]] == [None, "broker"]
+    tracks_wire = next(wire for wire in wiring.to_json()["wires"] if wire["key"] == "agent/ego/tracks")
+    assert tracks_wire["subscribers"] == ["broker", "evaluator"]
+    assert tracks_wire["interposers"] == ["link_1"]
+    assert [leg.get("before") for leg in tracks_wire["legs"]] == [None, "broker"]
 
 
 def test_the_shipped_network_map_does_not_affect_the_evaluator() -> None:

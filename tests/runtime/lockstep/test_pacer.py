@@ -80,10 +80,10 @@ def test_listen_only_nodes_are_waited_for_only_on_request() -> None:
 def test_reports_on_keys_that_a_node_does_not_use_are_refused_and_named() -> None:
     made = pacer()
     assert made.report("agent", 1, {"tracks": 1}, {"clock": 1}) == ""
-    said = made.report("agent", 1, {"collated": 1}, {})
-    assert said == "agent reports messages sent on 'collated', on which it does not speak"
-    said = made.report("agent", 1, {}, {"tracks": 1})
-    assert said == "agent reports messages handled on 'tracks', which it does not hear"
+    reason = made.report("agent", 1, {"collated": 1}, {})
+    assert reason == "agent reports messages sent on 'collated', on which it does not speak"
+    reason = made.report("agent", 1, {}, {"tracks": 1})
+    assert reason == "agent reports messages handled on 'tracks', which it does not hear"
     assert made.report("stranger", 1, {"tracks": 1}, {}) == "", "reports of non-members are ignored"
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("broker", 1, {}, {"clock": 1, "tracks": 1})
@@ -167,5 +167,5 @@ def test_a_publisher_that_reports_more_than_was_handled_is_named_first() -> None
     made.report("simulator", 1, {"clock": 2}, {})
     made.report("agent", 1, {}, {"clock": 1})
     made.report("broker", 1, {}, {"clock": 1})
-    said = "simulator reports 2 messages sent on clock, of which all who hear it have handled 1 (agent, broker)"
-    assert list(made.unsettled()) == [said]
+    message = "simulator reports 2 messages sent on clock, of which all who hear it have handled 1 (agent, broker)"
+    assert list(made.unsettled()) == [message]
