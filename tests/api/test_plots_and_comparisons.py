@@ -13,7 +13,7 @@ import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError, NotComparable, RunFolderError
 
 
-def shown(figure: object) -> Image.Image:
+def displayed_image(figure: object) -> Image.Image:
     """The image that a notebook displays for a figure."""
     return Image.open(io.BytesIO(figure._repr_png_()))  # type: ignore[attr-defined]
 
@@ -24,7 +24,7 @@ def test_a_notebook_displays_the_figures_of_the_report(name: str, attacked: mast
     run = mast.open(tmp_path / "run")
     run.report(frame=40)
     file = {"over_time": "counts"}.get(name, name)
-    image = shown(getattr(run.plot, name)(**({"frame": 40} if name in ("birdseye", "camera") else {})))
+    image = displayed_image(getattr(run.plot, name)(**({"frame": 40} if name in ("birdseye", "camera") else {})))
     ours = Image.open(run.path / "figures" / f"{file}.png")
     assert image.size == ours.size
     if name in ("birdseye", "camera", "wiring"):  # in the other figures the report marks the frame that it shows

@@ -90,13 +90,13 @@ def test_an_unknown_name_raises_attribute_error() -> None:
 
 def test_importing_the_package_loads_none_of_its_other_modules() -> None:
     code = "import sys; before = set(sys.modules); import mast_zenoh; print(*sorted(set(sys.modules) - before))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = done.stdout.split()
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = process.stdout.split()
     assert [name for name in loaded if name.startswith("mast_zenoh")] == ["mast_zenoh"]
     assert not {"numpy", "pyarrow", "matplotlib", "typing"} & set(loaded)
 
 
 def test_the_study_package_is_callable_however_it_was_imported() -> None:
     code = "import mast_zenoh.study.definition, mast_zenoh as mast; mast.study('nosuch')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "ConfigurationError: nosuch: no such file" in done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "ConfigurationError: nosuch: no such file" in process.stderr

@@ -60,11 +60,11 @@ def attack(selection=Many, metric=Twice, node=Counter, start=0):
 
 def session(code: str, folder: Path) -> Any:
     """The JSON printed by the last line of code in a session without a file."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-"], input=DEFINITIONS + code, cwd=folder, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout.splitlines()[-1])
 
 
 def test_classes_and_functions_of_a_session_run_in_one_process(tmp_path: Path) -> None:

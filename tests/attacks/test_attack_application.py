@@ -21,11 +21,11 @@ def targets(add=NONE, remove=NONE, move=NONE, offset=None) -> Targets:
     return Targets(add, remove, move, offset).numbered(0)
 
 
-def applied(wanted: Targets, objects: ObjectStates, remove=(), move=(), order=None):
+def applied(requested: Targets, objects: ObjectStates, remove=(), move=(), order=None):
     """Apply to the objects in `order`; remove, move: the row of each target."""
     order = np.arange(len(objects)) if order is None else np.asarray(order, int)
     rows = (np.asarray(remove, np.int64), np.asarray(move, np.int64))
-    return carry_out(wanted, wanted.add, objects.select(order), order, *rows)
+    return carry_out(requested, requested.add, objects.select(order), order, *rows)
 
 
 def test_no_targets_change_nothing():

@@ -44,10 +44,10 @@ def recorded(out: Path, *, frames: int = FRAMES, record: bool = True, **keys: An
     """Run in one process; returns the folder and the resolved scenario."""
     path, content = scenario(**keys)
     resolved = resolve(path, content, frames=frames, record=record)
-    ended = run.run(resolved, out, runtime="inproc")
-    assert ended.error is None
-    assert not any(node["failures"] for node in ended.record["nodes"].values())
-    return ended.folder, resolved
+    outcome = run.run(resolved, out, runtime="inproc")
+    assert outcome.error is None
+    assert not any(node["failures"] for node in outcome.record["nodes"].values())
+    return outcome.folder, resolved
 
 
 def rewritten(

@@ -124,7 +124,7 @@ def ego() -> MeshNode:
 
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
-    made = Driver(
+    new_driver = Driver(
         *("x", "sim", Sim(), WIRING, 1, MagicMock()),
         signatures=Signatures("x"),
         expected=dict(ROLES),
@@ -135,9 +135,9 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
         stall_timeout_s=2.0,
     )
     monkeypatch.setattr("mast_zenoh.runtime.mesh.driver.SUSPECT_S", 0.01)
-    made.membership.alive |= {"ego", "watch"}
-    made._begin_epoch()
-    return made
+    new_driver.membership.alive |= {"ego", "watch"}
+    new_driver._begin_epoch()
+    return new_driver
 
 
 @pytest.fixture
@@ -386,12 +386,12 @@ def test_a_run_stopped_by_the_launcher_keeps_its_own_error(context: RunContext) 
 @pytest.fixture
 def file_server(tmp_path: Path, context: RunContext) -> Any:
     (tmp_path / "scenario.json").write_text("{}")
-    made = FileServer(
+    server = FileServer(
         MagicMock(), "x", tmp_path, lambda: RESOLVED, lambda node: [], lambda error: None, context.invalid
     )
-    made._kept["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
-    yield made
-    made.close()
+    server._kept["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
+    yield server
+    server.close()
 
 
 def answered(file_server: FileServer, what: str, node: str, payload: bytes) -> tuple[str, Any]:

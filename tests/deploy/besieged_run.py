@@ -194,7 +194,7 @@ def main(folder: Path) -> None:
         watchers[0].start()
 
     try:
-        ended = launcher.run(
+        outcome = launcher.run(
             run, folder / "run", secure="acl", engine=engine, prepare=prepare, console=Console(width=400)
         )
     finally:
@@ -202,13 +202,13 @@ def main(folder: Path) -> None:
         for watcher in watchers:
             watcher.join()
     try:
-        with reporting(ended.folder):
-            html.write_report(ended.folder)
+        with reporting(outcome.folder):
+            html.write_report(outcome.folder)
     except MastError as error:
         print(f"no report: {error}")
     (folder / "peaks").write_text(json.dumps(peaks))
-    if ended.error is not None:
-        sys.exit(ended.error.exit_code)
+    if outcome.error is not None:
+        sys.exit(outcome.error.exit_code)
 
 
 def _watch(context: RunContext, folder: Path, peaks: dict[str, float], over: threading.Event) -> None:

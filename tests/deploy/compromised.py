@@ -43,7 +43,7 @@ def send(node: MeshNode) -> None:
         node.session.put(f"{control}/failed/{node.name}", payload)
 
 
-def speak_up() -> None:
+def send_invalid_messages() -> None:
     """Make this process's node send all of them when it starts; otherwise honest."""
     life, report = MeshNode.run_until_stopped, MeshNode.report
 
@@ -62,7 +62,7 @@ def speak_up() -> None:
     MeshNode.report = first_report  # type: ignore[method-assign]
 
 
-def exaggerate(key: str) -> None:
+def overreport(key: str) -> None:
     """Make this process's node report a billion handled messages on a key."""
     report = MeshNode.report
 

@@ -33,10 +33,10 @@ def resolved(
 def run(hosts: str, options: str, out: str) -> None:
     settings: dict[str, Any] = json.loads(options)
     secure = settings.pop("secure", "open")
-    ended = launcher.run(resolved(**settings), Path(out), engine=Ssh(Path(hosts)), secure=secure)
-    if ended.error:
-        sys.stderr.write(f"{type(ended.error).__name__}: {ended.error}\n")
-        sys.exit(ended.error.exit_code)
+    outcome = launcher.run(resolved(**settings), Path(out), engine=Ssh(Path(hosts)), secure=secure)
+    if outcome.error:
+        sys.stderr.write(f"{type(outcome.error).__name__}: {outcome.error}\n")
+        sys.exit(outcome.error.exit_code)
 
 
 def check(*files: str) -> None:

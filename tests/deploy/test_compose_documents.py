@@ -64,10 +64,10 @@ def test_the_examples_are_valid_for_the_installed_compose(name: str) -> None:
     if not shutil.which("docker-compose"):
         pytest.skip("there is no docker-compose on this machine")
     path = FOLDER / f"{name}.yml"
-    done = subprocess.run(
+    process = subprocess.run(
         ["docker-compose", "--file", str(path), "config", "--quiet"], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
 
 
 def resolved(*chosen: str, name: str = "uncoordinated") -> Resolved:

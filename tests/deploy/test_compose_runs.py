@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from containers import built, left, mast
+from containers import built, mast, remnants_of
 from launched import MAST, Launched, eventually
 
 from mast_zenoh import scenario
@@ -34,7 +34,7 @@ def up(start: Callable[..., Launched]) -> Callable[..., Launched]:
 def take_down(run: Launched) -> None:
     if "deployment" in run.record():
         mast("deploy", "down", str(run.out))
-        assert not left(run.record()["id"])
+        assert not remnants_of(run.record()["id"])
 
 
 def settings(of: tuple[str, ...]) -> list[str]:
@@ -43,9 +43,9 @@ def settings(of: tuple[str, ...]) -> list[str]:
 
 def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> launcher.Run:
     path, loaded = scenario.load(name, of)
-    ended = launcher.run(scenario.resolve(path, loaded, frames=frames, record=True), out, runtime="inproc")
-    assert ended.error is None
-    return ended
+    outcome = launcher.run(scenario.resolve(path, loaded, frames=frames, record=True), out, runtime="inproc")
+    assert outcome.error is None
+    return outcome
 
 
 def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) 
     record = run.record()
     assert record["security"] == "acl"
     assert all(node["exit"] == 0 and node["container"] and node["clock"] for node in record["nodes"].values())
-    assert not left(record["id"])
+    assert not remnants_of(record["id"])
 
 
 def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> No
     assert run.record()["nodes"]["infra_2"]["restarts"] == 1
     difference = compare(plain.folder, run.out, taps=True)
     assert difference.first is None, "\n".join(explain(difference))
-    assert not left(run.record()["id"])
+    assert not remnants_of(run.record()["id"])
 
 
 PAUSED = """
@@ -94,7 +94,7 @@ def test_a_paused_node_stops_and_continues(up, tmp_path: Path) -> None:
     assert [step["action"] for step in run.record()["steps"]] == ["pause", "resume"]
     spoken = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
     assert max(spoken) > 30, "the run continues"
-    assert not left(run.record()["id"])
+    assert not remnants_of(run.record()["id"])
 
 
 UNPLUGGED = """
@@ -122,7 +122,7 @@ def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
     assert max(frames) >= 105, "it reconnects by itself and rejoins at the current frame"
     checks = json.loads((run.out / "checks.json").read_text())["checks"]
     assert all(check["ok"] for check in checks), checks
-    assert not left(record["id"])
+    assert not remnants_of(record["id"])
 
 
 def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path:
     assert code == 130, output
     record = run.record()
     assert record["nodes"]["infra_1"]["last_frame"] is not None, record["nodes"]["infra_1"]
-    assert not left(record["id"])
+    assert not remnants_of(record["id"])
 
 
 def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up) -> None:
@@ -156,7 +156,7 @@ def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up)
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == 130, output
-    assert not left(record["id"])
+    assert not remnants_of(record["id"])
     assert run.record()["status"] == "interrupted"
     assert json.loads((run.out / "metrics.json").read_text())["frames"] > 0
     assert sum(1 for _ in read(recording)) > 0
@@ -174,9 +174,9 @@ def test_nodes_of_a_killed_launcher_exit_and_down_removes_the_remainder(up) -> N
     eventually(
         lambda: not docker("ps", "--quiet", "--filter", label).split(), "all containers have ended by themselves"
     )
-    assert left(record["id"]), "the containers are kept for their logs"
-    done = mast("deploy", "down", str(run.out))
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert not left(record["id"])
+    assert remnants_of(record["id"]), "the containers are kept for their logs"
+    process = mast("deploy", "down", str(run.out))
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert not remnants_of(record["id"])
     assert not (run.out / "credentials").exists()
     assert mast("deploy", "down", str(run.out)).returncode == 0, "repeating it does no harm"

@@ -40,8 +40,8 @@ def test_only_their_user_can_read_the_credentials_of_containers(tmp_path: Path, 
     folder = tmp_path / "credentials"
     with Deployment(
         level, "r", WIRING, ["a", "b"], prefix="mast/r", driver="a", hosts=["router"], folder=folder
-    ) as made:
-        engine._hand_over(folder, made.router, USER if not os.getuid() else f"{os.getuid()}:{os.getgid()}")
+    ) as deployment:
+        engine._hand_over(folder, deployment.router, USER if not os.getuid() else f"{os.getuid()}:{os.getgid()}")
         permissions = modes(folder)
         assert {"a/ca.pem", "b", "router/router.json", "router"} <= permissions.keys()
         assert ("a/key.pem" in permissions) == (level != "tls")
@@ -55,10 +55,10 @@ def test_only_their_user_can_read_the_credentials_of_containers(tmp_path: Path, 
 
 def on_host(home: Path, *words: str) -> dict:
     command = [sys.executable, onhost.__file__, *words]
-    done = subprocess.run(
+    process = subprocess.run(
         command, env={**os.environ, "HOME": str(home)}, capture_output=True, text=True, check=True, timeout=60
     )
-    return json.loads(done.stdout)
+    return json.loads(process.stdout)
 
 
 def test_other_users_cannot_change_installed_files_on_a_host(tmp_path: Path) -> None:

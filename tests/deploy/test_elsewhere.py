@@ -44,10 +44,10 @@ def test_a_run_with_remote_nodes_equals_the_one_in_one_process(tmp_path: Path, l
 
 def test_a_node_of_another_version_is_refused_and_both_versions_are_named(tmp_path: Path) -> None:
     other = Beside({"ego": "remote_node.version.version_string = lambda: '0.0.9 (sources beef)'"})
-    ended = launcher.run(small(), tmp_path / "run", engine=other)
-    assert isinstance(ended.error, VersionMismatch)
-    assert "ego runs mast-zenoh 0.0.9 (sources beef), the launcher 0.1.0 (sources " in str(ended.error)
-    assert ended.record["nodes"]["ego"]["exit"] == VersionMismatch.exit_code
+    outcome = launcher.run(small(), tmp_path / "run", engine=other)
+    assert isinstance(outcome.error, VersionMismatch)
+    assert "ego runs mast-zenoh 0.0.9 (sources beef), the launcher 0.1.0 (sources " in str(outcome.error)
+    assert outcome.record["nodes"]["ego"]["exit"] == VersionMismatch.exit_code
 
 
 SCENARIO = """

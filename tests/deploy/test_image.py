@@ -46,8 +46,8 @@ def test_nodes_need_only_the_node_requirements() -> None:
     assert {"pyarrow", "matplotlib", "jinja2", "rich", "typer"} <= more
     refused = {*more, "dask", "distributed", "rerun", "yaml", "asyncssh", "psutil"}
     code = PROBE.format(refused=refused, nodes=str(ROOT / "nodes"))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
 
 
 def test_the_wheel_always_has_the_same_sources_and_entry_points(tmp_path: Path) -> None:

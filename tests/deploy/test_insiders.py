@@ -46,9 +46,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Resolved:
 
 @pytest.fixture(scope="module")
 def twin(run: Resolved, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    ended = launcher.run(run, tmp_path_factory.mktemp("twin") / "run", runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(run, tmp_path_factory.mktemp("twin") / "run", runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def at(run: Resolved, node: str) -> Position:
@@ -68,13 +68,13 @@ def metrics(folder: Path, *without: str) -> dict[str, Any]:
     return {name: part for name, part in content.items() if name not in without}
 
 
-def untouched(twin: Path, ended: Ended, *without: str) -> None:
+def assert_equal_to_twin(twin: Path, ended: Ended, *without: str) -> None:
     """Assert that messages and metrics equal the twin's, except keys in `without`."""
     assert compare(twin, ended.folder, taps=True).first is None
     assert metrics(twin, *without) == metrics(ended.folder, *without)
 
 
-def taken_and_told(node: str, forgery: Forgery) -> bool:
+def is_accepted(node: str, forgery: Forgery) -> bool:
     """Whether a forgery in a node's own name is accepted and may end the run."""
     if forgery.sender != node or refused(forgery.control, node, forgery.payload):
         return False
@@ -102,28 +102,28 @@ def is_refused(node: str, forgery: Forgery) -> bool:
 def test_forgeries_on_every_control_key_change_nothing_and_are_counted(
     run: Resolved, twin: Path, tmp_path: Path, nodes: tuple[str, ...]
 ) -> None:
-    forged = {node: [f for f in all_forgeries(at(run, node), COUNT) if not taken_and_told(node, f)] for node in nodes}
+    forged = {node: [f for f in all_forgeries(at(run, node), COUNT) if not is_accepted(node, f)] for node in nodes}
     expected = Counter(f.key for node, forgeries in forged.items() for f in forgeries if is_refused(node, f))
-    ended = play(tmp_path / "run", {node: sending(forgeries) for node, forgeries in forged.items()})
-    assert (ended.code, ended.record["status"], ended.message) == (0, "ok", "")
-    assert ended.refused() == dict(expected)
-    untouched(twin, ended)
-    assert not list(ended.folder.rglob(f"*{MARKER}*"))
-    ended.sound()
+    outcome = play(tmp_path / "run", {node: sending(forgeries) for node, forgeries in forged.items()})
+    assert (outcome.code, outcome.record["status"], outcome.message) == (0, "ok", "")
+    assert outcome.refused() == dict(expected)
+    assert_equal_to_twin(twin, outcome)
+    assert not list(outcome.folder.rglob(f"*{MARKER}*"))
+    outcome.sound()
 
 
 def test_forged_failures_fail_the_run_in_the_name_of_the_forging_node(
     run: Resolved, twin: Path, tmp_path: Path
 ) -> None:
     values = [value for value in falsehoods("failed", at(run, "infra_1")) if value[1]["handler"] != "start"]
-    ended = play(tmp_path / "run", {node: sending(own("failed", node, *values)) for node in NODES})
-    assert (ended.code, ended.record["status"]) == (30, "handler_failures")
+    outcome = play(tmp_path / "run", {node: sending(own("failed", node, *values)) for node in NODES})
+    assert (outcome.code, outcome.record["status"]) == (30, "handler_failures")
     for node in NODES:
-        assert f"{node}.finish failed" in ended.message
-        assert ended.record["nodes"][node]["failures"]
-    assert not any(ended.record["nodes"][node]["failures"] for node in ended.record["nodes"].keys() - {*NODES})
-    untouched(twin, ended)
-    ended.sound()
+        assert f"{node}.finish failed" in outcome.message
+        assert outcome.record["nodes"][node]["failures"]
+    assert not any(outcome.record["nodes"][node]["failures"] for node in outcome.record["nodes"].keys() - {*NODES})
+    assert_equal_to_twin(twin, outcome)
+    outcome.sound()
 
 
 @only_all
@@ -136,10 +136,10 @@ def test_a_node_that_claims_it_cannot_start_ends_the_run_by_name(
 ) -> None:
     values = [value for value in falsehoods("failed", at(run, node)) if value[1]["handler"] == "start"]
     (value,) = (value for value in values if value[1]["exception"] == exception)
-    ended = play(tmp_path / "run", {node: sending(own("failed", node, value))})
-    assert (ended.code, ended.record["status"]) == (code, "failed")
-    assert ended.message.startswith(f"{node}.start failed")
-    ended.sound()
+    outcome = play(tmp_path / "run", {node: sending(own("failed", node, value))})
+    assert (outcome.code, outcome.record["status"]) == (code, "failed")
+    assert outcome.message.startswith(f"{node}.start failed")
+    outcome.sound()
 
 
 def outcomes(run: Resolved, node: str) -> list[dict[str, Any]]:
@@ -164,23 +164,23 @@ def test_early_false_results_affect_only_the_node_that_sent_them(
     for offset, node in enumerate(NODES):
         taken = outcomes(run, node)
         sent[node] = taken[(first + offset) % len(taken)]
-    ended = play(tmp_path / "run", {node: sending(own("result", node, outcome)) for node, outcome in sent.items()})
+    finished = play(tmp_path / "run", {node: sending(own("result", node, outcome)) for node, outcome in sent.items()})
     failed = sorted(node for node, outcome in sent.items() if outcome["failures"])
     if "problem" in sent["recorder"]["results"].get("recorded", {}):
-        assert ended.code == 28
-        assert ended.message.startswith("recorder: ")
+        assert finished.code == 28
+        assert finished.message.startswith("recorder: ")
     else:
-        assert ended.code == (30 if failed else 0), ended.message
-        assert all(node in ended.message for node in failed)
-    assert compare(twin, ended.folder, taps=True).first is None
-    late = {key: count for key, (count, _) in ended.record["invalid_control"].items()}
+        assert finished.code == (30 if failed else 0), finished.message
+        assert all(node in finished.message for node in failed)
+    assert compare(twin, finished.folder, taps=True).first is None
+    late = {key: count for key, (count, _) in finished.record["invalid_control"].items()}
     assert late == {f"result/{node}": 1 for node in NODES}, "the honest nodes' results come too late"
-    inside = {path.relative_to(ended.folder).parts[0] for path in ended.folder.rglob("*") if path.is_file()}
+    inside = {path.relative_to(finished.folder).parts[0] for path in finished.folder.rglob("*") if path.is_file()}
     ours = {path.relative_to(twin).parts[0] for path in twin.rglob("*") if path.is_file()}
     assert inside - ours <= {"logs", "report.html", "figures", "results", "metrics.parquet", "checks.json"}
-    for path in ended.folder.rglob(f"*{MARKER}*"):
-        assert path.parent.parent == ended.folder / "results", "its own table"
-    ended.sound()
+    for path in finished.folder.rglob(f"*{MARKER}*"):
+        assert path.parent.parent == finished.folder / "results", "its own table"
+    finished.sound()
 
 
 @only_all
@@ -203,18 +203,18 @@ def test_false_counters_end_the_run_by_name_or_change_nothing(
     counts = [1, dict.fromkeys(sent, 10**9), dict.fromkeys(handled, 10**9)]
     if kind.startswith("foreign") and not (sent or handled):
         pytest.skip("every key is its own")
-    ended = play(tmp_path / "run", {}, {node: sending(own("counts", node, counts))})
-    if ended.code:
-        assert ended.code in (23, 31)
-        assert ended.record["status"] == "failed"
-        assert node in ended.message
+    outcome = play(tmp_path / "run", {}, {node: sending(own("counts", node, counts))})
+    if outcome.code:
+        assert outcome.code in (23, 31)
+        assert outcome.record["status"] == "failed"
+        assert node in outcome.message
     else:
         assert not kind.startswith("foreign")
-        untouched(twin, ended)
-    ended.sound()
+        assert_equal_to_twin(twin, outcome)
+    outcome.sound()
 
 
-def say_one_more(key: str) -> Callable[..., None]:
+def publish_uncounted_message(key: str) -> Callable[..., None]:
     """A message that lock-step counts as handled but not as sent."""
 
     def insider(session: Any, prefix: str) -> None:
@@ -228,17 +228,17 @@ def say_one_more(key: str) -> Callable[..., None]:
 def test_a_message_missing_from_the_honest_nodes_report_ends_the_run_by_name(
     run: Resolved, tmp_path: Path, node: str
 ) -> None:
-    ended = play(tmp_path / "run", {node: say_one_more(at(run, node).publishes[0])})
-    assert (ended.code, ended.record["status"]) == (31, "failed")
-    assert ended.message.startswith(f"{node} reports ")
-    ended.sound()
+    outcome = play(tmp_path / "run", {node: publish_uncounted_message(at(run, node).publishes[0])})
+    assert (outcome.code, outcome.record["status"]) == (31, "failed")
+    assert outcome.message.startswith(f"{node} reports ")
+    outcome.sound()
 
 
 @only_all
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_that_claims_another_version_fails_the_run_by_name(run: Resolved, tmp_path: Path, node: str) -> None:
     value = {"do": "join", "version": "0.0.0 (sources forged)", "versions": {}}
-    ended = play(tmp_path / "run", {node: sending(own("fetch", node, value))})
-    assert (ended.code, ended.record["status"]) == (29, "failed")
-    assert ended.message.startswith(f"{node} runs mast-zenoh 0.0.0")
-    ended.sound()
+    outcome = play(tmp_path / "run", {node: sending(own("fetch", node, value))})
+    assert (outcome.code, outcome.record["status"]) == (29, "failed")
+    assert outcome.message.startswith(f"{node} runs mast-zenoh 0.0.0")
+    outcome.sound()

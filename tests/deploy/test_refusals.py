@@ -54,17 +54,17 @@ def test_an_unreachable_engine_is_reported(tmp_path: Path) -> None:
     docker.parent.mkdir()
     docker.write_text("#!/bin/sh\necho 'Cannot connect to the Docker daemon' >&2; exit 1\n")
     docker.chmod(0o755)
-    done = up(tmp_path / "run", {"PATH": f"{docker.parent}:{os.environ['PATH']}"})
-    assert done.returncode == EngineError.exit_code, done.stdout + done.stderr
-    assert "the Docker engine cannot be reached" in done.stderr
-    assert "Cannot connect to the Docker daemon" in done.stderr
+    process = up(tmp_path / "run", {"PATH": f"{docker.parent}:{os.environ['PATH']}"})
+    assert process.returncode == EngineError.exit_code, process.stdout + process.stderr
+    assert "the Docker engine cannot be reached" in process.stderr
+    assert "Cannot connect to the Docker daemon" in process.stderr
     assert not (tmp_path / "run").exists()
 
 
 def test_a_machine_without_an_engine_gets_install_instructions(tmp_path: Path) -> None:
-    done = up(tmp_path / "run", {"PATH": str(tmp_path)})
-    assert done.returncode == EngineError.exit_code
-    assert "there is no `docker` on this machine: install docker.io" in done.stderr
+    process = up(tmp_path / "run", {"PATH": str(tmp_path)})
+    assert process.returncode == EngineError.exit_code
+    assert "there is no `docker` on this machine: install docker.io" in process.stderr
     assert not (tmp_path / "run").exists()
 
 
@@ -91,8 +91,8 @@ def test_nodes_on_ssh_hosts_cannot_be_disconnected() -> None:
 
 
 def test_a_disconnected_node_waits_longer_for_the_launcher() -> None:
-    made = document.document(unplugged(until=4.5, rate=0.5), "a-run", image="any", patience_s=10.0)
-    waits = {name: service["command"][-1] for name, service in made["services"].items()}
+    compose_file = document.document(unplugged(until=4.5, rate=0.5), "a-run", image="any", patience_s=10.0)
+    waits = {name: service["command"][-1] for name, service in compose_file["services"].items()}
     assert waits.pop("infra_1") == "18", "4 s of scene time at half speed"
     assert set(waits.values()) == {"10"}
 
@@ -119,9 +119,9 @@ def test_a_full_disk_is_reported_before_anything_is_written(tmp_path: Path, monk
 
 
 def test_an_option_unsupported_by_the_engine_is_a_usage_error(tmp_path: Path) -> None:
-    done = up(tmp_path / "run", {}, "--hosts", "hosts.toml")
-    assert done.returncode == 2
-    assert "engine compose has no such option" in " ".join(done.stderr.split())
+    process = up(tmp_path / "run", {}, "--hosts", "hosts.toml")
+    assert process.returncode == 2
+    assert "engine compose has no such option" in " ".join(process.stderr.split())
 
 
 def test_an_unknown_engine_is_refused_with_the_nearest() -> None:
@@ -155,8 +155,8 @@ def test_an_engine_is_found_in_its_defining_file(engine_file: Path) -> None:
     kind = engines.load(f"{engine_file}:Rack")
     assert kind.name == f"{engine_file}:Rack"
     assert engines.load(kind.name) is kind
-    made = engines.make(kind, engines.options(kind, ["racks=3"]))
-    assert made.racks == 3
+    engine = engines.make(kind, engines.options(kind, ["racks=3"]))
+    assert engine.racks == 3
 
 
 @pytest.mark.parametrize(

@@ -35,11 +35,11 @@ PLACES = {"beta": 'nodes = ["ego", "infra_4", "infra_5"]', "gamma": 'nodes = ["i
 def hosts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshHosts]:
     ssh_hosts.require()
     wheel.third_party(wheel.cache())  # built here because the launcher's network has no package index
-    with SshHosts(tmp_path_factory.mktemp("hosts")) as made:
-        yield made
+    with SshHosts(tmp_path_factory.mktemp("hosts")) as started:
+        yield started
 
 
-def left(hosts: SshHosts) -> list[str]:
+def remnants_on(hosts: SshHosts) -> list[str]:
     """Remnants of runs: processes in hosts, except SSH servers, and files."""
     remnants = []
     for name in NAMES:
@@ -71,7 +71,7 @@ def launch(hosts: SshHosts, start: Callable[..., Launched], tmp_path: Path) -> C
         return start(*command, afterwards=nothing_is_left, TMPDIR=str(temporary))
 
     def nothing_is_left(_: Launched) -> None:
-        eventually(lambda: not left(hosts), f"nothing is left: {left(hosts)}", 30.0)
+        eventually(lambda: not remnants_on(hosts), f"nothing is left: {remnants_on(hosts)}", 30.0)
         assert [path for path in temporary.rglob("*") if path.suffix in (".pem", ".whl")] == []
 
     return run
@@ -153,7 +153,7 @@ def test_remnants_of_a_killed_launchers_run_are_listed_and_can_be_removed(launch
     for _ in range(2):  # removing what does not exist has no effect
         done = hosts.run(*PROGRAM, "down", str(run.out))
         assert done.returncode == 0, done.stderr
-        assert left(hosts) == []
+        assert remnants_on(hosts) == []
     assert {entry["state"] for entry in json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)} == {"not there"}
 
 
@@ -163,7 +163,7 @@ def test_remnants_of_a_killed_launchers_run_end_by_themselves(launch, hosts: Ssh
     run.until(run.recorded, "frames are played")
     os.kill(run.until(lambda: run.record()["nodes"]["infra_1"]["pid"], "its process is known"), signal.SIGSTOP)
     run.kill()
-    eventually(lambda: not left(hosts), "nothing is left", 60.0)
+    eventually(lambda: not remnants_on(hosts), "nothing is left", 60.0)
 
 
 def test_ctrl_c_during_startup_leaves_nothing_on_hosts(launch, hosts: SshHosts) -> None:
@@ -247,7 +247,7 @@ def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tm
     (code, message) = json.loads(other.stdout)["fine"]
     assert code == 29, "VersionMismatch"
     assert message.count("(sources ") == 2, "both versions are named"
-    assert left(hosts) == []
+    assert remnants_on(hosts) == []
 
 
 def _replace(file: Path, old: str, new: str) -> None:

@@ -33,11 +33,11 @@ class Attached:
         self.there.connect(str(folder / "control"))
         self.lines = self.there.makefile("r")
         self.heard: list[dict[str, Any]] = []
-        self.tell({"as": "launcher", "logs": offsets})
-        self.wait(lambda said: "warden" in said)
+        self.send({"as": "launcher", "logs": offsets})
+        self.wait(lambda event: "warden" in event)
 
-    def tell(self, said: dict[str, Any]) -> None:
-        self.there.sendall(json.dumps(said).encode() + b"\n")
+    def send(self, message: dict[str, Any]) -> None:
+        self.there.sendall(json.dumps(message).encode() + b"\n")
 
     def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The next received event that satisfies the condition."""
@@ -47,12 +47,12 @@ class Attached:
                 return self.heard[-1]
         raise AssertionError(f"the connection has ended; heard {self.heard}")
 
-    def do(self, which: str, do: str, **more: Any) -> dict[str, Any]:
+    def request(self, which: str, do: str, **more: Any) -> dict[str, Any]:
         """Send a command and return the answer."""
-        self.tell({"id": which, "do": do, **more})
-        return self.wait(lambda said: said.get("answer") == which)
+        self.send({"id": which, "do": do, **more})
+        return self.wait(lambda event: event.get("answer") == which)
 
-    def ended(self) -> bool:
+    def wait_until_closed(self) -> bool:
         """Wait until the peer has closed the connection."""
         for line in self.lines:
             self.heard.append(json.loads(line))
@@ -97,11 +97,11 @@ def of(top: Path) -> list[psutil.Process]:
 
 
 def started(attached: Attached, name: str, *argv: str) -> int:
-    answer = attached.do(f"start {name}", "start", name=name, argv=list(argv or SLEEP), env={"WORD": "given"})
+    answer = attached.request(f"start {name}", "start", name=name, argv=list(argv or SLEEP), env={"WORD": "given"})
     return int(answer["pid"])
 
 
-def gone(pid: int) -> bool:
+def wait_for_exit(pid: int) -> bool:
     """Wait until a process has ended."""
     deadline = time.monotonic() + 30.0
     while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
@@ -118,11 +118,11 @@ def test_a_repeated_command_is_executed_once(serve) -> None:
     first.close()  # the answer may have been lost
     again = Attached(folder)
     assert started(again, "ego") == pid
-    assert again.do("another", "start", name="ego", argv=SLEEP, env={})["error"] == "ego is already running"
-    assert "error" in again.do("none", "start", name="other", argv=["/does/not/exist"], env={})
-    again.do("leave", "leave", grace_s=10.0)
-    assert again.ended()
-    assert gone(pid)
+    assert again.request("another", "start", name="ego", argv=SLEEP, env={})["error"] == "ego is already running"
+    assert "error" in again.request("none", "start", name="other", argv=["/does/not/exist"], env={})
+    again.request("leave", "leave", grace_s=10.0)
+    assert again.wait_until_closed()
+    assert wait_for_exit(pid)
     assert not folder.parent.exists(), "only files that other runs may need remain"
     assert folder.parent.parent.exists()
 
@@ -132,12 +132,12 @@ def test_only_the_owner_can_read_a_runs_files_on_a_host_with_any_umask(serve) ->
     attached = Attached(folder)
     program = "import pathlib, sys; pathlib.Path('written').touch(); sys.exit(0)"
     started(attached, "ego", sys.executable, "-c", program)
-    attached.wait(lambda said: said.get("node") == "ego" and said["exit"] == 0)
+    attached.wait(lambda event: event.get("node") == "ego" and event["exit"] == 0)
     permissions = {path: path.stat().st_mode & 0o777 for path in (folder.parent, folder, *folder.rglob("*"))}
     assert {"control", "logs", "ego.log", "@warden.log", "written"} <= {path.name for path in permissions}
     assert {str(path): oct(mode) for path, mode in permissions.items() if mode & 0o077} == {}
-    attached.do("leave", "leave", grace_s=10.0)
-    assert attached.ended()
+    attached.request("leave", "leave", grace_s=10.0)
+    assert attached.wait_until_closed()
 
 
 def test_nodes_get_their_environment_and_folder_and_report_their_exit_code(serve) -> None:
@@ -148,7 +148,7 @@ def test_nodes_get_their_environment_and_folder_and_report_their_exit_code(serve
     assert attached.wait(lambda output: output.get("node") == "ego")["exit"] == 5
     output = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
     assert output == f"given {folder}/tmp/ego {folder}\n", "output arrives before the exit event"
-    attached.do("leave", "leave", grace_s=1.0)
+    attached.request("leave", "leave", grace_s=1.0)
     attached.close()
 
 
@@ -157,16 +157,16 @@ def test_logs_continue_from_the_last_connection(serve) -> None:
     first = Attached(folder)
     program = "for i in range(10_000): print(i, 'ä' * 20)\nprint('end', flush=True)\nimport signal; signal.pause()"
     started(first, "ego", sys.executable, "-c", program)
-    pieces = [first.wait(lambda said: "log" in said)]
+    pieces = [first.wait(lambda event: "log" in event)]
     first.close()
     offset = pieces[0]["offset"] + len(pieces[0]["text"].encode("latin-1"))
     second = Attached(folder, ego=offset)
     content = pieces[0]["text"]
     while not content.endswith("end\n"):
-        content += second.wait(lambda said: "log" in said)["text"]
+        content += second.wait(lambda event: "log" in event)["text"]
     expected = "".join(f"{i} {'ä' * 20}\n" for i in range(10_000)) + "end\n"
     assert content.encode("latin-1").decode() == expected
-    second.do("leave", "leave", grace_s=1.0)
+    second.request("leave", "leave", grace_s=1.0)
     second.close()
 
 
@@ -177,13 +177,13 @@ def test_nodes_that_do_not_exit_are_killed_after_the_grace_period_even_if_stoppe
     )
     pids = [started(attached, "deaf", sys.executable, "-c", program), started(attached, "still")]
     for _ in range(2):
-        attached.wait(lambda said: said.get("text") == "up\n")
-    attached.do("stop", "signal", names=["still"], number=int(signal.SIGSTOP))
-    attached.do("end", "end", grace_s=0.5)
-    codes = {said["node"]: said["exit"] for said in attached.heard if "node" in said}
+        attached.wait(lambda event: event.get("text") == "up\n")
+    attached.request("stop", "signal", names=["still"], number=int(signal.SIGSTOP))
+    attached.request("end", "end", grace_s=0.5)
+    codes = {event["node"]: event["exit"] for event in attached.heard if "node" in event}
     assert codes == {"deaf": -signal.SIGKILL, "still": -signal.SIGTERM}
-    assert all(gone(pid) for pid in pids)
-    attached.do("leave", "leave", grace_s=1.0)
+    assert all(wait_for_exit(pid) for pid in pids)
+    attached.request("leave", "leave", grace_s=1.0)
     attached.close()
 
 
@@ -192,10 +192,10 @@ def test_without_a_launcher_it_ends_all_nodes_even_if_a_stopped_one_saw_the_laun
     attached = Attached(folder)
     pid = started(attached, "ego")
     (folder / "tmp" / "ego" / "mast-up").touch()
-    attached.wait(lambda said: said.get("text") == "up\n")
+    attached.wait(lambda event: event.get("text") == "up\n")
     os.kill(pid, signal.SIGSTOP)
     attached.close()
-    assert gone(pid)
+    assert wait_for_exit(pid)
     deadline = time.monotonic() + 30.0
     while folder.exists() and time.monotonic() < deadline:
         threading.Event().wait(0.05)
@@ -210,8 +210,8 @@ def test_it_survives_without_a_connection_while_a_node_sees_the_launcher(serve) 
     attached.close()
     threading.Event().wait(2.0)  # several times its timeout
     again = Attached(folder)
-    assert again.do("state", "state")["nodes"][0]["exit"] is None
-    again.do("leave", "leave", grace_s=1.0)
+    assert again.request("state", "state")["nodes"][0]["exit"] is None
+    again.request("leave", "leave", grace_s=1.0)
     again.close()
 
 
@@ -220,5 +220,5 @@ def test_its_nodes_die_with_it(serve) -> None:
     attached = Attached(folder)
     pid = started(attached, "ego")
     os.kill(attached.heard[0]["warden"], signal.SIGKILL)
-    assert gone(pid)
+    assert wait_for_exit(pid)
     attached.close()

@@ -157,8 +157,8 @@ def test_a_node_killed_by_the_scenario_cannot_be_placed_on_another_machine() -> 
     placement.check([HERE, THERE], {"infra_1": "west"}, {"infra_1"})
 
 
-def line(identity: str, state: str, error: str = "", node: str = "infra_1", wanted: str = "Running") -> str:
-    return f"{identity}\t{document.service(RUN, node)}.1\there\t{wanted}\t{state}\t{error}"
+def line(identity: str, state: str, error: str = "", node: str = "infra_1", desired_state: str = "Running") -> str:
+    return f"{identity}\t{document.service(RUN, node)}.1\there\t{desired_state}\t{state}\t{error}"
 
 
 @pytest.mark.parametrize(
@@ -213,9 +213,9 @@ class Engine:
         self.told.append(words)
         return "x"
 
-    def say(self, *said: tuple[str, str, str]) -> None:
+    def say(self, *states: tuple[str, str, str]) -> None:
         self.now += 1.0
-        self.tasks = [Task(identity, "infra_2", "here", "running", state, error) for identity, state, error in said]
+        self.tasks = [Task(identity, "infra_2", "here", "running", state, error) for identity, state, error in states]
 
 
 @pytest.fixture
@@ -297,8 +297,8 @@ def test_a_real_time_run_waits_for_its_router_for_a_limited_time(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path, "realtime")
-    there, gone = dockerd.router, dockerd.router._replace(state="failed", error=KILLED)
-    for dockerd.router in (there, gone, gone, there, gone, gone, gone):
+    there, failed = dockerd.router, dockerd.router._replace(state="failed", error=KILLED)
+    for dockerd.router in (there, failed, failed, there, failed, failed, failed):
         dockerd.say(("t1", "running", ""))
         assert supervisor.running()
     dockerd.now += 10.0
@@ -368,14 +368,14 @@ def test_the_engine_of_another_machine_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "expected"),
+    ("output", "expected"),
     [
         ('["registry.example/mast@sha256:2"]\tsha256:1\n', "registry.example/mast@sha256:2"),
         ("[]\tsha256:1\n", "sha256:1"),
     ],
 )
-def test_all_machines_run_the_same_image(monkeypatch: pytest.MonkeyPatch, said: str, expected: str) -> None:
-    monkeypatch.setattr(engine, "docker", lambda *words: said)
+def test_all_machines_run_the_same_image(monkeypatch: pytest.MonkeyPatch, output: str, expected: str) -> None:
+    monkeypatch.setattr(engine, "docker", lambda *words: output)
     assert engine.reference("mast") == expected
 
 

@@ -142,17 +142,17 @@ def test_a_node_restarted_by_docker_rejoins_at_the_current_frame_of_a_lock_step_
         (tmp_path / f"{name}.py").write_text(content)
     path, loaded = scenario.load(str(tmp_path / "rising.py"), [])
     resolved = scenario.resolve(path, loaded, frames=150)
-    ended = launcher.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl", allow_churn=True)
-    assert ended.error is None, ended.error
-    assert [(each["node"], each["what"]) for each in ended.record["churn"]] == [
+    outcome = launcher.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl", allow_churn=True)
+    assert outcome.error is None, outcome.error
+    assert [(each["node"], each["what"]) for each in outcome.record["churn"]] == [
         ("infra_2", "lost"),
         ("infra_2", "back"),
     ]
-    node = ended.record["nodes"]["infra_2"]
+    node = outcome.record["nodes"]["infra_2"]
     assert (node["restarts"], node["exit"], node["last_frame"]) == (1, 0, 149)
     assert node["ended"] == "killed by signal 9 (SIGKILL); ok"
-    assert "burning" in (ended.folder / "logs" / "infra_2.log").read_text(), "earlier output is kept"
-    assert ended.record["steps"] == [], "only Docker restarted it"
+    assert "burning" in (outcome.folder / "logs" / "infra_2.log").read_text(), "earlier output is kept"
+    assert outcome.record["steps"] == [], "only Docker restarted it"
 
 
 @pytest.fixture

@@ -28,10 +28,10 @@ def test_every_command_for_one_machine_works_as_written(tmp_path: Path) -> None:
         for line in text.splitlines():
             assert line.startswith("$ ")
             command = line[2:].replace("python:3.12-slim", here) if image else line[2:]
-            done = subprocess.run(
+            process = subprocess.run(
                 command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
             )
-            assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+            assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
     assert (tmp_path / "composed" / "report.html").is_file()
 
 

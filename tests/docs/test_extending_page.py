@@ -161,9 +161,9 @@ def carry_out(commands: str, folder: Path) -> list[str]:
     printed = []
     for line in commands.splitlines():
         words = shlex.split(line.removeprefix("$ "))
-        done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
-        printed.append(done.stdout)
+        process = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
+        printed.append(process.stdout)
     return printed
 
 

@@ -38,9 +38,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pages")
     (folder / "mine.py").write_text(SCENARIO.format(metric=metric, options=", ".join(options)))
     path, content = scenario.load(str(folder / "mine.py"))
-    ended = launcher.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def named_in(text: str, heading: str) -> set[str]:

@@ -25,10 +25,10 @@ def test_every_file_and_command_of_the_tutorial_works_as_written(tmp_path: Path)
         assert kind == "console"
         for line in text.splitlines():
             assert line.startswith("$ ")
-            done = subprocess.run(
+            process = subprocess.run(
                 line[2:], shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
             )
-            assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+            assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
             commands += 1
     assert commands >= 9
     assert (tmp_path / "study" / "report.html").is_file()

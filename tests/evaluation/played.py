@@ -57,9 +57,9 @@ def play(folder: Path, name: str, *settings: str, frames: int = FRAMES, seed: in
         (folder / f"{file}.py").write_text(text)
     path, content = scenario.load(str(folder / f"{name}.py") if name in files else name, list(settings))
     resolved = scenario.resolve(path, content, frames=frames, seed=seed, record=True)
-    ended = run.run(resolved, folder / "run", runtime="inproc")
-    assert ended.error is None, ended.error
-    return Played(ended.folder)
+    outcome = run.run(resolved, folder / "run", runtime="inproc")
+    assert outcome.error is None, outcome.error
+    return Played(outcome.folder)
 
 
 def files_of(page: str) -> dict[str, str]:
@@ -78,6 +78,6 @@ def watch(folder: Path, resolved: Resolved) -> tuple[Played, Watched]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "InProcess", process)
-        ended = run.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
-    assert ended.error is None, ended.error
-    return Played(ended.folder), made[0]
+        outcome = run.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
+    assert outcome.error is None, outcome.error
+    return Played(outcome.folder), made[0]

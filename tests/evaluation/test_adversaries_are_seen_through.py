@@ -126,12 +126,12 @@ def test_a_crashing_adversary_is_measured_as_dropping_messages_and_named(tmp_pat
     for file, text in FILES.items():
         (tmp_path / f"{file}.py").write_text(text)
     path, content = scenario.load(str(tmp_path / "hidden.py"), ["one=crash", "other=truth"])
-    ended = run.run(scenario.resolve(path, content, frames=FRAMES, seed=0), tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, HandlerFailed)
-    assert ended.record["status"] == "handler_failures"
+    outcome = run.run(scenario.resolve(path, content, frames=FRAMES, seed=0), tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, HandlerFailed)
+    assert outcome.record["status"] == "handler_failures"
     for words in ("one", "on_detections", "20 frames", "ZeroDivisionError: no plan", "hider.py:"):
-        assert words in str(ended.error), words
-    played = Played(ended.folder)
+        assert words in str(outcome.error), words
+    played = Played(outcome.folder)
     verdict = played.metrics["interposers"]["one"]
     assert verdict["effects"] == {"dropped": ACTIVE}
     assert (verdict["agreement"], verdict["unreported"]) == ("silent", ACTIVE - 1)

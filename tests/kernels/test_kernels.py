@@ -233,11 +233,11 @@ def test_every_kernel_is_compared_with_its_reference():
 @given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
 def test_a_compiled_kernel_equals_its_reference(name, seed, n, m):
     arguments = ARGUMENTS[name](np.random.default_rng(seed), n, m)
-    ours, theirs = copy.deepcopy(arguments), copy.deepcopy(arguments)
+    ours, reference = copy.deepcopy(arguments), copy.deepcopy(arguments)
     with np.errstate(all="ignore"):
-        expected = kernels.REFERENCES[name](*theirs)
+        expected = kernels.REFERENCES[name](*reference)
     assert_same(kernels.COMPILED[name](*ours), expected)
-    assert_same(ours, theirs)  # arrays changed in place
+    assert_same(ours, reference)  # arrays changed in place
 
 
 @compiled
@@ -245,9 +245,9 @@ def test_a_node_with_compiled_kernels_does_not_load_scipy():
     """SciPy takes as long to load as everything else that a node needs."""
     code = "import nodes.agent, nodes.command_center, nodes.simulator, nodes.adversary, sys; print(*sys.modules)"
     root = Path(mast_zenoh.__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
-    assert "nodes.agent" in done.stdout.split()
-    assert "scipy" not in done.stdout.split()
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert "nodes.agent" in process.stdout.split()
+    assert "scipy" not in process.stdout.split()
 
 
 PLAY = """

@@ -28,11 +28,14 @@ class Ended:
     def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         beside = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "support")}}
-        done = subprocess.run(
+        process = subprocess.run(
             [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | beside | options)
         )
-        self.out, self.code = out, done.returncode if done.returncode >= 0 else 128 - done.returncode  # like a shell
-        self.text = (done.stdout or "") + (done.stderr or "")
+        self.out, self.code = (
+            out,
+            process.returncode if process.returncode >= 0 else 128 - process.returncode,
+        )  # like a shell
+        self.text = (process.stdout or "") + (process.stderr or "")
 
     @property
     def status(self) -> str:
@@ -40,7 +43,7 @@ class Ended:
         path = self.out / "run.json"
         return json.loads(path.read_text())["status"] if path.is_file() else ""
 
-    def is_as(self, row: Ending) -> None:
+    def assert_matches(self, row: Ending) -> None:
         """Assert that the ending matches a row of the table, and common rules."""
         assert (self.status, self.code) == row, self.text
         assert "Traceback" not in self.text
@@ -69,7 +72,7 @@ def no_larger_than(size: int) -> Callable[[], None]:
 
 
 def test_a_signal_before_the_run_folder_exists_leaves_nothing(out: Path) -> None:
-    Ended(out, at("loading", "SIGTERM")).is_as(ending("signal before the run folder exists"))
+    Ended(out, at("loading", "SIGTERM")).assert_matches(ending("signal before the run folder exists"))
     assert not out.exists()
 
 
@@ -82,9 +85,9 @@ def test_a_signal_while_the_command_line_is_imported_prints_one_line(out: Path) 
         "        if name == 'mast_zenoh.cli.app': signal.raise_signal(signal.SIGINT)\n"
         "sys.meta_path.insert(0, Raiser()); process.main()"
     )
-    ended = Ended(out, (sys.executable, "-c", script, *RUN))
-    ended.is_as(ending("signal before the run folder exists"))
-    assert "error: Interrupted" in ended.text
+    outcome = Ended(out, (sys.executable, "-c", script, *RUN))
+    outcome.assert_matches(ending("signal before the run folder exists"))
+    assert "error: Interrupted" in outcome.text
 
 
 INTERRUPTED_CLASS = """
@@ -104,38 +107,38 @@ with mock.patch("mast_zenoh.scenario.resolve", make) if when == "resolving" else
 @pytest.mark.parametrize("when", ["mast_zenoh.launch.stop_signals", "mast_zenoh.cli.app", "resolving"])
 def test_a_signal_while_a_class_is_created_prints_one_line(out: Path, when: str) -> None:
     """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
-    ended = Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
-    ended.is_as(ending("signal before the run folder exists"))
+    outcome = Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
+    outcome.assert_matches(ending("signal before the run folder exists"))
 
 
 def test_a_signal_while_nodes_start(out: Path) -> None:
-    Ended(out, at("starting", "SIGHUP")).is_as(ending("signal while nodes start"))
+    Ended(out, at("starting", "SIGHUP")).assert_matches(ending("signal while nodes start"))
 
 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_a_signal_while_the_scene_is_played_keeps_results_and_draws_the_report(out: Path, name: str) -> None:
     run = with_report() if name == "SIGINT" else RUN
-    Ended(out, at("playing", name, run=run)).is_as(ending("signal while the scene is played"))
+    Ended(out, at("playing", name, run=run)).assert_matches(ending("signal while the scene is played"))
     assert json.loads((out / "metrics.json").read_text())["frames"] == 3
     assert (out / "report.html").is_file() == (name == "SIGINT")
 
 
 @pytest.mark.parametrize("names", [("SIGINT", "SIGINT"), ("SIGHUP", "SIGTERM", "SIGINT")])
 def test_a_second_signal_while_the_scene_is_played(out: Path, names: tuple[str, ...]) -> None:
-    Ended(out, at("playing", *names)).is_as(ending("second signal while the scene is played"))
+    Ended(out, at("playing", *names)).assert_matches(ending("second signal while the scene is played"))
 
 
 @pytest.mark.parametrize("names", [("SIGTERM",), ("SIGINT", "SIGTERM")])
 def test_a_signal_while_results_are_collected_costs_the_report(out: Path, names: tuple[str, ...]) -> None:
-    Ended(out, at("collecting", *names, run=with_report())).is_as(ending("signal while results are collected"))
+    Ended(out, at("collecting", *names, run=with_report())).assert_matches(ending("signal while results are collected"))
     assert (out / "metrics.parquet").is_file()
     assert not (out / "report.html").exists()
 
 
 def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
-    ended = Ended(out, at("reporting", "SIGINT", run=with_report()))
-    ended.is_as(ending("signal while the report is drawn"))
-    assert f"mast report {out}" in ended.text.replace("\n", "")
+    outcome = Ended(out, at("reporting", "SIGINT", run=with_report()))
+    outcome.assert_matches(ending("signal while the report is drawn"))
+    assert f"mast report {out}" in outcome.text.replace("\n", "")
     assert (out / "metrics.json").is_file()
     assert not (out / "report.html").exists()
 
@@ -151,7 +154,7 @@ def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
     ],
 )
 def test_a_launcher_killed_at_any_stage_leaves_readable_results(out: Path, stage: str, what: str) -> None:
-    Ended(out, at(stage, "SIGKILL", run=with_report())).is_as(ending(what))
+    Ended(out, at(stage, "SIGKILL", run=with_report())).assert_matches(ending(what))
     assert out.exists() == (stage != "loading")
     if stage in ("playing", "collecting", "reporting"):
         report = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
@@ -160,8 +163,8 @@ def test_a_launcher_killed_at_any_stage_leaves_readable_results(out: Path, stage
 
 
 def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
-    ended = Ended(out, at("playing", "SIGHUP"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
-    ended.is_as(Ending("ok", 0))
+    outcome = Ended(out, at("playing", "SIGHUP"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    outcome.assert_matches(Ending("ok", 0))
 
 
 @pytest.mark.parametrize(
@@ -172,39 +175,39 @@ def test_a_closed_pipe_does_not_end_a_run(out: Path, stream: str, what: str) -> 
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        ended = Ended(out, (*MAST, *RUN), **{stream: writing})
+        outcome = Ended(out, (*MAST, *RUN), **{stream: writing})
     finally:
         os.close(writing)
-    ended.is_as(ending(what))
+    outcome.assert_matches(ending(what))
 
 
 @pytest.mark.parametrize("descriptors", [(1,), (2,), (0, 1, 2)])
 def test_a_closed_stream_does_not_end_a_run_and_its_descriptor_is_not_reused(
     out: Path, descriptors: tuple[int]
 ) -> None:
-    ended = Ended(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
-    ended.is_as(ending("standard output or error closed (`>&-`)"))
+    outcome = Ended(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
+    outcome.assert_matches(ending("standard output or error closed (`>&-`)"))
 
 
 def test_standard_output_on_a_full_disk_is_an_error_but_the_run_is_kept(out: Path) -> None:
     with Path("/dev/full").open("w") as full:
-        ended = Ended(out, (*MAST, *RUN), stdout=full)
-    ended.is_as(ending("standard output on a full disk (`> /dev/full`)"))
-    assert "standard output: No space left on device" in ended.text
+        outcome = Ended(out, (*MAST, *RUN), stdout=full)
+    outcome.assert_matches(ending("standard output on a full disk (`> /dev/full`)"))
+    assert "standard output: No space left on device" in outcome.text
 
 
 def test_an_already_full_disk_leaves_no_run_folder(out: Path) -> None:
-    ended = Ended(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
-    ended.is_as(ending("disk full while the run folder is made"))
-    assert f"error: DiskFull: {out}: File too large: a run cannot begin there" in " ".join(ended.text.split())
+    outcome = Ended(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
+    outcome.assert_matches(ending("disk full while the run folder is made"))
+    assert f"error: DiskFull: {out}: File too large: a run cannot begin there" in " ".join(outcome.text.split())
     assert not any(out.iterdir())
 
 
 def test_a_recording_that_outgrows_the_disk_fails_the_run_and_keeps_its_results(out: Path) -> None:
     command = [word if word != "30" else "120" for word in (*MAST, *RUN)]
-    ended = Ended(out, command, preexec_fn=no_larger_than(2_200_000))
-    ended.is_as(ending("disk full while the scene is played"))
-    assert "messages.mcap: cannot be written: File too large" in ended.text
+    outcome = Ended(out, command, preexec_fn=no_larger_than(2_200_000))
+    outcome.assert_matches(ending("disk full while the scene is played"))
+    assert "messages.mcap: cannot be written: File too large" in outcome.text
     assert (out / "metrics.parquet").is_file()
 
 
@@ -222,19 +225,19 @@ def test_a_disk_without_a_free_byte_is_reported_and_leaves_no_partial_table(
     tiny_disk: Path, stage: str, what: str
 ) -> None:
     out = tiny_disk / "run"
-    ended = Ended(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
-    ended.is_as(ending(what))
-    assert "error: DiskFull" in ended.text
+    outcome = Ended(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
+    outcome.assert_matches(ending(what))
+    assert "error: DiskFull" in outcome.text
     whole = [path for path in out.glob("*.parquet") if path.read_bytes()[-4:] != b"PAR1"]
     assert not whole, "a table is complete or absent"
 
 
 def test_a_run_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("a file")
-    done = subprocess.run([*MAST, *RUN[:-1]], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == ending("run folder cannot be made").code
-    assert "runs/baseline-" in done.stderr.replace("\n", "")
-    assert "None" not in done.stderr
+    process = subprocess.run([*MAST, *RUN[:-1]], cwd=tmp_path, capture_output=True, text=True)
+    assert process.returncode == ending("run folder cannot be made").code
+    assert "runs/baseline-" in process.stderr.replace("\n", "")
+    assert "None" not in process.stderr
 
 
 @pytest.mark.parametrize("name", ["../evil", "a/b", "/tmp/evil", "..", "", "a*b", 7])
@@ -245,9 +248,9 @@ def test_a_scenarios_name_cannot_lead_out_of_runs(tmp_path: Path, name: object) 
         f"def scenario(): return baseline() | dict(name={name!r})\n"
     )
     command = [*MAST, "run", "named.py", *RUN[2:-1]]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == ending("scenario whose name leaves `runs/`").code, done.stderr
-    assert "named.py: name: found" in done.stderr
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert process.returncode == ending("scenario whose name leaves `runs/`").code, process.stderr
+    assert "named.py: name: found" in process.stderr
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"named.py"}
 
 
@@ -258,15 +261,15 @@ def test_an_internal_error_is_shown_with_its_traceback_and_fails_the_run(out: Pa
         "from mast_zenoh.__main__ import main\n"
         "main()"
     )
-    ended = Ended(out, (sys.executable, "-c", script, *RUN))
-    assert (ended.status, ended.code) == ending("defect in the launcher")
+    outcome = Ended(out, (sys.executable, "-c", script, *RUN))
+    assert (outcome.status, outcome.code) == ending("defect in the launcher")
     assert "ZeroDivisionError" in json.loads((out / "run.json").read_text())["message"]
-    assert "Traceback" in ended.text
+    assert "Traceback" in outcome.text
 
 
 @pytest.mark.parametrize("backend", ["bogus", "tkagg"])
 def test_a_report_needs_no_display_and_no_valid_mplbackend(out: Path, backend: str) -> None:
-    Ended(out, (*MAST, *with_report()), env={**os.environ, "MPLBACKEND": backend}).is_as(Ending("ok", 0))
+    Ended(out, (*MAST, *with_report()), env={**os.environ, "MPLBACKEND": backend}).assert_matches(Ending("ok", 0))
     assert (out / "report.html").is_file()
 
 
@@ -277,16 +280,16 @@ def test_a_path_that_the_locale_cannot_encode_is_accepted(tmp_path: Path, utf8: 
         "from mast_zenoh.config import loading\n_, scenario = loading.function('scenarios', 'baseline', 'scenario')\n"
     )
     ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": utf8, "PYTHONCOERCECLOCALE": "0"}
-    ended = Ended(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)
-    ended.is_as(Ending("ok", 0))
-    assert (ended.out / "report.html").is_file()
+    outcome = Ended(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)
+    outcome.assert_matches(Ending("ok", 0))
+    assert (outcome.out / "report.html").is_file()
 
 
 def test_runs_ended_at_random_match_the_table() -> None:
     tool = Path(__file__).parents[2] / "tools" / "endings.py"
     command = [sys.executable, str(tool), "--runs", "4", "--seed", "12", "--runtime", "inproc"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 0, process.stdout + process.stderr
 
 
 def test_every_row_of_the_table_has_a_test() -> None:
@@ -298,7 +301,7 @@ def test_every_row_of_the_table_has_a_test() -> None:
 
 def test_a_stopped_study_reports_it(tmp_path: Path) -> None:
     command = (*STAGED, "collecting", "SIGTERM", "--", "study", "case_study", "--runtime", "inproc", "--frames", "4")
-    ended = Ended(tmp_path / "study", (*command, "--out"))
-    assert ended.code == 130, ended.text
-    assert "Traceback" not in ended.text
+    outcome = Ended(tmp_path / "study", (*command, "--out"))
+    assert outcome.code == 130, outcome.text
+    assert "Traceback" not in outcome.text
     assert json.loads((tmp_path / "study" / "study.json").read_text())["status"] == "interrupted"

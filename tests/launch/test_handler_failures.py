@@ -87,11 +87,11 @@ def test_another_error_is_named_first_and_the_failures_are_recorded(
         return truth_at(self, frame)
 
     monkeypatch.setattr(Recording, "truth_at", fails_at_9)
-    ended = run.run(world, tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, NodeDied)
-    assert ended.record["status"] == "failed"
-    assert ended.record["nodes"]["eve"]["failures"][0]["last_frame"] == 8
-    assert ended.record["nodes"]["eve"]["ended"] == "did not finish"
+    outcome = run.run(world, tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, NodeDied)
+    assert outcome.record["status"] == "failed"
+    assert outcome.record["nodes"]["eve"]["failures"][0]["last_frame"] == 8
+    assert outcome.record["nodes"]["eve"]["ended"] == "did not finish"
 
 
 @pytest.mark.parametrize("allowed", [False, True])
@@ -126,9 +126,11 @@ def test_a_run_with_links_is_checked_even_if_handlers_failed(tmp_path: Path) -> 
     file, loaded = scenario.load(str(failing.write("attack", tmp_path)), [])
     loaded["faults"] = [dict(type="Loss", at=0.2, until=0.6, node="ego", probability=0.5)]
     world = scenario.resolve(file, loaded, frames=12, record=True)
-    ended = run.run(world, tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, HandlerFailed)
-    checks_by_name = {check["name"]: check for check in json.loads((ended.folder / checks.FILE).read_text())["checks"]}
+    outcome = run.run(world, tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, HandlerFailed)
+    checks_by_name = {
+        check["name"]: check for check in json.loads((outcome.folder / checks.FILE).read_text())["checks"]
+    }
     assert checks_by_name["sequences"]["values"].get("checked", True), (
         "the run was completed, so its record is complete"
     )

@@ -105,17 +105,17 @@ def test_metrics_that_are_not_a_dict_are_kept_as_a_result(tmp_path: Path) -> Non
 
 def test_metrics_and_tables_of_a_second_node_do_not_change_those_of_the_run(tmp_path: Path) -> None:
     file, loaded = scenario.load(str(failing.write("second", tmp_path)), [])
-    ended = run.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
-    assert ended.error is None
-    assert run_folder.read_json(ended.folder / "metrics.json")["frames"] == 5
-    assert "rmse_m" in read_table(ended.folder / "metrics.parquet")
-    own = ended.folder / "results" / "counter"
+    outcome = run.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
+    assert outcome.error is None
+    assert run_folder.read_json(outcome.folder / "metrics.json")["frames"] == 5
+    assert "rmse_m" in read_table(outcome.folder / "metrics.parquet")
+    own = outcome.folder / "results" / "counter"
     assert run_folder.read_json(own / "results.json") == {
         "metrics": {"frames": "mine", "mean": None, "all": [*range(5)]}
     }
     assert read_table(own / "metrics.parquet")["frame"].tolist() == [*range(5)]
     assert not list(tmp_path.rglob("other.parquet"))
-    (notice,) = (notice for notice in ended.record["notices"] if notice["kind"] == "results")
+    (notice,) = (notice for notice in outcome.record["notices"] if notice["kind"] == "results")
     assert "other: table '../other': expected a name" in notice["text"]
 
 
@@ -130,9 +130,9 @@ def test_an_attack_without_targets_or_positions_is_reported(
     tmp_path: Path, name: str, setting: str, node: str, missing: str
 ) -> None:
     file, content = scenario.load(name, [setting, "attack_start_s=1.0"])
-    ended = run.run(scenario.resolve(file, content, frames=30), tmp_path / "run", runtime="inproc")
-    counts = json.loads((ended.folder / f"results/{node}/results.json").read_text())
-    log = (ended.folder / f"logs/{node}.log").read_text()
+    outcome = run.run(scenario.resolve(file, content, frames=30), tmp_path / "run", runtime="inproc")
+    counts = json.loads((outcome.folder / f"results/{node}/results.json").read_text())
+    log = (outcome.folder / f"logs/{node}.log").read_text()
     assert missing in log
     if name == "hide_object":
         assert counts == {"selected": 0, "placed": 0, "wanted": 0}

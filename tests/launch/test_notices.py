@@ -135,14 +135,14 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
         content["links"] = {"infra_1": dict(up=[dict(type="Delay", mean_s=0.25)]), "infra_2": dict(up=[corrupt])}
         content["links"]["*"] = dict(up=[])
 
-    ended = run.run(tiny(edit=slow_and_corrupt), tmp_path / "run", runtime="inproc")
-    assert ended.error is None
+    outcome = run.run(tiny(edit=slow_and_corrupt), tmp_path / "run", runtime="inproc")
+    assert outcome.error is None
     notices_by_kind = {
-        notice["kind"]: notice for notice in json.loads((ended.folder / "run.json").read_text())["notices"]
+        notice["kind"]: notice for notice in json.loads((outcome.folder / "run.json").read_text())["notices"]
     }
     assert notices_by_kind["late"]["text"] == "10 messages of infra_1 came too late for their batch"
     assert notices_by_kind["rejected"]["text"].startswith(f"{notices_by_kind['rejected']['count']} messages on ")
-    page = write_report(ended.folder).read_text()
+    page = write_report(outcome.folder).read_text()
     assert "late: 10 messages of infra_1 came too late for their batch" in page
     assert "messages on" in page
 
@@ -150,9 +150,9 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("frames", "expected"), [(1, "the only frame is"), (5, "all 5 frames are"), (40, "")])
 def test_a_run_too_short_to_skip_its_first_frames_is_reported(tmp_path: Path, frames: int, expected: str) -> None:
     file, content = scenario.load("baseline", ["n_infrastructure=1"])
-    ended = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
-    notices_by_kind = {notice["kind"]: notice["text"] for notice in ended.record["notices"]}
-    assert json.loads((ended.folder / "metrics.json").read_text())["settled"] == (not expected)
+    outcome = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
+    notices_by_kind = {notice["kind"]: notice["text"] for notice in outcome.record["notices"]}
+    assert json.loads((outcome.folder / "metrics.json").read_text())["settled"] == (not expected)
     assert ("unsettled" in notices_by_kind) == bool(expected)
     assert expected in notices_by_kind.get("unsettled", "")
 

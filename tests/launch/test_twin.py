@@ -19,8 +19,8 @@ def played(folder: Path, name: str, *settings: str, **changes: Any) -> Path:
     """A run of a shipped scenario in one process, attacked from the start."""
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded | changes, seed=3, frames=FRAMES)
-    ended = run.run(resolved, folder, runtime="inproc")
-    assert ended.error is None
+    outcome = run.run(resolved, folder, runtime="inproc")
+    assert outcome.error is None
     return folder
 
 

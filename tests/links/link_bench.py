@@ -34,7 +34,7 @@ def carry(
     return [wire.carry(Passage(i * every_ns, i * every_ns, **of_each)) for i in range(count)]
 
 
-def came(outcomes: Sequence[Outcome]) -> np.ndarray:
+def arrived(outcomes: Sequence[Outcome]) -> np.ndarray:
     """(n,) bool: which messages arrived."""
     return np.array([bool(outcome.leaving) for outcome in outcomes])
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from link_bench import PERIOD_NS, build, came, carry, chain, delays
+from link_bench import PERIOD_NS, arrived, build, carry, chain, delays
 
 from mast_zenoh import links
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
@@ -269,6 +269,6 @@ def test_a_wireless_link_loses_more_and_is_slower_than_a_wired_one() -> None:
     for name in ("wired", "wireless_v2x"):
         rules = [rule for rule in profile(name)["up"] if rule["type"] != "RangeLimit"]
         outcomes = carry(rules, 2000, size=5000)
-        lost[name], late[name] = 1.0 - came(outcomes).mean(), delays(outcomes).mean()
+        lost[name], late[name] = 1.0 - arrived(outcomes).mean(), delays(outcomes).mean()
     assert lost["wired"] < 0.001 < 0.03 < lost["wireless_v2x"] < 0.1
     assert late["wired"] < 0.005 < 0.02 < late["wireless_v2x"] < 0.05

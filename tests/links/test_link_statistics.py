@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from link_bench import PERIOD_NS, came, carry, delays
+from link_bench import PERIOD_NS, arrived, carry, delays
 from scipy.stats import binomtest, kstest
 from scipy.stats import gamma as gamma_law
 
@@ -15,17 +15,17 @@ SURE = 0.999  #: two-sided; with fixed seeds a test either always holds or never
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("p", [0.001, 0.05, 0.3, 0.9])
 def test_the_loss_rate_equals_the_probability(p: float, seed: int) -> None:
-    lost = int((~came(carry([dict(type="Loss", probability=p)], N, seed=seed))).sum())
+    lost = int((~arrived(carry([dict(type="Loss", probability=p)], N, seed=seed))).sum())
     assert binomtest(lost, N, p).pvalue > 1.0 - SURE
 
 
 @pytest.mark.parametrize("p", [0.0, 1.0])
 def test_a_loss_of_one_drops_all_and_of_zero_none(p: float) -> None:
-    assert came(carry([dict(type="Loss", probability=p)], 500)).mean() == 1.0 - p
+    assert arrived(carry([dict(type="Loss", probability=p)], 500)).mean() == 1.0 - p
 
 
 def test_losses_are_independent() -> None:
-    lost = ~came(carry([dict(type="Loss", probability=0.3)], N))
+    lost = ~arrived(carry([dict(type="Loss", probability=0.3)], N))
     after_loss = lost[1:][lost[:-1]]
     assert binomtest(int(after_loss.sum()), len(after_loss), 0.3).pvalue > 1.0 - SURE
 
@@ -42,7 +42,7 @@ def bursts(lost: np.ndarray) -> np.ndarray:
 def test_burst_lengths_and_loss_rate_match_the_channel(good_to_bad: float, bad_to_good: float, seed: int) -> None:
     n = 8000
     rule = dict(type="GilbertElliott", good_to_bad=good_to_bad, bad_to_good=bad_to_good)
-    lost = ~came(carry([rule], n, seed=seed))
+    lost = ~arrived(carry([rule], n, seed=seed))
     lengths = bursts(lost)
     # Bursts of a channel that loses everything while bad are geometric: mean 1/b, variance (1 - b)/b².
     error = np.sqrt(1.0 - bad_to_good) / bad_to_good / np.sqrt(len(lengths))
@@ -57,7 +57,7 @@ def test_burst_lengths_and_loss_rate_match_the_channel(good_to_bad: float, bad_t
 def test_both_states_of_a_channel_have_the_configured_loss_rate() -> None:
     rule = dict(type="GilbertElliott", good_to_bad=0.2, bad_to_good=0.3, loss_good=0.1, loss_bad=0.6)
     expected = 0.4 * 0.6 + 0.6 * 0.1
-    lost = ~came(carry([rule], 8000))
+    lost = ~arrived(carry([rule], 8000))
     assert abs(lost.mean() - expected) < 0.02
     assert lost[1:][lost[:-1]].mean() > expected + 0.02, "losses are clustered"
 
@@ -65,7 +65,7 @@ def test_both_states_of_a_channel_have_the_configured_loss_rate() -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_channel_starts_in_its_stationary_distribution(seed: int) -> None:
     rule = dict(type="GilbertElliott", good_to_bad=0.2, bad_to_good=0.2)
-    lost = sum(not came(carry([rule], 1, seed=1000 * seed + run))[0] for run in range(600))
+    lost = sum(not arrived(carry([rule], 1, seed=1000 * seed + run))[0] for run in range(600))
     assert binomtest(lost, 600, 0.5).pvalue > 1.0 - SURE
 
 
@@ -127,7 +127,7 @@ def test_throughput_is_close_to_but_below_the_bandwidth(size: int) -> None:
         every_ns=every_ns,
         size=size,
     )
-    sent = 8.0 * size * came(outcomes).sum()
+    sent = 8.0 * size * arrived(outcomes).sum()
     assert rate * seconds * 0.98 < sent <= rate * (seconds + 0.3) + 8.0 * size
     waited = delays(outcomes)
     assert waited.max() <= 0.3 + 8.0 * size / rate + 1e-9

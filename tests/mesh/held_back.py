@@ -56,10 +56,10 @@ def main() -> None:
     file, out = sys.argv[1], Path(sys.argv[2])
     here = [str(Path(__file__).parent), *sys.path]
     wait = f"__import__('sys').path[:0] = {here!r}; __import__('held_back').hold_back({str(gate(out))!r})"
-    ended = run.run(resolved(file), out, engine=Beside({"simulator": wait}))
-    if ended.error:
-        print(f"{type(ended.error).__name__}: {ended.error}", file=sys.stderr)
-        sys.exit(ended.error.exit_code)
+    outcome = run.run(resolved(file), out, engine=Beside({"simulator": wait}))
+    if outcome.error:
+        print(f"{type(outcome.error).__name__}: {outcome.error}", file=sys.stderr)
+        sys.exit(outcome.error.exit_code)
 
 
 if __name__ == "__main__":

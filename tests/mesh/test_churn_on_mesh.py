@@ -127,7 +127,7 @@ def test_in_real_time_killed_nodes_restart_and_paused_nodes_resume(launch) -> No
     assert clocks == list(range(len(clocks))), "the clock was not delayed"
 
 
-def until_paused(run: Launched, node: str) -> None:
+def wait_until_paused(run: Launched, node: str) -> None:
     """Wait until a node is suspended."""
     process = psutil.Process(run.started()["nodes"][node]["pid"])
     eventually(lambda: process.status() == psutil.STATUS_STOPPED, f"{node} stands still")
@@ -136,7 +136,7 @@ def until_paused(run: Launched, node: str) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed launcher"])
 def test_a_paused_node_never_outlives_its_run(launch, number: signal.Signals) -> None:
     run: Launched = launch((2, "pause", "infra_1"))
-    until_paused(run, "infra_1")
+    wait_until_paused(run, "infra_1")
     pids = run.pids()
     run.process.send_signal(number)
     _, output = run.end(30.0)
@@ -148,15 +148,15 @@ def test_a_paused_node_never_outlives_its_run(launch, number: signal.Signals) ->
 
 
 def test_a_node_still_paused_at_the_end_is_resumed(tmp_path: Path) -> None:
-    ended = launcher.run(resolved((5, "pause", "infra_1"), frames=10, mode="realtime", rate=2.0), tmp_path / "run")
-    assert ended.error is None, ended.error
-    assert ended.record["nodes"]["infra_1"]["ended"] == "ok"
+    outcome = launcher.run(resolved((5, "pause", "infra_1"), frames=10, mode="realtime", rate=2.0), tmp_path / "run")
+    assert outcome.error is None, outcome.error
+    assert outcome.record["nodes"]["infra_1"]["ended"] == "ok"
 
 
 def test_an_unplanned_death_beside_planned_ones_is_handled(launch) -> None:
     """An unplanned death of the command centre fails the run despite planned ones."""
     run: Launched = launch((2, "kill", "infra_1"), (3, "pause", "infra_2"))
-    until_paused(run, "infra_2")
+    wait_until_paused(run, "infra_2")
     os.kill(run.record()["nodes"]["command_center"]["pid"], signal.SIGKILL)
     _, output = run.end(30.0)
     assert output.split() == ["failed"]

@@ -25,9 +25,9 @@ FRAMES = 8
 def in_process(out: Path, name: str, *settings: str) -> Path:
     """The same run in one process."""
     path, loaded = scenario.load(name, settings)
-    ended = launcher.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), out, runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), out, runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def on_mesh(launch, name: str, *settings: str) -> Path:

@@ -56,10 +56,10 @@ def test_unsigned_messages_change_nothing_and_are_counted(launch, tmp_path: Path
     difference = compare(sound.folder, run.out)
     assert difference.first is None
     assert difference.equal > 0
-    ended = run.record()
-    assert ended["unsigned_control"] == 0
-    assert {key: count for key, (count, _) in ended["invalid_control"].items()} == {"act": 1}
-    for name, node in ended["nodes"].items():
+    final_record = run.record()
+    assert final_record["unsigned_control"] == 0
+    assert {key: count for key, (count, _) in final_record["invalid_control"].items()} == {"act": 1}
+    for name, node in final_record["nodes"].items():
         expected = {"epoch": 1, "stop": 1}
         expected |= {"broker": {"leave/broker": 1}, "ego": {"drain/ego": 1}, "simulator": {"rewire": 1}}.get(name, {})
         assert {key: count for key, (count, _) in node["invalid_control"].items()} == expected, name
@@ -80,6 +80,8 @@ def test_an_open_run_counts_the_unsigned_messages_it_obeyed(launch) -> None:
             "it leaves",
         )
     run.end()
-    ended = run.record()
-    assert ended["nodes"]["evaluator"]["unsigned_control"] >= 2, "at least an epoch, and the message that made it exit"
-    assert ended["unsigned_control"] == sum(node["unsigned_control"] for node in ended["nodes"].values())
+    final_record = run.record()
+    assert final_record["nodes"]["evaluator"]["unsigned_control"] >= 2, (
+        "at least an epoch, and the message that made it exit"
+    )
+    assert final_record["unsigned_control"] == sum(node["unsigned_control"] for node in final_record["nodes"].values())

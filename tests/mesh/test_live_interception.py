@@ -87,13 +87,13 @@ def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going)
     for i in range(TIMES):
         wire = (TRACKS, DETECTIONS)[i % 2]
         settings = ("keeps=True",) if i % 5 == 0 else ()
-        done = client.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
+        interceptions = client.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
         reached = observer.frame() + 3
         eventually(lambda reached=reached: observer.frame() >= reached, "messages pass it")
-        assert done["wires"] == [wire]
+        assert interceptions["wires"] == [wire]
         assert client.release(run.out, name="mallory")["node"] == "mallory"
     record = stop(run)
-    assert [done["action"] for done in record["interceptions"]] == ["intercept", "release"] * TIMES
+    assert [interceptions["action"] for interceptions in record["interceptions"]] == ["intercept", "release"] * TIMES
     taps = {wire: [m.seq for m in read(run.out) if m.tap and m.wire == wire] for wire in (TRACKS, DETECTIONS)}
     assert all(len(numbers) >= 2 * TIMES // 2 for numbers in taps.values()), "it was on the wires"
     assert all(len(set(numbers)) == len(numbers) for numbers in taps.values())
@@ -148,7 +148,7 @@ def test_in_lock_step_the_stream_equals_that_of_an_undisturbed_run(going) -> Non
         assert payloads == undisturbed[key][: len(payloads)], key
     assert taps.keys() == {f"{TRACKS}/@tap/0", f"{TRACKS}/@tap/1", f"{DETECTIONS}/@tap/0"}
     assert 0 < min(taps.values()) <= max(taps.values()) < frames
-    assert [done["action"] for done in record["interceptions"]] == ["intercept"] * 3 + ["release"] * 2
+    assert [interceptions["action"] for interceptions in record["interceptions"]] == ["intercept"] * 3 + ["release"] * 2
 
 
 def test_an_attack_started_during_the_run_deceives_and_is_reported(going) -> None:
@@ -181,8 +181,8 @@ def test_a_wire_recovers_after_its_inserted_node_is_killed(going) -> None:
 def mast(*arguments: str, cwd: Path) -> tuple[int, str]:
     """(exit code, output) of a command."""
     command = [sys.executable, "-m", "mast_zenoh", *arguments]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
+    process = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    return process.returncode, process.stdout + process.stderr
 
 
 def test_the_commands_report_success_or_the_reason_for_failure(going, tmp_path: Path) -> None:

@@ -78,9 +78,11 @@ def test_a_node_lost_in_lock_step_fails_the_run_by_name(launch, undisturbed: Pat
     assert f"infra_2 was lost before frame {lost['frame']}" in output
     assert "--allow-churn" in output
     assert json.loads((run.out / "metrics.json").read_text())["frames"] == 60, "earlier results are kept"
-    done = subprocess.run([*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert f"not comparable from frame {lost['frame'] - 1} on: infra_2 was lost" in done.stdout + done.stderr
+    process = subprocess.run(
+        [*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 2
+    assert f"not comparable from frame {lost['frame'] - 1} on: infra_2 was lost" in process.stdout + process.stderr
     subprocess.run([*MAST, "report", str(run.out)], check=True, capture_output=True)
     assert "infra_2 was lost" in (run.out / "report.html").read_text()
 
@@ -105,6 +107,8 @@ def test_a_recording_that_lost_its_recorder_is_marked_incomplete(launch, undistu
     assert f"the recording is incomplete from frame {from_frame} on" in output.replace("\n", " ")
     assert compare(run.out, undisturbed, before=from_frame).first is None, "nothing earlier is missing"
     assert compare(run.out, undisturbed).first is not None
-    done = subprocess.run([*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert f"not comparable from frame {from_frame} on: the recording of" in done.stderr.replace("\n", " ")
+    process = subprocess.run(
+        [*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 2
+    assert f"not comparable from frame {from_frame} on: the recording of" in process.stderr.replace("\n", " ")

@@ -44,13 +44,15 @@ def applied(made: Hosts, steps: int) -> None:
 def test_each_host_reaches_only_the_centre(tmp_path: Path) -> None:
     require()
     before = outside() if shutil.which("nft") else None
-    with hosts(tmp_path) as made, Echo(made.command("c")), Echo(made.command("b")):
+    with hosts(tmp_path) as namespaces, Echo(namespaces.command("c")), Echo(namespaces.command("b")):
         assert len(left_by(os.getpid())) == 4, "three namespaces, and a folder for the router's socket"
         for node in ("a", "b", "c"):
-            assert len(Echo.ask(made.command(node), CENTRE, 3)) == 3
-        east = subprocess.run([*made.command("b"), "hostname", "-I"], capture_output=True, text=True).stdout.split()[0]
+            assert len(Echo.ask(namespaces.command(node), CENTRE, 3)) == 3
+        east = subprocess.run(
+            [*namespaces.command("b"), "hostname", "-I"], capture_output=True, text=True
+        ).stdout.split()[0]
         with pytest.raises(subprocess.CalledProcessError):
-            Echo.ask(made.command("a"), east, 1)
+            Echo.ask(namespaces.command("a"), east, 1)
         assert before is None or outside() == before
     assert left_by(os.getpid()) == []
     assert before is None or outside() == before
@@ -58,31 +60,31 @@ def test_each_host_reaches_only_the_centre(tmp_path: Path) -> None:
 
 def test_a_partition_blocks_everything_until_it_heals(tmp_path: Path) -> None:
     require("partition")
-    with hosts(tmp_path, {"type": "HostPartition"}) as made, Echo(made.command("c")):
-        applied(made, 1)
-        assert Echo.ask(made.command("a"), CENTRE, 5, 0.05) == []
-        assert len(Echo.ask(made.command("b"), CENTRE, 5)) == 5, "other nodes are not affected"
-        made.heal()
-        assert len(Echo.ask(made.command("a"), CENTRE, 5)) == 5
+    with hosts(tmp_path, {"type": "HostPartition"}) as namespaces, Echo(namespaces.command("c")):
+        applied(namespaces, 1)
+        assert Echo.ask(namespaces.command("a"), CENTRE, 5, 0.05) == []
+        assert len(Echo.ask(namespaces.command("b"), CENTRE, 5)) == 5, "other nodes are not affected"
+        namespaces.heal()
+        assert len(Echo.ask(namespaces.command("a"), CENTRE, 5)) == 5
 
 
 def test_a_loss_drops_the_configured_share_in_each_direction(tmp_path: Path) -> None:
     require("loss")
-    with hosts(tmp_path, {"type": "HostLoss", "probability": 0.2}) as made, Echo(made.command("c")):
-        applied(made, 1)
-        back = len(Echo.ask(made.command("a"), CENTRE, 400, 0.01))
+    with hosts(tmp_path, {"type": "HostLoss", "probability": 0.2}) as namespaces, Echo(namespaces.command("c")):
+        applied(namespaces, 1)
+        back = len(Echo.ask(namespaces.command("a"), CENTRE, 400, 0.01))
     # 0.8² of 400 are 256; binomial, σ = 9.6. A packet that took longer than 10 ms on a busy machine counts as lost.
     assert 400 * 0.64 - 80 < back < 400 * 0.64 + 5 * 9.6
 
 
 def test_a_narrow_link_has_the_configured_bandwidth(tmp_path: Path) -> None:
     require("bandwidth")
-    with hosts(tmp_path, {"type": "HostBandwidth", "bits_per_s": 100e3}) as made, Echo(made.command("c")):
-        applied(made, 1)
+    with hosts(tmp_path, {"type": "HostBandwidth", "bits_per_s": 100e3}) as namespaces, Echo(namespaces.command("c")):
+        applied(namespaces, 1)
         # A packet has 1242 bytes with its headers; the bucket holds 4000: the others need 1.27 s.
-        assert sum(Echo.ask(made.command("a"), CENTRE, 16, 2.0, size=1200)) > 1200.0
-        made.heal()
-        assert min(Echo.ask(made.command("a"), CENTRE, 5, size=1200)) < 50.0
+        assert sum(Echo.ask(namespaces.command("a"), CENTRE, 16, 2.0, size=1200)) > 1200.0
+        namespaces.heal()
+        assert min(Echo.ask(namespaces.command("a"), CENTRE, 5, size=1200)) < 50.0
 
 
 @pytest.mark.parametrize("by", ["relay", "netem"])
@@ -92,41 +94,41 @@ def test_a_delayed_link_has_the_configured_delay_in_each_direction(tmp_path: Pat
     elif reason := lacks("netem"):
         pytest.skip(reason)
     slower = {"type": "HostDelay", "delay_ms": 15.0}
-    with hosts(tmp_path, slower, delay_ms=20.0, delay_by=by) as made, Echo(made.command("c")):
-        assert 40.0 <= min(Echo.ask(made.command("a"), CENTRE, 20)) < 50.0
-        assert min(Echo.ask(made.command("b"), CENTRE, 20)) < 10.0
-        applied(made, 1)
-        assert 70.0 <= min(Echo.ask(made.command("a"), CENTRE, 20)) < 80.0
-        made.heal()
-        assert 40.0 <= min(Echo.ask(made.command("a"), CENTRE, 20)) < 50.0
+    with hosts(tmp_path, slower, delay_ms=20.0, delay_by=by) as namespaces, Echo(namespaces.command("c")):
+        assert 40.0 <= min(Echo.ask(namespaces.command("a"), CENTRE, 20)) < 50.0
+        assert min(Echo.ask(namespaces.command("b"), CENTRE, 20)) < 10.0
+        applied(namespaces, 1)
+        assert 70.0 <= min(Echo.ask(namespaces.command("a"), CENTRE, 20)) < 80.0
+        namespaces.heal()
+        assert 40.0 <= min(Echo.ask(namespaces.command("a"), CENTRE, 20)) < 50.0
 
 
 def test_a_delayed_link_can_also_be_cut_and_narrowed(tmp_path: Path) -> None:
     require("relay", "partition", "bandwidth")
     narrow = {"type": "HostBandwidth", "bits_per_s": 100e3}
     cut = {"type": "HostPartition", "at": 0.1}
-    with hosts(tmp_path, narrow, cut, delay_ms=20.0, delay_by="relay") as made, Echo(made.command("c")):
-        applied(made, 2)
-        assert Echo.ask(made.command("a"), CENTRE, 3, 0.2) == []
-        made.heal()
-        assert len(Echo.ask(made.command("a"), CENTRE, 3)) == 3
+    with hosts(tmp_path, narrow, cut, delay_ms=20.0, delay_by="relay") as namespaces, Echo(namespaces.command("c")):
+        applied(namespaces, 2)
+        assert Echo.ask(namespaces.command("a"), CENTRE, 3, 0.2) == []
+        namespaces.heal()
+        assert len(Echo.ask(namespaces.command("a"), CENTRE, 3)) == 3
 
 
 def test_scene_time_advances_at_the_configured_rate(tmp_path: Path) -> None:
     require("partition")
-    with hosts(tmp_path, {"type": "HostPartition", "at": 600.0, "until": 1200.0}, rate=6000.0) as made:
-        applied(made, 2)
-        assert [step["at_s"] for step in made.done] == [600.0, 1200.0]
+    with hosts(tmp_path, {"type": "HostPartition", "at": 600.0, "until": 1200.0}, rate=6000.0) as namespaces:
+        applied(namespaces, 2)
+        assert [step["at_s"] for step in namespaces.done] == [600.0, 1200.0]
 
 
 def test_a_dead_relay_is_noticed(tmp_path: Path) -> None:
     require("relay")
-    with hosts(tmp_path, delay_ms=5.0, delay_by="relay") as made:
-        assert made.problem() is None
-        relay = next(process for process in made._processes if process.name == "relay_west")
+    with hosts(tmp_path, delay_ms=5.0, delay_by="relay") as namespaces:
+        assert namespaces.problem() is None
+        relay = next(process for process in namespaces._processes if process.name == "relay_west")
         relay._process.kill()
-        eventually(made.problem, "it is noticed", seconds=5.0)
-        assert "relay_west has ended" in str(made.problem())
+        eventually(namespaces.problem, "it is noticed", seconds=5.0)
+        assert "relay_west has ended" in str(namespaces.problem())
     assert left_by(os.getpid()) == []
 
 
@@ -194,9 +196,9 @@ def test_a_run_beyond_this_machine_is_refused_before_any_process_starts(
 
 def test_a_run_in_one_process_refuses_host_faults(tmp_path: Path) -> None:
     path, loaded = scenario.load("two_hosts")
-    ended = launcher.run(scenario.resolve(path, loaded, frames=5), tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, BackendError)
-    assert "one process has no network" in str(ended.error)
+    outcome = launcher.run(scenario.resolve(path, loaded, frames=5), tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, BackendError)
+    assert "one process has no network" in str(outcome.error)
 
 
 def test_a_router_drops_an_unresponsive_link_before_its_lease_expires() -> None:

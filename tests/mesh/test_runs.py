@@ -23,9 +23,9 @@ def metrics(folder: Path) -> bytes:
 
 def in_process(out: Path, name: str, *settings: str, frames: int = 30, seed: int | None = None) -> Path:
     path, loaded = scenario.load(name, settings)
-    ended = launcher.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def test_every_role_runs_in_its_own_process(launch) -> None:

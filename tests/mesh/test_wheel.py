@@ -35,7 +35,7 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
     assert {top for top in tops if not top.endswith(".dist-info")} == {"mast_zenoh"}, "no generic names"
 
     def mast(*words: str) -> str:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", "from mast_zenoh.cli.app import main; main()", *words],
             cwd=work,
             env=os.environ | {"PYTHONPATH": str(site)},
@@ -43,8 +43,8 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
             text=True,
             check=False,
         )
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
+        assert process.returncode == 0, process.stdout + process.stderr
+        return process.stdout
 
     mast("run", "coordinated", "--frames", "20", "--out", "run")
     scenario = (work / "run" / "scenario.json").read_text()
@@ -57,14 +57,14 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
 
 
 def test_without_a_compiler_the_wheel_is_pure_python_and_runs(tmp_path: Path) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)],
         env=os.environ | {"CC": "/bin/false"},
         check=True,
         capture_output=True,
         text=True,
     )
-    assert "kernels not compiled, NumPy will do" in done.stdout + done.stderr
+    assert "kernels not compiled, NumPy will do" in process.stdout + process.stderr
     (wheel,) = tmp_path.glob("*-py3-none-any.whl")
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:

@@ -81,6 +81,6 @@ def run(folder: Path, name: str, *settings: str, frames: int = 6, seed: int = 0)
     """The folder of a recorded run in one process."""
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded, frames=frames, seed=seed, record=True)
-    ended = launcher.run(resolved, folder, runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(resolved, folder, runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder

@@ -113,9 +113,9 @@ def test_the_command_exits_with_0_1_or_2(
         if messages is not None:
             write(tmp_path / name / "messages.mcap", messages)
     monkeypatch.setattr("sys.argv", ["mast", "diff", str(tmp_path / "a"), str(tmp_path / "b"), *words])
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as raised:
         app.main()
-    assert (ended.value.code or 0) == code
+    assert (raised.value.code or 0) == code
     printed = capsys.readouterr()
     assert ("cannot compare" in printed.err) == (code == 2)
     assert ("first difference" in printed.out) == (code == 1)

@@ -320,8 +320,8 @@ def test_the_program_in_the_documentation_reads_a_recording(tmp_path: Path) -> N
     (program,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), flags=re.S | re.M)
     assert len(program.splitlines()) <= 14
     write(tmp_path / "messages.mcap", small_run(3))
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
     )
-    assert done.returncode == 0, done.stderr
-    assert "agent/b/detections 2 (2, 3)" in done.stdout
+    assert process.returncode == 0, process.stderr
+    assert "agent/b/detections 2 (2, 3)" in process.stdout

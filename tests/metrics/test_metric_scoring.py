@@ -109,8 +109,8 @@ def test_the_agent_is_in_its_own_truth_by_default():
 
 def test_a_switch_is_counted_against_the_last_match_even_after_a_gap():
     truth = [cars((0.0, 0.0), id=[1])] * 6
-    there, gone = (0.0, 0.0), (50.0, 0.0)
-    tracks = [cars(p, id=[i]) for p, i in ((there, 7), (there, 7), (gone, 7), (there, 8), (there, 8), (there, 7))]
+    there, absent = (0.0, 0.0), (50.0, 0.0)
+    tracks = [cars(p, id=[i]) for p, i in ((there, 7), (there, 7), (absent, 7), (there, 8), (there, 8), (there, 7))]
     assert Scorer().score(record(truth, tracks)).id_switches.tolist() == [[0, 0, 0, 1, 0, 1]]
 
 

@@ -13,7 +13,7 @@ from metric_oracles import boxes
 from mast_zenoh.metrics import SetDistance
 
 
-def by_trying(x: np.ndarray, y: np.ndarray, how: SetDistance) -> tuple[float, float]:
+def by_brute_force(x: np.ndarray, y: np.ndarray, how: SetDistance) -> tuple[float, float]:
     """OSPA and GOSPA of (n, 2) and (m, 2), from the definitions."""
     x, y = sorted((x, y), key=len)
     m, n = len(x), len(y)
@@ -61,7 +61,7 @@ def test_the_distance_is_minimal_over_all_assignments(frames, p: float, c: float
         for k in (0, 1)
     ]
     estimate = np.column_stack(how.of(*sides, len(sets)))
-    assert estimate == pytest.approx(np.array([by_trying(x, y, how) for x, y in sets]), abs=1e-6)
+    assert estimate == pytest.approx(np.array([by_brute_force(x, y, how) for x, y in sets]), abs=1e-6)
 
 
 @pytest.mark.parametrize("p", [1.0, 2.0])

@@ -139,22 +139,22 @@ def healed_faults(draw: st.DrawFn) -> dict:
 
 @given(st.lists(healed_faults(), max_size=6))
 def test_links_return_to_their_initial_state_after_the_last_fault(faults: list[dict]) -> None:
-    made = resolved(TWO, *faults)
-    states = network.own_states(made)
-    for step in network.steps(made):
+    resolved_scenario = resolved(TWO, *faults)
+    states = network.own_states(resolved_scenario)
+    for step in network.steps(resolved_scenario):
         states |= step.states
         on = [f for f in faults if f["at"] <= step.at_s < f["until"]]
         for name, state in states.items():
             cut = any(f["type"] == "HostPartition" and (f["hosts"] == "*" or name in f["hosts"]) for f in on)
             assert state.cut == cut
-    assert states == network.own_states(made)
+    assert states == network.own_states(resolved_scenario)
 
 
 @given(st.lists(healed_faults(), max_size=3))
 def test_a_resolved_network_is_plain_json(faults: list[dict]) -> None:
-    made = resolved(TWO, *faults)
-    assert json.loads(json.dumps(made)) == made
-    assert [band["at_s"] for band in network.bands(made)] == [fault["at"] for fault in faults]
+    resolved_scenario = resolved(TWO, *faults)
+    assert json.loads(json.dumps(resolved_scenario)) == resolved_scenario
+    assert [band["at_s"] for band in network.bands(resolved_scenario)] == [fault["at"] for fault in faults]
 
 
 junk = st.recursive(

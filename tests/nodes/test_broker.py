@@ -25,7 +25,7 @@ def bench(resolved, **config: Any) -> Bench:
     return Bench(resolved, "broker", **config)
 
 
-def say(broker: Bench, agent: str, frame: int, *, step: int | None = None, x: float = 0.0, **more: Any):
+def send_track(broker: Bench, agent: str, frame: int, *, step: int | None = None, x: float = 0.0, **more: Any):
     """Send one track of an agent, at its own position."""
     place = (x, 10.0 * AGENTS.index(agent))
     return broker.send("tracks", tracks(place, **more), frame, subject=agent, step=step)
@@ -43,9 +43,9 @@ def summary(messages: Any) -> list[tuple[int, dict[str, float]]]:
 def test_a_batch_is_emitted_when_all_agents_have_sent_their_tracks(resolved) -> None:
     broker = bench(resolved)
     assert broker.clock(0) == []
-    assert say(broker, "infra_2", 0) == []
-    assert say(broker, "ego", 0) == []
-    ((key, message),) = say(broker, "infra_1", 0)
+    assert send_track(broker, "infra_2", 0) == []
+    assert send_track(broker, "ego", 0) == []
+    ((key, message),) = send_track(broker, "infra_1", 0)
     assert key == COLLATED
     assert message.body["agents"].tolist() == sorted(AGENTS)
     assert message.body["agent"].tolist() == [0, 1, 2]
@@ -56,8 +56,8 @@ def test_a_batch_is_emitted_when_all_agents_have_sent_their_tracks(resolved) -> 
 def test_collated_tracks_are_in_the_world_frame(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     turned = {"origin": np.array([100.0, 0.0, 0.0]), "rotation": quaternion_from_rotation(rotation_from_yaw(np.pi / 2))}
     body = tracks((10.0, 0.0), velocity=(5.0, 0.0)) | turned
     ((_, message),) = broker.send("tracks", body, 0, subject="infra_2")
@@ -78,10 +78,10 @@ def test_an_empty_message_counts(resolved) -> None:
 def test_the_broker_waits_for_a_silent_agent_until_the_next_clock(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     assert summary(broker.clock(1)) == [(0, {"ego": 0.0, "infra_1": 0.0})]
-    assert say(broker, "infra_2", 0, step=1) == [], "too late"
+    assert send_track(broker, "infra_2", 0, step=1) == [], "too late"
     results = broker.host.finish()["collation"]
     assert (results["complete"], results["overdue"], results["late"]) == (0, 1, {"infra_2": 1})
 
@@ -90,12 +90,12 @@ def test_the_last_tracks_of_a_silent_agent_are_propagated_until_too_old(resolved
     broker = bench(resolved, max_age_s=0.25)
     for agent in AGENTS:
         broker.clock(0) if agent == "ego" else None
-        say(broker, agent, 0, velocity=(10.0, 0.0))
+        send_track(broker, agent, 0, velocity=(10.0, 0.0))
     batches = []
     for frame in range(1, 6):
         batches += broker.clock(frame)
         for agent in ("ego", "infra_1"):
-            say(broker, agent, frame)
+            send_track(broker, agent, frame)
     ages = [ages_by_agent.get("infra_2") for _, ages_by_agent in summary(batches)]
     assert ages == [100.0, 200.0, None, None]
     carried = [message.body["position"][message.body["agent"] == 2, 0] for _, message in batches[:2]]
@@ -107,12 +107,12 @@ def test_the_last_tracks_of_a_silent_agent_are_propagated_until_too_old(resolved
 def test_the_broker_does_not_wait_for_an_agent_that_has_left(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     assert summary(broker.left("infra_2", "agent")) == [(0, {"ego": 0.0, "infra_1": 0.0})]
     broker.clock(1)
-    say(broker, "ego", 1)
-    assert summary(say(broker, "infra_1", 1)) == [(1, {"ego": 0.0, "infra_1": 0.0})]
+    send_track(broker, "ego", 1)
+    assert summary(send_track(broker, "infra_1", 1)) == [(1, {"ego": 0.0, "infra_1": 0.0})]
 
 
 def test_other_nodes_may_join_and_leave(resolved) -> None:
@@ -120,7 +120,7 @@ def test_other_nodes_may_join_and_leave(resolved) -> None:
     broker.host.joined("recorder", "recorder")
     broker.clock(0)
     for agent in AGENTS:
-        published = say(broker, agent, 0)
+        published = send_track(broker, agent, 0)
     assert len(published) == 1
     assert broker.left("recorder", "recorder") == []
 
@@ -130,9 +130,9 @@ def test_the_broker_waits_again_for_an_agent_that_returns(resolved) -> None:
     broker.left("infra_2", "agent")
     broker.host.joined("infra_2", "agent")
     broker.clock(0)
-    say(broker, "ego", 0)
-    assert say(broker, "infra_1", 0) == []
-    assert len(say(broker, "infra_2", 0)) == 1
+    send_track(broker, "ego", 0)
+    assert send_track(broker, "infra_1", 0) == []
+    assert len(send_track(broker, "infra_2", 0)) == 1
 
 
 def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(resolved) -> None:
@@ -140,12 +140,12 @@ def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(
     broker.node.agents.discard("infra_2")  # not yet visible on the mesh
     for frame in (0, 1):
         broker.clock(frame)
-        say(broker, "ego", frame)
+        send_track(broker, "ego", frame)
         if frame == 0:
             broker.send("status", STATUS, frame, subject="infra_2")
-        published = say(broker, "infra_1", frame)
+        published = send_track(broker, "infra_1", frame)
         assert len(published) == (1 if frame == 0 else 0)
-    assert summary(say(broker, "infra_2", 1)) == [(1, dict.fromkeys(AGENTS, 0.0))]
+    assert summary(send_track(broker, "infra_2", 1)) == [(1, dict.fromkeys(AGENTS, 0.0))]
 
 
 def test_the_tracks_of_a_new_agent_count_from_the_frame_after_its_first_ones(resolved) -> None:
@@ -156,7 +156,7 @@ def test_the_tracks_of_a_new_agent_count_from_the_frame_after_its_first_ones(res
         for frame in (0, 1):
             broker.clock(frame)
             for agent in ("infra_2", "ego", "infra_1") if newcomer_first else ("ego", "infra_1", "infra_2"):
-                published += say(broker, agent, frame)
+                published += send_track(broker, agent, frame)
         assert summary(published) == [(0, dict.fromkeys(("ego", "infra_1"), 0.0)), (1, dict.fromkeys(AGENTS, 0.0))]
 
 
@@ -166,8 +166,8 @@ def test_a_late_status_does_not_bring_back_an_agent_that_has_left(resolved) -> N
     broker.send("status", STATUS, 0, subject="infra_2")
     broker.left("infra_2", "agent")
     broker.clock(1)
-    say(broker, "ego", 1)
-    assert len(say(broker, "infra_1", 1)) == 1
+    send_track(broker, "ego", 1)
+    assert len(send_track(broker, "infra_1", 1)) == 1
 
 
 def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
@@ -176,7 +176,7 @@ def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
     for frame in range(5):
         fresh = broker.clock(frame)
         for agent in AGENTS:
-            fresh += say(broker, agent, frame, x=float(frame))
+            fresh += send_track(broker, agent, frame, x=float(frame))
         published.append(summary(fresh))
     whole = dict.fromkeys(sorted(AGENTS), 0.0)
     assert published == [[], [], [(0, whole)], [(1, whole)], [(2, whole)]]
@@ -188,17 +188,17 @@ def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
 def test_a_message_within_the_latency_is_in_time(resolved) -> None:
     broker = bench(resolved, latency_s=0.1)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     assert broker.clock(1) == [], "the frame is just old enough"
-    assert summary(say(broker, "infra_2", 0, step=1)) == [(0, dict.fromkeys(AGENTS, 0.0))]
+    assert summary(send_track(broker, "infra_2", 0, step=1)) == [(0, dict.fromkeys(AGENTS, 0.0))]
 
 
 def test_patience_waits_for_more_clocks(resolved) -> None:
     broker = bench(resolved, patience=2)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     assert broker.clock(1) == []
     assert broker.clock(2) == []
     assert summary(broker.clock(3)) == [(0, {"ego": 0.0, "infra_1": 0.0})]
@@ -208,12 +208,12 @@ def test_frames_are_emitted_in_order_even_if_a_later_one_is_complete_first(resol
     broker = bench(resolved, patience=3)
     broker.clock(0)
     for agent in ("ego", "infra_1"):
-        say(broker, agent, 0)
+        send_track(broker, agent, 0)
     broker.clock(1)
     for agent in AGENTS[:2]:
-        say(broker, agent, 1)
-    assert say(broker, "infra_2", 1) == [], "frame 0 still waits"
-    assert [frame for frame, _ in summary(say(broker, "infra_2", 0, step=1))] == [0, 1]
+        send_track(broker, agent, 1)
+    assert send_track(broker, "infra_2", 1) == [], "frame 0 still waits"
+    assert [frame for frame, _ in summary(send_track(broker, "infra_2", 0, step=1))] == [0, 1]
 
 
 def test_without_agents_there_is_an_empty_batch_every_frame(resolved) -> None:
@@ -228,7 +228,7 @@ def test_overflowing_and_late_messages_are_counted(resolved) -> None:
     broker = bench(resolved, latency_s=0.5, capacity=2)
     for frame in range(4):
         broker.clock(frame)
-        say(broker, "ego", frame)
+        send_track(broker, "ego", frame)
     assert broker.host.finish()["collation"] == {"complete": 0, "overdue": 0, "late": {}, "overflowed": 2, "absurd": 0}
 
 
@@ -237,13 +237,13 @@ def test_an_implausible_track_is_rejected_without_affecting_the_batch(resolved, 
     broker = bench(resolved, max_age_s=1.0)
     for frame in range(4):
         broker.clock(frame)
-        say(broker, "ego", frame)
+        send_track(broker, "ego", frame)
         if frame < 2:
             body = tracks((1.0, 0.0), (2.0, 0.0), (3.0, 0.0))
             body[column] = body[column].copy()
             body[column][0] = 9.9e8
             broker.send("tracks", body, frame, subject="infra_1")
-        say(broker, "infra_2", frame)
+        send_track(broker, "infra_2", frame)
     broker.clock(4)
     batches = broker.heard(COLLATED)
     assert [message.header.frame for message in batches] == [0, 1, 2, 3], "each is a valid message"
@@ -264,8 +264,8 @@ def test_an_agent_with_a_wrong_clock_completes_its_batch_at_the_time_it_reports(
     broker = bench(resolved, max_age_s=0.25)
     for frame in range(4, 8):
         broker.clock(frame)
-        say(broker, "ego", frame)
-        say(broker, "infra_1", frame)
+        send_track(broker, "ego", frame)
+        send_track(broker, "infra_1", frame)
         ((_, batch),) = say_at(broker, "infra_2", frame, offset_s, velocity=(10.0, 0.0))
         assert batch.header.frame == frame
         assert batch.body["age_ns"].tolist() == [0, 0, round(-offset_s * 1e9)]
@@ -279,12 +279,12 @@ def test_a_clock_error_beyond_max_age_excludes_only_that_agent(resolved, offset_
     broker = bench(resolved, max_age_s=0.25)
     for frame in range(4, 7):
         broker.clock(frame)
-        say(broker, "ego", frame)
-        say(broker, "infra_1", frame)
+        send_track(broker, "ego", frame)
+        send_track(broker, "infra_1", frame)
         assert summary(say_at(broker, "infra_2", frame, offset_s)) == [(frame, {"ego": 0.0, "infra_1": 0.0})]
     broker.clock(7)
     for agent in AGENTS:
-        published = say(broker, agent, 7)
+        published = send_track(broker, agent, 7)
     assert summary(published) == [(7, dict.fromkeys(AGENTS, 0.0))], "a corrected clock is accepted again"
 
 
@@ -313,7 +313,7 @@ def test_the_last_tracks_of_a_dead_agent_expire_by_age(resolved) -> None:
             broker.left("infra_2", "agent")
         broker.clock(frame)
         for agent in AGENTS if frame < 2 else AGENTS[:2]:
-            published = say(broker, agent, frame)
+            published = send_track(broker, agent, frame)
         ((_, ages_by_agent),) = summary(published)
         ages.append(ages_by_agent.get("infra_2"))
     assert ages == [0.0, 0.0, 100.0, 200.0, None, None]
@@ -348,7 +348,7 @@ def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObje
                 if agent == "status":
                     broker.send("status", STATUS, about, subject="infra_2")
                 else:
-                    say(broker, agent, about, step=frame, x=float(about), velocity=(about, 0.0))
+                    send_track(broker, agent, about, step=frame, x=float(about), velocity=(about, 0.0))
         assert not broker.host.failures
         return broker.payloads
 

@@ -180,16 +180,16 @@ def test_a_message_that_is_forwarded_unchanged_is_the_same_estimate(intercepted)
 
 def test_attacks_on_others_do_not_change_an_agents_own_metrics() -> None:
     plain, attacked = Run(tiny()), Run(tiny("uncoordinated", "n_adversaries=1", "attack_start_s=0.2"))
-    found = [run.results["evaluator"]["metrics"]["agents"] for run in (plain, attacked)]
-    assert found[0]["ego"]["local"] == found[1]["ego"]["local"]
-    assert found[0]["infra_1"]["local"] != found[1]["infra_1"]["local"]
+    agents_by_run = [run.results["evaluator"]["metrics"]["agents"] for run in (plain, attacked)]
+    assert agents_by_run[0]["ego"]["local"] == agents_by_run[1]["ego"]["local"]
+    assert agents_by_run[0]["infra_1"]["local"] != agents_by_run[1]["infra_1"]["local"]
 
 
 def test_an_attack_on_an_agents_output_does_not_change_its_own_estimate() -> None:
     plain, attacked = Run(tiny()), Run(tiny("coordinated", "n_adversaries=1", "attack_start_s=0.2"))
-    found = [run.results["evaluator"]["metrics"]["agents"]["infra_1"] for run in (plain, attacked)]
-    assert found[0]["local"] == found[1]["local"]
-    assert found[0]["received"] != found[1]["received"]
+    agents_by_run = [run.results["evaluator"]["metrics"]["agents"]["infra_1"] for run in (plain, attacked)]
+    assert agents_by_run[0]["local"] == agents_by_run[1]["local"]
+    assert agents_by_run[0]["received"] != agents_by_run[1]["received"]
 
 
 # -- effects of interposers --------------------------------------------------------------------------------------------

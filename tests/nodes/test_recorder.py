@@ -66,9 +66,9 @@ def test_a_recorder_is_added_on_request_unless_the_scenario_disables_it() -> Non
 
 
 def test_run_json_has_the_number_of_recorded_messages(tmp_path: Path) -> None:
-    ended = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
-    record = json.loads((ended.folder / "run.json").read_text())
-    assert record["recorded"] == {"messages": len(list(read(ended.folder))), "malformed": 0, "lost": 0}
+    outcome = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
+    record = json.loads((outcome.folder / "run.json").read_text())
+    assert record["recorded"] == {"messages": len(list(read(outcome.folder))), "malformed": 0, "lost": 0}
     without = launcher.run(resolved(record=False), tmp_path / "without", runtime="inproc")
     assert "recorded" not in without.record
     assert not (without.folder / "messages.mcap").exists()
@@ -81,9 +81,9 @@ def test_lost_messages_are_reported_in_run_json(tmp_path: Path, monkeypatch: pyt
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Writer, "flush", full)
-    ended = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, DiskFull)
+    outcome = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, DiskFull)
     assert (tmp_path / "run" / "metrics.json").is_file(), "the run continues to its end"
-    recorded = ended.record["recorded"]
+    recorded = outcome.record["recorded"]
     assert recorded["messages"] == 0 < recorded["lost"]
-    assert f"{recorded['lost']} messages are not in the recording" in ended.record["message"]
+    assert f"{recorded['lost']} messages are not in the recording" in outcome.record["message"]

@@ -63,11 +63,11 @@ def test_a_dead_agent_is_silent_and_a_restarted_one_starts_counting_anew() -> No
 def test_before_a_kill_the_run_equals_one_without_kills() -> None:
     plain, faulted = played(), played((6, "kill", "infra_1"), (6, "kill", "broker"))
     for wire in world().wiring["wires"]:
-        for ours, theirs in zip(
+        for ours, changed in zip(
             plain.decoded(wire["key"], wire["message"]), faulted.decoded(wire["key"], wire["message"]), strict=False
         ):
             if ours.header.frame < 6:
-                assert ours.header == theirs.header
+                assert ours.header == changed.header
 
 
 def test_a_node_that_joins_later_is_absent_at_the_start() -> None:

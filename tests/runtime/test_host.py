@@ -84,14 +84,14 @@ def clock(frame: int, source: str = "simulator") -> bytes:
     return message("clock", source, frame, {})
 
 
-def said_by(name: str, frame: int, n: int = 1) -> bytes:
+def tracks_payload(name: str, frame: int, n: int = 1) -> bytes:
     return message("tracks", name, frame, tracks(n))
 
 
 def test_a_message_of_a_later_step_waits_for_its_clock() -> None:
     host = listening()
     host.deliver("clock", clock(0), 0)
-    host.deliver("agent/a/tracks", said_by("a", 1), 1)
+    host.deliver("agent/a/tracks", tracks_payload("a", 1), 1)
     assert host.node.got == [("clock", 0)]
     assert host.handled["agent/a/tracks"] == 0, "lock-step continues to wait for it"
     host.deliver("clock", clock(1), 1)
@@ -101,22 +101,22 @@ def test_a_message_of_a_later_step_waits_for_its_clock() -> None:
 
 def test_a_skipped_clock_releases_messages_that_waited_for_it() -> None:
     host = listening()
-    host.deliver("agent/a/tracks", said_by("a", 1), 1)
-    host.deliver("agent/b/tracks", said_by("b", 3), 3)
+    host.deliver("agent/a/tracks", tracks_payload("a", 1), 1)
+    host.deliver("agent/b/tracks", tracks_payload("b", 3), 3)
     host.deliver("clock", clock(2), 2)
     assert host.node.got == [("clock", 2), ("a", 1)]
 
 
 def test_a_foreign_message_of_an_unknown_step_is_accepted_at_once() -> None:
     host = listening()
-    host.deliver("agent/a/tracks", said_by("a", 5), -1, counted=False)
+    host.deliver("agent/a/tracks", tracks_payload("a", 5), -1, counted=False)
     assert host.node.got == [("a", 5)]
     assert not host.handled
 
 
 def test_a_node_without_a_clock_gets_every_message_at_once() -> None:
     host = listening(clocked=False)
-    host.deliver("agent/a/tracks", said_by("a", 4), 4)
+    host.deliver("agent/a/tracks", tracks_payload("a", 4), 4)
     assert host.node.got == [("a", 4)]
 
 
@@ -125,7 +125,7 @@ def test_messages_forwarded_without_a_clock_keep_the_step_of_their_input() -> No
     relay = Listener(lambda received, context: context.relay("tracks_out", received))
     host = listening(relay, clocked=False, emit=outbox.append)
     for step in (0, 1):
-        host.deliver("agent/a/tracks", said_by("a", step), step)
+        host.deliver("agent/a/tracks", tracks_payload("a", step), step)
     assert [out.step for out in outbox] == [0, 1], "otherwise the next node would not wait for its clock"
 
 
@@ -134,7 +134,7 @@ def test_messages_forwarded_without_a_clock_keep_the_step_of_their_input() -> No
 def test_each_message_is_handled_once_after_its_clock_in_any_order_of_arrival(data: st.DataObject) -> None:
     queues: dict[str, list[tuple[str, bytes, int]]] = {
         "clock": [("clock", clock(k), k) for k in range(4)],
-        **{f"agent/{x}/tracks": [(f"agent/{x}/tracks", said_by(x, k), k) for k in range(4)] for x in "ab"},
+        **{f"agent/{x}/tracks": [(f"agent/{x}/tracks", tracks_payload(x, k), k) for k in range(4)] for x in "ab"},
     }
     host = listening()
     while queues:
@@ -152,9 +152,9 @@ def test_each_message_is_handled_once_after_its_clock_in_any_order_of_arrival(da
 @pytest.mark.parametrize(
     ("key", "payload", "kind"),
     [
-        ("agent/a/tracks", said_by("b", 0), "tracks"),
+        ("agent/a/tracks", tracks_payload("b", 0), "tracks"),
         ("agent/a/tracks", clock(0), "tracks"),
-        ("agent/a/tracks", said_by("a", 0)[:-3], "tracks"),
+        ("agent/a/tracks", tracks_payload("a", 0)[:-3], "tracks"),
         ("agent/a/tracks", b"", "tracks"),
         ("agent/a/tracks", message("tracks", "a", 0, tracks(id=np.zeros(1))).replace(b"tracks", b"trucks"), "tracks"),
         ("clock", clock(0, source="mallory"), "clock"),
@@ -168,14 +168,14 @@ def test_an_invalid_message_costs_one_message_and_is_counted(key: str, payload: 
     assert next(iter(host.rejected))[0] == key
     assert next(iter(host.rejected))[1].startswith(kind)
     assert host.handled[key] == 1, "lock-step does not wait for it"
-    host.deliver("agent/a/tracks", said_by("a", 0), -1)
+    host.deliver("agent/a/tracks", tracks_payload("a", 0), -1)
     assert host.node.got == [("a", 0)]
 
 
 def test_foreign_messages_never_count_for_lock_step() -> None:
     host = listening()
     host.deliver("agent/a/tracks", b"rubbish", -1, counted=False)
-    host.deliver("agent/a/tracks", said_by("a", 0), -1, counted=False)
+    host.deliver("agent/a/tracks", tracks_payload("a", 0), -1, counted=False)
     assert sum(host.rejected.values()) == 1
     assert not host.handled
 
@@ -194,7 +194,7 @@ def test_rejections_are_logged_once_per_key(caplog: pytest.LogCaptureFixture) ->
     host = listening()
     with caplog.at_level(logging.WARNING):
         for key in ("agent/a/tracks", "agent/b/tracks"):
-            for payload in (b"rubbish", b"", said_by("mallory", 0)):
+            for payload in (b"rubbish", b"", tracks_payload("mallory", 0)):
                 host.deliver(key, payload, -1)
     assert [key for record in caplog.records for key in TRACKS if key in record.getMessage()] == list(TRACKS)
     assert sum(host.rejected.values()) == 6
@@ -211,7 +211,7 @@ def test_a_handler_that_raises_costs_one_message_and_is_logged_once(caplog: pyte
     with caplog.at_level(logging.ERROR):
         for frame in range(6):
             host.deliver("clock", clock(frame), frame)
-            host.deliver("agent/a/tracks", said_by("a", frame), frame)
+            host.deliver("agent/a/tracks", tracks_payload("a", frame), frame)
     entry = host.failures["on_tracks"].entry()
     assert host.failures.keys() == {"on_tracks"}
     assert (entry["count"], entry["frames"], entry["first_frame"], entry["last_frame"]) == (3, 3, 0, 4)
@@ -230,11 +230,11 @@ def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("mast_zenoh.runtime.held.HELD", Limit(5, 10**6))
     host = listening()
     for frame in range(1, 9):
-        host.deliver("agent/a/tracks", said_by("a", frame), frame)
+        host.deliver("agent/a/tracks", tracks_payload("a", frame), frame)
     assert sum(host.rejected.values()) == 3
     host.deliver("clock", clock(8), 8)
     assert [source for source, _ in host.node.got] == ["clock", *"aaaaa"]
-    host.deliver("agent/a/tracks", said_by("a", 9), 9)
+    host.deliver("agent/a/tracks", tracks_payload("a", 9), 9)
     host.deliver("clock", clock(9), 9)
     assert host.node.got[-1] == ("a", 9), "there is space again"
 
@@ -242,7 +242,7 @@ def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) 
 def test_a_relayed_message_keeps_its_bytes() -> None:
     outbox: list[Outgoing] = []
     host = listening(Listener(lambda received, context: context.relay("tracks_out", received)), emit=outbox.append)
-    payload = said_by("a", 0)
+    payload = tracks_payload("a", 0)
     host.deliver("agent/a/tracks", payload, -1)
     assert outbox == [Outgoing("out/a", payload, -1)]
     assert host.sent == {"out/a": 1}
@@ -253,7 +253,7 @@ def test_a_message_relayed_in_a_later_frame_is_unchanged(encode: bool) -> None:
     kept: list[Received] = []
     outbox: list[Outgoing] = []
     host = listening(Listener(lambda received, context: kept.append(received)), encode=encode, emit=outbox.append)
-    payload = said_by("a", 0)
+    payload = tracks_payload("a", 0)
     host.deliver("clock", clock(0), 0)
     host.deliver("agent/a/tracks", payload if encode else codec.decode(payload, "tracks"), 0)
     host.deliver("clock", clock(1), 1)
@@ -266,7 +266,7 @@ def test_a_message_relayed_in_a_later_frame_is_unchanged(encode: bool) -> None:
 def test_a_relayed_message_with_another_body_keeps_its_header() -> None:
     outbox: list[Outgoing] = []
     host = listening(emit=outbox.append)
-    received = Received(codec.decode(said_by("b", 3), "tracks"), "b")
+    received = Received(codec.decode(tracks_payload("b", 3), "tracks"), "b")
     host.relay("tracks_out", received, tracks(4))
     (out,) = outbox
     changed = codec.decode(out.payload, "tracks")
@@ -278,7 +278,7 @@ def test_a_relayed_message_with_another_body_keeps_its_header() -> None:
 def test_a_message_cannot_be_relayed_on_a_port_of_another_type() -> None:
     host = listening()
     with pytest.raises(ConfigurationError, match="carries 'status' messages, not 'tracks'"):
-        host.relay("status", Received(codec.decode(said_by("b", 3), "tracks"), "b"))
+        host.relay("status", Received(codec.decode(tracks_payload("b", 3), "tracks"), "b"))
 
 
 def test_messages_are_numbered_for_each_key() -> None:
@@ -320,7 +320,7 @@ def test_publishing_on_an_unconnected_port_does_nothing() -> None:
     host = listening(emit=outbox.append)
     host.publish("nowhere", status())
     host.publish("tracks_out", tracks(), subject="nobody")
-    host.relay("tracks_out", Received(codec.decode(said_by("c", 0), "tracks"), "c"))
+    host.relay("tracks_out", Received(codec.decode(tracks_payload("c", 0), "tracks"), "c"))
     assert outbox == []
     assert not host.sent
     assert not host.connected("nowhere")
@@ -333,7 +333,7 @@ def test_publishing_on_an_unconnected_port_does_nothing() -> None:
     "use",
     [
         lambda host: host.publish("tracks_ot", tracks()),
-        lambda host: host.relay("tracks_ot", Received(codec.decode(said_by("a", 0), "tracks"), "a")),
+        lambda host: host.relay("tracks_ot", Received(codec.decode(tracks_payload("a", 0), "tracks"), "a")),
         lambda host: host.connected("tracks_ot"),
     ],
 )
@@ -415,7 +415,7 @@ def test_received_messages_are_read_only(encode: bool) -> None:
 
 def test_messages_on_unsubscribed_keys_are_ignored() -> None:
     host = listening()
-    host.deliver("agent/c/tracks", said_by("c", 0), 0)
+    host.deliver("agent/c/tracks", tracks_payload("c", 0), 0)
     assert not host.node.got
     assert not host.rejected
 
@@ -424,7 +424,7 @@ def test_every_valid_message_is_shown_to_an_observer() -> None:
     host = listening()
     seen: list[tuple[str, int]] = []
     host.observe = lambda key, header: seen.append((key, header.frame))
-    host.deliver("agent/a/tracks", said_by("a", 3), 3)
+    host.deliver("agent/a/tracks", tracks_payload("a", 3), 3)
     host.deliver("agent/a/tracks", b"rubbish", 3)
     assert seen == [("agent/a/tracks", 3)], "on arrival, though the message waits for its clock"
 
@@ -475,7 +475,7 @@ def test_a_node_that_fails_in_finish_still_ends() -> None:
 
 def test_counters_can_be_reset_without_losing_rejections() -> None:
     host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
-    host.deliver("agent/a/tracks", said_by("a", 0), -1)
+    host.deliver("agent/a/tracks", tracks_payload("a", 0), -1)
     host.deliver("agent/a/tracks", b"rubbish", -1)
     host.reset_counts()
     assert not host.sent
@@ -517,10 +517,10 @@ def ear(*, encode: bool = True) -> Host:
 
 def test_a_node_that_hears_every_key_gets_the_bytes_and_the_header_at_once() -> None:
     host = ear()
-    host.deliver("agent/a/tracks", said_by("a", 3), 3)
+    host.deliver("agent/a/tracks", tracks_payload("a", 3), 3)
     host.deliver("clock", clock(2), 2)
     assert [(o.key, o.payload, o.header.frame, o.step) for o in host.node.heard] == [
-        ("agent/a/tracks", said_by("a", 3), 3, 3),
+        ("agent/a/tracks", tracks_payload("a", 3), 3, 3),
         ("clock", clock(2), 2, 2),
     ]
     assert host.handled == {"agent/a/tracks": 1, "clock": 1}
@@ -530,9 +530,14 @@ def test_a_node_that_hears_every_key_gets_the_bytes_and_the_header_at_once() -> 
 
 def test_a_node_that_hears_every_key_gets_malformed_messages_and_an_error_on_access() -> None:
     host = ear()
-    for payload in (b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]):
+    for payload in (b"rubbish", tracks_payload("mallory", 0), clock(0), tracks_payload("a", 0)[:-1]):
         host.deliver("agent/a/tracks", payload, -1, counted=False)
-    assert [o.payload for o in host.node.heard] == [b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]]
+    assert [o.payload for o in host.node.heard] == [
+        b"rubbish",
+        tracks_payload("mallory", 0),
+        clock(0),
+        tracks_payload("a", 0)[:-1],
+    ]
     for overheard, words in zip(
         host.node.heard, ("not MessagePack", "expected 'a'", "found clock", "not MessagePack"), strict=True
     ):
@@ -553,7 +558,7 @@ def test_bodies_are_decoded_on_first_access() -> None:
 
 
 def test_in_one_process_messages_are_encoded_only_on_demand() -> None:
-    host, payload = ear(encode=False), said_by("a", 1)
+    host, payload = ear(encode=False), tracks_payload("a", 1)
     sent = codec.decode(payload, "tracks")
     host.deliver("agent/a/tracks", sent, 1)
     host.deliver("agent/a/tracks", sent, 1, flaw="a value is not finite")
@@ -568,18 +573,18 @@ def test_in_one_process_messages_are_encoded_only_on_demand() -> None:
 def test_ignored_keys_are_not_delivered_but_count_as_handled() -> None:
     host = ear()
     host.ignore({"agent/a/tracks"})
-    host.deliver("agent/a/tracks", said_by("a", 0), 0)
+    host.deliver("agent/a/tracks", tracks_payload("a", 0), 0)
     host.deliver("clock", clock(0), 0)
     assert [o.key for o in host.node.heard] == ["clock"]
     assert host.handled == {"agent/a/tracks": 1, "clock": 1}
     host.ignore(())
-    host.deliver("agent/a/tracks", said_by("a", 1), 0)
+    host.deliver("agent/a/tracks", tracks_payload("a", 1), 0)
     assert len(host.node.heard) == 2
 
 
 def test_messages_on_two_legs_are_compared_by_their_bytes() -> None:
     host = ear()
-    for payload in (said_by("a", 0), bytes(bytearray(said_by("a", 0))), said_by("a", 1)):
+    for payload in (tracks_payload("a", 0), bytes(bytearray(tracks_payload("a", 0))), tracks_payload("a", 1)):
         host.deliver("agent/a/tracks", payload, 0)
     one, same, other = host.node.heard
     assert one.same_bytes(same)

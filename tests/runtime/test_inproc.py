@@ -166,9 +166,9 @@ def test_more_agents_change_nothing_for_existing_ones() -> None:
 
 def test_the_picture_misses_fewer_objects_than_the_ego_alone() -> None:
     """A weak bound, but crossed wires would violate it."""
-    found = played("baseline", infrastructure=3).results["evaluator"]["metrics"]["agents"]["ego"]
-    assert found["picture"]["fn"]["mean"] < found["local"]["fn"]["mean"]
-    assert found["picture"]["rmse_m"] < 0.2
+    scores = played("baseline", infrastructure=3).results["evaluator"]["metrics"]["agents"]["ego"]
+    assert scores["picture"]["fn"]["mean"] < scores["local"]["fn"]["mean"]
+    assert scores["picture"]["rmse_m"] < 0.2
 
 
 def test_messages_are_numbered_per_key_in_the_order_of_publication() -> None:

@@ -82,7 +82,7 @@ def hosting(node: Node, *, encode: bool = True) -> tuple[Host, list[Outgoing]]:
     return Host("relay", node, ports, 0, encode=encode, emit=outbox.append, wiring=WIRING), outbox
 
 
-def said(name: str, seq: int = 0, n: int = 1, frame: int = 0) -> Message:
+def tracks_of(name: str, seq: int = 0, n: int = 1, frame: int = 0) -> Message:
     states = ObjectStates.of(np.zeros((n, 3)), covariance=np.tile(np.eye(9), (n, 1, 1)))
     body = tracks() | states.columns() | {"id": np.arange(n)}
     return codec.conform(Header("tracks", name, frame, frame * 10**8, seq), body)
@@ -94,11 +94,11 @@ def clock(frame: int) -> bytes:
 
 def test_a_flood_waiting_for_a_clock_is_bounded_and_leaves_room_for_other_sources() -> None:
     host, _ = hosting(Relay())
-    big = codec.encode(said("b", n=20_000))
+    big = codec.encode(tracks_of("b", n=20_000))
     assert 14 * MIB < len(big) < 16 * MIB
     for _ in range(20):
         host.deliver(KEY_B, big, LATER)
-    host.deliver(KEY_A, codec.encode(said("a")), LATER)
+    host.deliver(KEY_A, codec.encode(tracks_of("a")), LATER)
     assert host.waiting == 3, "two of 15 MB from one source, and the other source's"
     assert host.rejected == {(KEY_B, "held"): 18}
     assert host.handled[KEY_B] == 18, "lock-step does not wait for dropped messages"
@@ -114,20 +114,20 @@ def test_a_flood_waiting_for_a_clock_is_bounded_and_leaves_room_for_other_source
 def test_a_flood_through_a_delaying_link_costs_only_its_own_messages(
     encode: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = len(codec.encode(said("b", n=10)))
+    one = len(codec.encode(tracks_of("b", n=10)))
     monkeypatch.setattr("mast_zenoh.runtime.context.DELAYED", Limit(100, 3 * one))
     host, outbox = hosting(Relay(after_s=0.1), encode=encode)
     host.deliver("clock", clock(0), 0)
     for seq in range(5):
-        content = said("b", seq, n=10)
+        content = tracks_of("b", seq, n=10)
         host.deliver(KEY_B, codec.encode(content) if encode else content, 0)
-    content = said("a")
+    content = tracks_of("a")
     host.deliver(KEY_A, codec.encode(content) if encode else content, 0)
     assert host.rejected == {(KEY_B, "delayed"): 2}
     assert not host.failures, "receiving too much is not the node's own fault"
     host.deliver("clock", clock(1), 1)
     assert [out.key for out in outbox] == ["agent/b/tracks"] * 3 + ["agent/a/tracks"]
-    host.deliver(KEY_B, codec.encode(said("b", 9, n=30)) if encode else said("b", 9, n=28), 1)
+    host.deliver(KEY_B, codec.encode(tracks_of("b", 9, n=30)) if encode else tracks_of("b", 9, n=28), 1)
     assert host.rejected == {(KEY_B, "delayed"): 2}, "there is space again"
 
 
@@ -187,12 +187,12 @@ def handle_all(mesh: MeshNode) -> None:
 
 def test_messages_of_a_future_epoch_are_bounded_by_source(caplog: pytest.LogCaptureFixture) -> None:
     mesh = on_no_mesh(Relay())
-    big = codec.encode(said("b", n=20_000))
+    big = codec.encode(tracks_of("b", n=20_000))
     with caplog.at_level(logging.WARNING):
         for epoch in (2, 2, 2, 2, 9, 2**32 - 1):
             arrives(mesh, KEY_B, big, epoch)
             handle_all(mesh)
-    arrives(mesh, KEY_A, codec.encode(said("a")), 2)
+    arrives(mesh, KEY_A, codec.encode(tracks_of("a")), 2)
     handle_all(mesh)
     assert mesh.host.rejected == {(KEY_B, "early"): 4}
     assert len(caplog.records) == 1
@@ -203,10 +203,10 @@ def test_messages_of_a_future_epoch_are_bounded_by_source(caplog: pytest.LogCapt
 
 def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_per_source() -> None:
     mesh = on_no_mesh(Relay())
-    big = codec.encode(said("b", n=20_000))
+    big = codec.encode(tracks_of("b", n=20_000))
     for _ in range(30):
         arrives(mesh, KEY_B, big, 1)
-    arrives(mesh, KEY_A, codec.encode(said("a")), 1)
+    arrives(mesh, KEY_A, codec.encode(tracks_of("a")), 1)
     handle_all(mesh)
     fits = INBOX.bytes // len(big)
     assert fits < 10

@@ -96,7 +96,7 @@ def content(out: Outgoing) -> Message:
     return codec.decode(out.payload, "status") if isinstance(out.payload, bytes) else out.payload
 
 
-def said(outbox: list[Outgoing]) -> list[tuple[int, int]]:
+def sent_messages(outbox: list[Outgoing]) -> list[tuple[int, int]]:
     """(step, seq) of the messages that left."""
     return [(out.step, content(out).header.seq) for out in outbox if out.key == "out"]
 
@@ -179,7 +179,7 @@ def test_in_lock_step_a_message_leaves_in_the_frame_that_contains_its_due_time(
         clock(host, frame)
         if frame == 1:
             send(host, status(1))
-    assert said(outbox) == [(leaves, 1)]
+    assert sent_messages(outbox) == [(leaves, 1)]
     assert host.sent["out"] == host.handled["in"] == 1
 
 
@@ -193,7 +193,7 @@ def test_delayed_messages_leave_by_due_time_then_arrival_before_new_ones() -> No
     send(host, status(1, seq=2))  # due at 0.22
     send(host, status(2, seq=3))  # of the next frame: it has to wait
     clock(host, 2)
-    assert said(outbox) == [(2, 1), (2, 2), (2, 0), (2, 3)]
+    assert sent_messages(outbox) == [(2, 1), (2, 2), (2, 0), (2, 3)]
 
 
 def test_messages_due_at_once_leave_in_order_of_arrival() -> None:
@@ -202,7 +202,7 @@ def test_messages_due_at_once_leave_in_order_of_arrival() -> None:
     for seq in range(5):
         send(host, status(0, seq=seq))
     clock(host, 1)
-    assert said(outbox) == [(1, seq) for seq in range(5)]
+    assert sent_messages(outbox) == [(1, seq) for seq in range(5)]
 
 
 def test_a_missing_clock_does_not_block_delayed_messages() -> None:
@@ -210,7 +210,7 @@ def test_a_missing_clock_does_not_block_delayed_messages() -> None:
     clock(host, 0)
     send(host, status(0))
     clock(host, 3)
-    assert said(outbox) == [(3, 0)]
+    assert sent_messages(outbox) == [(3, 0)]
 
 
 def test_delayed_messages_leave_after_those_published_at_the_clock() -> None:
@@ -252,7 +252,7 @@ def test_in_real_time_a_message_leaves_at_its_due_time_not_at_a_clock() -> None:
     assert not outbox
     now.ns += 20_000_000
     assert host.release() is None
-    assert said(outbox) == [(1, 0)]
+    assert sent_messages(outbox) == [(1, 0)]
 
 
 def test_in_real_time_the_clock_advances_between_frames_from_the_first() -> None:
@@ -279,8 +279,8 @@ def test_each_message_leaves_once_and_not_before_its_due_time(plan: list[tuple[i
             if arrives == frame:
                 send(host, status(frame, seq=seq))
     expected = sorted((arrives + round(after * 1e9) // PERIOD_NS, seq) for seq, (arrives, after) in enumerate(order))
-    assert sorted(said(outbox)) == expected
-    assert [step for step, _ in said(outbox)] == sorted(step for step, _ in expected)
+    assert sorted(sent_messages(outbox)) == expected
+    assert [step for step, _ in sent_messages(outbox)] == sorted(step for step, _ in expected)
 
 
 @pytest.mark.parametrize("after_s", [-0.1, float("nan"), float("inf"), -float("inf"), 3601.0, 1e300])
@@ -291,7 +291,7 @@ def test_an_invalid_delay_costs_one_message(after_s: float, caplog: pytest.LogCa
     with caplog.at_level(logging.ERROR):
         send(host, status(0, seq=0))
     send(host, status(0, seq=1))
-    assert said(outbox) == [(0, 1)]
+    assert sent_messages(outbox) == [(0, 1)]
     assert host.failures["on_status"].count == 1
     assert "after_s: found" in caplog.text
 
@@ -337,4 +337,4 @@ def test_the_number_of_delayed_messages_is_limited(monkeypatch: pytest.MonkeyPat
     assert host.rejected == {("in", "delayed"): 2}
     assert not host.failures, "receiving too much is not the node's own fault"
     clock(host, 1)
-    assert said(outbox) == [(1, 0), (1, 1), (1, 2)]
+    assert sent_messages(outbox) == [(1, 0), (1, 1), (1, 2)]

@@ -29,9 +29,9 @@ ELSEWHERE = {"rogue", "two_hosts"}
 def recorded(folder: Path, name: str, *settings: str, frames: int = 60) -> Path:
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded, frames=frames, seed=1, record=True)
-    ended = launcher.run(resolved, folder, runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(resolved, folder, runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def results_in(folder: Path) -> dict[str, Any]:

@@ -561,11 +561,11 @@ def test_pictures_are_scored_for_as_long_as_agents_use_them() -> None:
     def hold(content: dict[str, Any]) -> None:
         content["agents"]["infra_*"] = AGENT | {"picture_age_s": 1.5}
 
-    def hold_and_say(content: dict[str, Any]) -> None:
+    def hold_longer_than_stated(content: dict[str, Any]) -> None:
         hold(content)
         content["evaluator"] = {**content["evaluator"], "picture_age_s": 0.2}
 
-    configs = [tiny(edit=edit).nodes["evaluator"].config for edit in (None, hold, hold_and_say)]
+    configs = [tiny(edit=edit).nodes["evaluator"].config for edit in (None, hold, hold_longer_than_stated)]
     names = ("picture_age_s", "picture_ages_s")
     assert [tuple(config.get(name) for name in names) for config in configs] == [
         (None, None),

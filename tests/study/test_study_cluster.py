@@ -33,11 +33,11 @@ def study_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def reference(study_file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The tables of the study run by one process, one trial after the other."""
-    ended = trials.run(definition.load(str(study_file)), tmp_path_factory.mktemp("reference") / "out", count=4)
-    return tables(ended.out)
+    outcome = trials.run(definition.load(str(study_file)), tmp_path_factory.mktemp("reference") / "out", count=4)
+    return tables(outcome.out)
 
 
-def until(condition: Callable[[], bool], what: str) -> None:
+def wait_until(condition: Callable[[], bool], what: str) -> None:
     """Poll until a condition holds."""
     pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
     while not condition():
@@ -62,7 +62,7 @@ def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
 ) -> None:
     out = tmp_path / "out"
     running = mast(*study(study_file, out, "--jobs", "2"), cwd=tmp_path)
-    until(lambda: len(list((out / "trials").glob("[!.]*"))) >= 2 if out.exists() else False, "two trials")
+    wait_until(lambda: len(list((out / "trials").glob("[!.]*"))) >= 2 if out.exists() else False, "two trials")
     workers = psutil.Process(running.pid).children(recursive=True)
     running.send_signal(stop)
     output, _ = running.communicate(timeout=DEADLINE_S)
@@ -123,7 +123,7 @@ def test_a_scheduler_and_two_workers_started_by_hand_run_the_study(
         str(where),
         cwd=tmp_path,
     ):
-        until(lambda: address_in(where) != "", "the scheduler")
+        wait_until(lambda: address_in(where) != "", "the scheduler")
         joined = ("worker", "--scheduler-file", str(where), "--nthreads", "1", "--no-dashboard", "--no-nanny")
         with dask(*joined, cwd=tmp_path), dask(*joined, cwd=tmp_path):
             running = mast(*study(study_file, tmp_path / "out", "--cluster", address_in(where)), cwd=tmp_path)

@@ -44,7 +44,7 @@ def built() -> str:
     return TAG
 
 
-def left(run: str) -> dict[str, list[str]]:
+def remnants_of(run: str) -> dict[str, list[str]]:
     """Remnants of a run: containers, networks, volumes."""
     label = f"label=org.mast-zenoh.run={run}"
     remnants = {"containers": docker.docker("ps", "--all", "--quiet", "--filter", label).split()}

@@ -92,11 +92,11 @@ def test_ids_are_sorted_and_unique(result):
 def test_filterpy_gives_the_same_tracks_and_picture(scene, result):
     frames = 60
     tracks, pictures = run(scene, FilterpyBoxTracker3D, pipeline(FilterpyBoxTracker3D), frames)
-    for mine, theirs in zip(result[1], pictures, strict=False):
-        assert_close(mine, theirs)
-    for mine_, theirs_ in zip(result[0], tracks, strict=False):
-        for mine, theirs in zip(mine_, theirs_, strict=True):
-            assert_close(mine, theirs)
+    for ours, reference in zip(result[1], pictures, strict=False):
+        assert_close(ours, reference)
+    for our_tracks, reference_tracks in zip(result[0], tracks, strict=False):
+        for ours, reference in zip(our_tracks, reference_tracks, strict=True):
+            assert_close(ours, reference)
 
 
 def assert_close(a: ObjectStates, b: ObjectStates) -> None:
@@ -114,8 +114,8 @@ def test_results_do_not_depend_on_the_order_of_arrival(scene, result):
     tracks, pictures = run(shuffled, KalmanBoxTracker3D, ShuffledPipeline(pipeline(), random), frames)
     for frame in range(frames):
         assert_same_bits(result[1][frame], pictures[frame])
-        for mine, theirs in zip(result[0][frame], tracks[frame], strict=True):
-            assert_same_bits(mine, theirs)
+        for ours, other in zip(result[0][frame], tracks[frame], strict=True):
+            assert_same_bits(ours, other)
 
 
 def shuffle(detections: Detections, random: np.random.Generator) -> Detections:
