@@ -32,7 +32,7 @@ BASES: dict[str, list[type]] = {
 }
 
 
-def of_ours(kind: str) -> list[Entry]:
+def shipped_entries(kind: str) -> list[Entry]:
     """The entries of a kind, without classes defined by other tests."""
     classes = {name: cls for base in BASES.get(kind, ()) for name, cls in registry.known_types(base).items()}
     foreign = {name for name, cls in classes.items() if not cls.__module__.startswith("mast_zenoh.")}
@@ -41,7 +41,7 @@ def of_ours(kind: str) -> list[Entry]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_entry_has_a_description(kind: str) -> None:
-    entries = of_ours(kind)
+    entries = shipped_entries(kind)
     assert entries
     for entry in entries:
         assert 15 < len(entry.description) < 250, f"{entry.name}: {entry.description!r}"

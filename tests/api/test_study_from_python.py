@@ -56,7 +56,7 @@ def test_a_study_without_trials_keeps_a_run_of_each_configuration(study_file: Pa
         _ = study.results
 
 
-def test_what_is_wrong_is_refused(study_file: Path, tmp_path: Path) -> None:
+def test_invalid_arguments_are_refused(study_file: Path, tmp_path: Path) -> None:
     for options, words in (
         (dict(n_adversary=2), "did you mean 'n_adversaries'"),
         (dict(trial=2), "did you mean 'trials'"),

@@ -130,8 +130,11 @@ def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path:
     run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--patience", "5")
     where = run.started()["nodes"]["infra_1"]["container"]
     networks = "{{len .NetworkSettings.Networks}}"
-    eventually(lambda: docker("inspect", "--format", networks, where).strip() == "0", "it is off its networks")
-    eventually(lambda: UP not in docker("exec", where, "ls", "/tmp"), "it has noticed")
+    eventually(
+        lambda: docker("inspect", "--format", networks, where).strip() == "0",
+        "infra_1 is disconnected from its networks",
+    )
+    eventually(lambda: UP not in docker("exec", where, "ls", "/tmp"), "the node has noticed")
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == 130, output
@@ -143,7 +146,7 @@ def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path:
 def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up) -> None:
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
     recording = run.out / "messages.mcap"
-    run.until(lambda: recording.is_file() and recording.stat().st_size > 20_000, "a recording that grows here")
+    run.until(lambda: recording.is_file() and recording.stat().st_size > 20_000, "the recording grows on this machine")
     record = run.record()
     inside = docker("exec", record["nodes"]["ego"]["container"], "stat", "-c", "%a %u", "/run/secrets/key.pem").split()
     assert inside == ["600", docker("exec", record["nodes"]["ego"]["container"], "id", "-u").strip()]
@@ -167,7 +170,7 @@ def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up)
 def test_nodes_of_a_killed_launcher_exit_and_down_removes_the_remainder(up) -> None:
     words = settings(("n_infrastructure=1",))
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", "--patience", "2", *words)
-    run.until(run.recorded, "the run goes on")
+    run.until(run.recorded, "the run continues")
     record = run.record()
     run.kill()
     label = f"label=org.mast-zenoh.run={record['id']}"

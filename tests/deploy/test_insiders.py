@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from besieged_run import NODES, Ended, play, resolved
+from compromised_run import NODES, Ended, play, resolved
 from decoders import refused
 
 from mast_zenoh import version

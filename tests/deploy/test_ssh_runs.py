@@ -81,7 +81,7 @@ def test_a_secure_run_on_three_hosts_equals_the_one_in_one_process(launch, hosts
     """With a router on one host, and with nodes that are killed and restarted."""
     steps = ((5, "kill", "infra_1"), (6, "leave", "infra_2"), (9, "start", "infra_2"), (10, "start", "infra_1"))
     run: Launched = launch('[router]\non = "beta"', secure="acl", frames=15, steps=steps)
-    keys = run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/credentials/*/key.pem")], "keys come to hosts")
+    keys = run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/credentials/*/key.pem")], "keys arrive on the hosts")
     modes = {stat.S_IMODE(os.stat(place).st_mode) for key in keys for place in (key.parent, key.parent.parent)}
     assert modes == {0o700}
     assert {stat.S_IMODE(os.stat(key).st_mode) for key in keys} == {0o600}
@@ -168,7 +168,7 @@ def test_remnants_of_a_killed_launchers_run_end_by_themselves(launch, hosts: Ssh
 
 def test_ctrl_c_during_startup_leaves_nothing_on_hosts(launch, hosts: SshHosts) -> None:
     run: Launched = launch(n_infrastructure=1, places={}, secure="acl")
-    run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/control")], "the first supervisor is there")
+    run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/control")], "the first supervisor is running")
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == Interrupted.exit_code, output

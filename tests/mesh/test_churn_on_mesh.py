@@ -110,7 +110,7 @@ def test_in_real_time_killed_nodes_restart_and_paused_nodes_resume(launch) -> No
             heard = [s for key, s in observer.samples if key == f"agent/{agent}/tracks"]
             return codec.decode(heard[-1].payload.to_bytes(), "tracks").header.frame if heard else -1
 
-        eventually(lambda: newest("infra_1") > 8 and newest("infra_2") > 8, "both are there again")
+        eventually(lambda: newest("infra_1") > 8 and newest("infra_2") > 8, "both nodes have returned")
     finally:
         observer.close()
     run.process.send_signal(signal.SIGINT)
@@ -130,7 +130,7 @@ def test_in_real_time_killed_nodes_restart_and_paused_nodes_resume(launch) -> No
 def wait_until_paused(run: Launched, node: str) -> None:
     """Wait until a node is suspended."""
     process = psutil.Process(run.started()["nodes"][node]["pid"])
-    eventually(lambda: process.status() == psutil.STATUS_STOPPED, f"{node} stands still")
+    eventually(lambda: process.status() == psutil.STATUS_STOPPED, f"{node} is suspended")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed launcher"])

@@ -67,7 +67,7 @@ def test_an_agent_with_policy_restart_returns_at_the_current_frame(launch, tmp_p
     record = at_frame(run, 15)
     observer = Observer(record, "agent/infra_2/tracks")
     try:
-        eventually(lambda: observer.samples, "infra_2 speaks")
+        eventually(lambda: observer.samples, "infra_2 publishes")
         os.kill(record["nodes"]["infra_2"]["pid"], signal.SIGKILL)
         code, output = run.end()
     finally:
@@ -150,7 +150,7 @@ def test_a_signal_while_nodes_start_ends_them(launch) -> None:
 def suspend(run: Launched, seconds: float) -> None:
     """Suspend the launcher, and with it the router, for a while."""
     run.process.send_signal(signal.SIGSTOP)
-    eventually(lambda: psutil.Process(run.process.pid).status() == psutil.STATUS_STOPPED, "it stands still")
+    eventually(lambda: psutil.Process(run.process.pid).status() == psutil.STATUS_STOPPED, "the launcher is suspended")
     threading.Event().wait(seconds)
     run.process.send_signal(signal.SIGCONT)
 

@@ -162,7 +162,7 @@ def test_the_recording_is_readable_whichever_node_is_killed(launch, tmp_path: Pa
     if victim == "launcher":
         run.kill()
         eventually(
-            lambda: (run.out / "messages.mcap").read_bytes().endswith(b"MCAP0\r\n"), "the recorder has closed it"
+            lambda: (run.out / "messages.mcap").read_bytes().endswith(b"MCAP0\r\n"), "the recorder has closed its file"
         )
     else:
         os.kill(record["nodes"]["recorder"]["pid"], signal.SIGKILL)

@@ -40,7 +40,7 @@ def test_messages_waiting_for_a_clock_or_an_epoch_use_bounded_memory(launch) -> 
     record = run.started()
     observer = Observer(record, "clock")
     try:
-        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        eventually(lambda: observer.frame() > 3, "frames are played")
         flood = observer.session.declare_publisher(
             observer.prefix + "agent/infra_1/tracks", congestion_control=zenoh.CongestionControl.BLOCK
         )
@@ -48,7 +48,7 @@ def test_messages_waiting_for_a_clock_or_an_epoch_use_bounded_memory(launch) -> 
         for number in range(MESSAGES):
             flood.put(payload, attachment=ATTACHMENT.pack(MARK, 1 + number % 2, LAST))
         after = observer.frame()
-        eventually(lambda: observer.frame() > after + 5, "what was sent has come")
+        eventually(lambda: observer.frame() > after + 5, "all messages have arrived")
         peaks = {name: peak_mb(node["pid"]) for name, node in run.record()["nodes"].items()}
     finally:
         observer.close()

@@ -77,7 +77,7 @@ def test_an_open_run_counts_the_unsigned_messages_it_obeyed(launch) -> None:
         session.put(f"mast/{record['id']}/@control/leave/evaluator", "leave")
         eventually(
             lambda: not psutil.pid_exists(record["nodes"]["evaluator"]["pid"]) or run.process.poll() is not None,
-            "it leaves",
+            "the node exits",
         )
     run.end()
     final_record = run.record()

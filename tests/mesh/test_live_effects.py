@@ -40,7 +40,7 @@ def test_an_inserted_node_is_measured_from_then_on_and_credited_alone(launch, tm
     run = launch("uncoordinated", *options, "--mode", "realtime", "--rate", "2", "--frames", "150")
     observer = Observer(run.started())
     try:
-        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        eventually(lambda: observer.frame() > 3, "frames are played")
         done = client.intercept(run.out, "agent/infra_1/tracks", str(tmp_path / "shover.py"), name="mallory")
         assert done["frame"] < 120, "time remains for the attack"
         code, output = run.end()

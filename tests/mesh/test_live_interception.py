@@ -39,7 +39,7 @@ def going(launch) -> Iterator[Callable[..., tuple[Launched, Observer]]]:
     def begin(*arguments: str) -> tuple[Launched, Observer]:
         run: Launched = launch(str(LIVE / "quiet.py"), *arguments)
         observers.append(Observer(run.started()))
-        eventually(lambda: observers[-1].frame() > 3, "the run is on its way")
+        eventually(lambda: observers[-1].frame() > 3, "frames are played")
         return run, observers[-1]
 
     yield begin
@@ -89,7 +89,7 @@ def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going)
         settings = ("keeps=True",) if i % 5 == 0 else ()
         interceptions = client.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
         reached = observer.frame() + 3
-        eventually(lambda reached=reached: observer.frame() >= reached, "messages pass it")
+        eventually(lambda reached=reached: observer.frame() >= reached, "messages pass through the node")
         assert interceptions["wires"] == [wire]
         assert client.release(run.out, name="mallory")["node"] == "mallory"
     record = stop(run)
@@ -107,7 +107,7 @@ def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going)
 def test_a_subscriber_sees_the_same_messages_with_and_without_the_node(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
     on = client.intercept(run.out, TRACKS, RELAY)
-    eventually(lambda: observer.frame() > on["frame"] + 10, "frames with it")
+    eventually(lambda: observer.frame() > on["frame"] + 10, "frames with the inserted node")
     stop(run)
     samples = [sample for key, sample in observer.samples if key == TRACKS]
     kinds = set()
@@ -155,7 +155,7 @@ def test_an_attack_started_during_the_run_deceives_and_is_reported(going) -> Non
     run, observer = going("--mode", "realtime", "--rate", "2")
     settings = ("attack.type=UncoordinatedAttack", "attack.start_s=0")
     on = client.intercept(run.out, DETECTIONS, "adversary.py", name="mallory", settings=settings)
-    eventually(lambda: any(key == "attack/mallory/report" for key, _ in observer.samples), "it attacks")
+    eventually(lambda: any(key == "attack/mallory/report" for key, _ in observer.samples), "the node attacks")
     stop(run)
     heard = read_table(run.out / "results" / "evaluator" / "heard.parquet")
     reports = heard["frame"][heard["wire"] == "attack/mallory/report"]
@@ -167,8 +167,10 @@ def test_a_wire_recovers_after_its_inserted_node_is_killed(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
     client.intercept(run.out, TRACKS, RELAY, name="mallory")
     os.kill(run.record()["nodes"]["mallory"]["pid"], signal.SIGKILL)
-    healed = eventually(lambda: [d for d in run.record()["interceptions"] if d["action"] == "heal"], "it heals")[0]
-    eventually(lambda: observer.frame() > healed["frame"] + 10, "frames without it")
+    healed = eventually(
+        lambda: [d for d in run.record()["interceptions"] if d["action"] == "heal"], "the wire recovers"
+    )[0]
+    eventually(lambda: observer.frame() > healed["frame"] + 10, "frames without the inserted node")
     stop(run)
     numbers = [codec.decode_header(s.payload.to_bytes(), "tracks").seq for k, s in observer.samples if k == TRACKS]
     after = [number for number in numbers if number > healed["frame"]]

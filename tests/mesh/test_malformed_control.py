@@ -182,7 +182,7 @@ def test_each_malformed_control_message_is_refused_and_counted_once_per_receiver
     run.started()
     sender = Sender(run, fuzzing.seed)
     try:
-        run.until(lambda: sender.observer.frame() >= 2, "everybody takes part")
+        run.until(lambda: sender.observer.frame() >= 2, "all nodes take part")
         for number in range(total):
             frames = 2 + number * (FRAMES - 2) // total  # all but the last
             if frames > sender.observer.frame():

@@ -127,7 +127,7 @@ def test_a_dead_relay_is_noticed(tmp_path: Path) -> None:
         assert namespaces.problem() is None
         relay = next(process for process in namespaces._processes if process.name == "relay_west")
         relay._process.kill()
-        eventually(namespaces.problem, "it is noticed", seconds=5.0)
+        eventually(namespaces.problem, "the death is noticed", seconds=5.0)
         assert "relay_west has ended" in str(namespaces.problem())
     assert left_by(os.getpid()) == []
 

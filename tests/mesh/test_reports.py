@@ -67,7 +67,7 @@ def test_malformed_reports_and_those_of_unknown_nodes_are_counted_and_ignored(me
     mesh.stranger.put(f"{CONTROL}/failed/nobody", sound)
     mesh.stranger.put(f"{CONTROL}/failed/ego", sound)
     taken: list[Report] = []
-    eventually(lambda: taken.extend(mesh.reports.take()) or taken, "the sound one")
+    eventually(lambda: taken.extend(mesh.reports.take()) or taken, "the valid report arrives")
     assert taken == [Report("ego", ENTRY)]
     assert mesh.children["ego"].ended == "exit code 0, but it handed in no results"
     forged = [
@@ -109,7 +109,7 @@ def test_results_of_a_process_replace_its_earlier_reports(mesh: Mesh) -> None:
         mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb([OUTCOME["process"], ENTRY | {"count": count}]))
     mesh.ask("ego", results.pack(OUTCOME | {"failures": [ENTRY | {"count": 5, "frames": 4}]}))
     taken: list[Report] = []
-    eventually(lambda: taken.extend(mesh.reports.take()) or len(taken) >= 2, "both")
+    eventually(lambda: taken.extend(mesh.reports.take()) or len(taken) >= 2, "both reports arrive")
     assert mesh.reports.by_node()["ego"]["failures"][0]["count"] == 5
 
 
@@ -147,6 +147,7 @@ def test_failure_counts_of_a_node_are_limited(mesh: Mesh) -> None:
     taken: list[Report] = []
     refused = 300 - MAX_HANDLERS
     eventually(
-        lambda: taken.extend(mesh.reports.take()) or mesh.invalid.counts["failed/ego"] == refused, "all have come"
+        lambda: taken.extend(mesh.reports.take()) or mesh.invalid.counts["failed/ego"] == refused,
+        "all reports have arrived",
     )
     assert len(taken) == MAX_HANDLERS

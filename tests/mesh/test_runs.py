@@ -215,4 +215,4 @@ def test_the_terminal_display_is_plain_lines_without_a_terminal(launch) -> None:
     assert "\x1b[" not in output
     assert "FN" in output
     assert str(run.out) in output.replace("\n", "")
-    eventually(lambda: run.process.poll() is not None, "it has ended")
+    eventually(lambda: run.process.poll() is not None, "the run has ended")

@@ -152,7 +152,7 @@ def test_the_router_forwards_what_the_wiring_permits_and_refuses_anything_else()
             a.put("mast/r/*", b"to all")
             a.delete("mast/r/w")
             publisher.put(b"true")  # behind the others, on the same link
-            eventually(lambda: heard, "what is allowed has come", 5.0)
+            eventually(lambda: heard, "all permitted messages have arrived", 5.0)
             for subscriber in subscribers:
                 subscriber.undeclare()
     # The router knows one subscriber of four; the others in the same session hear what is sent to it.
@@ -187,8 +187,8 @@ def test_a_remote_launcher_controls_a_run_as_a_client_of_its_router() -> None:
                 eventually(lambda p=publisher: p.matching_status.matching, f"{publisher.key_expr} is heard", 5.0)
                 publisher.put(b"")
             alive = b.liveliness().declare_token("mast/r/alive/b")
-            eventually(lambda: len(come) == 2, "driver and launcher see who is there", 5.0)
-            eventually(lambda: len(heard) == len(pairs), "all of it has come", 5.0)
+            eventually(lambda: len(come) == 2, "driver and launcher see all nodes", 5.0)
+            eventually(lambda: len(heard) == len(pairs), "all messages have arrived", 5.0)
             for session, whose, taken in ((b, "b", [b"taken"]), (b, "a", [])):
                 replies = session.get(f"mast/r/@control/result/{whose}", payload=b"x", timeout=2.0)
                 assert [r.ok.payload.to_bytes() for r in replies if r.ok is not None] == taken, whose

@@ -436,7 +436,7 @@ def test_random_streams_depend_on_seed_node_and_purpose() -> None:
     assert not np.array_equal(drawn, host.rng("noise", 4).random(4))
 
 
-def test_a_node_is_told_of_other_nodes_before_the_first_frame_and_later() -> None:
+def test_a_node_is_informed_of_other_nodes_before_the_first_frame_and_later() -> None:
     class Watcher(Node):
         def __init__(self) -> None:
             self.saw: list[tuple[str, ...]] = []

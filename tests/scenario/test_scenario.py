@@ -420,7 +420,7 @@ WRONG_NODES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "a type": (lambda s: s["broker"].update(type="Broke"), "defines no node 'Broke'; did you mean 'Broker'"),
     "a type that is a number": (lambda s: s["broker"].update(type=3), "type is 3, expected the name of a node"),
-    "a role that is nobody's": (lambda s: s.update(nodes=dict(x=dict(role="spy"))), r"x: no node file 'spy\.py'"),
+    "an unknown role": (lambda s: s.update(nodes=dict(x=dict(role="spy"))), r"x: no node file 'spy\.py'"),
     "no role": (lambda s: s.update(nodes=dict(x=dict())), "x: no node file"),
 }
 WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {

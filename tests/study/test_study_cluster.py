@@ -41,7 +41,7 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
     """Poll until a condition holds."""
     pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
     while not condition():
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        assert time.monotonic() < deadline, f"timed out waiting for {what}"
         pause.wait(0.02)
 
 

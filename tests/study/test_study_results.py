@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pyarrow
 import pytest
-from made_outcomes import FRAMES, outcome, study
 from pyarrow import parquet
+from synthetic_outcomes import FRAMES, outcome, study
 
 from mast_zenoh.launch.tables import to_arrow
 from mast_zenoh.study import results

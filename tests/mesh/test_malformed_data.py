@@ -36,7 +36,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launc
     record = run.started()
     observer = Observer(record, "clock")
     try:
-        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        eventually(lambda: observer.frame() > 3, "frames are played")
         wiring = Wiring.from_json(json.loads((run.out / "wiring.json").read_text()))
         hearers = {leg.key: len(leg.subscribers) for _, leg in wiring.legs()}
         sent = dict.fromkeys(hearers, 0)
@@ -51,7 +51,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launc
             publishers[key].put(next(payloads))
             sent[key] += 1
         after = observer.frame()
-        eventually(lambda: observer.frame() > after + 60, "everything has been heard")
+        eventually(lambda: observer.frame() > after + 60, "all messages have arrived")
     finally:
         observer.close()
     run.process.send_signal(signal.SIGINT)
@@ -79,13 +79,13 @@ def test_foreign_messages_are_recorded_unchanged_and_marked(launch) -> None:
     observer = Observer(record, "clock")
     sent = garbage(500)
     try:
-        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        eventually(lambda: observer.frame() > 3, "frames are played")
         publisher = observer.session.declare_publisher(
             observer.prefix + "cc/picture", congestion_control=zenoh.CongestionControl.BLOCK
         )
         for payload in sent:
             publisher.put(payload)
-        eventually(lambda: observer.frame() >= 30, "the run goes on")
+        eventually(lambda: observer.frame() >= 30, "the run continues")
     finally:
         observer.close()
     code, output = run.end()
