@@ -72,7 +72,7 @@ def resolved(folder: Path) -> Resolved:
 
 
 @dataclass
-class Ended:
+class RunOutcome:
     """Exit code, console, run.json, peak memory by process in MiB, and stray files."""
 
     code: int
@@ -107,7 +107,7 @@ def play(
     insiders: Mapping[str, Insider],
     again: Mapping[str, Insider] | None = None,
     seconds: float = 150.0,
-) -> Ended:
+) -> RunOutcome:
     """Run it in a process with new home, working and temporary folders.
 
     insiders: by compromised node its action while the run is held
@@ -141,7 +141,7 @@ def play(
     text = (folder / "console").read_text(errors="replace")
     assert (folder / "peaks").is_file(), text
     record, peaks = (json.loads(path.read_text()) for path in (folder / "run/run.json", folder / "peaks"))
-    return Ended(code, text, folder / "run", record, peaks, strays)
+    return RunOutcome(code, text, folder / "run", record, peaks, strays)
 
 
 def _be_the_insiders(

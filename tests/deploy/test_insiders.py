@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from compromised_run import NODES, Ended, play, resolved
+from compromised_run import NODES, RunOutcome, play, resolved
 from decoders import refused
 
 from mast_zenoh import version
@@ -68,7 +68,7 @@ def metrics(folder: Path, *without: str) -> dict[str, Any]:
     return {name: part for name, part in content.items() if name not in without}
 
 
-def assert_equal_to_twin(twin: Path, ended: Ended, *without: str) -> None:
+def assert_equal_to_twin(twin: Path, ended: RunOutcome, *without: str) -> None:
     """Assert that messages and metrics equal the twin's, except keys in `without`."""
     assert compare(twin, ended.folder, taps=True).first is None
     assert metrics(twin, *without) == metrics(ended.folder, *without)

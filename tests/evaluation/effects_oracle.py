@@ -94,7 +94,7 @@ def _of_passage(
             continue
         pairs += [(frame, seq, *pair) for pair in zip_longest(came, went)]
     lateness = [went[0].step - came[0].step for _, _, came, went in pairs if came and went]
-    # One late message excuses no others: a delay is usual when a twentieth of all messages are as late.
+    # A delay is usual when a twentieth of all messages are as late: one late message is not enough.
     usual = max((late for late in lateness if 20 * sum(each >= late for each in lateness) >= len(arrivals)), default=0)
     for frame, seq, came, went in pairs:
         number = {"frame": frame, "seq": seq}
@@ -104,7 +104,7 @@ def _of_passage(
                 damaged.remove(copies[0])
                 yield number | {"effect": "corrupted"}
             else:
-                # A message that may still be under way when the run ends is neither delivered nor dropped.
+                # A message still in transit when the run ends is neither delivered nor dropped.
                 known = came[0].step + usual <= last
                 yield number | {"effect": "dropped" if known else "unsettled"}
         elif came is None:

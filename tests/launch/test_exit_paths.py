@@ -22,7 +22,7 @@ RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "30", "--no-report"
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
-class Ended:
+class FinishedCommand:
     """A finished command: its exit code, output and folder."""
 
     def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
@@ -72,7 +72,7 @@ def no_larger_than(size: int) -> Callable[[], None]:
 
 
 def test_a_signal_before_the_run_folder_exists_leaves_nothing(out: Path) -> None:
-    Ended(out, at("loading", "SIGTERM")).assert_matches(ending("signal before the run folder exists"))
+    FinishedCommand(out, at("loading", "SIGTERM")).assert_matches(ending("signal before the run folder exists"))
     assert not out.exists()
 
 
@@ -85,7 +85,7 @@ def test_a_signal_while_the_command_line_is_imported_prints_one_line(out: Path) 
         "        if name == 'mast_zenoh.cli.app': signal.raise_signal(signal.SIGINT)\n"
         "sys.meta_path.insert(0, Raiser()); process.main()"
     )
-    outcome = Ended(out, (sys.executable, "-c", script, *RUN))
+    outcome = FinishedCommand(out, (sys.executable, "-c", script, *RUN))
     outcome.assert_matches(ending("signal before the run folder exists"))
     assert "error: Interrupted" in outcome.text
 
@@ -107,36 +107,38 @@ with mock.patch("mast_zenoh.scenario.resolve", make) if when == "resolving" else
 @pytest.mark.parametrize("when", ["mast_zenoh.launch.stop_signals", "mast_zenoh.cli.app", "resolving"])
 def test_a_signal_while_a_class_is_created_prints_one_line(out: Path, when: str) -> None:
     """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
-    outcome = Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
+    outcome = FinishedCommand(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
     outcome.assert_matches(ending("signal before the run folder exists"))
 
 
 def test_a_signal_while_nodes_start(out: Path) -> None:
-    Ended(out, at("starting", "SIGHUP")).assert_matches(ending("signal while nodes start"))
+    FinishedCommand(out, at("starting", "SIGHUP")).assert_matches(ending("signal while nodes start"))
 
 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_a_signal_while_the_scene_is_played_keeps_results_and_draws_the_report(out: Path, name: str) -> None:
     run = with_report() if name == "SIGINT" else RUN
-    Ended(out, at("playing", name, run=run)).assert_matches(ending("signal while the scene is played"))
+    FinishedCommand(out, at("playing", name, run=run)).assert_matches(ending("signal while the scene is played"))
     assert json.loads((out / "metrics.json").read_text())["frames"] == 3
     assert (out / "report.html").is_file() == (name == "SIGINT")
 
 
 @pytest.mark.parametrize("names", [("SIGINT", "SIGINT"), ("SIGHUP", "SIGTERM", "SIGINT")])
 def test_a_second_signal_while_the_scene_is_played(out: Path, names: tuple[str, ...]) -> None:
-    Ended(out, at("playing", *names)).assert_matches(ending("second signal while the scene is played"))
+    FinishedCommand(out, at("playing", *names)).assert_matches(ending("second signal while the scene is played"))
 
 
 @pytest.mark.parametrize("names", [("SIGTERM",), ("SIGINT", "SIGTERM")])
 def test_a_signal_while_results_are_collected_costs_the_report(out: Path, names: tuple[str, ...]) -> None:
-    Ended(out, at("collecting", *names, run=with_report())).assert_matches(ending("signal while results are collected"))
+    FinishedCommand(out, at("collecting", *names, run=with_report())).assert_matches(
+        ending("signal while results are collected")
+    )
     assert (out / "metrics.parquet").is_file()
     assert not (out / "report.html").exists()
 
 
 def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
-    outcome = Ended(out, at("reporting", "SIGINT", run=with_report()))
+    outcome = FinishedCommand(out, at("reporting", "SIGINT", run=with_report()))
     outcome.assert_matches(ending("signal while the report is drawn"))
     assert f"mast report {out}" in outcome.text.replace("\n", "")
     assert (out / "metrics.json").is_file()
@@ -154,7 +156,7 @@ def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
     ],
 )
 def test_a_launcher_killed_at_any_stage_leaves_readable_results(out: Path, stage: str, what: str) -> None:
-    Ended(out, at(stage, "SIGKILL", run=with_report())).assert_matches(ending(what))
+    FinishedCommand(out, at(stage, "SIGKILL", run=with_report())).assert_matches(ending(what))
     assert out.exists() == (stage != "loading")
     if stage in ("playing", "collecting", "reporting"):
         report = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
@@ -163,7 +165,9 @@ def test_a_launcher_killed_at_any_stage_leaves_readable_results(out: Path, stage
 
 
 def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
-    outcome = Ended(out, at("playing", "SIGHUP"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    outcome = FinishedCommand(
+        out, at("playing", "SIGHUP"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    )
     outcome.assert_matches(Ending("ok", 0))
 
 
@@ -175,7 +179,7 @@ def test_a_closed_pipe_does_not_end_a_run(out: Path, stream: str, what: str) -> 
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        outcome = Ended(out, (*MAST, *RUN), **{stream: writing})
+        outcome = FinishedCommand(out, (*MAST, *RUN), **{stream: writing})
     finally:
         os.close(writing)
     outcome.assert_matches(ending(what))
@@ -185,19 +189,19 @@ def test_a_closed_pipe_does_not_end_a_run(out: Path, stream: str, what: str) -> 
 def test_a_closed_stream_does_not_end_a_run_and_its_descriptor_is_not_reused(
     out: Path, descriptors: tuple[int]
 ) -> None:
-    outcome = Ended(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
+    outcome = FinishedCommand(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
     outcome.assert_matches(ending("standard output or error closed (`>&-`)"))
 
 
 def test_standard_output_on_a_full_disk_is_an_error_but_the_run_is_kept(out: Path) -> None:
     with Path("/dev/full").open("w") as full:
-        outcome = Ended(out, (*MAST, *RUN), stdout=full)
+        outcome = FinishedCommand(out, (*MAST, *RUN), stdout=full)
     outcome.assert_matches(ending("standard output on a full disk (`> /dev/full`)"))
     assert "standard output: No space left on device" in outcome.text
 
 
 def test_an_already_full_disk_leaves_no_run_folder(out: Path) -> None:
-    outcome = Ended(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
+    outcome = FinishedCommand(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
     outcome.assert_matches(ending("disk full while the run folder is made"))
     assert f"error: DiskFull: {out}: File too large: a run cannot begin there" in " ".join(outcome.text.split())
     assert not any(out.iterdir())
@@ -205,7 +209,7 @@ def test_an_already_full_disk_leaves_no_run_folder(out: Path) -> None:
 
 def test_a_recording_that_outgrows_the_disk_fails_the_run_and_keeps_its_results(out: Path) -> None:
     command = [word if word != "30" else "120" for word in (*MAST, *RUN)]
-    outcome = Ended(out, command, preexec_fn=no_larger_than(2_200_000))
+    outcome = FinishedCommand(out, command, preexec_fn=no_larger_than(2_200_000))
     outcome.assert_matches(ending("disk full while the scene is played"))
     assert "messages.mcap: cannot be written: File too large" in outcome.text
     assert (out / "metrics.parquet").is_file()
@@ -225,7 +229,7 @@ def test_a_disk_without_a_free_byte_is_reported_and_leaves_no_partial_table(
     tiny_disk: Path, stage: str, what: str
 ) -> None:
     out = tiny_disk / "run"
-    outcome = Ended(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
+    outcome = FinishedCommand(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
     outcome.assert_matches(ending(what))
     assert "error: DiskFull" in outcome.text
     whole = [path for path in out.glob("*.parquet") if path.read_bytes()[-4:] != b"PAR1"]
@@ -261,7 +265,7 @@ def test_an_internal_error_is_shown_with_its_traceback_and_fails_the_run(out: Pa
         "from mast_zenoh.__main__ import main\n"
         "main()"
     )
-    outcome = Ended(out, (sys.executable, "-c", script, *RUN))
+    outcome = FinishedCommand(out, (sys.executable, "-c", script, *RUN))
     assert (outcome.status, outcome.code) == ending("defect in the launcher")
     assert "ZeroDivisionError" in json.loads((out / "run.json").read_text())["message"]
     assert "Traceback" in outcome.text
@@ -269,7 +273,9 @@ def test_an_internal_error_is_shown_with_its_traceback_and_fails_the_run(out: Pa
 
 @pytest.mark.parametrize("backend", ["bogus", "tkagg"])
 def test_a_report_needs_no_display_and_no_valid_mplbackend(out: Path, backend: str) -> None:
-    Ended(out, (*MAST, *with_report()), env={**os.environ, "MPLBACKEND": backend}).assert_matches(Ending("ok", 0))
+    FinishedCommand(out, (*MAST, *with_report()), env={**os.environ, "MPLBACKEND": backend}).assert_matches(
+        Ending("ok", 0)
+    )
     assert (out / "report.html").is_file()
 
 
@@ -280,7 +286,7 @@ def test_a_path_that_the_locale_cannot_encode_is_accepted(tmp_path: Path, utf8: 
         "from mast_zenoh.config import loading\n_, scenario = loading.function('scenarios', 'baseline', 'scenario')\n"
     )
     ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": utf8, "PYTHONCOERCECLOCALE": "0"}
-    outcome = Ended(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)
+    outcome = FinishedCommand(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)
     outcome.assert_matches(Ending("ok", 0))
     assert (outcome.out / "report.html").is_file()
 
@@ -301,7 +307,7 @@ def test_every_row_of_the_table_has_a_test() -> None:
 
 def test_a_stopped_study_reports_it(tmp_path: Path) -> None:
     command = (*STAGED, "collecting", "SIGTERM", "--", "study", "case_study", "--runtime", "inproc", "--frames", "4")
-    outcome = Ended(tmp_path / "study", (*command, "--out"))
+    outcome = FinishedCommand(tmp_path / "study", (*command, "--out"))
     assert outcome.code == 130, outcome.text
     assert "Traceback" not in outcome.text
     assert json.loads((tmp_path / "study" / "study.json").read_text())["status"] == "interrupted"

@@ -126,6 +126,6 @@ def test_objects_with_returns_are_in_view() -> None:
     lidar = LidarSensor.infrastructure()
     points = lidar_points(lidar, pole, down, position, size, yaw)
     seen = in_view(position, pole, down, lidar)
-    # At the edge of the view a part of a box may be seen without its centre.
+    # At the edge of the view a box may be partly visible without its centre.
     assert (points[~seen] > 0).sum() <= 0.1 * (points > 0).sum()
     assert (points[seen] > 0).mean() > 0.7

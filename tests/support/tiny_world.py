@@ -179,7 +179,7 @@ class Bench:
         self._seq: dict[str, int] = defaultdict(int)
 
     def key(self, port: str, subject: str | None = None) -> str:
-        """The key on which the node hears a port."""
+        """The key of an input port of the node."""
         (key,) = (
             key for key, hears in self.ports.inputs.items() if hears.port == port and subject in (None, hears.subject)
         )
@@ -199,12 +199,12 @@ class Bench:
         return self._collect()
 
     def send(self, port: str, body: dict[str, Any], frame: int, *, subject: str | None = None, step: int | None = None):
-        """`message` and `deliver` in one, by port."""
+        """Make and deliver a message by port."""
         key = self.key(port, subject)
         return self.deliver(key, self.message(key, body, frame), step=step)
 
     def hear(self, key: str, body: dict[str, Any], frame: int, *, step: int | None = None, **header: Any) -> None:
-        """`message` and `deliver` in one, by key: for a node that hears every key."""
+        """Make and deliver a message by key, for nodes that hear every key."""
         self.deliver(key, self.message(key, body, frame, **header), step=step)
 
     def clock(self, frame: int) -> list[tuple[str, Message]]:
