@@ -17,7 +17,7 @@ RUBBISH = (b"", b"\xc1", b"\x93", b"\xff" * 40, msgpack.packb([]), msgpack.packb
 
 
 def send(node: MeshNode) -> None:
-    """All invalid messages that a node may send, results first."""
+    """Send all invalid messages that a node may send, results first."""
     control = f"{node._prefix}/@control"
     outcome = {
         "results": {

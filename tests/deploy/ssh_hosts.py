@@ -35,9 +35,9 @@ def require() -> None:
 
 
 class SshHosts:
-    """Context manager. inside: command prefix that runs on the launcher's host.
+    """Three hosts; inside: command prefix that runs on the launcher's host.
 
-    folder: holds all files of the hosts; full: use a file system with almost no free space
+    folder: holds all files of the hosts; full: a file system with almost no free space
     """
 
     def __init__(self, folder: Path) -> None:
@@ -79,7 +79,7 @@ class SshHosts:
         self._stack.close()
 
     def hosts_toml(self, name: str, text: str = "", **of: str) -> Path:
-        """Write a hosts file; text: before the hosts; of: extra settings of hosts."""
+        """Write a hosts file; text: at its start; of: settings by host."""
         lines = [f'{text}\n[defaults]\nuser = "root"\nkey = "{self.folder}/user"\nknown_hosts = "{self.known_hosts}"']
         lines += [f'python = "{sys.executable}"']
         for host in NAMES:
@@ -91,7 +91,7 @@ class SshHosts:
         return path
 
     def home(self, host: str) -> Path:
-        """The folder of a host with the package's files."""
+        """The folder of a host for files of the package and of runs."""
         return self.folder / f"{host}_home"
 
     def swap_keys(self, host: str, other: str) -> Path:

@@ -70,7 +70,7 @@ class Causes:
         return by_kind
 
     def shown(self, row: Row) -> bool:
-        """The adversaries that insert an object where a false track is."""
+        """Whether an adversary inserted an object at a false track, in its frame."""
         return any(
             math.dist((attack["after_x"], attack["after_y"]), (row["x"], row["y"])) <= LIE_M
             and reaches(attack, row["agent"], row["estimator"])

@@ -30,7 +30,7 @@ def worlds():
 
 
 def bench(worlds, wire: str, **attack: Any) -> Bench:
-    """The adversary on one wire of infra_1, or with an attack on each of two."""
+    """The adversary of the world for this wire, with changed attack parameters."""
     return Bench(worlds[wire], "adversary_1", attack=ATTACK | attack)
 
 

@@ -33,7 +33,7 @@ Draw = Callable[[np.random.Generator, int, int, int], tuple[Floats, float]]
 class World:
     """A distribution of outcomes: its name, generator and interval.
 
-    scenes: smallest number with an interval; claimed: smallest number of seeds that covers 93 to 97 %, None: never
+    scenes: numbers of scenes with an interval; claimed: smallest number of seeds that covers 93 to 97 %, None: never
     """
 
     name: str
