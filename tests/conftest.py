@@ -1,4 +1,4 @@
-"""What holds for all tests."""
+"""Options and fixtures for all tests."""
 
 import signal
 import subprocess
@@ -12,16 +12,16 @@ from fuzzing import Fuzzing
 from hypothesis import HealthCheck, settings
 from launched import Launched
 
-# How long an example takes says something about the machine, not about the code.
+# The duration of an example depends on the machine, not on the code.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 
-# Whoever starts the tests under nohup has all commands inherit that a hangup is ignored.
+# Under nohup all commands would inherit that hangups are ignored.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that start processes come first: they wait for most of their time, and others fill it."""
+    """Run tests that start processes first: they mostly wait, others fill the time."""
     items.sort(key=lambda item: item.get_closest_marker("mesh") is None)
 
 
@@ -36,15 +36,15 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
 
 @pytest.fixture
 def fuzzing(request: pytest.FixtureRequest) -> Fuzzing:
-    """How many malformed messages a fuzz test sends, and from which seed."""
+    """Number and seed of the malformed messages that fuzz tests send."""
     return Fuzzing(request.config.getoption("fuzz"), request.config.getoption("fuzz_seed"))
 
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Launched]]:
-    """Starts runs by command, each in a folder of its own; kills those that the test has left running.
+    """Starts runs by command in their own folders; kills those still running.
 
-    afterwards: called with each when it has ended
+    afterwards: called with each run after its end
     """
     numbers = count()
     with ExitStack() as stack:
@@ -62,7 +62,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Launched]]:
 
 @pytest.fixture
 def tiny_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 3 MB, which a short run almost fills; skips the test where none can be mounted."""
+    """A disk of 3 MB, almost filled by a short run; skips where not mountable."""
     place = tmp_path / "disk"
     place.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(place)], capture_output=True)
@@ -76,7 +76,7 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Scenes prepared by tests do not touch the user's cache, nor come from it; processes inherit it."""
+    """Scenes of tests use their own cache, also in child processes."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))

@@ -1,4 +1,4 @@
-"""What the documentation says is what the code does."""
+"""The documentation agrees with the code."""
 
 import re
 from pathlib import Path
@@ -28,13 +28,13 @@ def test_the_error_tree_is_printed_in_its_module() -> None:
         assert f" {error.exit_code} " in (errors.__doc__ or ""), error
 
 
-def test_every_page_that_a_page_links_to_is_there() -> None:
+def test_linked_pages_exist() -> None:
     for page in (*DOCS.glob("*.md"), DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md"):
         for target in re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
-def test_every_heading_that_a_page_links_to_is_there() -> None:
+def test_linked_headings_exist() -> None:
     pages = (*DOCS.glob("*.md"), *DOCS.parent.glob("*.md"))
     headings = {page.resolve(): headings_of(page.read_text(encoding="utf-8")) for page in pages}
     for page in pages:
@@ -44,7 +44,7 @@ def test_every_heading_that_a_page_links_to_is_there() -> None:
 
 
 def headings_of(text: str) -> set[str]:
-    """The anchors of a page, as GitHub makes them of its headings."""
+    """The anchors of a page's headings, as made by GitHub."""
     prose = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
     titles = re.findall(r"^#+ (.*)$", prose, flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}

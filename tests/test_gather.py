@@ -1,4 +1,4 @@
-"""What is gathered depends on the set of messages, never on their order."""
+"""Gathering depends on the set of messages, never on their order."""
 
 import itertools
 
@@ -24,7 +24,7 @@ def test_a_gathered_frame_does_not_depend_on_the_order_of_its_items(items: list,
     assert outcome(items) == outcome(shuffled)
 
 
-def test_a_frame_is_complete_when_all_members_have_sent_an_item() -> None:
+def test_a_frame_is_complete_when_all_members_have_contributed() -> None:
     gather: Gather[str, int] = Gather({"pose", "detections"})
     assert gather.add(0, "pose", 1) is None
     assert gather.add(0, "detections", 2) == {"pose": 1, "detections": 2}
@@ -35,11 +35,11 @@ def test_an_incomplete_frame_expires_at_the_next_clock() -> None:
     gather.add(0, "a", 1)
     assert list(gather.expired(0)) == []
     assert list(gather.expired(1)) == [(0, {"a": 1})]
-    assert gather.add(0, "b", 2) is None, "what comes later is too late"
+    assert gather.add(0, "b", 2) is None, "later items are too late"
     assert list(gather.expired(9)) == []
 
 
-def test_a_second_item_of_one_member_is_left_out_and_counted() -> None:
+def test_a_second_item_of_a_member_is_ignored_and_counted() -> None:
     gather: Gather[str, int] = Gather({"a", "b"})
     gather.add(0, "a", 1)
     gather.add(0, "a", 9)
@@ -48,7 +48,7 @@ def test_a_second_item_of_one_member_is_left_out_and_counted() -> None:
 
 
 @given(st.permutations(list(range(6))), st.integers(0, 7))
-def test_the_latest_before_a_frame_does_not_depend_on_order_nor_on_the_frame_itself(order: list, frame: int) -> None:
+def test_the_latest_item_before_a_frame_is_independent_of_order_and_of_the_frame(order: list, frame: int) -> None:
     latest: LatestBefore[int] = LatestBefore()
     for item in order:
         latest.add(item, item)
@@ -94,7 +94,7 @@ def test_items_after_their_batch_count_as_late() -> None:
     assert buffer.pop(20) == {}
 
 
-def test_a_duplicate_changes_nothing_and_is_not_late_whenever_it_comes() -> None:
+def test_a_duplicate_changes_nothing_and_is_never_late() -> None:
     buffer: CollationBuffer[str] = CollationBuffer()
     assert buffer.push("ego", 10, "first")
     assert not buffer.push("ego", 10, "second")
@@ -115,18 +115,18 @@ def test_a_duplicate_of_a_waiting_item_is_recognised() -> None:
     assert buffer.pop(10**9) == {"ego": incomparable}
 
 
-def test_the_newest_earlier_item_is_the_one_about_the_latest_frame() -> None:
+def test_the_newest_earlier_item_refers_to_the_latest_frame() -> None:
     latest: LatestBefore[str] = LatestBefore()
     latest.add(5, "of 5")
     latest.add(6, "of 3, held up", about=3)
     assert latest.get(7) == (5, "of 5")
     latest.add(7, "of 6", about=6)
-    assert latest.get(7) == (5, "of 5"), "what comes in this frame counts from the next"
+    assert latest.get(7) == (5, "of 5"), "items of this frame count from the next"
     assert latest.get(8) == (7, "of 6")
 
 
 @pytest.mark.parametrize("order", list(itertools.permutations([(1, "a"), (3, "b"), (2, "c")])))
-def test_of_several_items_in_a_frame_the_one_about_the_latest_is_kept(order: tuple) -> None:
+def test_the_item_about_the_latest_frame_is_kept(order: tuple) -> None:
     latest: LatestBefore[str] = LatestBefore()
     for about, item in order:
         latest.add(4, item, about=about)
@@ -134,7 +134,7 @@ def test_of_several_items_in_a_frame_the_one_about_the_latest_is_kept(order: tup
     assert latest.get(5) == (4, "b")
 
 
-def test_a_frame_is_complete_with_the_items_of_all_agents_for_that_frame() -> None:
+def test_a_frame_is_complete_with_items_of_all_agents() -> None:
     buffer: CollationBuffer[str] = CollationBuffer()
     buffer.push("a", 3, "of a")
     assert buffer.complete(3, {"a"})

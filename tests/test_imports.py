@@ -1,4 +1,4 @@
-"""Imports run one way, down the list of layers, and in no circle; nodes and algorithms stay free of I/O."""
+"""Imports follow the layers without cycles; algorithms do no I/O."""
 
 import ast
 from pathlib import Path
@@ -15,7 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 
 def imported(path: Path) -> set[str]:
-    """Full names of the modules that a file imports anywhere."""
+    """Full names of all modules that a file imports."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -26,13 +26,13 @@ def imported(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_run_down(path: Path) -> None:
+def test_imports_point_down_the_layers(path: Path) -> None:
     own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    assert own in RANK, f"{own} has no place in the list"
+    assert own in RANK, f"{own} is not in the list of layers"
     for name in imported(path):
         parts = name.split(".")
         if parts[0] == "mast_zenoh" and len(parts) > 1 and parts[1] in RANK:
-            assert RANK[parts[1]] >= RANK[own], f"imports {name}, which stands above it"
+            assert RANK[parts[1]] >= RANK[own], f"imports {name}, which is in a higher layer"
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_imports_run_down(path: Path) -> None:
     ids=lambda path: path.relative_to(ROOT).as_posix(),
 )
 def test_no_module_imports_from_the_public_api(path: Path) -> None:
-    """`import mast_zenoh` and `from mast_zenoh import run` are for users: the API is the top layer."""
+    """`import mast_zenoh` is for users: the API is the top layer."""
     assert FILES[0] == PACKAGE / "__init__.py"
     for name in imported(path):
         parts = name.split(".")
@@ -53,13 +53,13 @@ def test_no_module_imports_from_the_public_api(path: Path) -> None:
 
 
 def module_of(path: Path) -> str:
-    """The name by which a file is imported."""
+    """The name under which a file is imported."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def imported_modules(path: Path, modules: set[str]) -> set[str]:
-    """The modules of the package that a file imports anywhere, for type checking only as well."""
+    """All modules of the package that a file imports, also for type checking."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -72,22 +72,22 @@ def imported_modules(path: Path, modules: set[str]) -> set[str]:
 
 
 def cycles(graph: dict[str, set[str]]) -> list[set[str]]:
-    """The strongly connected components of more than one module."""
+    """The strongly connected components with more than one module."""
 
     def reached(start: str) -> set[str]:
-        found, waiting = set[str](), [start]
+        modules, waiting = set[str](), [start]
         while waiting:
-            new = graph[waiting.pop()] - found
-            found |= new
+            new = graph[waiting.pop()] - modules
+            modules |= new
             waiting += new
-        return found
+        return modules
 
     reach = {name: reached(name) for name in graph}
     circles = {frozenset(other for other in reach[name] if name in reach[other]) for name in graph}
     return [set(circle) for circle in circles if circle]
 
 
-def test_no_file_imports_itself_by_way_of_others() -> None:
+def test_no_import_cycles_between_files() -> None:
     modules = {module_of(path) for path in FILES}
     assert cycles({module_of(path): imported_modules(path, modules) for path in FILES}) == []
 
@@ -104,7 +104,7 @@ MAX_TOP_LEVEL = 8
 @pytest.mark.parametrize(
     "path", [*FILES, *sorted(PACKAGE.rglob("*.pyx"))], ids=lambda path: str(path.relative_to(PACKAGE))
 )
-def test_a_file_is_read_in_one_sitting(path: Path) -> None:
+def test_files_have_at_most_300_lines(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= MAX_LINES
 
 
@@ -118,7 +118,7 @@ FORBIDDEN = {"zenoh", "socket", "time", "random", "os", "subprocess", "threading
 
 
 @pytest.mark.parametrize("path", [*PURE, *sorted((ROOT / "nodes").glob("*.py"))], ids=lambda path: path.name)
-def test_nodes_and_algorithms_never_see_a_socket_a_clock_or_a_global_generator(path: Path) -> None:
+def test_nodes_and_algorithms_use_no_socket_clock_or_global_generator(path: Path) -> None:
     text = path.read_text()
     assert not {name.split(".")[0] for name in imported(path)} & FORBIDDEN
     for word in ("np.random.rand", "np.random.seed", "np.random.normal", "open(", "datetime"):

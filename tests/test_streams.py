@@ -1,4 +1,4 @@
-"""Every draw comes from a named stream, the same on every machine and independent of all others."""
+"""Every draw comes from a named, portable and independent stream."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from mast_zenoh.streams import stream
     ],
 )
 def test_draws_are_unchanged(names: tuple, drawn: list[float]) -> None:
-    """A change here changes every run of every study: it is a new major version."""
+    """A change here changes every run of every study: a new major version."""
     assert stream(*names).random(3).tolist() == drawn
 
 
@@ -25,7 +25,7 @@ def test_equal_names_always_give_equal_draws() -> None:
     np.testing.assert_array_equal(stream(3, "a", 1).random(5), second.random(5))
 
 
-def test_any_difference_gives_another_stream() -> None:
+def test_different_names_give_different_streams() -> None:
     names = [(0,), (1,), (0, ""), (0, "a"), (0, "b"), (0, "a", 0), (0, "a", 1), (0, "a", "b"), (0, "ab"), (0, 1), (-1,)]
     drawn = {tuple(stream(*name).integers(2**62, size=2).tolist()) for name in names}
     assert len(drawn) == len(names)

@@ -1,4 +1,4 @@
-"""What is installed is decided in pyproject.toml, and to the byte in lock files, for every Python that is supported."""
+"""Requirements are in pyproject.toml, and exact hashes in lock files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOCKS = {
     "requirements-tools.txt": PROJECT["dependency-groups"]["tools"],
 }
 
-#: Their major versions follow the calendar (or, setuptools, every removal): a bound would only keep out fixes.
+#: Their major versions follow the calendar (or, setuptools, every removal): a bound would only exclude fixes.
 UNBOUNDED = {"cryptography", "rich", "pyarrow", "pillow", "dask", "setuptools"}
 
 
@@ -45,16 +45,16 @@ def locked(name: str) -> list[Requirement]:
 
 
 def pins(name: str, python: str) -> dict[str, str]:
-    """Version by package that a lock file has for a version of Python on Linux; fails when it has two."""
+    """Version by package for a Python version on Linux; duplicates fail."""
     here = {**default_environment(), "python_version": python, "python_full_version": f"{python}.0"}
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     for entry in locked(name):
         if entry.marker is None or entry.marker.evaluate(here):
             package = canonicalize_name(entry.name)
-            assert package not in found, f"{package} is twice in {name} for Python {python}"
+            assert package not in versions, f"{package} is twice in {name} for Python {python}"
             (specifier,) = entry.specifier
-            found[package] = specifier.version
-    return found
+            versions[package] = specifier.version
+    return versions
 
 
 @pytest.mark.parametrize("name", LOCKS)
@@ -67,18 +67,18 @@ def test_every_entry_of_a_lock_file_is_one_version_with_hashes(name: str) -> Non
 
 
 @pytest.mark.parametrize("name", LOCKS)
-def test_a_lock_file_names_no_index_and_no_place(name: str) -> None:
+def test_a_lock_file_names_no_index_and_no_path(name: str) -> None:
     for word in ("://", "--index", "--extra-index", "--find-links", "file:", " @ "):
         assert word not in (ROOT / name).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("name", LOCKS)
-def test_the_lock_file_has_all_that_pyproject_asks_for(name: str, python: str) -> None:
-    found = pins(name, python)
+def test_the_lock_file_satisfies_all_requirements_of_pyproject(name: str, python: str) -> None:
+    versions = pins(name, python)
     for text in LOCKS[name]:
         asked = Requirement(text)
-        version = found.get(canonicalize_name(asked.name))
+        version = versions.get(canonicalize_name(asked.name))
         assert version is not None, f"{asked.name} is not in {name}: run `make lock`"
         assert asked.specifier.contains(version), (
             f"{name} has {asked.name} {version}, expected {asked}: run `make lock`"
@@ -121,7 +121,7 @@ def test_running_installs_no_development_tool(tool: str) -> None:
         ),
     ],
 )
-def test_what_users_install_has_bounds_where_a_major_version_could_break_us(text: str) -> None:
+def test_requirements_have_upper_bounds_where_a_major_version_could_break_the_package(text: str) -> None:
     asked = Requirement(text)
     operators = {specifier.operator for specifier in asked.specifier}
     assert ">=" in operators

@@ -1,4 +1,4 @@
-"""The fingerprint changes with the sources that nodes run, compiled or not, and with no others."""
+"""The fingerprint changes exactly with the sources that nodes run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PACKAGE = Path(mast_zenoh.__file__).parent
 
 
 def fingerprint_after_change(folder: Path, changed: str) -> str:
-    """The fingerprint of a copy of the package in which one file has a line more."""
+    """The fingerprint of a copy of the package with one line added to a file."""
     shutil.copytree(PACKAGE, folder / "copy", ignore=shutil.ignore_patterns("__pycache__", "*.so"))
     with (folder / "copy" / changed).open("a") as file:
         file.write("# changed\n")
@@ -26,16 +26,16 @@ def fingerprint_after_change(folder: Path, changed: str) -> str:
 @pytest.mark.parametrize(
     "changed", ["kernels/tracks.pyx", "kernels/arrays.pxd", "tracking/kalman.py", "node.py", "effects/meter.py"]
 )
-def test_the_fingerprint_changes_with_what_nodes_run(changed: str, tmp_path: Path) -> None:
+def test_the_fingerprint_changes_with_sources_that_nodes_run(changed: str, tmp_path: Path) -> None:
     assert fingerprint_after_change(tmp_path, changed) != version.fingerprint()
 
 
 @pytest.mark.parametrize("changed", ["report/page.py", "cli/app.py", "launch/run.py", "__main__.py"])
-def test_the_fingerprint_stays_when_something_else_changes(changed: str, tmp_path: Path) -> None:
+def test_the_fingerprint_ignores_other_files(changed: str, tmp_path: Path) -> None:
     assert fingerprint_after_change(tmp_path, changed) == version.fingerprint()
 
 
-def test_every_layer_below_the_checks_is_run_by_nodes() -> None:
+def test_nodes_run_every_layer_below_the_checks() -> None:
     below = run_by_nodes()
     assert {"runtime", "scenario", "kernels", "tracking", "pipelines"} <= below
     assert not {"__main__", "cli", "study", "report", "deploy", "launch", "checks"} & below

@@ -1,4 +1,4 @@
-"""Two short runs of one junction, one of them attacked, that the tests of the Python API read."""
+"""Two short runs of one junction, one attacked, for tests of the Python API."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def baseline(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
 
 @pytest.fixture(scope="session")
 def attacked(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
-    """The same with one adversary, which begins after two seconds."""
+    """The same scenario with one adversary, which starts after two seconds."""
     out: Path = tmp_path_factory.mktemp("attacked") / "run"
     parameters = dict(n_infrastructure=2, n_adversaries=1, attack_start_s=2.0)
     return mast.run("uncoordinated", frames=FRAMES, seed=SEED, out=out, **parameters)

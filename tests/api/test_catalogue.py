@@ -1,4 +1,4 @@
-"""Everything that a scenario can name is listed, and says what it is, what it takes, and in which units."""
+"""Everything that a scenario can name is listed with parameters and units."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ BASES: dict[str, list[type]] = {
 }
 
 
-def of_ours(kind: str) -> list[Entry]:
-    """The entries of a kind, but for classes that other tests have defined."""
+def shipped_entries(kind: str) -> list[Entry]:
+    """The entries of a kind, without classes defined by other tests."""
     classes = {name: cls for base in BASES.get(kind, ()) for name, cls in registry.known_types(base).items()}
     foreign = {name for name, cls in classes.items() if not cls.__module__.startswith("mast_zenoh.")}
     return [entry for entry in mast.list(kind) if entry.name not in foreign]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_everything_says_what_it_is(kind: str) -> None:
-    entries = of_ours(kind)
+def test_every_entry_has_a_description(kind: str) -> None:
+    entries = shipped_entries(kind)
     assert entries
     for entry in entries:
         assert 15 < len(entry.description) < 250, f"{entry.name}: {entry.description!r}"
@@ -63,7 +63,7 @@ def test_every_class_is_listed_with_all_its_parameters(kind: str, bases: list[ty
             assert taken in [[parameter.name for parameter in entry.parameters] for entry in entries]
 
 
-def test_what_is_no_class_is_listed_too() -> None:
+def test_entries_without_a_class_are_listed_too() -> None:
     assert set(links.PROFILES) <= set(mast.list("links").names)
     assert set(HOST_FAULTS) <= set(mast.list("faults").names)
     assert {measure.key for measure in MEASURES} <= set(mast.list("metrics").names)
@@ -85,11 +85,11 @@ def test_what_is_no_class_is_listed_too() -> None:
         ("copies", "how many more", ""),
     ],
 )
-def test_units_are_those_of_names_and_descriptions(name: str, meaning: str, unit: str) -> None:
+def test_units_come_from_names_and_descriptions(name: str, meaning: str, unit: str) -> None:
     assert unit_of(name, meaning) == unit
 
 
-def test_docstrings_describe_parameters_in_lines_and_in_sentences() -> None:
+def test_parameter_descriptions_are_read_from_lines_and_from_sentences() -> None:
     text = """Does it. count: how many.
 
     first, second: of both
@@ -112,16 +112,16 @@ def test_docstrings_describe_parameters_in_lines_and_in_sentences() -> None:
     }
 
 
-def test_defaults_units_and_meanings_are_shown() -> None:
-    shown = str(mast.list("scenarios")["coordinated"])
-    assert "attack_start_s = 4.0 s" in shown
-    assert "interval at which the coordinator makes a new plan" in shown, "its own description"
-    assert "mean number added by each (Poisson)" in shown, "that of `uncoordinated`"
-    shown = str(mast.list("faults")["Pause"])
-    assert "until (s), required" in shown
+def test_listings_show_defaults_units_and_descriptions() -> None:
+    listing = str(mast.list("scenarios")["coordinated"])
+    assert "attack_start_s = 4.0 s" in listing
+    assert "interval at which the coordinator makes a new plan" in listing, "has its own description"
+    assert "mean number added by each (Poisson)" in listing, "has the description of `uncoordinated`"
+    listing = str(mast.list("faults")["Pause"])
+    assert "until (s), required" in listing
 
 
-def test_a_listing_is_a_sequence_that_shows_itself() -> None:
+def test_a_listing_is_a_sequence_with_a_readable_repr() -> None:
     listing = mast.list("trackers")
     assert len(listing) == len(listing.names)
     assert listing[0] in listing
@@ -134,7 +134,7 @@ def test_a_listing_is_a_sequence_that_shows_itself() -> None:
         mast.list("attack")
 
 
-def test_the_command_line_lists_the_same() -> None:
+def test_the_command_line_prints_the_same_listings() -> None:
     def printed(*words: str) -> str:
         done = CliRunner().invoke(app, ["list", *words])
         assert done.exit_code == 0, done.output

@@ -1,4 +1,4 @@
-"""Plots are the report's own figures; comparisons are its table and its words."""
+"""Plots equal the report's figures; comparisons equal its tables and sentences."""
 
 from __future__ import annotations
 
@@ -13,27 +13,25 @@ import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError, NotComparable, RunFolderError
 
 
-def shown(figure: object) -> Image.Image:
-    """What a notebook shows of a figure."""
+def displayed_image(figure: object) -> Image.Image:
+    """The image that a notebook displays for a figure."""
     return Image.open(io.BytesIO(figure._repr_png_()))  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("name", ["over_time", "birdseye", "camera", "driving", "wiring"])
-def test_a_notebook_shows_the_figures_of_the_report(name: str, attacked: mast.Run, tmp_path: Path) -> None:
+def test_a_notebook_displays_the_figures_of_the_report(name: str, attacked: mast.Run, tmp_path: Path) -> None:
     shutil.copytree(attacked.path, tmp_path / "run")
     run = mast.open(tmp_path / "run")
     run.report(frame=40)
     file = {"over_time": "counts"}.get(name, name)
-    image = shown(getattr(run.plot, name)(**({"frame": 40} if name in ("birdseye", "camera") else {})))
+    image = displayed_image(getattr(run.plot, name)(**({"frame": 40} if name in ("birdseye", "camera") else {})))
     ours = Image.open(run.path / "figures" / f"{file}.png")
     assert image.size == ours.size
-    if name in ("birdseye", "camera", "wiring"):  # in the others, the report marks the frame that it shows
+    if name in ("birdseye", "camera", "wiring"):  # in the other figures the report marks the frame that it shows
         assert image.tobytes() == ours.tobytes()
 
 
-def test_one_metric_of_two_runs_over_time_is_one_chart_with_a_line_for_each(
-    attacked: mast.Run, baseline: mast.Run
-) -> None:
+def test_one_metric_of_two_runs_over_time_is_one_chart_with_two_lines(attacked: mast.Run, baseline: mast.Run) -> None:
     figure = attacked.plot.over_time("fp", baseline)
     (axes,) = figure.axes
     assert "false objects" in axes.get_ylabel()
@@ -44,15 +42,15 @@ def test_one_metric_of_two_runs_over_time_is_one_chart_with_a_line_for_each(
 
 
 @pytest.mark.parametrize("metric", ["fn", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"])
-def test_every_column_can_be_drawn(metric: str, attacked: mast.Run) -> None:
+def test_every_column_can_be_plotted(metric: str, attacked: mast.Run) -> None:
     assert len(attacked.plot.over_time(metric).axes) == 1
 
 
-def test_several_metrics_are_drawn_one_below_the_other(attacked: mast.Run) -> None:
+def test_several_metrics_are_plotted_one_below_the_other(attacked: mast.Run) -> None:
     assert len(attacked.plot.over_time(["fp", "ospa_m"]).axes) == 2
 
 
-def test_what_cannot_be_drawn_is_refused(attacked: mast.Run) -> None:
+def test_unknown_or_empty_series_are_refused(attacked: mast.Run) -> None:
     with pytest.raises(ConfigurationError, match="did you mean 'fp'"):
         attacked.plot.over_time("fpp")
     with pytest.raises(ConfigurationError, match="did you mean 'mission'"):
@@ -63,14 +61,14 @@ def test_what_cannot_be_drawn_is_refused(attacked: mast.Run) -> None:
         attacked.plot.causes()
 
 
-def test_runs_of_one_name_are_told_apart(attacked: mast.Run, tmp_path: Path) -> None:
+def test_runs_with_equal_names_have_distinct_labels(attacked: mast.Run, tmp_path: Path) -> None:
     shutil.copytree(attacked.path, tmp_path / "again")
     figure = attacked.plot.over_time("fp", mast.open(tmp_path / "again"))
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert {"picture, uncoordinated", "picture, again"} <= set(legend)
 
 
-def test_a_comparison_has_the_scores_of_both_and_says_what_differs(attacked: mast.Run, baseline: mast.Run) -> None:
+def test_a_comparison_lists_the_scores_and_differences_of_both_runs(attacked: mast.Run, baseline: mast.Run) -> None:
     comparison = mast.compare(baseline, attacked)
     rows = {(row["metric"], row["run"], row["estimate"]): row for row in comparison.table.to_pylist()}
     false = rows["fp", "uncoordinated", "picture"]
@@ -87,7 +85,7 @@ def test_a_comparison_has_the_scores_of_both_and_says_what_differs(attacked: mas
     assert len(comparison.plot.side_by_side(frame=40).axes) == 2
 
 
-def test_runs_of_two_scenes_are_not_compared(attacked: mast.Run, tmp_path: Path) -> None:
+def test_runs_of_different_scenes_cannot_be_compared(attacked: mast.Run, tmp_path: Path) -> None:
     other = mast.run("baseline", n_infrastructure=2, frames=60, seed=4, out=tmp_path / "run")
     with pytest.raises(NotComparable, match="seed 4"):
         mast.compare(other, attacked)

@@ -1,4 +1,4 @@
-"""The public names: a change of them is a decision (docs/stability.md)."""
+"""The public names are pinned: changing them is a decision (docs/stability.md)."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ KEYWORDS = {
 }
 
 
-def test_the_names_of_the_package() -> None:
+def test_names_of_the_package_are_pinned() -> None:
     assert set(mast.__all__) == NAMES
     assert set(dir(mast)) >= NAMES
     for name in NAMES:
         assert getattr(mast, name) is not None
 
 
-def test_the_base_classes() -> None:
+def test_base_classes_are_pinned() -> None:
     assert {place for places in BASE_CLASSES.values() for place in places} == BASES
     for place in BASES:
         assert inspect.isclass(base_class(place))
@@ -68,35 +68,35 @@ def test_the_base_classes() -> None:
 
 
 @pytest.mark.parametrize("name", MEMBERS)
-def test_the_members_of_what_calls_return(name: str) -> None:
+def test_members_of_returned_objects_are_pinned(name: str) -> None:
     assert {member for member in dir(getattr(mast, name)) if not member.startswith("_")} == MEMBERS[name]
 
 
 @pytest.mark.parametrize("name", KEYWORDS)
-def test_the_keywords_of_calls(name: str) -> None:
+def test_keywords_of_functions_are_pinned(name: str) -> None:
     function = carry_out if name == "study" else getattr(mast, name)
     taken = inspect.signature(function).parameters.values()
     assert [each.name for each in taken if each.kind is not each.VAR_KEYWORD] == KEYWORDS[name].split()
 
 
-def test_the_version_is_that_of_the_project() -> None:
+def test_the_version_equals_that_of_the_project() -> None:
     assert mast.__version__ == tomllib.loads(PROJECT.read_text())["project"]["version"]
 
 
-def test_an_unknown_name_is_no_attribute() -> None:
+def test_an_unknown_name_raises_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'runn'"):
         _ = mast.runn
 
 
-def test_importing_the_package_loads_nothing_else_of_it() -> None:
+def test_importing_the_package_loads_none_of_its_other_modules() -> None:
     code = "import sys; before = set(sys.modules); import mast_zenoh; print(*sorted(set(sys.modules) - before))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = done.stdout.split()
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = process.stdout.split()
     assert [name for name in loaded if name.startswith("mast_zenoh")] == ["mast_zenoh"]
     assert not {"numpy", "pyarrow", "matplotlib", "typing"} & set(loaded)
 
 
-def test_the_package_of_studies_can_be_called_however_it_was_imported() -> None:
+def test_the_study_package_is_callable_however_it_was_imported() -> None:
     code = "import mast_zenoh.study.definition, mast_zenoh as mast; mast.study('nosuch')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "ConfigurationError: nosuch: no such file" in done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "ConfigurationError: nosuch: no such file" in process.stderr

@@ -1,4 +1,4 @@
-"""`mast.run` takes scenarios as the command line does, and plain Python values besides."""
+"""`mast.run` accepts the command line's scenarios and plain Python values."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def test_a_name_a_file_a_function_and_a_dict_are_the_same_scenario(tmp_path: Pat
     def scenario(n_adversaries: int = 1) -> dict[str, Any]:
         return load("uncoordinated", ["n_infrastructure=2", f"n_adversaries={n_adversaries}"])[1]
 
-    given = dict(n_infrastructure=2, n_adversaries=1)
+    parameters = dict(n_infrastructure=2, n_adversaries=1)
     runs = [
-        mast.run("uncoordinated", frames=5, out=tmp_path / "name", **given),
-        mast.run(path, frames=5, out=tmp_path / "file", **given),
+        mast.run("uncoordinated", frames=5, out=tmp_path / "name", **parameters),
+        mast.run(path, frames=5, out=tmp_path / "file", **parameters),
         mast.run(scenario, frames=5, out=tmp_path / "function", n_adversaries=1),
         mast.run(content, frames=5, out=tmp_path / "dict"),
     ]
     for run in runs[1:]:
-        found = compare(runs[0].path, run.path)
-        assert found.first is None
+        difference = compare(runs[0].path, run.path)
+        assert difference.first is None
 
 
 def test_a_dict_is_not_changed_by_being_run(tmp_path: Path) -> None:
@@ -49,14 +49,14 @@ def test_a_dict_is_not_changed_by_being_run(tmp_path: Path) -> None:
     assert json.dumps(content, sort_keys=True) == before
 
 
-def test_a_dotted_keyword_reaches_into_the_scenario(tmp_path: Path) -> None:
+def test_a_dotted_keyword_sets_a_value_in_the_scenario(tmp_path: Path) -> None:
     radius = {"command_center.pipeline.clustering": dict(type="DBSCANClusterer", eps=3.0)}
     run = mast.run("baseline", frames=2, out=tmp_path / "run", **SMALL, **radius)
     center = json.loads((run.path / "scenario.json").read_text())["nodes"]["command_center"]
     assert center["config"]["pipeline"]["clustering"] == {"type": "DBSCANClusterer", "eps": 3.0}
 
 
-def test_what_was_called_is_in_the_record_of_the_run(baseline: mast.Run) -> None:
+def test_the_call_is_recorded_with_the_run(baseline: mast.Run) -> None:
     assert baseline.record["command"].startswith("mast_zenoh.run('baseline', frames=60, seed=3")
 
 
@@ -77,7 +77,7 @@ def test_what_was_called_is_in_the_record_of_the_run(baseline: mast.Run) -> None
         ("baseline", dict(runtime="mesh", secure="tls", endpoint="tcp/127.0.0.1:1"), "own router"),
     ],
 )
-def test_what_is_wrong_is_refused_before_anything_starts(
+def test_invalid_arguments_are_refused_before_anything_starts(
     scenario: Any, options: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigurationError) as refused:
@@ -86,14 +86,14 @@ def test_what_is_wrong_is_refused_before_anything_starts(
     assert not (tmp_path / "run").exists()
 
 
-def test_a_whole_number_will_do_for_a_number(tmp_path: Path) -> None:
-    given = dict(n_infrastructure=1, n_adversaries=1, attack_start_s=3)
-    run = mast.run("uncoordinated", frames=2, out=tmp_path / "run", **given)
+def test_an_integer_is_accepted_as_a_float(tmp_path: Path) -> None:
+    parameters = dict(n_infrastructure=1, n_adversaries=1, attack_start_s=3)
+    run = mast.run("uncoordinated", frames=2, out=tmp_path / "run", **parameters)
     config = json.loads((run.path / "scenario.json").read_text())["nodes"]["adversary_1"]["config"]
     assert config["attack"]["start_s"] == 3.0
 
 
-def test_a_run_that_fails_raises_its_error_which_names_the_folder(tmp_path: Path) -> None:
+def test_a_failed_run_raises_an_error_that_names_the_folder(tmp_path: Path) -> None:
     node = """
 from mast_zenoh.node import Node
 

@@ -1,4 +1,4 @@
-"""A run as an object says what its folder holds, while the run goes on and afterwards."""
+"""A run object gives access to its folder, during the run and afterwards."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BOX = ["x", "y", "z", "vx", "vy", "vz", "l", "w", "h", "yaw"]
 
 
 @pytest.mark.parametrize("name", ["metrics", "objects", "attacks", "targets", "driving"])
-def test_a_table_is_that_of_the_file(name: str, attacked: mast.Run) -> None:
+def test_a_table_equals_its_file(name: str, attacked: mast.Run) -> None:
     table = getattr(attacked, name)
     assert table.equals(parquet.read_table(attacked.path / f"{name}.parquet"))
     assert table.num_rows
@@ -31,7 +31,7 @@ def test_tables_become_data_frames_where_pandas_is_installed(attacked: mast.Run)
     assert (frame[frame.estimator == "picture"].fp > 0).any()
 
 
-def test_the_truth_is_that_of_the_scene(attacked: mast.Run) -> None:
+def test_the_truth_equals_that_of_the_scene(attacked: mast.Run) -> None:
     truth = attacked.truth
     assert truth.column_names == ["frame", "time_s", "id", "class", *BOX, "points"]
     recording = Recording.load(attacked.path / "scene.npz")
@@ -39,13 +39,13 @@ def test_the_truth_is_that_of_the_scene(attacked: mast.Run) -> None:
         rows = truth.filter(np.asarray(truth["frame"]) == frame)
         there = recording.truth_at(frame)
         order = np.argsort(there.id)
-        mine = np.argsort(np.asarray(rows["id"]))
-        np.testing.assert_array_equal(np.asarray(rows["x"])[mine], there.position[order, 0])
-        np.testing.assert_array_equal(np.asarray(rows["yaw"])[mine], there.yaw[order])
+        by_id = np.argsort(np.asarray(rows["id"]))
+        np.testing.assert_array_equal(np.asarray(rows["x"])[by_id], there.position[order, 0])
+        np.testing.assert_array_equal(np.asarray(rows["yaw"])[by_id], there.yaw[order])
         np.testing.assert_allclose(rows["time_s"], frame * 0.1)
 
 
-def test_columns_say_their_units(attacked: mast.Run) -> None:
+def test_columns_have_units(attacked: mast.Run) -> None:
     schema = attacked.picture.schema
     units = {name: (schema.field(name).metadata or {}).get(b"unit", b"").decode() for name in schema.names}
     assert units["time_s"] == "s"
@@ -63,7 +63,7 @@ def test_the_picture_and_the_tracks_are_near_the_truth(baseline: mast.Run) -> No
         here = np.stack([rows["x"], rows["y"]], axis=1)
         assert len(here) > 3
         nearest = np.linalg.norm(here[:, None] - there, axis=2).min(axis=1)
-        assert np.median(nearest) < 1.0, "in the world frame, also of an agent whose sensor is not at its origin"
+        assert np.median(nearest) < 1.0, "in the world frame, even for an agent whose sensor is not at its origin"
 
 
 def test_an_agent_has_its_detections_and_its_pose(baseline: mast.Run) -> None:
@@ -78,7 +78,7 @@ def test_an_agent_has_its_detections_and_its_pose(baseline: mast.Run) -> None:
         baseline.agent("infra_11")
 
 
-def test_messages_come_by_frame_from_the_wires_that_match(attacked: mast.Run) -> None:
+def test_messages_are_selected_by_wire_and_ordered_by_frame(attacked: mast.Run) -> None:
     messages = list(attacked.messages("agent/*/tracks"))
     assert {message.wire for message in messages} == {f"agent/{name}/tracks" for name in attacked.agents}
     assert {message.type for message in messages} == {"tracks"}
@@ -89,7 +89,7 @@ def test_messages_come_by_frame_from_the_wires_that_match(attacked: mast.Run) ->
     assert "agent/infra_2/tracks, frame 59" in repr(last)
 
 
-def test_taps_are_what_was_sent_before_an_adversary_changed_it(attacked: mast.Run) -> None:
+def test_taps_hold_messages_as_sent_before_an_adversary_changed_them(attacked: mast.Run) -> None:
     wire = "agent/infra_1/detections"
     assert not any(message.tap for message in attacked.messages(wire))
     both = list(attacked.messages(wire, taps=True))
@@ -98,7 +98,7 @@ def test_taps_are_what_was_sent_before_an_adversary_changed_it(attacked: mast.Ru
     assert sent != received
 
 
-def test_a_table_that_a_run_has_not_left_is_missing_by_name(attacked: mast.Run, tmp_path: Path) -> None:
+def test_a_missing_table_is_named_in_the_error(attacked: mast.Run, tmp_path: Path) -> None:
     shutil.copytree(attacked.path, tmp_path / "run")
     for name in ("targets.parquet", "messages.mcap", "metrics.parquet"):
         (tmp_path / "run" / name).unlink()
@@ -111,7 +111,7 @@ def test_a_table_that_a_run_has_not_left_is_missing_by_name(attacked: mast.Run, 
         run.plot.over_time("fp")
 
 
-def test_a_run_that_goes_on_is_read_as_far_as_it_has_come(attacked: mast.Run, tmp_path: Path) -> None:
+def test_an_unfinished_run_is_read_as_far_as_it_has_been_recorded(attacked: mast.Run, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(attacked.path, folder)
     record = json.loads((folder / "run.json").read_text())
@@ -134,7 +134,7 @@ def test_a_run_that_goes_on_is_read_as_far_as_it_has_come(attacked: mast.Run, tm
     assert run.plot.over_time("fp").axes
 
 
-def test_a_run_shows_in_a_line_what_it_is(attacked: mast.Run) -> None:
+def test_the_repr_of_a_run_is_one_line(attacked: mast.Run) -> None:
     assert repr(attacked).startswith("<Run uncoordinated-")
     assert "ok, 60 frames, seed 3, inproc" in repr(attacked)
     assert "false objects a frame in the common picture" in attacked.headline
@@ -143,7 +143,7 @@ def test_a_run_shows_in_a_line_what_it_is(attacked: mast.Run) -> None:
     assert attacked.summary["frames"] == 60
 
 
-def test_a_report_can_be_written_against_another_run(attacked: mast.Run, baseline: mast.Run, tmp_path: Path) -> None:
+def test_a_report_can_be_compared_with_another_run(attacked: mast.Run, baseline: mast.Run, tmp_path: Path) -> None:
     shutil.copytree(attacked.path, tmp_path / "run")
     page = mast.open(tmp_path / "run").report(frame=40, against=baseline)
     assert page == (tmp_path / "run" / "report.html").resolve()

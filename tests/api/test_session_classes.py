@@ -1,4 +1,4 @@
-"""What a notebook defines can be named in a scenario, although no file holds it."""
+"""Scenarios can name classes defined in a notebook, outside any file."""
 
 from __future__ import annotations
 
@@ -59,15 +59,15 @@ def attack(selection=Many, metric=Twice, node=Counter, start=0):
 
 
 def session(code: str, folder: Path) -> Any:
-    """What the last line of code prints as JSON, in a session without a file."""
-    done = subprocess.run(
+    """The JSON printed by the last line of code in a session without a file."""
+    process = subprocess.run(
         [sys.executable, "-"], input=DEFINITIONS + code, cwd=folder, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout.splitlines()[-1])
 
 
-def test_classes_and_functions_of_a_session_run_in_process(tmp_path: Path) -> None:
+def test_classes_and_functions_of_a_session_run_in_one_process(tmp_path: Path) -> None:
     code = """
 one = mast.run(attack, frames=20, seed=3, start=5)
 same = mast.run(attack, frames=20, seed=3, selection="Many", metric="Twice", node="Counter", start=5)
@@ -83,20 +83,20 @@ print(json.dumps(dict(
     nodes=json.loads((one.path / "scenario.json").read_text())["nodes"],
 )))
 """
-    found = session(code, tmp_path)
-    assert found["name"] == "uncoordinated"
-    assert found["results"][0] == found["results"][1]
-    assert found["results"][0]["count"] > 100
-    assert "twice" in found["columns"]
-    assert found["equal"]
-    assert found["inserted"] > 20
-    assert found["listed"] == "Ten false objects"
-    attack = found["nodes"]["adversary_1"]["config"]["attack"]
+    output = session(code, tmp_path)
+    assert output["name"] == "uncoordinated"
+    assert output["results"][0] == output["results"][1]
+    assert output["results"][0]["count"] > 100
+    assert "twice" in output["columns"]
+    assert output["equal"]
+    assert output["inserted"] > 20
+    assert output["listed"] == "Ten false objects"
+    attack = output["nodes"]["adversary_1"]["config"]["attack"]
     assert attack["type"] == "UncoordinatedAttack"
     assert attack["selection"] == {"type": "Many"}
 
 
-def test_a_class_that_is_defined_again_is_the_new_one(tmp_path: Path) -> None:
+def test_a_redefined_class_replaces_the_old_one(tmp_path: Path) -> None:
     code = """
 old = Twice
 first = mast.run(attack, frames=8, seed=3)
@@ -111,14 +111,16 @@ third = mast.run(attack, frames=8, seed=3, metric=old)
 sums = [sum(run.metrics["twice"].to_pylist()) / run.metrics.num_rows for run in (first, second, third)]
 print(json.dumps(dict(sums=sums, positions=[run.truth["x"][0].as_py() for run in (first, second)])))
 """
-    found = session(code, tmp_path)
-    assert found["sums"][1] == 7.0
-    assert found["sums"][2] != 7.0
-    assert found["positions"][0] != found["positions"][1], "a scene of the session is not taken from the cache"
+    output = session(code, tmp_path)
+    assert output["sums"][1] == 7.0
+    assert output["sums"][2] != 7.0
+    assert output["positions"][0] != output["positions"][1], (
+        "a scene defined in the session is not taken from the cache"
+    )
 
 
 @pytest.mark.parametrize("named", ["Many", "'Many'"])
-def test_processes_of_a_mesh_cannot_load_what_only_a_session_has(named: str, tmp_path: Path) -> None:
+def test_classes_defined_only_in_a_session_are_refused_on_a_mesh(named: str, tmp_path: Path) -> None:
     code = f"""
 try:
     mast.run(attack, frames=5, runtime="mesh", selection={named}, node="Counter")
@@ -148,6 +150,6 @@ def scenario():
 run = mast.run(scenario, frames=5, runtime="mesh")
 print(json.dumps(dict(status=run.status, modules=json.loads((run.path / "scenario.json").read_text())["modules"])))
 """
-    found = session(code, tmp_path)
-    assert found["status"] == "ok"
-    assert found["modules"] == [str(tmp_path / "selections.py")]
+    output = session(code, tmp_path)
+    assert output["status"] == "ok"
+    assert output["modules"] == [str(tmp_path / "selections.py")]

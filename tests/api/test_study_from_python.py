@@ -1,4 +1,4 @@
-"""`mast.study` carries out a study as `mast study` does, and has its tables."""
+"""`mast.study` runs a study and gives the same tables as `mast study`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def study_file(tmp_path: Path) -> Path:
     return file
 
 
-def test_many_trials_leave_the_tables_of_the_command_line(study_file: Path, tmp_path: Path) -> None:
+def test_a_study_writes_the_same_tables_as_the_command_line(study_file: Path, tmp_path: Path) -> None:
     study = mast.study(study_file, trials=2, jobs=1, out=tmp_path / "out")
     assert study.table().equals(csv.read_csv(tmp_path / "out" / "table.csv"))
     assert {"baseline", "attacked"} == set(study.table()["configuration"].to_pylist())
@@ -56,7 +56,7 @@ def test_a_study_without_trials_keeps_a_run_of_each_configuration(study_file: Pa
         _ = study.results
 
 
-def test_what_is_wrong_is_refused(study_file: Path, tmp_path: Path) -> None:
+def test_invalid_arguments_are_refused(study_file: Path, tmp_path: Path) -> None:
     for options, words in (
         (dict(n_adversary=2), "did you mean 'n_adversaries'"),
         (dict(trial=2), "did you mean 'trials'"),
@@ -68,7 +68,7 @@ def test_what_is_wrong_is_refused(study_file: Path, tmp_path: Path) -> None:
         mast.study("rogue")
 
 
-def test_trials_that_fail_raise_their_error_which_names_the_folder(study_file: Path, tmp_path: Path) -> None:
+def test_failed_trials_raise_an_error_that_names_the_folder(study_file: Path, tmp_path: Path) -> None:
     study_file.write_text(STUDY.replace("dict(n_infrastructure=1)", 'dict(n_infrastructure=1, scene="mine:1")'))
     with pytest.raises(ConfigurationError):
         mast.study(study_file, trials=1, jobs=1, out=tmp_path / "out")

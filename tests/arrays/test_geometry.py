@@ -1,4 +1,4 @@
-"""Frames, rotations and boxes: what is turned there and back is where it was."""
+"""Frames, rotations and boxes: transforms and their inverses."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ quaternions = arrays(np.float64, 4, elements=st.floats(-1.0, 1.0)).filter(lambda
 
 
 @given(angles)
-def test_a_wrapped_angle_points_the_same_way_and_lies_within_half_a_turn(angle: float) -> None:
+def test_a_wrapped_angle_keeps_its_direction_and_lies_within_half_a_turn(angle: float) -> None:
     wrapped = float(geometry.wrap_angle(np.array(angle)))
     assert -np.pi <= wrapped <= np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-9)
@@ -26,7 +26,7 @@ def test_a_wrapped_angle_points_the_same_way_and_lies_within_half_a_turn(angle: 
 
 
 @given(angles)
-def test_a_yaw_is_the_heading_of_its_rotation(yaw: float) -> None:
+def test_yaw_is_the_heading_of_a_rotation(yaw: float) -> None:
     rotation = geometry.rotation_from_yaw(yaw)
     assert np.cos(geometry.heading(rotation)) == pytest.approx(np.cos(yaw), abs=1e-9)
     assert np.sin(geometry.heading(rotation)) == pytest.approx(np.sin(yaw), abs=1e-9)
@@ -40,14 +40,14 @@ def test_yaw_is_counter_clockwise_and_a_pitched_sensor_looks_down() -> None:
 
 
 @given(angles, st.floats(-1.5, 1.5))
-def test_rotations_are_rotations(yaw: float, pitch: float) -> None:
+def test_rotation_matrices_are_orthonormal(yaw: float, pitch: float) -> None:
     rotation = geometry.rotation_from_yaw_pitch(yaw, pitch)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 
 @given(quaternions)
-def test_a_quaternion_and_its_rotation_tell_the_same(quaternion: np.ndarray) -> None:
+def test_a_quaternion_and_its_rotation_matrix_agree(quaternion: np.ndarray) -> None:
     rotation = geometry.rotation_from_quaternion(quaternion)
     w, x, y, z = quaternion
     np.testing.assert_allclose(rotation, Rotation.from_quat([x, y, z, w]).as_matrix(), atol=1e-9)
@@ -69,7 +69,7 @@ def test_many_quaternions_are_converted_at_once(shape: tuple[int, ...]) -> None:
 
 
 @given(points, vectors, quaternions)
-def test_points_taken_to_a_body_and_back_are_where_they_were(
+def test_points_survive_a_round_trip_to_the_body_frame(
     world: np.ndarray, position: np.ndarray, quaternion: np.ndarray
 ) -> None:
     rotation = geometry.rotation_from_quaternion(quaternion)
@@ -96,9 +96,7 @@ def some_states(n: int) -> ObjectStates:
 
 
 @given(st.integers(0, 5), vectors, quaternions)
-def test_states_taken_to_the_world_and_back_are_as_they_were(
-    n: int, origin: np.ndarray, quaternion: np.ndarray
-) -> None:
+def test_states_survive_a_round_trip_to_the_world_frame(n: int, origin: np.ndarray, quaternion: np.ndarray) -> None:
     states = some_states(n)
     back = geometry.states_to_local(geometry.states_to_world(states, origin, quaternion), origin, quaternion)
     for name in ("position", "velocity", "covariance", "size"):
@@ -106,7 +104,7 @@ def test_states_taken_to_the_world_and_back_are_as_they_were(
 
 
 @given(vectors, angles)
-def test_on_level_ground_states_turn_with_their_frame(origin: np.ndarray, yaw: float) -> None:
+def test_on_level_ground_states_rotate_with_their_frame(origin: np.ndarray, yaw: float) -> None:
     states = some_states(4)
     turn = geometry.rotation_from_yaw(yaw)
     world = geometry.states_to_world(states, origin, geometry.quaternion_from_rotation(turn))
@@ -121,7 +119,7 @@ def test_on_level_ground_states_turn_with_their_frame(origin: np.ndarray, yaw: f
     np.testing.assert_allclose(world.covariance[:, 3:6, 3:6], states.covariance[:, 3:6, 3:6], atol=1e-12)
 
 
-def test_states_of_the_world_frame_are_the_same_object() -> None:
+def test_states_in_the_world_frame_are_returned_as_the_same_object() -> None:
     states = some_states(3)
     assert geometry.states_to_world(states, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])) is states
 
@@ -134,9 +132,7 @@ def test_quaternions_are_normalised_before_conversion() -> None:
 
 
 @given(vectors, arrays(np.float64, 3, elements=st.floats(0.1, 20.0)), angles)
-def test_the_corners_of_a_box_are_those_of_its_length_width_and_height(
-    position: np.ndarray, size: np.ndarray, yaw: float
-) -> None:
+def test_box_corners_match_length_width_and_height(position: np.ndarray, size: np.ndarray, yaw: float) -> None:
     (corners,) = geometry.box_corners(position[None], size[None], np.array([yaw]))
     np.testing.assert_allclose(corners.mean(axis=0), position, atol=1e-9)
     local = geometry.to_local(corners, position, geometry.rotation_from_yaw(yaw))
@@ -144,7 +140,7 @@ def test_the_corners_of_a_box_are_those_of_its_length_width_and_height(
     assert len({tuple(np.sign(corner)) for corner in local.round(6)}) == 8
 
 
-def test_the_lower_corners_of_a_box_come_first_and_each_ring_goes_round() -> None:
+def test_lower_corners_come_first_and_each_face_is_in_order() -> None:
     (corners,) = geometry.box_corners(np.zeros((1, 3)), np.array([[4.0, 2.0, 1.0]]), np.zeros(1))
     assert corners[:, 2].tolist() == [-0.5] * 4 + [0.5] * 4
     for ring in (corners[:4], corners[4:]):
@@ -157,9 +153,7 @@ def test_no_boxes_have_no_corners() -> None:
 
 
 @given(points, vectors, st.floats(0.0, 300.0))
-def test_range_is_measured_on_the_ground_and_its_edge_counts(
-    position: np.ndarray, centre: np.ndarray, radius: float
-) -> None:
+def test_range_is_horizontal_and_inclusive(position: np.ndarray, centre: np.ndarray, radius: float) -> None:
     near = geometry.within_range(position, centre, radius)
     above = geometry.within_range(position + np.array([0.0, 0.0, 1e4]), centre, radius)
     np.testing.assert_array_equal(near, above)

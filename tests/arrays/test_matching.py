@@ -1,4 +1,4 @@
-"""One-to-one choices of least cost are the best there are, also where several are as good."""
+"""One-to-one matching has the least total cost, also with ties."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EITHER = pytest.mark.parametrize(
 
 @st.composite
 def contested(draw):
-    """Pairs in any order, of rows and columns with gaps between their numbers, with many equal costs."""
+    """Pairs in any order, with gaps in the row and column numbers, and ties."""
     n, m, gap = draw(st.integers(1, 12)), draw(st.integers(1, 12)), draw(st.integers(1, 3))
     near = draw(st.lists(st.tuples(st.integers(0, n - 1), st.integers(0, m - 1)), unique=True))
     cost = draw(st.lists(st.integers(-4, -1), min_size=len(near), max_size=len(near)))
@@ -28,7 +28,7 @@ def contested(draw):
 
 @EITHER
 @given(contested())
-def test_no_other_choice_costs_less(choose, pairs) -> None:
+def test_matching_has_the_least_total_cost(choose, pairs) -> None:
     row, column, cost = pairs
     chosen = choose(row, column, cost)
     assert len(set(row[chosen])) == len(set(column[chosen])) == chosen.sum()
@@ -40,6 +40,6 @@ def test_no_other_choice_costs_less(choose, pairs) -> None:
 
 @EITHER
 @pytest.mark.parametrize("wrong", [np.nan, -np.inf])
-def test_costs_that_are_no_numbers_are_refused(choose, wrong: float) -> None:
+def test_non_finite_costs_are_refused(choose, wrong: float) -> None:
     with pytest.raises(ValueError, match="not finite"):
         choose(np.array([0, 0]), np.array([0, 1]), np.array([-1.0, wrong]))

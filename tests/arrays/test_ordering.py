@@ -1,4 +1,4 @@
-"""Orders of rows: the same as a full sort, whatever shortcut is taken, and for every permutation of the rows."""
+"""Row orders equal a full sort for every permutation of the rows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import ObjectStates
 
 @settings(max_examples=100)
 @given(keys=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 2)), max_size=8))
-def test_few_rows_are_ordered_as_by_a_full_sort(keys: list[tuple[int, int, int]]) -> None:
+def test_few_rows_are_ordered_like_a_full_sort(keys: list[tuple[int, int, int]]) -> None:
     group, id_, tie = np.array(keys, np.int64).reshape(-1, 3).T
     ties = (tie.astype(float),)
     assert row_order(id_, group, ties=ties).tolist() == np.lexsort((*ties, id_, group)).tolist()
@@ -22,7 +22,7 @@ def test_few_rows_are_ordered_as_by_a_full_sort(keys: list[tuple[int, int, int]]
 
 @pytest.mark.parametrize("spread", [1, 3, 1000, 1_000_000])
 @pytest.mark.parametrize("n", [0, 1, 2, 50, 3000])
-def test_rows_in_order_and_out_of_order_are_ordered_as_by_a_full_sort(n: int, spread: int) -> None:
+def test_sorted_and_unsorted_rows_are_ordered_like_a_full_sort(n: int, spread: int) -> None:
     random = np.random.default_rng(spread)
     ids, groups = random.integers(0, spread, n), random.integers(0, 4, n)
     tie = random.permutation(n).astype(float)
@@ -41,6 +41,6 @@ def test_the_canonical_order_does_not_depend_on_the_order_of_the_rows(rounded: b
     assert np.array_equal(sorted_.select(canonical_order(sorted_)).id, again.select(canonical_order(again)).id)
 
 
-def test_the_source_decides_between_equal_objects() -> None:
+def test_ties_between_equal_objects_are_broken_by_source() -> None:
     objects = ObjectStates.of(np.zeros((3, 3)), id=np.zeros(3, np.int64))
     assert canonical_order(objects, np.array([2, 0, 1])).tolist() == [1, 2, 0]

@@ -1,4 +1,4 @@
-"""Columnar states: rows are picked, joined and moved without a Python object per row."""
+"""Columnar states: selected, concatenated and propagated without row objects."""
 
 from itertools import pairwise
 
@@ -63,8 +63,8 @@ def test_states_have_the_columns_of_the_messages_that_carry_them() -> None:
     assert set(DETECTION_COLUMNS) <= {column.name for column in SCHEMAS["detections"].columns}
     states = some(3)
     assert_equal(ObjectStates.from_columns(states.columns() | {"origin": np.zeros(3)}), states)
-    found = Detections.from_columns(Detections.empty().columns() | {"mount_position": np.zeros(3)})
-    assert len(found) == 0
+    detections = Detections.from_columns(Detections.empty().columns() | {"mount_position": np.zeros(3)})
+    assert len(detections) == 0
 
 
 def test_columns_are_shared_not_copied() -> None:
@@ -73,7 +73,7 @@ def test_columns_are_shared_not_copied() -> None:
 
 
 @given(st.lists(st.booleans(), min_size=6, max_size=6))
-def test_rows_are_picked_by_mask_index_or_slice(mask: list[bool]) -> None:
+def test_rows_are_selected_by_mask_index_or_slice(mask: list[bool]) -> None:
     states = some(6)
     rows = np.flatnonzero(mask)
     assert_equal(states.select(np.array(mask)), states.select(rows))
@@ -89,7 +89,7 @@ def test_concatenating_the_parts_of_states_restores_them(sizes: list[int]) -> No
     assert_equal(concatenate(parts), whole)
 
 
-def test_joining_nothing_gives_nothing() -> None:
+def test_concatenating_nothing_gives_no_states() -> None:
     assert_equal(concatenate([]), ObjectStates.empty())
     assert len(concatenate([ObjectStates.empty(), some(2)])) == 2
 
@@ -114,7 +114,7 @@ def test_propagating_twice_equals_propagating_once_by_the_sum(first: float, seco
 
 
 @given(st.floats(-3, 3))
-def test_a_moved_covariance_is_that_of_moved_samples(dt: float) -> None:
+def test_a_propagated_covariance_equals_that_of_propagated_samples(dt: float) -> None:
     states = some(1)
     vx, x = COVARIANCE_ORDER.index("vx"), COVARIANCE_ORDER.index("x")
     before, after = states.covariance[0], propagate(states, dt).covariance[0]
@@ -131,6 +131,6 @@ def test_propagating_stationary_objects_changes_nothing() -> None:
     assert propagate(nothing, 1.0) is nothing
 
 
-def test_classes_are_known_by_name_and_index() -> None:
+def test_classes_have_a_name_and_an_index() -> None:
     assert [CLASSES[CLASS_INDEX[name]] for name in CLASSES] == list(CLASSES)
-    assert CLASSES[0] == "unknown", "an index of 0 says nothing"
+    assert CLASSES[0] == "unknown", "index 0 is the unknown class"

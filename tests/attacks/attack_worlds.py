@@ -8,7 +8,7 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 
 
 def world(n: int, seed: int = 0, spread: float = 25.0) -> ObjectStates:
-    """n cars scattered about the origin, with velocities, covariances, scores and ids like a tracker's."""
+    """n cars around the origin with the attributes that a tracker gives them."""
     rng = np.random.default_rng(seed)
     position = np.column_stack([rng.normal(0.0, spread, (n, 2)), np.full(n, 0.75)])
     velocity = np.column_stack([rng.normal(0.0, 8.0, (n, 2)), np.zeros(n)])
@@ -31,7 +31,7 @@ def at(*positions: tuple[float, float], **columns: Floats | Ints) -> ObjectState
 
 
 def equal(a: ObjectStates, b: ObjectStates) -> bool:
-    """Whether two sets of states are the same to the last bit."""
+    """Whether two sets of states are bitwise equal."""
     return all(np.array_equal(column, b.columns()[name]) for name, column in a.columns().items())
 
 

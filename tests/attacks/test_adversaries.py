@@ -1,4 +1,4 @@
-"""Adversaries over time: they begin when told, go on consistently, and repeat to the last bit."""
+"""Adversaries over time: start, consistency and reproducibility."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_nothing_happens_before_the_start():
     assert changed[0] == 40
 
 
-def test_a_fifth_of_the_objects_stays_hidden_and_it_is_always_the_same():
+def test_a_fifth_of_the_objects_is_hidden_and_always_the_same_fifth():
     done = drive(UncoordinatedAttack())
     hidden = {tuple(np.flatnonzero(~tampering.keep)) for tampering in done[40:]}
     assert len(hidden) == 1
@@ -79,32 +79,32 @@ def test_false_objects_keep_their_id_and_move_with_their_velocity():
         assert np.allclose(after.added.position[j], before.added.position[i] + 0.1 * before.added.velocity[i])
 
 
-def test_false_ids_are_above_those_of_the_victim_and_never_one_of_them():
+def test_false_ids_are_higher_than_and_distinct_from_those_of_the_victim():
     selection = UncoordinatedSelection(n_false_positives=8.0)
     attack = UncoordinatedAttack(start_s=0.0, id_gap=2, selection=selection, propagation=StaticPropagation())
     attack.bind(1, "adversary_1")
     first = world(5).with_(id=np.arange(5))
     added = attack.step(0, 0, first, ORIGIN).added
     assert added.id.min() == 6
-    # The victim's own numbering reaches the forged ids: these give way.
+    # The victim's own ids reach the forged range, so the forged ids move up.
     grown = first.with_(id=np.array([0, 1, 6, 7, 20]))
     after = attack.step(1, PERIOD, grown, ORIGIN).added
     assert not set(after.id) & set(grown.id)
     assert set(added.id) & set(after.id) == set(added.id) - {6, 7}
 
 
-def test_a_hidden_detection_is_found_again_after_it_was_missed():
+def test_a_hidden_detection_is_hidden_again_after_a_miss():
     selection = UncoordinatedSelection(n_false_positives=0.0, fraction_false_negatives=0.5)
     attack = UncoordinatedAttack(start_s=0.0, selection=selection)
     attack.bind(1, "adversary_1")
     for frame in range(60):
         fast = (1.5 * frame, 0.0)
-        seen = frame < 30 or frame % 6 == 0  # five misses in a row are 9 m, more than the radius
+        seen = frame < 30 or frame % 6 == 0  # five misses in a row are 9 m, beyond the radius
         objects = at(fast) if seen else ObjectStates.empty()
         assert not attack.step(frame, frame * PERIOD, objects, ORIGIN).keep.any()
 
 
-def test_targets_are_reselected_at_the_interval():
+def test_targets_are_selected_anew_at_the_interval():
     attack = UncoordinatedAttack(reselect_every_s=2.0, start_s=1.0, propagation=StaticPropagation())
     numbers = [set(tampering.report.target.tolist()) for tampering in drive(attack)]
     assert numbers[10] == numbers[29]
@@ -112,7 +112,7 @@ def test_targets_are_reselected_at_the_interval():
     assert numbers[30] == numbers[49]
 
 
-def test_equal_seeds_repeat_to_the_last_bit_and_names_differ():
+def test_equal_seeds_give_equal_attacks_and_names_give_different_ones():
     def attack():
         return UncoordinatedAttack(propagation=MarkovPropagation(), reselect_every_s=1.0)
 
@@ -131,7 +131,7 @@ def test_the_order_of_the_objects_does_not_matter(order):
     assert np.array_equal(straight[-1].keep[list(order)], shuffled[-1].keep)
 
 
-def test_an_interval_that_is_not_positive_is_refused():
+def test_a_non_positive_interval_is_refused():
     with pytest.raises(ValueError, match=r"reselect_every_s: found 0\.0"):
         UncoordinatedAttack(reselect_every_s=0.0)
 
@@ -146,20 +146,20 @@ def directive(position, velocity=(0.0, 0.0, 0.0), time_ns=None) -> Targets:
 
 def test_a_directive_is_predicted_to_the_current_time():
     attack = CoordinatedAttack(start_s=0.0, imitation=Exact())
-    told = directive((0.0, 0.0), (10.0, 0.0, 0.0), time_ns=0)
-    added = [attack.step(f, f * PERIOD, world(3), ORIGIN, told if f < 3 else None).added for f in range(1, 6)]
+    initial = directive((0.0, 0.0), (10.0, 0.0, 0.0), time_ns=0)
+    added = [attack.step(f, f * PERIOD, world(3), ORIGIN, initial if f < 3 else None).added for f in range(1, 6)]
     assert [round(float(a.position[0, 0]), 9) for a in added] == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert len({int(a.id[0]) for a in added}) == 1
 
 
-def test_a_directive_without_a_time_is_of_the_frame_before():
+def test_a_directive_without_a_time_refers_to_the_previous_frame():
     attack = CoordinatedAttack(start_s=0.0, imitation=Exact())
     attack.step(7, 7 * PERIOD, world(3), ORIGIN)
     added = attack.step(8, 8 * PERIOD, world(3), ORIGIN, directive((0.0, 0.0), (10.0, 0.0, 0.0))).added
     assert np.allclose(added.position[0, 0], 1.0)
 
 
-def test_the_newest_directive_wins():
+def test_the_newest_directive_takes_precedence():
     attack = CoordinatedAttack(start_s=0.0, imitation=Exact())
     attack.step(1, PERIOD, world(3), ORIGIN, directive((5.0, 0.0), time_ns=0))
     attack.step(5, 5 * PERIOD, world(3), ORIGIN, directive((9.0, 0.0), time_ns=4 * PERIOD))
@@ -169,26 +169,28 @@ def test_the_newest_directive_wins():
 
 def test_a_directive_before_the_start_takes_effect_at_the_start():
     attack = CoordinatedAttack(start_s=1.0, imitation=Exact())
-    told = directive((0.0, 0.0), time_ns=0)
-    counts = [len(attack.step(f, f * PERIOD, world(3), ORIGIN, told if f == 1 else None).added) for f in range(1, 12)]
+    initial = directive((0.0, 0.0), time_ns=0)
+    counts = [
+        len(attack.step(f, f * PERIOD, world(3), ORIGIN, initial if f == 1 else None).added) for f in range(1, 12)
+    ]
     assert counts == [0] * 9 + [1, 1]
 
 
 def mesh(n_adversaries, n_frames=80, coordinator=None, seed=3, imitation=None):
-    """A coordinator and its adversaries about one junction; directives reach the adversaries one frame later."""
+    """A coordinator and its adversaries; directives arrive one frame later."""
     coordinator = coordinator or Coordinator(reselect_every_s=2.0)
     coordinator.bind(seed, "coordinator")
     attacks = [CoordinatedAttack(imitation=imitation) for _ in range(n_adversaries)]
     victims = np.array([[5.0 * i, 0.0, 15.0] for i in range(n_adversaries)]).reshape(-1, 3)
-    told = [None] * n_adversaries
+    directives = [None] * n_adversaries
     first, done = world(12, spread=15.0), []
     for frame in range(n_frames):
         objects = propagate(first, frame * 0.1)
         time_ns = frame * PERIOD
-        done.append([a.step(frame, time_ns, objects, victims[i], told[i]) for i, a in enumerate(attacks)])
+        done.append([a.step(frame, time_ns, objects, victims[i], directives[i]) for i, a in enumerate(attacks)])
         seen = concatenate([objects] * n_adversaries)
-        told = coordinator.step(frame, time_ns, seen, np.repeat(np.arange(n_adversaries), len(objects)), victims)
-        assert len(told) == n_adversaries
+        directives = coordinator.step(frame, time_ns, seen, np.repeat(np.arange(n_adversaries), len(objects)), victims)
+        assert len(directives) == n_adversaries
     return done
 
 
@@ -219,10 +221,10 @@ def test_adversaries_of_one_coordinator_hide_the_same_objects():
 
 def test_coordinated_false_objects_saturate_where_uncoordinated_ones_grow():
     def uncoordinated(n):
-        found = [
+        attacks = [
             drive(UncoordinatedAttack(), 60, seed=seed, name=f"adversary_{i}") for seed in range(8) for i in range(n)
         ]
-        return sum(len(t.added) for done in found for t in done)
+        return sum(len(t.added) for done in attacks for t in done)
 
     def coordinated(n):
         frames = [tamperings for seed in range(8) for tamperings in mesh(n, 60, seed=seed)]
@@ -245,8 +247,8 @@ def test_the_coordinator_does_not_depend_on_the_order_of_the_tracks(order):
         coordinator = Coordinator(selection=selection, start_s=0.0, propagation=StaticPropagation())
         coordinator.bind(1, "coordinator")
         for frame in range(3):
-            told = coordinator.step(frame, frame * PERIOD, objects.select(rows), source[rows], np.zeros((3, 3)))
-        results.append(told[0])
+            directives = coordinator.step(frame, frame * PERIOD, objects.select(rows), source[rows], np.zeros((3, 3)))
+        results.append(directives[0])
     a, b = results
     assert equal(a.add, b.add)
     assert equal(a.remove, b.remove)

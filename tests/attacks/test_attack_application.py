@@ -1,4 +1,4 @@
-"""Applying targets: insert, hide and displace, whatever the order of the rows; and say so."""
+"""Insert, hide and displace targets in any row order, and report the changes."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def targets(add=NONE, remove=NONE, move=NONE, offset=None) -> Targets:
     return Targets(add, remove, move, offset).numbered(0)
 
 
-def applied(wanted: Targets, objects: ObjectStates, remove=(), move=(), order=None):
-    """Apply to objects in order; remove, move: the row of each target."""
+def applied(requested: Targets, objects: ObjectStates, remove=(), move=(), order=None):
+    """Apply to the objects in `order`; remove, move: the row of each target."""
     order = np.arange(len(objects)) if order is None else np.asarray(order, int)
     rows = (np.asarray(remove, np.int64), np.asarray(move, np.int64))
-    return carry_out(wanted, wanted.add, objects.select(order), order, *rows)
+    return carry_out(requested, requested.add, objects.select(order), order, *rows)
 
 
 def test_no_targets_change_nothing():
@@ -35,13 +35,13 @@ def test_no_targets_change_nothing():
     assert len(tampering.report) == 0
 
 
-def test_the_rows_of_the_targets_vanish_and_targets_without_a_row_hide_nothing():
+def test_rows_of_targets_are_removed_and_targets_without_a_row_hide_nothing():
     objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0))
     tampering = applied(targets(remove=at((3.0, 0.0), (27.0, 0.0))), objects, remove=(1, -1))
     assert tampering.keep.tolist() == [True, False, True]
 
 
-def test_a_displaced_object_keeps_all_but_its_position_and_its_target_stays_with_the_real_one():
+def test_a_displaced_object_changes_only_its_position_and_its_target_follows_the_real_one():
     objects = world(4)
     goal = objects.select(slice(2, 3))
     tampering = applied(targets(move=goal, offset=[[0.0, 3.0, 0.0]]), objects, move=(2,))
@@ -54,28 +54,28 @@ def test_a_displaced_object_keeps_all_but_its_position_and_its_target_stays_with
 def test_targets_at_known_positions_take_the_nearest_objects():
     typical = {"score": np.full(4, 0.7), "covariance": np.tile(np.eye(9), (4, 1, 1))}
     objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0), (0.0, 90.0), **typical)
-    wanted = targets(
+    requested = targets(
         add=at((10.0, 0.0), (200.0, 0.0)),
         remove=at((3.0, 0.0), (1.5, 0.0), (40.0, 0.0)),
         move=at((21.0, 0.0)),
         offset=[[0.0, 5.0, 0.0]],
     )
     order = np.array([2, 0, 3, 1])
-    tampering = apply(wanted, objects.select(order), np.zeros(3), assign_radius_m=3.0)
+    tampering = apply(requested, objects.select(order), np.zeros(3), assign_radius_m=3.0)
     seen = tampering.applied_to(objects.select(order))
     assert sorted(map(tuple, seen.position[:, :2].tolist())) == [(0.0, 90.0), (10.0, 0.0), (20.0, 5.0)]
-    assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the others"
+    assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the other objects"
 
 
 def test_the_report_has_positions_before_and_after_each_change():
     objects = at((0.0, 0.0), (20.0, 0.0), velocity=np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
-    wanted = targets(
+    requested = targets(
         add=at((5.0, 5.0), velocity=np.array([[3.0, 0.0, 0.0]])),
         remove=at((0.0, 0.0)),
         move=at((20.0, 0.0)),
         offset=[[0.0, 4.0, 0.0]],
     )
-    report = applied(wanted, objects, remove=(0,), move=(1,)).report
+    report = applied(requested, objects, remove=(0,), move=(1,)).report
     assert [ACTIONS[a] for a in report.action] == ["inserted", "removed", "moved"]
     assert report.target.tolist() == [0, 1, 2]
     assert report.before_position[:, :2].tolist() == [[0.0, 0.0], [0.0, 0.0], [20.0, 0.0]]
@@ -83,7 +83,7 @@ def test_the_report_has_positions_before_and_after_each_change():
     assert report.velocity[:, 0].tolist() == [3.0, 1.0, 2.0]
 
 
-def test_an_attack_can_say_which_rows_it_hides_and_moves():
+def test_an_attack_can_name_the_rows_that_it_hides_and_moves():
     objects = world(5)
     tampering = alter(objects, insert=at((1.0, 2.0)), hide=[3], move=[1], offset=np.array([[5.0, 0.0, 0.0]]))
     seen = tampering.applied_to(objects)
@@ -101,11 +101,11 @@ def test_the_report_has_the_columns_of_its_message():
 
 @settings(max_examples=50)
 @given(st.integers(2, 15), st.randoms(use_true_random=False))
-def test_rows_are_those_of_the_message_whatever_the_order(n, random):
+def test_targets_refer_to_the_same_rows_in_any_order(n, random):
     message = world(n, seed=n)
     order = np.array(random.sample(range(n), n), int)
-    wanted = targets(remove=world(1), move=world(1), offset=[[1.0, 2.0, 0.0]])
-    tampering = applied(wanted, message, remove=(0,), move=(1,), order=order)
+    requested = targets(remove=world(1), move=world(1), offset=[[1.0, 2.0, 0.0]])
+    tampering = applied(requested, message, remove=(0,), move=(1,), order=order)
     assert np.flatnonzero(~tampering.keep).tolist() == [order[0]]
     assert tampering.moved_index.tolist() == [order[1]]
     assert np.allclose(tampering.moved.position - message.position[order[1]], [1.0, 2.0, 0.0])

@@ -1,4 +1,4 @@
-"""False objects move like what they pretend to be."""
+"""False objects move like real ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_static_objects_have_constant_position_and_zero_velocity():
     assert np.all(later.velocity == 0.0)
 
 
-def test_a_trajectory_is_straight_for_its_time_and_then_brakes_to_a_stop():
+def test_a_trajectory_is_straight_and_then_brakes_to_a_stop():
     model = TrajectoryPropagation(duration_s=10.0, braking_mps2=2.0)
     states = at((0.0, 0.0), velocity=np.array([[3.0, -4.0, 0.0]]))
     for k in range(150):
@@ -29,7 +29,7 @@ def test_a_trajectory_is_straight_for_its_time_and_then_brakes_to_a_stop():
         if k < 99:
             assert states.position[0, :2] == pytest.approx(np.array([0.3, -0.4]) * (k + 1))
             assert states.velocity[0] == pytest.approx([3.0, -4.0, 0.0])
-    # 5 m/s are braked away in 2.5 s, over 6.25 m.
+    # braking from 5 m/s takes 2.5 s and 6.25 m
     assert np.hypot(*states.position[0, :2]) == pytest.approx(50.0 + 6.25)
     assert np.all(states.velocity == 0.0)
     assert states.yaw[0] == pytest.approx(np.arctan2(-4.0, 3.0))
@@ -53,10 +53,10 @@ def test_objects_move_like_vehicles(model, seed, dt):
         step = (states.position - before.position)[:, :2]
         assert np.all(np.linalg.norm(step, axis=1) <= np.maximum(*speed) * dt + 1e-9)
         sideways = step[:, 1] * np.cos(states.yaw) - step[:, 0] * np.sin(states.yaw)
-        assert np.allclose(sideways, 0.0, atol=1e-9), "they go where they head"
+        assert np.allclose(sideways, 0.0, atol=1e-9), "they move along their heading"
 
 
-def test_a_deceleration_that_is_not_positive_is_refused():
+def test_a_non_positive_deceleration_is_refused():
     with pytest.raises(ValueError, match=r"braking_mps2: found 0\.0"):
         TrajectoryPropagation(braking_mps2=0.0)
 
@@ -71,7 +71,7 @@ def test_a_markov_step_changes_the_velocity_by_sigma_times_the_time():
     assert np.allclose(later.position, start.position + later.velocity * 0.2)
 
 
-def test_markov_objects_never_exceed_their_greatest_speed_and_turn_with_their_velocity():
+def test_markov_objects_stay_below_their_maximum_speed_and_head_along_their_velocity():
     states = world(50)
     model = MarkovPropagation(sigma_mps2=200.0, max_speed_mps=30.0)
     for k in range(20):

@@ -1,4 +1,4 @@
-"""What adversaries choose: the statistics of the draws, and that the order of the objects does not matter."""
+"""Statistics of what adversaries select, independent of the object order."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def draws(selection: Selection, objects: ObjectStates, agents=ORIGIN, trials: in
     return [selection.select(objects, coverage_of(agents), stream(7, "adversary", trial)) for trial in range(trials)]
 
 
-def test_the_number_of_false_objects_is_poisson():
+def test_the_number_of_false_objects_is_poisson_distributed():
     counts = np.array([len(t.add) for t in draws(UncoordinatedSelection(region="paper"), world(10))])
     assert counts.mean() == pytest.approx(5.0, abs=4 * np.sqrt(5.0 / TRIALS))
     assert counts.var() == pytest.approx(5.0, rel=0.15)
 
 
-def test_false_objects_scatter_about_the_victim_and_move_along_their_heading():
+def test_false_objects_are_spread_around_the_victim_and_move_along_their_heading():
     victim = np.array([200.0, -100.0, 15.0])
     some = draws(UncoordinatedSelection(region="paper", position_std_m=30.0, velocity_std_mps=10.0), world(10), victim)
     false = concatenate([t.add for t in some])
@@ -46,7 +46,7 @@ def test_false_objects_scatter_about_the_victim_and_move_along_their_heading():
     assert np.array_equal(false.yaw, np.arctan2(false.velocity[:, 1], false.velocity[:, 0]))
 
 
-def test_false_objects_stand_on_the_ground_of_the_real_ones():
+def test_false_objects_are_on_the_same_ground_as_real_ones():
     hill = world(9)
     hill = hill.with_(position=hill.position + np.array([0.0, 0.0, 250.0]))
     targets = UncoordinatedSelection(n_false_positives=20.0, box=(4.0, 2.0, 1.6)).select(
@@ -60,12 +60,12 @@ def test_false_objects_stand_on_the_ground_of_the_real_ones():
     ("n", "fraction", "expected"),
     [(10, 0.2, 2), (14, 0.2, 2), (15, 0.2, 3), (3, 0.2, 1), (1, 0.2, 1), (0, 0.2, 0), (10, 0.0, 0), (7, 1.0, 7)],
 )
-def test_the_fraction_of_hidden_objects_is_rounded_down_but_at_least_one(n, fraction, expected):
+def test_the_number_of_hidden_objects_is_rounded_down_but_at_least_one(n, fraction, expected):
     selection = UncoordinatedSelection(fraction_false_negatives=fraction)
     assert len(selection.select(world(n), coverage_of(ORIGIN), stream(1)).remove) == expected
 
 
-def test_every_object_is_as_likely_to_be_hidden_as_any_other():
+def test_every_object_is_equally_likely_to_be_hidden():
     objects = world(10)
     selection = UncoordinatedSelection(n_false_positives=0.0, fraction_false_negatives=0.2)
     hidden = concatenate([t.remove for t in draws(selection, objects)])
@@ -86,7 +86,7 @@ def test_displaced_objects_are_not_hidden_and_move_by_the_configured_distance():
     assert np.all(targets.move_offset[:, 2] == 0.0)
 
 
-def test_changing_how_much_is_hidden_changes_no_false_object():
+def test_the_hidden_fraction_does_not_affect_false_objects():
     few = UncoordinatedSelection(fraction_false_negatives=0.1).select(world(10), coverage_of(ORIGIN), stream(5))
     many = UncoordinatedSelection(fraction_false_negatives=0.9).select(world(10), coverage_of(ORIGIN), stream(5))
     assert equal(few.add, many.add)
@@ -154,7 +154,7 @@ def test_invalid_values_are_refused_by_name(arguments, place):
 
 
 @pytest.mark.parametrize("count", [1e300, 10_001.0, float("inf"), float("nan"), -1.0])
-def test_a_number_of_false_objects_that_no_message_holds_is_refused(count: float) -> None:
+def test_more_false_objects_than_a_message_can_hold_are_refused(count: float) -> None:
     with pytest.raises(ValueError, match="n_false_positives: found"):
         UncoordinatedSelection(n_false_positives=count)
 

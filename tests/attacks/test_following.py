@@ -1,4 +1,4 @@
-"""Targets stay with their objects: through missed frames, beside neighbours, and whatever the order of the rows."""
+"""Targets follow their objects through misses, neighbours and reordering."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ PERIOD = SECOND // 10
 NO_ID = -1
 
 
-def follow(frames: list[ObjectStates], wanted: tuple[float, float], radius: float = 6.0) -> list[int]:
-    """The row that the target chosen at `wanted` in the first frame has in each frame, -1 where it is not seen."""
-    follower, target, rows = Follower(radius), at(wanted), []
+def follow(frames: list[ObjectStates], position: tuple[float, float], radius: float = 6.0) -> list[int]:
+    """In each frame the row of the target at `wanted`, or -1 when it is missed."""
+    follower, target, rows = Follower(radius), at(position), []
     for frame, objects in enumerate(frames):
         order = canonical_order(objects)
         follower.observe(objects.select(order), frame * PERIOD)
@@ -30,7 +30,7 @@ def unnamed(*places: tuple[float, float]) -> ObjectStates:
     return at(*places, id=np.full(len(places), NO_ID))
 
 
-def test_a_target_waits_while_its_object_is_not_seen_and_never_takes_its_neighbour():
+def test_a_target_waits_while_its_object_is_missed_and_never_takes_a_neighbour():
     both, neighbour = unnamed((0.0, 0.0), (3.0, 0.0)), unnamed((3.0, 0.0))
     frames = [both] * 5 + [neighbour] * 20 + [both] * 3
     assert follow(frames, (0.0, 0.0)) == [0] * 5 + [-1] * 20 + [0] * 3
@@ -47,19 +47,19 @@ def test_ids_resolve_ambiguous_positions():
     assert follow(frames, (0.0, 0.0)) == [0] * 20
 
 
-def test_an_id_that_jumps_to_another_object_is_not_followed():
+def test_an_id_that_moves_to_another_object_is_not_followed():
     before = at((0.0, 0.0), (4.0, 0.0), id=np.array([7, 8]))
     mixed_up = at((0.0, 0.0), (4.0, 0.0), id=np.array([9, 7]))
     assert follow([before] * 5 + [mixed_up] * 5, (0.0, 0.0)) == [0] * 10
 
 
-def test_a_lost_target_takes_no_object_that_was_another_one_in_the_last_frame():
-    """Whichever objects are missed: a target is its own object, or nothing."""
+def test_a_lost_target_never_takes_an_object_that_was_distinct_from_it_before():
+    """Whichever objects are missed, a target follows its own object or none."""
     rng = np.random.default_rng(3)
     start = np.array([[4.0 * k, 0.0] for k in range(8)])
     velocity = np.array([[5.0, 0.0]] * 8)
-    for wanted in range(8):
-        follower, target = Follower(6.0), at(tuple(start[wanted]))
+    for index in range(8):
+        follower, target = Follower(6.0), at(tuple(start[index]))
         for frame in range(80):
             seen = rng.random(8) < 0.7 if frame else np.ones(8, bool)
             places = start + velocity * frame * 0.1 + (rng.normal(0.0, 0.2, (8, 2)) if frame else 0.0)
@@ -69,12 +69,12 @@ def test_a_lost_target_takes_no_object_that_was_another_one_in_the_last_frame():
             follower.observe(objects.select(order), frame * PERIOD)
             target, row = follower.locate(target, 0.5)
             if row[0] >= 0:
-                assert rows[order[row[0]]] == wanted
+                assert rows[order[row[0]]] == index
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 1000), st.booleans())
-def test_no_target_moves_farther_than_its_gate_and_no_two_are_one_object(seed, named):
+def test_targets_stay_within_their_gate_and_on_distinct_objects(seed, named):
     rng = np.random.default_rng(seed)
     follower, objects = Follower(4.0), world(10, seed=seed, spread=8.0)
     targets = objects.select(slice(0, 4)).with_(id=np.arange(4))
@@ -92,8 +92,8 @@ def test_no_target_moves_farther_than_its_gate_and_no_two_are_one_object(seed, n
         assert len(set(held.tolist())) == len(held)
 
 
-def test_a_target_that_has_followed_clutter_away_returns_to_where_the_coordinator_sees_it():
-    """The object stands; clutter leads its track away and ends; the coordinator's target stays where the object is."""
+def test_a_target_that_followed_clutter_returns_to_the_coordinators_position():
+    """Clutter leads the track of a stationary object away, and then disappears."""
     follower, rows = Follower(6.0), []
     drifting = [unnamed((0.4 * k, 0.0)) for k in range(10)]
     for frame, objects in enumerate([*drifting, *[unnamed()] * 5, *[unnamed((0.1, 0.0))] * 5]):

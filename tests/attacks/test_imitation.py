@@ -1,4 +1,4 @@
-"""False objects look like the victim's own: as noisy, as often missed, and nowhere that the victim cannot see."""
+"""False objects have the noise and miss rate of the victim's own objects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PLACES = [(8.0 * i - 32.0, 8.0 * j - 32.0) for i in range(9) for j in range(9)]
 
 
 def detected(frame: int, share: float, std: float, stated: bool = True) -> ObjectStates:
-    """Standing objects as a detector with this share of hits and this noise shows them."""
+    """Stationary objects as a detector with this hit rate and noise reports them."""
     rng = np.random.default_rng(frame)
     seen = np.flatnonzero(rng.random(len(PLACES)) < share)
     objects = at(*PLACES, id=np.full(len(PLACES), -1))
@@ -36,7 +36,7 @@ def detected(frame: int, share: float, std: float, stated: bool = True) -> Objec
 
 
 def tracked(frame: int) -> ObjectStates:
-    """The same as a tracker shows them: never missed, with errors of 0.3 m that hardly change."""
+    """The same as a tracker reports them: no misses, slowly varying 0.3 m errors."""
     objects = detected(0, 1.0, 0.3)
     shaken = np.random.default_rng(frame).normal(0.0, 0.01, objects.position.shape)
     return objects.with_(id=np.arange(len(objects)), position=objects.position + shaken)
@@ -55,13 +55,13 @@ def test_the_miss_rate_is_estimated(share):
     assert statistics.share_detected(np.array([30.0]))[0] == pytest.approx(share, abs=0.05)
 
 
-def test_the_noise_of_detections_is_learned_and_is_new_in_every_frame():
+def test_detection_noise_is_estimated_and_drawn_anew_in_every_frame():
     statistics = learned(lambda frame: detected(frame, 0.9, 0.2))
     assert statistics.std == pytest.approx((0.2, 0.15, 0.06), rel=0.15)
     assert statistics.correlation < 0.15
 
 
-def test_tracks_are_not_missed_and_their_errors_last():
+def test_tracks_are_never_missed_and_have_correlated_errors():
     statistics = learned(tracked)
     assert np.all(statistics.share_detected(np.array([5.0, 45.0])) == 1.0)
     assert statistics.correlation > 0.9
@@ -88,7 +88,7 @@ def shown(imitation: VictimLike, rows, frames: int = 400) -> list[ObjectStates]:
     return result[40:]
 
 
-def test_false_detections_have_the_noise_the_misses_and_the_scores_of_real_ones():
+def test_false_detections_have_noise_misses_and_scores_like_real_ones():
     some = shown(VictimLike(), lambda frame: detected(frame, 0.7, 0.25))
     share = sum(map(len, some)) / (len(some) * len(FALSE))
     assert share == pytest.approx(0.7, abs=0.06)
@@ -101,13 +101,13 @@ def test_false_detections_have_the_noise_the_misses_and_the_scores_of_real_ones(
     assert 0.95 < scores.max() <= 1.0
 
 
-def test_noise_is_there_where_detections_do_not_state_it():
+def test_noise_is_added_where_detections_have_no_covariance():
     some = shown(VictimLike(), lambda frame: detected(frame, 0.9, 0.25, stated=False))
     errors = np.concatenate([each.position - FALSE.position[each.id] for each in some])
     assert errors.std() == pytest.approx(0.25, rel=0.15)
 
 
-def test_false_tracks_do_not_flicker_or_shake():
+def test_false_tracks_do_not_flicker_or_jitter():
     some = shown(VictimLike(), tracked)
     assert {len(each) for each in some} == {len(FALSE)}
     steps = np.diff([each.position for each in some], axis=0)
@@ -117,7 +117,7 @@ def test_false_tracks_do_not_flicker_or_shake():
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_false_object_inside_a_real_one_is_not_shown(seed):
+def test_a_false_object_inside_a_real_one_is_withheld(seed):
     rng = np.random.default_rng(seed)
     real = at((10.0, 3.0), id=np.array([-1]))
     offset, yaw = rng.uniform(-1.0, 1.0, 3) * [1.5, 0.8, 0.0], rng.uniform(-3.0, 3.0, 1)
@@ -129,7 +129,7 @@ def test_a_false_object_inside_a_real_one_is_not_shown(seed):
     assert len(imitation.show(0, apart, real, where, where.victims[0])) == 1
 
 
-def test_exact_false_objects_have_the_covariance_and_score_of_the_victims_typical_object():
+def test_exact_false_objects_have_the_victims_typical_covariance_and_score():
     real = detected(0, 1.0, 0.1).select(slice(0, 3))
     real = real.with_(score=np.array([0.6, 0.9, 0.7]), covariance=np.eye(9) * np.array([9.0, 1.0, 4.0])[:, None, None])
     where = coverage_of(ORIGIN)
@@ -148,7 +148,7 @@ def test_false_objects_are_plausible_without_real_objects_to_imitate(imitation):
     assert np.all((added.score > 0.5) & (added.score <= 1.0))
 
 
-def test_false_objects_beyond_range_of_the_victim_are_withheld():
+def test_false_objects_out_of_the_victims_range_are_withheld():
     selection = UncoordinatedSelection(n_false_positives=40.0, region="paper", velocity_std_mps=0.0)
     attack = UncoordinatedAttack(start_s=0.0, selection=selection, imitation=Exact(), max_range_m=30.0)
     attack.bind(1, "adversary_1")

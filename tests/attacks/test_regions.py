@@ -1,4 +1,4 @@
-"""False objects are put where they could be real: in view, outside buildings and other objects, on the ego's path."""
+"""False objects appear in plausible places: in view, unobstructed, on the path."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def pose(x: float, y: float, time_s: float = 0.0, half_turn: bool = False) -> li
     return [time_s, x, y, 0.0, *((0.0, 0.0, 0.0, 1.0) if half_turn else (1.0, 0.0, 0.0, 0.0))]
 
 
-#: The ego drives east at 10 m/s; a pole looks east from the west end, another one west from x = 40.
+#: The ego drives east at 10 m/s; one pole looks east from the west end, another west from x = 40.
 KNOWN = Surroundings(
     agents={
         "ego": ALL_ROUND
@@ -77,14 +77,14 @@ def test_paths_of_false_objects_end_before_buildings(region, seed):
     assert not KNOWN.inside_buildings(false.position).any()
 
 
-def test_the_papers_distribution_ignores_views_and_buildings():
+def test_the_distribution_of_the_paper_ignores_views_and_buildings():
     false = concatenate([false_objects("paper", seed, coverage()) for seed in range(60)])
     where = coverage()
     assert where.visible_outside_objects(false, ObjectStates.empty(), where.victims[0]).mean() < 0.5
     assert KNOWN.inside_buildings(false.position).any()
 
 
-def test_on_the_egos_path_they_are_ahead_of_it_in_its_lane_and_slower():
+def test_false_objects_on_the_egos_path_are_ahead_in_its_lane_and_slower():
     where = coverage(time_s=2.0)  # the ego is at x = -20
     false = concatenate([false_objects("ego_path", seed, where) for seed in range(20)])
     assert len(false) > 20
@@ -95,15 +95,15 @@ def test_on_the_egos_path_they_are_ahead_of_it_in_its_lane_and_slower():
     assert np.allclose(false.yaw, 0.0)
 
 
-def test_victim_only_objects_are_outside_every_other_known_view():
-    where = coverage(time_s=8.0)  # the ego has gone to x = 40
+def test_victim_only_objects_are_outside_all_other_known_views():
+    where = coverage(time_s=8.0)  # the ego is at x = 40
     false = concatenate([false_objects("victim_only", seed, where) for seed in range(40)])
     boxes = np.concatenate([false.position, false.size], axis=1)
     for view in where.other_views():
         assert not where.visible(view, boxes).any()
 
 
-def test_an_object_without_an_allowed_position_is_left_out():
+def test_an_object_without_a_permitted_position_is_omitted():
     walled_in = Surroundings(
         agents={"infra_1": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 2.0], route=[pose(0.0, 0.0)])},
         victims=("infra_1",),
@@ -113,7 +113,7 @@ def test_an_object_without_an_allowed_position_is_left_out():
     assert len(false_objects("in_view", 1, coverage(surroundings=walled_in), 30.0)) == 0
 
 
-def test_the_speed_is_limited_by_the_free_path():
+def test_speed_is_limited_by_the_free_path():
     speed = max_speed_within(np.array([0.0, 10.0, 100.0]))
     assert np.allclose(speed * 10.0 + speed**2 / 6.0, [0.0, 10.0, 100.0])
 
@@ -144,17 +144,17 @@ def chosen(selection: ConflictSelection, objects: ObjectStates) -> list[list[flo
     return selection.select(objects, coverage("ego"), stream(0)).remove.position[:, :2].tolist()
 
 
-def test_the_object_that_comes_nearest_to_the_ego_is_hidden_and_never_the_ego_itself():
+def test_the_object_with_the_closest_approach_is_hidden_and_never_the_ego():
     objects = moving((-40.0, 0.5, 10.0, 0.0), (0.0, 3.0, 0.0, 0.0), (-30.0, -5.0, -10.0, 0.0))
     assert chosen(ConflictSelection(unseen_by_ego=False), objects) == [[0.0, 3.0]]
 
 
-def test_an_object_behind_a_corner_is_hidden_before_one_that_the_ego_sees():
+def test_an_object_behind_a_corner_is_hidden_before_one_visible_to_the_ego():
     objects = moving((0.0, 3.0, 0.0, 0.0), (0.0, 40.0, 0.0, -4.0))
     assert chosen(ConflictSelection(), objects) == [[0.0, 40.0]]
 
 
-def test_a_place_can_be_named_instead():
+def test_a_position_can_be_configured_instead():
     objects = moving((0.0, 3.0, 0.0, 0.0), (0.0, 40.0, 0.0, -4.0), (30.0, 2.0, 0.0, 0.0))
     assert chosen(ConflictSelection(near=(29.0, 0.0)), objects) == [[30.0, 2.0]]
 
@@ -175,13 +175,13 @@ def test_an_object_in_the_egos_own_tracks_is_hidden_only_if_there_is_no_other():
     assert np.array_equal(ConflictSelection().select(known, view, stream(1)).remove.position, [nearest])
 
 
-def test_nothing_is_hidden_that_is_far_from_the_place_that_is_named():
+def test_only_objects_near_the_configured_position_are_hidden():
     objects = at((0.0, 3.0), (30.0, 2.0), id=np.full(2, -1))
     assert chosen(ConflictSelection(near=(900.0, 900.0)), objects) == []
     assert chosen(ConflictSelection(near=(49.0, 2.0)), objects) == [[30.0, 2.0]]
 
 
-def test_an_attack_that_begins_before_there_are_tracks_hides_the_first_that_it_can():
+def test_an_attack_that_begins_before_any_track_exists_hides_the_first_possible_object():
     coordinator = Coordinator(selection=ConflictSelection(), reselect_every_s=None, start_s=0.5)
     coordinator.inform(KNOWN)
     coordinator.bind(1, "coordinator")
@@ -194,4 +194,4 @@ def test_an_attack_that_begins_before_there_are_tracks_hides_the_first_that_it_c
         hidden.append(targets.remove.id.tolist())
     first = hidden.index([0])
     assert first >= 10
-    assert hidden == [[]] * first + [[0]] * (30 - first), "one target, chosen once"
+    assert hidden == [[]] * first + [[0]] * (30 - first), "one target, selected once"

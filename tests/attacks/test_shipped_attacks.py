@@ -1,4 +1,4 @@
-"""What the shipped scenarios promise: who is deceived, of what, and who is not."""
+"""Effects that the shipped scenarios promise, and agents that they spare."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FRAMES = 90
 
 
 def played(name: str, *settings: str) -> dict[str, Any]:
-    """What the evaluator measures of a scenario on the generated junction."""
+    """Metrics of a scenario on the generated junction."""
     path, content = scenario.load(name, ["attack_start_s=3.0", *settings])
     results: dict[str, Any] = InProcess(scenario.resolve(path, content, frames=FRAMES)).run()["evaluator"]
     return results
@@ -30,7 +30,7 @@ def downlink() -> dict[str, Any]:
     return played("downlink", "false_positives=6.0")
 
 
-def test_the_hidden_object_is_missed_by_the_picture_almost_all_the_time(hidden) -> None:
+def test_the_picture_misses_the_hidden_object_almost_all_the_time(hidden) -> None:
     achieved = hidden["metrics"]["achieved"]["all"]
     assert achieved["success_centre"]
     assert achieved["hidden_share_centre"] == 1.0
@@ -44,7 +44,7 @@ def test_all_agents_that_report_the_object_hide_the_same_one(hidden) -> None:
     assert counts.max() / counts.sum() >= 0.97, values
 
 
-def test_on_the_downlink_the_ego_alone_is_deceived(downlink) -> None:
+def test_an_attack_on_the_downlink_deceives_only_the_ego(downlink) -> None:
     ego = downlink["metrics"]["agents"]["ego"]
     assert ego["mission"]["fp"]["mean"] > ego["picture"]["fp"]["mean"] + 0.3
     achieved = downlink["metrics"]["achieved"]["all"]
@@ -53,7 +53,7 @@ def test_on_the_downlink_the_ego_alone_is_deceived(downlink) -> None:
 
 
 @pytest.mark.parametrize("name", ["hidden", "downlink"])
-def test_reports_of_adversaries_agree_with_their_effects(name: str, request: pytest.FixtureRequest) -> None:
+def test_reports_of_adversaries_agree_with_measured_effects(name: str, request: pytest.FixtureRequest) -> None:
     interposers = request.getfixturevalue(name)["metrics"]["interposers"]
     verdicts = {name: each["agreement"] for name, each in interposers.items()}
     assert set(verdicts.values()) <= {"agrees", "nothing to report"}, verdicts

@@ -1,4 +1,4 @@
-"""A faulted run in the tiny world, and its record changed by a test, as if the run had gone wrong."""
+"""A faulted run in the tiny world, and copies of its record with planted errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FAULTS = [
 
 
 def scenario(**keys: Any) -> tuple[Path, dict[str, Any]]:
-    """(file, dict) of the baseline in the tiny world, with more keys."""
+    """(file, dict) of the baseline in the tiny world, with additional keys."""
     from mast_zenoh import scenario as scenarios
 
     path, content = scenarios.load("baseline", ["n_infrastructure=2"])
@@ -41,19 +41,19 @@ def scenario(**keys: Any) -> tuple[Path, dict[str, Any]]:
 
 
 def recorded(out: Path, *, frames: int = FRAMES, record: bool = True, **keys: Any) -> tuple[Path, Resolved]:
-    """A run in one process: its folder, and what was run."""
+    """Run in one process; returns the folder and the resolved scenario."""
     path, content = scenario(**keys)
     resolved = resolve(path, content, frames=frames, record=record)
-    ended = run.run(resolved, out, runtime="inproc")
-    assert ended.error is None
-    assert not any(node["failures"] for node in ended.record["nodes"].values())
-    return ended.folder, resolved
+    outcome = run.run(resolved, out, runtime="inproc")
+    assert outcome.error is None
+    assert not any(node["failures"] for node in outcome.record["nodes"].values())
+    return outcome.folder, resolved
 
 
 def rewritten(
     folder: Path, resolved: Resolved, out: Path, change: Callable[[Recorded], Iterable[bytes | None]]
 ) -> Path:
-    """A copy of a run folder in which every message is replaced by those that `change` makes of it."""
+    """Copy a run folder, replacing each message by the result of `change`."""
     copy = shutil.copytree(folder, out)
     (copy / FILE).unlink()
     log = MessageLog(copy / FILE)
@@ -71,20 +71,20 @@ def rewritten(
     return copy
 
 
-def lost(*wanted: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
-    """Messages are missing in the record: those of these keys and frames."""
-    return lambda message: [] if (message.key, message.frame) in wanted else [None]
+def lost(*targets: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
+    """Remove the messages of these keys and frames."""
+    return lambda message: [] if (message.key, message.frame) in targets else [None]
 
 
-def doubled(*wanted: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
-    """Messages are in the record twice."""
-    return lambda message: [None, None] if (message.key, message.frame) in wanted else [None]
+def doubled(*targets: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
+    """Duplicate messages in the record."""
+    return lambda message: [None, None] if (message.key, message.frame) in targets else [None]
 
 
 def changed(
     key: str, change: Callable[[int, dict[str, Any]], dict[str, Any] | None]
 ) -> Callable[[Recorded], Iterable[bytes | None]]:
-    """The columns of the messages of a key are others; None: the message stays as it is."""
+    """Replace the columns of messages on a key; None keeps the message."""
 
     def apply(message: Recorded) -> Iterable[bytes | None]:
         if message.key != key:
@@ -97,17 +97,17 @@ def changed(
 
 
 def without_agent(body: dict[str, Any], name: str) -> dict[str, Any]:
-    """A collation from which an agent's tracks have been taken."""
+    """Remove an agent's tracks from a collation."""
     names = list(body["agents"])
-    gone = names.index(name)
-    rows = body["agent"] != gone
+    index = names.index(name)
+    rows = body["agent"] != index
     columns = {key: column[rows] for key, column in body.items() if key not in ("agents", "age_ns")}
-    columns["agent"] = columns["agent"] - (columns["agent"] > gone)
-    return columns | {"agents": text([n for n in names if n != name]), "age_ns": np.delete(body["age_ns"], gone)}
+    columns["agent"] = columns["agent"] - (columns["agent"] > index)
+    return columns | {"agents": text([n for n in names if n != name]), "age_ns": np.delete(body["age_ns"], index)}
 
 
 def without_row(body: dict[str, Any]) -> dict[str, Any]:
-    """A collation that lacks its first track."""
+    """Remove the first track of a collation."""
     return {key: column if key in ("agents", "age_ns") else column[1:] for key, column in body.items()}
 
 
@@ -117,5 +117,5 @@ def checked(folder: Path, resolved: Resolved) -> dict[str, Check]:
 
 
 def in_real_time(resolved: Resolved) -> Resolved:
-    """As if it had been paced by the clock."""
+    """Mark the run as paced in real time."""
     return replace(resolved, mode="realtime")

@@ -1,4 +1,4 @@
-"""Checks pass on the record of a run that went well, and each finds its kind of fault."""
+"""Checks pass on a sound record, and each check finds its kind of fault."""
 
 import json
 import subprocess
@@ -41,33 +41,33 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return recorded(tmp_path_factory.mktemp("run") / "faulted", faults=FAULTS)
 
 
-# -- a run that went well --------------------------------------------------------------------------------------------
+# -- a sound run -----------------------------------------------------------------------------------------------------
 
 
-def test_all_checks_pass_on_a_run_with_faults_only(run: Run) -> None:
-    found = checked(*run)
-    assert list(found) == NAMES
-    assert all(check.ok for check in found.values()), found
-    explained = found["sequences"].values["explained"]
+def test_all_checks_pass_on_a_run_with_faults_but_no_attack(run: Run) -> None:
+    results = checked(*run)
+    assert list(results) == NAMES
+    assert all(check.ok for check in results.values()), results
+    explained = results["sequences"].values["explained"]
     assert explained["dropped by a link"] == 5 + 4, "tracks of five frames; the last picture came late"
     assert explained["duplicated by a link"] == (4 + 1 + 5) * 2, "tracks, a status, pictures"
     assert explained["corrupted by a link"] > 0
-    excepted = found["collation"].values["excepted"]
+    excepted = results["collation"].values["excepted"]
     assert excepted["late"] > 0
-    assert found["collation"].values["messages"] > 100
-    assert found["convergence"].values["converged_after_s"] < 2.0
-    assert found["convergence"].values["greatest_m"] > 0.0
+    assert results["collation"].values["messages"] > 100
+    assert results["convergence"].values["converged_after_s"] < 2.0
+    assert results["convergence"].values["greatest_m"] > 0.0
 
 
 def test_results_of_checks_are_in_the_run_folder(run: Run) -> None:
     folder, resolved = run
     (folder / checks.FILE).unlink()
-    found = checks.run(folder, resolved)
-    told = json.loads((folder / checks.FILE).read_text())
-    assert [check["name"] for check in told["checks"]] == NAMES
-    assert told["checks"] == [json.loads(json.dumps(check._asdict())) for check in found]
-    assert told["heals_s"] == [1.0, 1.4, 1.5, 2.0]
-    assert told["converged_after_s"] == found[1].values["converged_after_s"]
+    results = checks.run(folder, resolved)
+    stored = json.loads((folder / checks.FILE).read_text())
+    assert [check["name"] for check in stored["checks"]] == NAMES
+    assert stored["checks"] == [json.loads(json.dumps(check._asdict())) for check in results]
+    assert stored["heals_s"] == [1.0, 1.4, 1.5, 2.0]
+    assert stored["converged_after_s"] == results[1].values["converged_after_s"]
 
 
 def test_a_scenario_read_from_a_run_folder_gives_the_same_checks(run: Run) -> None:
@@ -76,29 +76,31 @@ def test_a_scenario_read_from_a_run_folder_gives_the_same_checks(run: Run) -> No
 
 
 def test_a_run_without_recording_is_not_checked(tmp_path: Path) -> None:
-    found = checked(*recorded(tmp_path / "run", frames=5, record=False, faults=FAULTS[:1]))
-    assert all(check.ok for check in found.values())
-    assert [check.values["checked"] for check in found.values()] == [False] * 4
-    assert "a run that was not recorded" in found["sequences"].detail
+    results = checked(*recorded(tmp_path / "run", frames=5, record=False, faults=FAULTS[:1]))
+    assert all(check.ok for check in results.values())
+    assert [check.values["checked"] for check in results.values()] == [False] * 4
+    assert "a run that was not recorded" in results["sequences"].detail
 
 
 @pytest.mark.parametrize(
-    ("told", "reason"),
+    ("completeness", "reason"),
     [
         (dict(recorded=dict(messages=9, malformed=0, lost=3)), "the recording lacks 3 messages"),
         (dict(status="interrupted"), "the run did not finish: interrupted"),
     ],
 )
-def test_an_incomplete_record_is_not_checked(run: Run, tmp_path: Path, told: dict[str, Any], reason: str) -> None:
+def test_an_incomplete_record_is_not_checked(
+    run: Run, tmp_path: Path, completeness: dict[str, Any], reason: str
+) -> None:
     folder, resolved = run
     copy = rewritten(folder, resolved, tmp_path / "copy", lost())
     record = json.loads((copy / "run.json").read_text())
-    (copy / "run.json").write_text(json.dumps(record | told))
-    found = checked(copy, resolved)
-    assert {name: found[name].detail for name in NAMES[:3]} == dict.fromkeys(NAMES[:3], f"not checked: {reason}")
+    (copy / "run.json").write_text(json.dumps(record | completeness))
+    results = checked(copy, resolved)
+    assert {name: results[name].detail for name in NAMES[:3]} == dict.fromkeys(NAMES[:3], f"not checked: {reason}")
 
 
-# -- what must be found ----------------------------------------------------------------------------------------------
+# -- faults that must be found ---------------------------------------------------------------------------------------
 
 
 def problems(run: Run, out: Path, change: Any) -> dict[str, str]:
@@ -119,14 +121,14 @@ def test_an_agent_missing_from_a_collation_is_detected(run: Run, tmp_path: Path)
     def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
         return without_agent(body, "infra_2") if frame == 30 else None
 
-    found = problems(run, tmp_path, changed("cc/collated", change))
-    assert found.keys() == {"collation"}
-    assert found["collation"].startswith("frame 30: infra_2 delivered")
+    details = problems(run, tmp_path, changed("cc/collated", change))
+    assert details.keys() == {"collation"}
+    assert details["collation"].startswith("frame 30: infra_2 delivered")
 
 
 def test_a_track_missing_from_a_collation_is_detected(run: Run, tmp_path: Path) -> None:
-    found = problems(run, tmp_path, changed("cc/collated", lambda f, body: without_row(body) if f == 30 else None))
-    assert found.keys() == {"collation"}
+    details = problems(run, tmp_path, changed("cc/collated", lambda f, body: without_row(body) if f == 30 else None))
+    assert details.keys() == {"collation"}
 
 
 def test_old_tracks_of_an_agent_in_a_collation_are_detected(run: Run, tmp_path: Path) -> None:
@@ -137,9 +139,9 @@ def test_old_tracks_of_an_agent_in_a_collation_are_detected(run: Run, tmp_path: 
 
 
 def test_a_missing_batch_is_detected(run: Run, tmp_path: Path) -> None:
-    found = problems(run, tmp_path, lost(("cc/collated", 30)))
-    assert found.keys() == {"collation", "sequences"}
-    assert "no batch" in found["collation"]
+    details = problems(run, tmp_path, lost(("cc/collated", 30)))
+    assert details.keys() == {"collation", "sequences"}
+    assert "no batch" in details["collation"]
 
 
 @pytest.mark.parametrize(
@@ -150,16 +152,16 @@ def test_a_missing_batch_is_detected(run: Run, tmp_path: Path) -> None:
     ],
 )
 def test_a_gap_in_a_publishers_messages_is_detected(run: Run, tmp_path: Path, key: str) -> None:
-    found = problems(run, tmp_path, lost((key, 30)))
-    assert f"{key}: 1 missing before sequence" in found["sequences"]
+    details = problems(run, tmp_path, lost((key, 30)))
+    assert f"{key}: 1 missing before sequence" in details["sequences"]
 
 
 @pytest.mark.parametrize("key", ["agent/infra_1/tracks/@tap/broker/0", "cc/picture/@tap/ego/0"])
 def test_a_message_lost_in_a_link_is_detected(run: Run, tmp_path: Path, key: str) -> None:
-    found = problems(run, tmp_path, lost((key, 30)))
-    assert found.keys() == {"sequences"}
-    assert "did not forward sequence" in found["sequences"]
-    assert "of frame 30" in found["sequences"]
+    details = problems(run, tmp_path, lost((key, 30)))
+    assert details.keys() == {"sequences"}
+    assert "did not forward sequence" in details["sequences"]
+    assert "of frame 30" in details["sequences"]
 
 
 @pytest.mark.parametrize("key", ["agent/infra_1/tracks/@tap/broker/0", "agent/ego/pose", "cc/picture"])
@@ -168,9 +170,9 @@ def test_a_duplicate_message_is_detected(run: Run, tmp_path: Path, key: str) -> 
 
 
 def test_a_loss_without_a_link_report_is_detected(run: Run, tmp_path: Path) -> None:
-    """Without the reports of links, nothing explains the partition."""
-    found = problems(run, tmp_path, lambda message: [] if message.message == "link_report" else [None])
-    assert "link_infra_1 did not forward sequence 5 of frame 5" in found["sequences"]
+    """Without link reports, nothing explains the partition."""
+    details = problems(run, tmp_path, lambda message: [] if message.message == "link_report" else [None])
+    assert "link_infra_1 did not forward sequence 5 of frame 5" in details["sequences"]
 
 
 def test_the_collation_check_does_not_rely_on_link_reports(run: Run, tmp_path: Path) -> None:
@@ -189,8 +191,8 @@ def test_a_sequence_that_restarts_without_a_restart_of_the_node_is_detected(run:
     (copy / "run.json").write_text(json.dumps(record))
     from dataclasses import replace
 
-    found = checked(copy, replace(resolved, steps=()))
-    assert "agent/infra_2/tracks: sequence 0 of frame 15 is repeated" in found["sequences"].detail
+    results = checked(copy, replace(resolved, steps=()))
+    assert "agent/infra_2/tracks: sequence 0 of frame 15 is repeated" in results["sequences"].detail
 
 
 def astray(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
@@ -198,14 +200,14 @@ def astray(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def test_a_picture_that_stays_wrong_is_detected(run: Run, tmp_path: Path) -> None:
-    found = problems(run, tmp_path, changed("cc/picture", astray))
-    assert "the picture has not converged: the distance is" in found["convergence"]
-    assert "2.9 s after the last heal, expected less than 0.5 m" in found["convergence"]
+    details = problems(run, tmp_path, changed("cc/picture", astray))
+    assert "the picture has not converged: the distance is" in details["convergence"]
+    assert "2.9 s after the last heal, expected less than 0.5 m" in details["convergence"]
 
 
 def test_a_missing_picture_is_detected(run: Run, tmp_path: Path) -> None:
-    found = problems(run, tmp_path, lambda m: [] if m.key == "cc/picture" and m.frame >= 40 else [None])
-    assert "the distance is 5.00 m" in found["convergence"]
+    details = problems(run, tmp_path, lambda m: [] if m.key == "cc/picture" and m.frame >= 40 else [None])
+    assert "the distance is 5.00 m" in details["convergence"]
 
 
 def test_a_process_left_running_is_detected(run: Run, tmp_path: Path) -> None:
@@ -219,9 +221,9 @@ def test_a_process_left_running_is_detected(run: Run, tmp_path: Path) -> None:
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as left:
         assert left.stdout is not None
         left.stdout.readline()
-        found = checked(copy, resolved)["processes"]
-        assert not found.ok
-        assert found.detail == f"still running: infra_1 ({left.pid})"
+        results = checked(copy, resolved)["processes"]
+        assert not results.ok
+        assert results.detail == f"still running: infra_1 ({left.pid})"
         left.communicate(b"\n")
     assert checked(copy, resolved)["processes"].ok
 
@@ -230,7 +232,7 @@ def test_a_process_left_running_is_detected(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("late", "ok"), [({"infra_2": 1}, True), ({"ego": 1}, False), ({}, False)])
-def test_in_real_time_as_many_messages_may_be_missing_as_the_broker_counts_late(
+def test_in_real_time_messages_that_the_broker_counted_as_late_may_be_missing(
     run: Run, tmp_path: Path, late: dict[str, int], ok: bool
 ) -> None:
     def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
@@ -243,7 +245,7 @@ def test_in_real_time_as_many_messages_may_be_missing_as_the_broker_counts_late(
     assert checked(copy, in_real_time(resolved))["collation"].ok is ok
 
 
-# -- what is not asked for -------------------------------------------------------------------------------------------
+# -- cases that are not checked --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -255,17 +257,19 @@ def test_in_real_time_as_many_messages_may_be_missing_as_the_broker_counts_late(
     ],
 )
 def test_convergence_is_not_required_where_it_is_undefined(tmp_path: Path, keys: dict[str, Any], reason: str) -> None:
-    found = checked(*recorded(tmp_path / "run", frames=20, **keys))
-    assert all(check.ok for check in found.values())
-    assert reason in found["convergence"].detail
-    assert found["convergence"].values["checked"] is False
+    results = checked(*recorded(tmp_path / "run", frames=20, **keys))
+    assert all(check.ok for check in results.values())
+    assert reason in results["convergence"].detail
+    assert results["convergence"].values["checked"] is False
 
 
-def test_a_run_that_ends_right_after_the_heal_is_too_short_to_judge(run: Run, tmp_path: Path) -> None:
+def test_a_run_that_ends_soon_after_the_heal_is_too_short_to_judge(run: Run, tmp_path: Path) -> None:
     faults = [dict(type="Kill", at=0.5, node="command_center", restart_after=0.6)]
-    found = checked(*recorded(tmp_path / "run", frames=12, faults=faults))["convergence"]
-    assert found.ok
-    assert found.detail.startswith("no time to converge: the distance is 5.00 m at the end, 0.0 s after the last heal")
+    results = checked(*recorded(tmp_path / "run", frames=12, faults=faults))["convergence"]
+    assert results.ok
+    assert results.detail.startswith(
+        "no time to converge: the distance is 5.00 m at the end, 0.0 s after the last heal"
+    )
 
 
 # -- the reference ---------------------------------------------------------------------------------------------------
@@ -274,20 +278,20 @@ def test_a_run_that_ends_right_after_the_heal_is_too_short_to_judge(run: Run, tm
 def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: Run, tmp_path: Path) -> None:
     folder, _ = recorded(tmp_path / "plain", frames=FRAMES)
     plain = {m.frame: m.payload for m in read(folder) if m.key == "cc/picture"}
-    found = reference.pictures(run[1], run[0])
-    assert found.keys() == plain.keys()
+    pictures = reference.pictures(run[1], run[0])
+    assert pictures.keys() == plain.keys()
     from mast_zenoh.messages import codec
 
     for frame, payload in plain.items():
-        assert np.array_equal(found[frame], codec.decode(payload, "picture").body["position"])
+        assert np.array_equal(pictures[frame], codec.decode(payload, "picture").body["position"])
 
 
-def test_the_reference_has_no_links_and_those_of_a_users_map_have_no_rules() -> None:
+def test_the_reference_has_no_links_and_links_of_user_maps_have_no_rules() -> None:
     resolved = resolve(*scenario(faults=FAULTS), frames=20, record=True)
     assert {spec.role for spec in resolved.nodes.values()} >= {"link", "recorder", "evaluator"}
-    found = reference.without_faults(resolved)
-    assert not {spec.role for spec in found.nodes.values()} & {"link", "recorder", "evaluator"}
-    assert (found.steps, found.timeline) == ((), ())
+    reference_scenario = reference.without_faults(resolved)
+    assert not {spec.role for spec in reference_scenario.nodes.values()} & {"link", "recorder", "evaluator"}
+    assert (reference_scenario.steps, reference_scenario.timeline) == ((), ())
     rewrite = dict(insert=[dict(wire="cc/picture", role="link", input="picture", output="picture_out")])
     bad = dict(role="link", rules_down=[dict(type="Loss", probability=0.5)])
     own = reference.without_faults(
@@ -296,7 +300,7 @@ def test_the_reference_has_no_links_and_those_of_a_users_map_have_no_rules() -> 
     assert own.nodes["bad"].config["rules_down"] == []
 
 
-# -- convergence in figures ------------------------------------------------------------------------------------------
+# -- convergence -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -309,7 +313,7 @@ def test_the_reference_has_no_links_and_those_of_a_users_map_have_no_rules() -> 
         ([2.0, 0.1, 0.1, 0.1], 0.0),
     ],
 )
-def test_convergence_is_when_the_distance_stays_below_the_threshold(
+def test_convergence_is_reached_when_the_distance_stays_below_the_threshold(
     distance: list[float], after_s: float | None
 ) -> None:
     times_s = np.array([0.0, 1.0, 2.0, 3.0])
@@ -320,5 +324,5 @@ def test_the_distance_counts_missing_and_displaced_objects() -> None:
     grid = np.array([[10.0 * i, 0.0, 0.0] for i in range(10)])
     pictures = {0: grid, 1: grid[1:], 2: grid + np.array([1.0, 0.0, 0.0]), 3: np.zeros((0, 3))}
     expected = dict.fromkeys(range(5), grid)
-    found = convergence.distance_between(expected, pictures, np.arange(5))
-    assert found == pytest.approx([0.0, 0.5, 1.0, 5.0, 5.0])
+    distances = convergence.distance_between(expected, pictures, np.arange(5))
+    assert distances == pytest.approx([0.0, 0.5, 1.0, 5.0, 5.0])

@@ -1,4 +1,4 @@
-"""Checks in a scenario's file are found and applied; one that fails is named, and the run is not affected."""
+"""Checks in a scenario's file are applied; a failing one is named."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ def scenario():
 """
 
 
-def test_checks_of_a_scenario_are_applied_and_a_broken_one_is_named(tmp_path: Path) -> None:
+def test_checks_of_a_scenario_are_applied_and_a_failing_check_is_named(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(SCENARIO)
     run = mast.run(str(tmp_path / "mine.py"), frames=3, out=str(tmp_path / "run"))
     assert run.status == "ok"
-    found = {check["name"]: check for check in json.loads((run.path / "checks.json").read_text())["checks"]}
-    assert found["Recorded"]["ok"]
-    assert not found["Broken"]["ok"]
-    assert "the check itself failed: KeyError" in found["Broken"]["detail"]
-    assert "mine.py:13" in found["Broken"]["detail"]
-    assert "Unfinished" not in found
+    checks_by_name = {check["name"]: check for check in json.loads((run.path / "checks.json").read_text())["checks"]}
+    assert checks_by_name["Recorded"]["ok"]
+    assert not checks_by_name["Broken"]["ok"]
+    assert "the check itself failed: KeyError" in checks_by_name["Broken"]["detail"]
+    assert "mine.py:13" in checks_by_name["Broken"]["detail"]
+    assert "Unfinished" not in checks_by_name
 
 
-def test_a_run_without_faults_or_checks_of_the_user_is_not_checked(tmp_path: Path) -> None:
+def test_a_run_without_faults_or_user_checks_is_not_checked(tmp_path: Path) -> None:
     run = mast.run("baseline", n_infrastructure=1, frames=3, out=str(tmp_path / "run"))
     assert not (run.path / "checks.json").exists()

@@ -1,4 +1,4 @@
-"""The command line reports errors, and exits with the codes in docs/exit_codes.md."""
+"""The command line reports errors and exits as in docs/exit_codes.md."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ SHORT = ("--frames", "4", "--runtime", "inproc")
 
 @pytest.fixture
 def mast(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
-    """Runs a command in an empty folder: (exit code, standard output, standard error)."""
+    """Run a command in an empty folder; returns exit code, stdout and stderr."""
     monkeypatch.chdir(tmp_path)
 
     def run(*words: str) -> tuple[int, str, str]:
         monkeypatch.setattr("sys.argv", ["mast", *words])
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit) as raised:
             app.main()
-        said = capsys.readouterr()
-        return int(ended.value.code or 0), said.out, said.err
+        printed = capsys.readouterr()
+        return int(raised.value.code or 0), printed.out, printed.err
 
     return run
 
@@ -59,7 +59,7 @@ def test_without_out_the_run_folder_is_named_automatically(mast, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("run",), 2, "Missing argument"),
         (("ruin", "baseline"), 2, "No such command"),
@@ -94,15 +94,15 @@ def test_without_out_the_run_folder_is_named_automatically(mast, tmp_path: Path)
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )
 def test_errors_are_reported_before_anything_starts(
-    mast, tmp_path: Path, words: tuple[str, ...], code: int, said: str
+    mast, tmp_path: Path, words: tuple[str, ...], code: int, message: str
 ) -> None:
-    found, out, err = mast(*words)
-    assert (found, said in (out + err).replace("\n", " ")) == (code, True), out + err
+    exit_code, out, err = mast(*words)
+    assert (exit_code, message in (out + err).replace("\n", " ")) == (code, True), out + err
     assert "Traceback" not in err
     assert not (tmp_path / "runs").exists()
 
 
-def test_the_papers_listing_runs_unchanged(mast, tmp_path: Path) -> None:
+def test_the_listing_of_the_paper_runs_unchanged(mast, tmp_path: Path) -> None:
     (tmp_path / "paper.py").write_text(
         """
 from mast_zenoh.config import loading
@@ -153,7 +153,9 @@ def test_an_error_in_the_users_file_names_its_line(mast, tmp_path: Path) -> None
     assert "broken.py:2: ZeroDivisionError" in err.replace("\n", "")
 
 
-def test_ctrl_c_in_one_process_keeps_the_results_so_far(mast, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_ctrl_c_in_one_process_keeps_the_results_obtained_so_far(
+    mast, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     import os
     import signal
 
@@ -171,18 +173,18 @@ def test_ctrl_c_in_one_process_keeps_the_results_so_far(mast, monkeypatch: pytes
     assert json.loads((tmp_path / "cut" / "metrics.json").read_text())["frames"] == 3
 
 
-def test_a_run_whose_handler_failed_ends_with_30_and_names_it_unless_that_is_allowed(mast, tmp_path: Path) -> None:
+def test_a_failed_handler_gives_exit_code_30_and_is_named_unless_allowed(mast, tmp_path: Path) -> None:
     path = str(failing.write("attack", tmp_path))
     short = ("--frames", "8", "--runtime", "inproc")
     code, out, err = mast("run", path, *short, "--out", "loud")
     assert code == 30
-    said = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
-    assert said in err
+    description = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
+    assert description in err
     assert f"{tmp_path / 'loud' / 'logs' / 'eve.log'}" in err
-    assert "report:" in out, "which says it as well"
+    assert "report:" in out, "the output names the twin as well"
     code, out, err = mast("run", path, *short, "--no-report", "--out", "allowed", "--allow-failures")
     assert code == 0
-    assert f"warning: handlers failed, so the numbers may be wrong:\n  {said}" in err
+    assert f"warning: handlers failed, so the numbers may be wrong:\n  {description}" in err
 
 
 def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> None:
@@ -199,7 +201,7 @@ def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("name", ["attack", "center"])
-def test_failures_are_reported_with_a_comparison_and_end_with_30_unless_allowed(
+def test_failures_in_a_comparison_are_reported_and_give_exit_code_30_unless_allowed(
     mast, tmp_path: Path, name: str
 ) -> None:
     path = str(failing.write(name, tmp_path))
@@ -256,15 +258,15 @@ def test_output_of_a_node_cannot_move_the_cursor_or_change_the_terminal() -> Non
     text = StringIO()
     console = PlainConsole(file=text, force_terminal=True)
     console.print("[bold]a\x1b]0;title\x07b\x1b[2J\rc\u202ed", style="red", highlight=False)
-    said = text.getvalue()
-    assert "a�]0;title�b�[2J�c�d" in said
-    assert said.startswith("\x1b["), "what the console itself says of style stays"
+    output = text.getvalue()
+    assert "a�]0;title�b�[2J�c�d" in output
+    assert output.startswith("\x1b["), "the console's own styling stays"
 
 
 @pytest.mark.parametrize(
     ("error", "expected"), [(None, RunFolderError), (HandlerFailed("a handler failed"), HandlerFailed)]
 )
-def test_results_that_cannot_be_reported_do_not_hide_the_runs_own_error(
+def test_a_failing_report_does_not_hide_the_error_of_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: MastError | None, expected: type[MastError]
 ) -> None:
     monkeypatch.setattr(options, "_show", lambda *_, **__: {}["agents"])

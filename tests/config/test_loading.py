@@ -1,4 +1,4 @@
-"""Loads users' Python files; errors name the file and line."""
+"""Users' Python files are loaded; errors name the file and line."""
 
 import sys
 from pathlib import Path
@@ -87,7 +87,7 @@ def test_a_file_that_is_not_python_is_refused(tmp_path: Path) -> None:
         loading.function("scenarios", str(file), "scenario")
 
 
-def test_each_file_imports_the_module_beside_it_not_one_of_the_same_name_elsewhere(
+def test_a_file_imports_the_module_beside_it_not_a_namesake_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for folder in ("one", "two"):
@@ -132,7 +132,7 @@ def test_a_file_may_define_dataclasses_with_postponed_annotations(tmp_path: Path
     assert loading.module(write(tmp_path, "points.py", text)).Point(1.0).x == 1.0
 
 
-def test_a_file_is_run_once_so_that_its_classes_stay_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_run_once_so_its_classes_stay_identical(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write(tmp_path, "mine.py", "class Mine:\n    pass\n")
     monkeypatch.chdir(tmp_path)
     assert loading.module(file).Mine is loading.module(Path("mine.py")).Mine
@@ -142,14 +142,14 @@ def test_a_file_is_run_once_so_that_its_classes_stay_the_same(tmp_path: Path, mo
 def test_a_module_without_a_file_may_be_imported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, imported: str
 ) -> None:
-    """Built-in modules have no `__file__`, that of a namespace package is None."""
+    """Built-in modules have no `__file__`; for a namespace package it is None."""
     (tmp_path / "mine" / "namespace_without_a_file").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "mine")
     loaded = loading.module(write(tmp_path / "mine", "scenario.py", f"import {imported}\n"))
     assert not loading.defines_algorithms(loaded)
 
 
-def test_an_algorithm_in_a_file_beside_it_is_recognised_among_modules_without_a_file(tmp_path: Path) -> None:
+def test_an_algorithm_in_a_neighbouring_file_is_recognised_among_modules_without_a_file(tmp_path: Path) -> None:
     text = "from mast_zenoh.scenes.base import Scene\n\nclass Mine(Scene):\n    pass\n"
     write(tmp_path, "my_scene_beside.py", text)
     assert loading.defines_algorithms(
@@ -163,7 +163,9 @@ def test_an_algorithm_in_a_file_beside_it_is_recognised_among_modules_without_a_
 def test_the_only_node_in_a_file_needs_no_name(tmp_path: Path) -> None:
     file = write(tmp_path, "mine.py", NODE.format(name="Mine", role="link"))
     assert loading.node_class(file).__name__ == "Mine"
-    assert loading.node_class(file, "Mine") is loading.node_class(file, "Mine"), "one class, however often it is named"
+    assert loading.node_class(file, "Mine") is loading.node_class(file, "Mine"), (
+        "the same class, however often it is named"
+    )
 
 
 def test_a_file_with_several_nodes_needs_a_type(tmp_path: Path) -> None:
@@ -195,7 +197,7 @@ def test_a_file_without_the_node_is_refused(tmp_path: Path, text: str, name: obj
         loading.node_class(file, name)  # type: ignore[arg-type]
 
 
-def test_a_file_that_has_changed_is_loaded_again_and_so_is_one_that_imports_it(tmp_path: Path) -> None:
+def test_a_changed_file_and_files_that_import_it_are_loaded_again(tmp_path: Path) -> None:
     write(tmp_path, "beside.py", "VALUE = 1\n")
     file = write(tmp_path, "mine.py", "from beside import VALUE\n\ndef scenario():\n    return dict(value=VALUE)\n")
     first = loading.function("scenarios", str(file), "scenario")[1]
@@ -206,7 +208,7 @@ def test_a_file_that_has_changed_is_loaded_again_and_so_is_one_that_imports_it(t
     assert loading.function("scenarios", str(file), "scenario")[1]() == {"value": 333}
 
 
-def test_a_node_whose_file_has_changed_is_the_new_one(tmp_path: Path) -> None:
+def test_a_node_whose_file_changed_is_the_new_version(tmp_path: Path) -> None:
     file = write(tmp_path, "counter.py", NODE.format(name="Counter", role="counter"))
     first = loading.node_class(file)
     assert loading.node_class(file) is first

@@ -1,4 +1,4 @@
-"""Builds objects from plain dicts and refuses invalid ones with the path to the error."""
+"""Objects are built from dicts; invalid dicts are refused with the path."""
 
 import importlib
 import inspect
@@ -49,7 +49,7 @@ def test_a_dict_names_its_class_and_parameters() -> None:
     assert bird.colours == ("red", "blue")
 
 
-def test_nested_dicts_are_built_by_annotation_and_integers_are_accepted_as_floats() -> None:
+def test_nested_dicts_are_built_by_annotation_and_integers_become_floats() -> None:
     dog = build(dict(type="Dog", size=2, friend=dict(type="Bird")))
     assert isinstance(dog, Dog)
     assert isinstance(dog.friend, Bird)
@@ -85,11 +85,11 @@ ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "pipelines", "s
 
 @pytest.mark.parametrize("package", ALGORITHMS)
 def test_importing_a_base_makes_all_shipped_subclasses_available(package: str) -> None:
-    """In a new process, so that modules which the package does not import would be missing."""
+    """In a new process, where modules not imported by the package are missing."""
     folder = Path(mast_zenoh.__file__).parent / package
     defined = {}
-    for found in pkgutil.iter_modules([str(folder)]):
-        module = importlib.import_module(f"mast_zenoh.{package}.{found.name}")
+    for info in pkgutil.iter_modules([str(folder)]):
+        module = importlib.import_module(f"mast_zenoh.{package}.{info.name}")
         for cls in vars(module).values():
             if inspect.isclass(cls) and cls.__module__ == module.__name__ and inspect.isabstract(cls.__base__):
                 defined[cls.__module__] = cls.__base__.__module__

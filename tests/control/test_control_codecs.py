@@ -1,4 +1,4 @@
-"""Decoders of control messages return a value of the expected type or raise MessageError, for any bytes."""
+"""Decoders of control messages return a valid value or raise MessageError."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ ANYTHING = st.recursive(
 
 
 def decoded_or_refused(name: str, payload: bytes) -> None:
-    """Fails for every error but MessageError."""
-    said = ""
+    """Decode a payload; any error but MessageError fails the test."""
+    message = ""
     try:
         CODECS[name][0](payload)
     except MessageError as error:
-        said = str(error)
-    assert len(said) < 1000, "an error never quotes all that came"
+        message = str(error)
+    assert len(message) < 1000, "errors never quote the whole payload"
 
 
 @every_codec
@@ -51,7 +51,7 @@ def test_a_valid_message_is_decoded(name: str) -> None:
     decode(payload)
 
 
-def test_decoding_restores_what_was_encoded() -> None:
+def test_decoding_inverts_encoding() -> None:
     assert flow.decode_counts(CODECS["counts"][1]) == (1, {"clock": 3}, {TAP: 3})
     epoch = flow.decode_epoch(CODECS["epoch with a wiring"][1])
     assert epoch == (2, MEMBERS, (WIRING, True, ("eve",)))
@@ -73,11 +73,11 @@ def test_the_wirings_of_all_shipped_scenarios_are_accepted(resolved_wirings: lis
 def resolved_wirings() -> list[dict[str, Any]]:
     from mast_zenoh import scenario
 
-    found = []
+    wirings = []
     for name in ("baseline", "coordinated", "downlink"):
         path, loaded = scenario.load(name, [])
-        found.append(json.loads(json.dumps(scenario.resolve(Path(path), loaded, frames=2).wiring)))
-    return found
+        wirings.append(json.loads(json.dumps(scenario.resolve(Path(path), loaded, frames=2).wiring)))
+    return wirings
 
 
 @every_codec
@@ -104,7 +104,7 @@ def test_any_value_is_decoded_or_refused(name: str, value: Any) -> None:
 
 
 def replaced(value: Any, draw: Callable[[Any], Any]) -> Any:
-    """A value with one part, drawn at random, replaced."""
+    """A value with one randomly chosen part replaced."""
     if isinstance(value, dict) and value and draw(st.integers(0, 3)):
         key = draw(st.sampled_from(sorted(value, key=str)))
         return value | {key: replaced(value[key], draw)}
@@ -180,7 +180,7 @@ def without(name: str) -> dict[str, Any]:
         ("driver's result", results.pack(DRIVEN | {"wall_s": "fast"})),
     ],
 )
-def test_values_out_of_range_or_too_many_are_refused(name: str, payload: bytes) -> None:
+def test_out_of_range_values_and_too_many_values_are_refused(name: str, payload: bytes) -> None:
     with pytest.raises(MessageError):
         CODECS[name][0](payload)
 
@@ -216,10 +216,10 @@ def bomb(shape: list[int], dtype: str = "<f8", raw: bytes = b"") -> msgpack.ExtT
         msgpack.ExtType(9, b""),
     ],
 )
-def test_results_that_are_too_large_or_not_plain_values_are_refused(value: Any) -> None:
+def test_results_that_are_too_large_or_not_plain_are_refused(value: Any) -> None:
     try:
         payload = msgpack.packb(OUTCOME | {"results": {"x": value}}, default=results.encode_extension)
-    except ValueError:  # deeper than msgpack packs: write it by hand
+    except ValueError:  # deeper than msgpack packs, so packed by hand
         payload = results.pack(OUTCOME | {"results": {"x": "here"}}).replace(b"\xa4here", b"\x91" * 1500 + b"\x90")
     with pytest.raises(MessageError):
         reports.decode_result(payload, "ego", drives=False)

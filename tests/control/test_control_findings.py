@@ -1,4 +1,4 @@
-"""An invalid control message never ends or stalls a process: it is refused, counted and logged once."""
+"""An invalid control message is refused, counted and logged once."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Sim(Source):
 
 
 class Query:
-    """A query like Zenoh's that keeps the answer."""
+    """A query like Zenoh's that keeps its reply."""
 
     def __init__(self, key: str, payload: bytes) -> None:
         self.key_expr = f"mast/x/@control/{key}"
@@ -124,7 +124,7 @@ def ego() -> MeshNode:
 
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
-    made = Driver(
+    new_driver = Driver(
         *("x", "sim", Sim(), WIRING, 1, MagicMock()),
         signatures=Signatures("x"),
         expected=dict(ROLES),
@@ -135,9 +135,9 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
         stall_timeout_s=2.0,
     )
     monkeypatch.setattr("mast_zenoh.runtime.mesh.driver.SUSPECT_S", 0.01)
-    made.membership.alive |= {"ego", "watch"}
-    made._begin_epoch()
-    return made
+    new_driver.membership.alive |= {"ego", "watch"}
+    new_driver._begin_epoch()
+    return new_driver
 
 
 @pytest.fixture
@@ -184,14 +184,14 @@ def eve() -> MeshNode:
 
 
 def begin_removal(node: MeshNode) -> None:
-    """Begin a change of the wiring that removes the node."""
+    """Begin a wiring change that removes the node."""
     update = flow.WiringUpdate(WIRING, False, (node.name,))
     node._on_control("epoch", sample("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update)))
     node.handle(node.inbox.get_nowait())
 
 
 @pytest.mark.parametrize("payload", [b"\xff\xfe", b"", b"a//b", b"**", b"agent/other/status", b"x" * 5000, b"clock"])
-def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
+def test_a_drain_for_a_foreign_key_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
     begin_removal(eve)
     query = Query("drain/eve", payload)
     eve.drains.take(query)  # type: ignore[arg-type]
@@ -201,7 +201,7 @@ def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshN
     assert eve.invalid.counts == {"drain/eve": 1}
 
 
-def test_only_a_node_that_will_leave_answers_a_drain(eve: MeshNode) -> None:
+def test_only_a_departing_node_answers_a_drain(eve: MeshNode) -> None:
     early, due = Query("drain/eve", TAP.encode()), Query("drain/eve", TAP.encode())
     eve.drains.take(early)  # type: ignore[arg-type]
     assert (early.answers, early.dropped, eve.invalid.counts) == ([], True, {"drain/eve": 1})
@@ -224,14 +224,14 @@ def test_malformed_counts_cost_the_driver_one_message(driver: Driver, node: str,
 
 
 @pytest.mark.parametrize("payload", [*RUBBISH, msgpack.packb({"wiring": {"wires": [[]]}, "join": {}, "leave": []})])
-def test_a_malformed_change_of_the_wiring_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
+def test_a_malformed_wiring_change_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
     query = Query("rewire", payload)
     driver._on_rewire(query)  # type: ignore[arg-type]
     assert query.dropped
     assert driver.invalid.counts == {"rewire": 1}
 
 
-def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_named(driver: Driver) -> None:
+def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_by_name(driver: Driver) -> None:
     driver.scene.sent["clock"] = 3
     driver._report_self()
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
@@ -243,10 +243,10 @@ def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_na
         encode_reason(reason)
         == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
     )
-    assert time.monotonic() - begun < driver.stall_timeout_s, "at once, and not when the run is found to stall"
+    assert time.monotonic() - begun < driver.stall_timeout_s, "at once, not only when the stall timeout expires"
 
 
-def test_a_node_that_reports_a_key_that_is_not_its_own_ends_the_run_and_is_named(driver: Driver) -> None:
+def test_a_node_that_reports_a_foreign_key_ends_the_run_by_name(driver: Driver) -> None:
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {"clock": 1}, {})))
     reason = driver._await_quiet(include_listeners=True)
     assert reason is not None
@@ -263,7 +263,7 @@ def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Driver) -> 
     assert driver._await_quiet(include_listeners=True) == expected
 
 
-def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
+def test_a_node_is_counted_as_returned_only_after_a_loss(driver: Driver) -> None:
     def note(there: bool) -> None:
         driver.membership.note("ego", there, 0, driver.members)
 
@@ -276,16 +276,16 @@ def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
 
 
 def presence(driver: Driver, *there: bool) -> None:
-    """Report a sequence of appearances of ego's token to the driver."""
+    """Report a sequence of presence changes of ego's token to the driver."""
     for each in there:
         kind = zenoh.SampleKind.PUT if each else zenoh.SampleKind.DELETE
         driver.membership.on_token(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
 
 
-def test_of_repeated_losses_only_the_loss_and_the_latest_state_are_queued(driver: Driver) -> None:
+def test_repeated_losses_queue_only_the_loss_and_the_latest_state(driver: Driver) -> None:
     presence(driver, *[False, True] * 1000)
     assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" not in driver.membership.alive, "first it has gone, so that a new epoch begins"
+    assert "ego" not in driver.membership.alive, "the departure comes first, so a new epoch begins"
     assert driver._wait(time.monotonic() + 1.0)
     assert "ego" in driver.membership.alive
     assert [each["what"] for each in driver.membership.churn] == ["lost", "back"]
@@ -293,7 +293,7 @@ def test_of_repeated_losses_only_the_loss_and_the_latest_state_are_queued(driver
         driver.inbox.get_nowait()
 
 
-def test_a_node_that_constantly_leaves_and_returns_ends_the_run_and_is_named(driver: Driver) -> None:
+def test_a_node_that_repeatedly_leaves_and_returns_ends_the_run_by_name(driver: Driver) -> None:
     for there in [False, True] * 60:
         presence(driver, there)
         driver._wait(time.monotonic() + 1.0)
@@ -342,7 +342,7 @@ def test_a_step_of_the_scenario_is_carried_out_once(context: RunContext) -> None
     assert context.invalid.counts == {"act": 1}
 
 
-def test_a_request_of_the_driver_is_not_carried_out_when_the_run_is_to_stop(context: RunContext) -> None:
+def test_a_request_of_the_driver_is_ignored_when_the_run_is_stopping(context: RunContext) -> None:
     steps = no_steps()
     requests = requests_of(context, steps)
     requests.take(flow.encode_act(5, [("start", "ego")]))
@@ -352,18 +352,18 @@ def test_a_request_of_the_driver_is_not_carried_out_when_the_run_is_to_stop(cont
 
 
 def watch_of(context: RunContext, **parts: Any) -> Watch:
-    """The launcher's loop, of which only these parts are real."""
+    """The launcher's loop with only these parts real."""
     parts = dict.fromkeys(("steps", "requests", "reports", "interceptions"), MagicMock()) | parts
     return Watch(context, Mesh(MagicMock(), MagicMock()), MagicMock(), **parts)
 
 
 def take_result_of_driver(context: RunContext, stop_reason: str) -> None:
-    """The launcher takes a result of the driver that says why it has stopped."""
+    """Have the launcher receive the driver's result with the reason for its stop."""
     report, outcomes = MagicMock(node="sim", failure=None), {"sim": {"stop_reason": stop_reason}}
     watch_of(context, reports=MagicMock(take=lambda: [report], outcomes=outcomes)).take_reports()
 
 
-def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(context: RunContext) -> None:
+def test_the_drivers_reason_becomes_an_error_that_names_the_node(context: RunContext) -> None:
     take_result_of_driver(context, "implausible: ego reports too much")
     assert isinstance(context.stop.problem, ImplausibleCounts)
     assert str(context.stop.problem) == "ego reports too much"
@@ -377,7 +377,7 @@ def test_a_run_stopped_from_outside_is_not_ok(context: RunContext, reason: str, 
     assert context.stop.requested
 
 
-def test_a_run_that_the_launcher_itself_stops_keeps_its_own_problem(context: RunContext) -> None:
+def test_a_run_stopped_by_the_launcher_keeps_its_own_error(context: RunContext) -> None:
     context.stop.fail(ServiceDied("the depot has ended"), "a service has ended")
     take_result_of_driver(context, "a service has ended")
     assert isinstance(context.stop.problem, ServiceDied)
@@ -386,12 +386,12 @@ def test_a_run_that_the_launcher_itself_stops_keeps_its_own_problem(context: Run
 @pytest.fixture
 def file_server(tmp_path: Path, context: RunContext) -> Any:
     (tmp_path / "scenario.json").write_text("{}")
-    made = FileServer(
+    server = FileServer(
         MagicMock(), "x", tmp_path, lambda: RESOLVED, lambda node: [], lambda error: None, context.invalid
     )
-    made._contents["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
-    yield made
-    made.close()
+    server._contents["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
+    yield server
+    server.close()
 
 
 def answered(file_server: FileServer, what: str, node: str, payload: bytes) -> tuple[str, Any]:
@@ -434,20 +434,20 @@ def test_an_unexpected_error_costs_one_query(
         raise OverflowError("no such number")
 
     monkeypatch.setattr(file_server, "_answer", fail)
-    kind, (_, said) = answered(file_server, "fetch", "ego", encode({"do": "clock"}))
-    assert (kind, said) == ("error", "OverflowError: no such number")
+    kind, (_, error) = answered(file_server, "fetch", "ego", encode({"do": "clock"}))
+    assert (kind, error) == ("error", "OverflowError: no such number")
     assert context.invalid.counts == {"fetch/ego": 1}
     monkeypatch.undo()
     assert answered(file_server, "fetch", "ego", encode({"do": "clock"}))[0] == "ok"
 
 
-def test_unknown_nodes_get_no_answer_and_are_counted_together(file_server: FileServer, context: RunContext) -> None:
+def test_unknown_nodes_get_no_answer_and_share_one_count(file_server: FileServer, context: RunContext) -> None:
     for name in ("a", "b"):
         assert answered(file_server, "fetch", name, encode({"do": "clock"}))[0] == "error"
     assert context.invalid.counts == {"fetch/*": 2}
 
 
-def test_a_file_server_that_has_died_ends_the_run_and_is_named(
+def test_a_dead_file_server_ends_the_run_and_is_named(
     file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     watch = watch_of(context, file_server=file_server)
@@ -466,15 +466,15 @@ def test_a_file_server_that_has_died_ends_the_run_and_is_named(
 
 
 def test_the_first_refusal_on_each_key_is_logged_and_the_number_of_keys_is_limited() -> None:
-    said: list[str] = []
-    invalid = InvalidMessages(said.append)
+    logged: list[str] = []
+    invalid = InvalidMessages(logged.append)
     for i in range(MAX_KEYS + 50):
         for _ in range(3):
             invalid.note(f"key {i}", f"why\n{'x' * 1000}")
-    assert len(said) == MAX_KEYS + 1
+    assert len(logged) == MAX_KEYS + 1
     assert invalid.counts["key 0"] == 3
     assert invalid.counts[OTHERS] == 150
-    assert all("\n" not in line and len(line) < 400 for line in said)
+    assert all("\n" not in line and len(line) < 400 for line in logged)
 
 
 def test_every_error_class_survives_encoding_as_a_refusal() -> None:
@@ -484,8 +484,8 @@ def test_every_error_class_survives_encoding_as_a_refusal() -> None:
 @pytest.mark.parametrize("name", sorted(set(CONTROLS) - {"rewire", "drain", "intercept"}))
 def test_the_routers_rules_grant_no_more_than_the_table(name: str) -> None:
     def may(node: str, verbs: tuple[str, ...]) -> set[str]:
-        found = rights(WIRING, node, driver="sim")
-        keys = {right.key for right in found if (right.flow, right.message) in [("ingress", verb) for verb in verbs]}
+        granted = rights(WIRING, node, driver="sim")
+        keys = {right.key for right in granted if (right.flow, right.message) in [("ingress", verb) for verb in verbs]}
         return {key for key in keys if key.startswith(f"@control/{name}") and key.split("/")[1] == name}
 
     sending: Callable[[str], set[str]] = lambda node: may(node, ("put", "query"))  # noqa: E731
@@ -498,7 +498,7 @@ def test_the_routers_rules_grant_no_more_than_the_table(name: str) -> None:
     assert bool(sending(LAUNCHER)) == ("launcher" in control.senders)
 
 
-def test_of_many_counts_only_the_newest_of_each_node_is_queued_at_the_driver(driver: Driver) -> None:
+def test_the_driver_queues_only_the_newest_counts_of_each_node(driver: Driver) -> None:
     for count in range(1000):
         driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": count})))
         driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {"agent/ego/status": 1})))
@@ -509,7 +509,7 @@ def test_of_many_counts_only_the_newest_of_each_node_is_queued_at_the_driver(dri
         driver.inbox.get_nowait()
     driver._take_counts("ego")
     assert driver.pacer._reports["ego"] == ({}, {"clock": 999})
-    assert driver.invalid.counts == {"counts/ego": 1}, "what is malformed stands for nothing"
+    assert driver.invalid.counts == {"counts/ego": 1}, "malformed messages count for nothing"
 
 
 @pytest.mark.parametrize("what", ["fetch", "file"])

@@ -1,4 +1,4 @@
-"""Malformed control messages are refused on arrival and take no room in a queue."""
+"""Malformed control messages are refused on arrival and fill no queue."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mast_zenoh.launch.steps import StepRequests
 context, file_server = findings.context, findings.file_server  # fixtures
 
 
-def test_malformed_acts_take_no_room_from_valid_ones(context: RunContext) -> None:
+def test_malformed_steps_leave_room_for_valid_ones(context: RunContext) -> None:
     steps = MagicMock()
     requests = StepRequests(steps, context.signatures, context.invalid)
     for payload in [*RUBBISH * 200, flow.encode_act(3, [("kill", "ego")])]:
@@ -30,7 +30,7 @@ def test_malformed_acts_take_no_room_from_valid_ones(context: RunContext) -> Non
     assert context.invalid.counts == {"act": len(RUBBISH) * 200}
 
 
-def test_malformed_requests_take_no_room_from_valid_ones(context: RunContext) -> None:
+def test_malformed_requests_leave_room_for_valid_ones(context: RunContext) -> None:
     interceptions = Interceptions(context, MagicMock(), MagicMock(children={}))
     sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, interceptions._secret))
     forged = [Query("intercept", payload) for payload in [*RUBBISH * 20, seal({"do": "release"}, b"guessed")]]
@@ -42,7 +42,7 @@ def test_malformed_requests_take_no_room_from_valid_ones(context: RunContext) ->
     assert interceptions._requests.empty()
 
 
-def test_malformed_queries_take_no_room_from_valid_ones(
+def test_malformed_queries_leave_room_for_valid_ones(
     file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on, give = threading.Event(), file_server._answer

@@ -1,4 +1,4 @@
-"""Above the level "open", messages of the driver and the launcher are accepted only with their signature."""
+"""Above level "open", driver and launcher messages need a valid signature."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SIGNED = {name: control for name, control in CONTROLS.items() if control.signed}
 
 
 def refused(signatures: Signatures, what: str, payload: bytes) -> str:
-    """The reason why a message is refused; its body is never decoded."""
+    """The reason why a message is refused; its body is not decoded."""
     with pytest.raises(MessageError) as caught:
         signatures.open(what, payload, lambda body: pytest.fail("an unsigned body was decoded"))
     return str(caught.value)
 
 
-def test_messages_that_only_the_driver_or_launcher_may_send_are_signed() -> None:
+def test_messages_reserved_to_driver_and_launcher_are_signed() -> None:
     assert {*SIGNED} == {"epoch", "stop", "leave", "act", "rewire"}
 
 
@@ -44,8 +44,8 @@ def test_a_message_signed_by_a_permitted_sender_is_accepted(what: str, signer: s
         assert NODE.open(what, payload, bytes) == b"body"
         assert NODE.obeyed == 0
     else:
-        assert "expected" not in (said := refused(NODE, what, payload))
-        assert said.startswith(f"{what}: found a signature that is not that of the")
+        assert "expected" not in (reason := refused(NODE, what, payload))
+        assert reason.startswith(f"{what}: found a signature that is not that of the")
 
 
 def test_a_signature_is_not_valid_for_another_run_key_or_node() -> None:
@@ -88,7 +88,7 @@ def test_on_an_open_mesh_every_valid_message_is_accepted_and_counted() -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS[1:])
-def test_every_node_can_check_and_only_the_driver_and_the_launcher_can_sign(tmp_path: Path, level: str) -> None:
+def test_every_node_can_verify_but_only_driver_and_launcher_can_sign(tmp_path: Path, level: str) -> None:
     common = {"prefix": "mast/r", "driver": "sim", "hosts": ["127.0.0.1"], "folder": tmp_path / "keys"}
     with Deployment(level, "r", Wiring(()), ["sim", "ego"], **common) as deployment:
         ego, sim = (hosting.signatures("r", deployment.of(name)) for name in ("ego", "sim"))
@@ -96,8 +96,8 @@ def test_every_node_can_check_and_only_the_driver_and_the_launcher_can_sign(tmp_
         stop = Signatures("r", deployment.control).sign("stop", b"end")
         assert [each.open("stop", stop, bytes) for each in (ego, sim)] == [b"end", b"end"]
         assert ego.open("epoch", sim.sign("epoch", b"1"), bytes) == b"1"
-        told = ControlKeys.from_json(Credentials.read(tmp_path / "keys" / "ego").control, "")
-        assert told.private == b""
+        keys = ControlKeys.from_json(Credentials.read(tmp_path / "keys" / "ego").control, "")
+        assert keys.private == b""
         assert (tmp_path / "keys" / "ego" / CONTROL).stat().st_mode & 0o077 == 0
     assert "private" not in repr(KEYS[DRIVER])
 
@@ -105,7 +105,7 @@ def test_every_node_can_check_and_only_the_driver_and_the_launcher_can_sign(tmp_
 @pytest.mark.parametrize(
     "content", [b"", b"[]", b"{}", b'{"driver": 1, "launcher": ""}', b'{"driver": "00", "launcher": "00"}']
 )
-def test_invalid_keys_are_refused_with_their_place(tmp_path: Path, content: bytes) -> None:
+def test_invalid_keys_are_refused_with_their_location(tmp_path: Path, content: bytes) -> None:
     folder = Credentials(b"authority", control=content).write(tmp_path / "ego")
     with pytest.raises(CredentialsError, match=CONTROL):
         hosting.signatures("r", folder)

@@ -1,4 +1,4 @@
-"""Messages of a compromised node on its own control keys, with its own certificate."""
+"""Messages of a compromised node on its own control keys, with its certificate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RUBBISH = (b"", b"\xc1", b"\x93", b"\xff" * 40, msgpack.packb([]), msgpack.packb
 
 
 def send(node: MeshNode) -> None:
-    """Everything of the table of findings that a node may send, results first."""
+    """Send all invalid messages that a node may send, results first."""
     control = f"{node._prefix}/@control"
     outcome = {
         "results": {
@@ -43,8 +43,8 @@ def send(node: MeshNode) -> None:
         node.session.put(f"{control}/failed/{node.name}", payload)
 
 
-def speak_up() -> None:
-    """From now on the node of this process sends all that when its life begins, and is sound otherwise."""
+def send_invalid_messages() -> None:
+    """Make this process's node send all of them when it starts; otherwise honest."""
     life, report = MeshNode.run_until_stopped, MeshNode.report
 
     def run(self: MeshNode) -> None:
@@ -52,7 +52,7 @@ def speak_up() -> None:
         life(self)
 
     def first_report(self: MeshNode) -> None:
-        if self.epoch:  # the driver listens
+        if self.epoch:  # the driver is subscribed
             MeshNode.report = report  # type: ignore[method-assign]
             for payload in RUBBISH:
                 self._counts.put(payload)
@@ -62,8 +62,8 @@ def speak_up() -> None:
     MeshNode.report = first_report  # type: ignore[method-assign]
 
 
-def exaggerate(key: str) -> None:
-    """From now on the node of this process reports a billion messages handled on a key."""
+def overreport(key: str) -> None:
+    """Make this process's node report a billion handled messages on a key."""
     report = MeshNode.report
 
     def lie(self: MeshNode) -> None:
@@ -74,9 +74,9 @@ def exaggerate(key: str) -> None:
 
 
 def hold(frame: int, go: str, stall_timeout_s: float) -> None:
-    """From now on the driver of this process waits before a frame until the file `go` is there; it is sound otherwise.
+    """Make this process's driver wait before a frame until the file `go` exists.
 
-    stall_timeout_s: how long it waits for the mesh to become quiet
+    stall_timeout_s: its limit for waiting until the mesh is quiet
     """
     carry_out, init = Driver._carry_out, Driver.__init__
 

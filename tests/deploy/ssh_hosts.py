@@ -1,4 +1,4 @@
-"""Three hosts as network namespaces, each with an SSH server, a host key and a folder of its own, and a launcher."""
+"""Three hosts as network namespaces with SSH servers, and a launcher."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from mast_zenoh.launch.netns.namespaces import Namespace, Owner
 NAMES = ("alpha", "beta", "gamma")
 LAUNCHER = "10.78.0.1"
 SSHD = "/usr/sbin/sshd"
-_PRIVILEGES = Path("/run/sshd")  # sshd wants this empty folder
+_PRIVILEGES = Path("/run/sshd")  # sshd needs this empty folder
 
 
 def require() -> None:
-    """Skip the test, with the reason, where there are no namespaces or no SSH server. With MAST_TEST_NETWORK: fail."""
+    """Skip without namespaces or an SSH server; fail if MAST_TEST_NETWORK is set."""
     reason = "" if Path(SSHD).exists() else f"{SSHD} is missing: install openssh-server"
     try:
         machine.delays_by({"partition": ["this test"]}, Owner.this_process())
@@ -35,9 +35,9 @@ def require() -> None:
 
 
 class SshHosts:
-    """A context. inside: words that begin a command where the launcher is.
+    """Three hosts; inside: command prefix that runs on the launcher's host.
 
-    folder: everything of the hosts; full: a file system with next to no room
+    folder: holds all files of the hosts; full: a file system with almost no free space
     """
 
     def __init__(self, folder: Path) -> None:
@@ -53,7 +53,7 @@ class SshHosts:
             if not _PRIVILEGES.exists():
                 _PRIVILEGES.mkdir(mode=0o755)
                 stack.callback(shutil.rmtree, _PRIVILEGES, ignore_errors=True)
-            self.full.mkdir()  # hosts see what is mounted before they are
+            self.full.mkdir()  # hosts see mounts made before they start
             subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(self.full)], check=True)
             stack.callback(subprocess.run, ["umount", str(self.full)], check=True)
             owner = Owner.this_process()
@@ -79,7 +79,7 @@ class SshHosts:
         self._stack.close()
 
     def hosts_toml(self, name: str, text: str = "", **of: str) -> Path:
-        """A hosts file; text: besides the hosts; of: what a host says besides."""
+        """Write a hosts file; text: at its start; of: settings by host."""
         lines = [f'{text}\n[defaults]\nuser = "root"\nkey = "{self.folder}/user"\nknown_hosts = "{self.known_hosts}"']
         lines += [f'python = "{sys.executable}"']
         for host in NAMES:
@@ -91,35 +91,35 @@ class SshHosts:
         return path
 
     def home(self, host: str) -> Path:
-        """What a host has of ours."""
+        """The folder of a host for files of the package and of runs."""
         return self.folder / f"{host}_home"
 
     def swap_keys(self, host: str, other: str) -> Path:
-        """known_hosts in which a host has the key of another."""
+        """Write a known_hosts with another host's key for this host."""
         path = self.folder / "swapped"
         path.write_text("".join(self._known(name, other if name == host else name) for name in NAMES))
         return path
 
     def run(self, *words: str, seconds: float = 60.0) -> subprocess.CompletedProcess[str]:
-        """A command where the launcher is."""
+        """Run a command on the launcher's host."""
         command = [*self.inside, *words]
         return subprocess.run(
             command, capture_output=True, text=True, timeout=seconds, check=False, stdin=subprocess.DEVNULL
         )
 
     def link(self, host: str, state: str) -> None:
-        """Have the link of a host be "up" or "down"."""
+        """Set the link of a host "up" or "down"."""
         self.spaces[host].ip("link", "set", "wire", state)
         if state == "up":
             self._route(host)
 
     def processes(self, host: str) -> list[psutil.Process]:
-        """What runs inside a host, but its SSH server."""
+        """Processes inside a host, except its SSH server."""
         here = os.stat(self.spaces[host].path).st_ino
         return [p for p in psutil.process_iter(["cmdline"]) if _network(p) == here and p.pid != self.servers[host].pid]
 
     def drop_connections(self, host: str) -> int:
-        """End the SSH server's processes for connections; how many there were. New ones are let in."""
+        """Kill SSH connections, return their number; new connections are accepted."""
         serving = self.servers[host]
         children = psutil.Process(serving.pid).children(recursive=False)
         for child in children:
@@ -146,7 +146,7 @@ class SshHosts:
         self._route(name)
 
     def _route(self, name: str) -> None:
-        """Hosts reach each other by way of the launcher."""
+        """Connect the hosts through the launcher."""
         self.spaces[name].ip("route", "replace", "default", "via", LAUNCHER, "dev", "wire")
 
     def _serve(self, name: str) -> subprocess.Popen[bytes]:

@@ -1,8 +1,8 @@
-"""The launcher of a run over SSH, as a program, because it is to be where the hosts can be reached.
+"""The launcher of a run over SSH, as a program that runs in a namespace.
 
 python ssh_launch.py run   HOSTS.toml '{"frames": 20, "secure": "acl", "n_infrastructure": 7, "steps": [], …}' OUT
-python ssh_launch.py check HOSTS.toml...      what is wrong with each: {file: [exit code, message]}
-python ssh_launch.py status|logs|down OUT     as `mast deploy` does, from the run folder alone
+python ssh_launch.py check HOSTS.toml...      errors: {file: [exit code, message]}
+python ssh_launch.py status|logs|down OUT     like `mast deploy`, from the run folder alone
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ def resolved(
 ) -> Resolved:
     """n_infrastructure + 1 agents."""
     path, loaded = scenario.load("baseline", [f"n_infrastructure={n_infrastructure}"])
-    found = scenario.resolve(path, loaded, frames=frames, mode=mode, record=True)
-    return replace(found, steps=tuple(ProcessStep(*step) for step in steps))
+    resolved_scenario = scenario.resolve(path, loaded, frames=frames, mode=mode, record=True)
+    return replace(resolved_scenario, steps=tuple(ProcessStep(*step) for step in steps))
 
 
 def run(hosts: str, options: str, out: str) -> None:
-    told: dict[str, Any] = json.loads(options)
-    secure = told.pop("secure", "open")
-    ended = launcher.run(resolved(**told), Path(out), engine=Ssh(Path(hosts)), secure=secure)
-    if ended.error:
-        sys.stderr.write(f"{type(ended.error).__name__}: {ended.error}\n")
-        sys.exit(ended.error.exit_code)
+    settings: dict[str, Any] = json.loads(options)
+    secure = settings.pop("secure", "open")
+    outcome = launcher.run(resolved(**settings), Path(out), engine=Ssh(Path(hosts)), secure=secure)
+    if outcome.error:
+        sys.stderr.write(f"{type(outcome.error).__name__}: {outcome.error}\n")
+        sys.exit(outcome.error.exit_code)
 
 
 def check(*files: str) -> None:
-    found = {}
+    results = {}
     for file in files:
         try:
             Ssh(Path(file)).check(resolved(2, n_infrastructure=1), "open")
-            found[Path(file).stem] = [0, ""]
+            results[Path(file).stem] = [0, ""]
         except MastError as error:
-            found[Path(file).stem] = [error.exit_code, str(error)]
-    sys.stdout.write(json.dumps(found))
+            results[Path(file).stem] = [error.exit_code, str(error)]
+    sys.stdout.write(json.dumps(results))
 
 
 def afterwards(what: str, out: str) -> None:

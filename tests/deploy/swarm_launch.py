@@ -1,4 +1,4 @@
-"""The launcher of a run in a swarm, as a program, because it is to be interrupted and killed.
+"""The launcher of a run in a swarm, as a program that can be killed.
 
 python swarm_launch.py IMAGE '{"frames": 60, "mode": "realtime", "secure": "acl", "faults": [], …}' OUT
 """

@@ -1,4 +1,4 @@
-"""A swarm of this one machine, for as long as tests need it."""
+"""A swarm of this one machine for the duration of tests."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mast_zenoh.deploy.docker import docker
 
 @contextmanager
 def swarm() -> Iterator[str]:
-    """The tag of an image of these sources, while there is a swarm; one that is there already stays.
+    """The tag of the image in a swarm; an existing swarm is kept.
 
-    Skips the test where there is no engine, and fails where there must be one: see containers.py.
+    Skips the test without an engine, or fails if one is required: see containers.py.
     """
     tag = built()
     made = docker("info", "--format", "{{.Swarm.LocalNodeState}}").strip() == "inactive"

@@ -55,7 +55,7 @@ def test_the_examples_equal_the_generators_output(name: str) -> None:
     written = (FOLDER / f"{name}.yml").read_text(encoding="utf-8")
     assert written == example(name), "run `make docs`"
     assert not re.search(r"/(home|root|work|tmp/(?!mast-up|:)|Users)\b", written.replace('"/tmp', '"')), (
-        "no machine's paths"
+        "no paths of this machine"
     )
 
 
@@ -64,10 +64,10 @@ def test_the_examples_are_valid_for_the_installed_compose(name: str) -> None:
     if not shutil.which("docker-compose"):
         pytest.skip("there is no docker-compose on this machine")
     path = FOLDER / f"{name}.yml"
-    done = subprocess.run(
+    process = subprocess.run(
         ["docker-compose", "--file", str(path), "config", "--quiet"], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
 
 
 def resolved(*chosen: str, name: str = "uncoordinated") -> Resolved:
@@ -88,7 +88,7 @@ def test_mobile_agents_and_their_interposers_are_on_the_wireless_network() -> No
     assert all(networks == ["wired"] for name, networks in on.items() if name.startswith(("infra", "link_infra", "cc")))
 
 
-def test_every_node_gets_its_own_credentials_and_no_others() -> None:
+def test_every_node_gets_only_its_own_credentials() -> None:
     content = document.document(resolved(), "r", image="i", secure="acl")
     for name, service in content["services"].items():
         if name != "router":
@@ -103,7 +103,7 @@ def test_on_an_open_mesh_no_node_has_credentials() -> None:
     assert not any("secrets" in service for service in content["services"].values())
 
 
-def test_a_node_that_has_the_name_of_the_router_is_refused() -> None:
+def test_a_node_with_the_name_of_the_router_is_refused() -> None:
     path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
     loaded["nodes"] = {"router": dict(role="recorder", log="other.mcap")}
     with pytest.raises(ConfigurationError, match="'router': the router's name"):

@@ -1,4 +1,4 @@
-"""A composed run equals the local run, and leaves nothing behind, however it ends. Needs a Docker engine."""
+"""Composed runs equal local runs and leave nothing behind. Needs Docker."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from containers import built, left, mast
+from containers import built, mast, remnants_of
 from launched import MAST, Launched, eventually
 
 from mast_zenoh import scenario
@@ -26,7 +26,7 @@ FAULTED = ("n_infrastructure=2", "attack_start_s=0.1", "partition_s=0.2", "parti
 
 @pytest.fixture
 def up(start: Callable[..., Launched]) -> Callable[..., Launched]:
-    """Starts composed runs; takes down what is left of them."""
+    """Starts composed runs; removes their remnants."""
     how = ("--engine", "compose", "--image", built(), "--no-report", "--out")
     return lambda *words: start(*MAST, "deploy", "up", *words, *how, afterwards=take_down)
 
@@ -34,7 +34,7 @@ def up(start: Callable[..., Launched]) -> Callable[..., Launched]:
 def take_down(run: Launched) -> None:
     if "deployment" in run.record():
         mast("deploy", "down", str(run.out))
-        assert not left(run.record()["id"])
+        assert not remnants_of(run.record()["id"])
 
 
 def settings(of: tuple[str, ...]) -> list[str]:
@@ -43,9 +43,9 @@ def settings(of: tuple[str, ...]) -> list[str]:
 
 def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> launcher.Run:
     path, loaded = scenario.load(name, of)
-    ended = launcher.run(scenario.resolve(path, loaded, frames=frames, record=True), out, runtime="inproc")
-    assert ended.error is None
-    return ended
+    outcome = launcher.run(scenario.resolve(path, loaded, frames=frames, record=True), out, runtime="inproc")
+    assert outcome.error is None
+    return outcome
 
 
 def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) -> None:
@@ -54,13 +54,13 @@ def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) 
     code, output = run.end()
     assert code == 0, output
     assert json.loads((run.out / "metrics.json").read_text()) == json.loads((plain.folder / "metrics.json").read_text())
-    found = compare(plain.folder, run.out, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
+    difference = compare(plain.folder, run.out, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
     record = run.record()
     assert record["security"] == "acl"
     assert all(node["exit"] == 0 and node["container"] and node["clock"] for node in record["nodes"].values())
-    assert not left(record["id"])
+    assert not remnants_of(record["id"])
 
 
 def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> None:
@@ -71,9 +71,9 @@ def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> No
     assert code == 0, output
     assert [step["action"] for step in run.record()["steps"]] == ["kill", "start"]
     assert run.record()["nodes"]["infra_2"]["restarts"] == 1
-    found = compare(plain.folder, run.out, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert not left(run.record()["id"])
+    difference = compare(plain.folder, run.out, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert not remnants_of(run.record()["id"])
 
 
 PAUSED = """
@@ -93,8 +93,8 @@ def test_a_paused_node_stops_and_continues(up, tmp_path: Path) -> None:
     assert code == 0, output
     assert [step["action"] for step in run.record()["steps"]] == ["pause", "resume"]
     spoken = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
-    assert max(spoken) > 30, "it goes on"
-    assert not left(run.record()["id"])
+    assert max(spoken) > 30, "the run continues"
+    assert not remnants_of(run.record()["id"])
 
 
 UNPLUGGED = """
@@ -116,47 +116,50 @@ def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
     assert [step["action"] for step in record["steps"]] == ["disconnect", "connect"]
     assert record["nodes"]["infra_1"]["exit"] == 0
     assert record["nodes"]["infra_1"]["restarts"] == 0, "it is the same process"
-    said = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
-    assert {5, 15} < said, "before"
-    assert not said & set(range(30, 45)), "nothing gets through"
-    assert max(said) >= 105, "it finds back by itself, and to the frame that all others are at"
+    frames = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
+    assert {5, 15} < frames, "before"
+    assert not frames & set(range(30, 45)), "the link is cut"
+    assert max(frames) >= 105, "it reconnects by itself and rejoins at the current frame"
     checks = json.loads((run.out / "checks.json").read_text())["checks"]
     assert all(check["ok"] for check in checks), checks
-    assert not left(record["id"])
+    assert not remnants_of(record["id"])
 
 
-def test_a_node_that_is_disconnected_at_the_end_hands_in_its_results(up, tmp_path: Path) -> None:
+def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path: Path) -> None:
     (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=1.0, until=60.0))
     run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--patience", "5")
     where = run.started()["nodes"]["infra_1"]["container"]
     networks = "{{len .NetworkSettings.Networks}}"
-    eventually(lambda: docker("inspect", "--format", networks, where).strip() == "0", "it is off its networks")
-    eventually(lambda: UP not in docker("exec", where, "ls", "/tmp"), "it has noticed")
+    eventually(
+        lambda: docker("inspect", "--format", networks, where).strip() == "0",
+        "infra_1 is disconnected from its networks",
+    )
+    eventually(lambda: UP not in docker("exec", where, "ls", "/tmp"), "the node has noticed")
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == 130, output
     record = run.record()
     assert record["nodes"]["infra_1"]["last_frame"] is not None, record["nodes"]["infra_1"]
-    assert not left(record["id"])
+    assert not remnants_of(record["id"])
 
 
-def test_ctrl_c_keeps_the_results_so_far_and_leaves_nothing_running(up) -> None:
+def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up) -> None:
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
     recording = run.out / "messages.mcap"
-    run.until(lambda: recording.is_file() and recording.stat().st_size > 20_000, "a recording that grows here")
+    run.until(lambda: recording.is_file() and recording.stat().st_size > 20_000, "the recording grows on this machine")
     record = run.record()
     inside = docker("exec", record["nodes"]["ego"]["container"], "stat", "-c", "%a %u", "/run/secrets/key.pem").split()
     assert inside == ["600", docker("exec", record["nodes"]["ego"]["container"], "id", "-u").strip()]
-    assert inside[1] != "0", "nobody in there is root"
+    assert inside[1] != "0", "no process runs as root"
     assert "PRIVATE" not in docker("inspect", *(node["container"] for node in record["nodes"].values()))
     reached = docker("network", "inspect", "--format", "{{.Internal}}", f"mast-{record['id']}_wired")
-    assert reached.strip() == "true", "nodes reach nothing but the router"
-    said = mast("deploy", "status", str(run.out)).stdout
-    assert all(name in said for name in (*record["nodes"], "router")), said
+    assert reached.strip() == "true", "nodes reach only the router"
+    status = mast("deploy", "status", str(run.out)).stdout
+    assert all(name in status for name in (*record["nodes"], "router")), status
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == 130, output
-    assert not left(record["id"])
+    assert not remnants_of(record["id"])
     assert run.record()["status"] == "interrupted"
     assert json.loads((run.out / "metrics.json").read_text())["frames"] > 0
     assert sum(1 for _ in read(recording)) > 0
@@ -164,19 +167,19 @@ def test_ctrl_c_keeps_the_results_so_far_and_leaves_nothing_running(up) -> None:
     assert not (run.out / "credentials").exists()
 
 
-def test_nodes_of_a_killed_launcher_leave_and_down_removes_the_rest(up) -> None:
+def test_nodes_of_a_killed_launcher_exit_and_down_removes_the_remainder(up) -> None:
     words = settings(("n_infrastructure=1",))
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", "--patience", "2", *words)
-    run.until(run.recorded, "the run goes on")
+    run.until(run.recorded, "the run continues")
     record = run.record()
     run.kill()
     label = f"label=org.mast-zenoh.run={record['id']}"
     eventually(
         lambda: not docker("ps", "--quiet", "--filter", label).split(), "all containers have ended by themselves"
     )
-    assert left(record["id"]), "which are still there, for whoever wants to read their logs"
-    done = mast("deploy", "down", str(run.out))
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert not left(record["id"])
+    assert remnants_of(record["id"]), "the containers are kept for their logs"
+    process = mast("deploy", "down", str(run.out))
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert not remnants_of(record["id"])
     assert not (run.out / "credentials").exists()
-    assert mast("deploy", "down", str(run.out)).returncode == 0, "again does no harm"
+    assert mast("deploy", "down", str(run.out)).returncode == 0, "repeating it does no harm"

@@ -1,4 +1,4 @@
-"""One compromised node under `--secure` sends arbitrary messages on its control keys."""
+"""A compromised node under `--secure` sends arbitrary control messages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def small(frames: int = 5) -> Resolved:
     return scenario.resolve(path, loaded, frames=frames, record=True)
 
 
-def taken_over(node: str, call: str) -> Beside:
+def compromised_engine(node: str, call: str) -> Beside:
     folder = str(Path(compromised.__file__).parent)
     return Beside({node: f"__import__('sys').path.append({folder!r}); __import__('compromised').{call}"})
 
@@ -31,16 +31,18 @@ def taken_over(node: str, call: str) -> Beside:
 def test_forged_messages_of_a_node_change_nothing_and_are_reported(tmp_path: Path) -> None:
     resolved = small()
     sound = launcher.run(resolved, tmp_path / "sound", runtime="inproc")
-    ended = launcher.run(resolved, tmp_path / "run", engine=taken_over("infra_1", "speak_up()"), secure="acl")
-    assert ended.error is None
-    assert compare(sound.folder, ended.folder, taps=True).first is None
-    metrics = [json.loads((run.folder / "metrics.json").read_text()) for run in (sound, ended)]
+    outcome = launcher.run(
+        resolved, tmp_path / "run", engine=compromised_engine("infra_1", "send_invalid_messages()"), secure="acl"
+    )
+    assert outcome.error is None
+    assert compare(sound.folder, outcome.folder, taps=True).first is None
+    metrics = [json.loads((run.folder / "metrics.json").read_text()) for run in (sound, outcome)]
     assert metrics[0] == metrics[1]
-    written = {path.relative_to(ended.folder).as_posix() for path in ended.folder.rglob("*.parquet")}
+    written = {path.relative_to(outcome.folder).as_posix() for path in outcome.folder.rglob("*.parquet")}
     assert written == {path.relative_to(sound.folder).as_posix() for path in sound.folder.rglob("*.parquet")}
     assert {path.name for path in tmp_path.iterdir()} == {"sound", "run"}
     assert not Path("/tmp/mast_escaped.parquet").exists()
-    record = json.loads((ended.folder / "run.json").read_text())
+    record = json.loads((outcome.folder / "run.json").read_text())
     refused = {key: count for key, (count, _) in record["invalid_control"].items()}
     assert refused == {"result/infra_1": 10, "fetch/infra_1": 10, "file/infra_1": 10, "failed/infra_1": 7}
     assert record["nodes"]["simulator"]["invalid_control"]["counts/infra_1"][0] == len(compromised.RUBBISH)
@@ -49,10 +51,12 @@ def test_forged_messages_of_a_node_change_nothing_and_are_reported(tmp_path: Pat
     assert "nodes report 7 invalid control messages on 1 key (most: counts/infra_1, 7 by simulator," in notice["text"]
 
 
-def test_a_node_that_reports_more_than_it_was_sent_ends_the_run_and_is_named(tmp_path: Path) -> None:
-    ended = launcher.run(small(), tmp_path / "run", engine=taken_over("infra_1", "exaggerate('clock')"), secure="acl")
-    assert isinstance(ended.error, ImplausibleCounts)
-    assert str(ended.error).startswith("infra_1 reports 1000000000 messages of simulator handled on clock, of which ")
-    record = json.loads((ended.folder / "run.json").read_text())
+def test_a_node_that_reports_more_messages_than_it_received_ends_the_run_by_name(tmp_path: Path) -> None:
+    outcome = launcher.run(
+        small(), tmp_path / "run", engine=compromised_engine("infra_1", "overreport('clock')"), secure="acl"
+    )
+    assert isinstance(outcome.error, ImplausibleCounts)
+    assert str(outcome.error).startswith("infra_1 reports 1000000000 messages of simulator handled on clock, of which ")
+    record = json.loads((outcome.folder / "run.json").read_text())
     assert record["status"] == "failed"
     assert "infra_1 reports 1000000000" in record["message"]

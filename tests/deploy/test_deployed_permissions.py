@@ -1,4 +1,4 @@
-"""Only the user can change the files of a deployment, here and on hosts, and read its secrets."""
+"""Only the user can change a deployment's files or read its secrets."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def test_only_their_user_can_read_the_credentials_of_containers(tmp_path: Path, 
     folder = tmp_path / "credentials"
     with Deployment(
         level, "r", WIRING, ["a", "b"], prefix="mast/r", driver="a", hosts=["router"], folder=folder
-    ) as made:
-        engine._hand_over(folder, made.router, USER if not os.getuid() else f"{os.getuid()}:{os.getgid()}")
-        found = modes(folder)
-        assert {"a/ca.pem", "b", "router/router.json", "router"} <= found.keys()
-        assert ("a/key.pem" in found) == (level != "tls")
-        for path, mode in found.items():
+    ) as deployment:
+        engine._hand_over(folder, deployment.router, USER if not os.getuid() else f"{os.getuid()}:{os.getgid()}")
+        permissions = modes(folder)
+        assert {"a/ca.pem", "b", "router/router.json", "router"} <= permissions.keys()
+        assert ("a/key.pem" in permissions) == (level != "tls")
+        for path, mode in permissions.items():
             assert mode == (0o600 if Path(path).suffix else 0o700), path
         if not os.getuid():
             owner = folder / "router" / "router.json"
@@ -55,26 +55,26 @@ def test_only_their_user_can_read_the_credentials_of_containers(tmp_path: Path, 
 
 def on_host(home: Path, *words: str) -> dict:
     command = [sys.executable, onhost.__file__, *words]
-    done = subprocess.run(
+    process = subprocess.run(
         command, env={**os.environ, "HOME": str(home)}, capture_output=True, text=True, check=True, timeout=60
     )
-    return json.loads(done.stdout)
+    return json.loads(process.stdout)
 
 
-def test_others_cannot_change_what_is_installed_on_a_host(tmp_path: Path) -> None:
+def test_other_users_cannot_change_installed_files_on_a_host(tmp_path: Path) -> None:
     on_host(tmp_path, "probe", "mast", "e", "r")
     new = tmp_path / "mast" / "releases" / "new"
     new.mkdir(mode=0o700)
     with zipfile.ZipFile(new / "some.whl", "w") as wheel:
         wheel.writestr("package/module.py", "x = 1\n")
     on_host(tmp_path, "unpack", str(new), str(tmp_path / "mast" / "releases" / "r"), "0")
-    found = modes(tmp_path / "mast")
-    assert "releases/r/package/module.py" in found
-    assert found["runs"] == 0o700
-    assert {path: oct(mode) for path, mode in found.items() if mode & 0o022} == {}
+    permissions = modes(tmp_path / "mast")
+    assert "releases/r/package/module.py" in permissions
+    assert permissions["runs"] == 0o700
+    assert {path: oct(mode) for path, mode in permissions.items() if mode & 0o022} == {}
 
 
-def test_others_cannot_read_the_files_of_a_node_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_users_cannot_read_the_files_of_a_remote_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["mast-node", "--run", "r", "--name", "ego", "--endpoint", "tcp/127.0.0.1:1"])
     monkeypatch.setattr(remote_node, "_host", lambda arguments: (tmp_path / "written").touch())
     remote_node.main()

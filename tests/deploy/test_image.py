@@ -19,7 +19,7 @@ from mast_zenoh.errors import EngineError
 ROOT = Path(__file__).parents[2]
 LARGEST = 350_000_000
 
-#: Refuses what a node may not need; runs every node's file and what is loaded late.
+#: Rejects imports that a node must not need; runs every node's file and late imports.
 PROBE = """
 import pathlib, sys
 class Refuse:
@@ -46,11 +46,11 @@ def test_nodes_need_only_the_node_requirements() -> None:
     assert {"pyarrow", "matplotlib", "jinja2", "rich", "typer"} <= more
     refused = {*more, "dask", "distributed", "rerun", "yaml", "asyncssh", "psutil"}
     code = PROBE.format(refused=refused, nodes=str(ROOT / "nodes"))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
 
 
-def test_the_wheel_has_the_same_sources_every_time_and_its_entry_points(tmp_path: Path) -> None:
+def test_the_wheel_always_has_the_same_sources_and_entry_points(tmp_path: Path) -> None:
     folders = [tmp_path / name for name in "ab"]
     for folder in folders:
         folder.mkdir()
@@ -67,7 +67,7 @@ def test_the_wheel_has_the_same_sources_every_time_and_its_entry_points(tmp_path
 
 @pytest.mark.mesh
 @pytest.mark.timeout(600)
-def test_the_image_is_small_and_has_these_sources_and_only_what_nodes_need() -> None:
+def test_the_image_is_small_and_holds_these_sources_and_only_node_requirements() -> None:
     on, tag = base(), built()
     assert image.size_over_base(tag, on) < LARGEST
     assert docker("image", "inspect", "--format", "{{.Config.User}} {{.Config.Entrypoint}}", tag).split() == [

@@ -1,6 +1,6 @@
-"""One compromised node of each role under `--secure`, on every control key: no effect, or a failed run that names it.
+"""A compromised node of each role sends on every control key under `--secure`.
 
-`make insiders` sends 200 messages of each kind for each node; otherwise a sample of a few is sent, in fewer runs.
+`make insiders` sends 200 messages of each kind for each node; otherwise a few are sent in fewer runs.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from besieged_run import NODES, Ended, play, resolved
+from compromised_run import NODES, RunOutcome, play, resolved
 from decoders import refused
 
 from mast_zenoh import version
@@ -30,12 +30,12 @@ from mast_zenoh.study.rogue.sending import send
 
 pytestmark = pytest.mark.mesh
 
-#: Messages of each kind that an insider sends.
+#: Messages of each kind that each insider sends.
 COUNT = int(os.environ.get("MAST_FORGERIES", "4"))
 ALL = COUNT >= 200
 only_all = pytest.mark.skipif(not ALL, reason="make insiders")
 
-#: Kinds whose refusal somebody counts under the key of the node that sent them.
+#: Kinds whose refusals are counted under the key of the sending node.
 COUNTED = ("counts", "failed", "result", "fetch", "file")
 
 
@@ -46,9 +46,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Resolved:
 
 @pytest.fixture(scope="module")
 def twin(run: Resolved, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    ended = launcher.run(run, tmp_path_factory.mktemp("twin") / "run", runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(run, tmp_path_factory.mktemp("twin") / "run", runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def at(run: Resolved, node: str) -> Position:
@@ -68,14 +68,14 @@ def metrics(folder: Path, *without: str) -> dict[str, Any]:
     return {name: part for name, part in content.items() if name not in without}
 
 
-def untouched(twin: Path, ended: Ended, *without: str) -> None:
-    """The run is the twin's, message by message; `without`: parts of its metrics that are the insider's own."""
+def assert_equal_to_twin(twin: Path, ended: RunOutcome, *without: str) -> None:
+    """Assert that messages and metrics equal the twin's, except keys in `without`."""
     assert compare(twin, ended.folder, taps=True).first is None
     assert metrics(twin, *without) == metrics(ended.folder, *without)
 
 
-def taken_and_told(node: str, forgery: Forgery) -> bool:
-    """Whether a forgery in a node's own name is taken, and what comes of it is that node's own: its run may end."""
+def is_accepted(node: str, forgery: Forgery) -> bool:
+    """Whether a forgery in a node's own name is accepted and may end the run."""
     if forgery.sender != node or refused(forgery.control, node, forgery.payload):
         return False
     if forgery.control == "counts":
@@ -88,7 +88,7 @@ def taken_and_told(node: str, forgery: Forgery) -> bool:
 
 
 def is_refused(node: str, forgery: Forgery) -> bool:
-    """Whether somebody counts that a forgery was refused; one on a key of another does not get past the router."""
+    """Whether a refusal is counted; the router drops forgeries on foreign keys."""
     if forgery.sender != node or forgery.control not in COUNTED:
         return False
     if refused(forgery.control, node, forgery.payload) or forgery.control == "file":
@@ -102,28 +102,28 @@ def is_refused(node: str, forgery: Forgery) -> bool:
 def test_forgeries_on_every_control_key_change_nothing_and_are_counted(
     run: Resolved, twin: Path, tmp_path: Path, nodes: tuple[str, ...]
 ) -> None:
-    forged = {node: [f for f in all_forgeries(at(run, node), COUNT) if not taken_and_told(node, f)] for node in nodes}
+    forged = {node: [f for f in all_forgeries(at(run, node), COUNT) if not is_accepted(node, f)] for node in nodes}
     expected = Counter(f.key for node, forgeries in forged.items() for f in forgeries if is_refused(node, f))
-    ended = play(tmp_path / "run", {node: sending(forgeries) for node, forgeries in forged.items()})
-    assert (ended.code, ended.record["status"], ended.message) == (0, "ok", "")
-    assert ended.refused() == dict(expected)
-    untouched(twin, ended)
-    assert not list(ended.folder.rglob(f"*{MARKER}*"))
-    ended.sound()
+    outcome = play(tmp_path / "run", {node: sending(forgeries) for node, forgeries in forged.items()})
+    assert (outcome.code, outcome.record["status"], outcome.message) == (0, "ok", "")
+    assert outcome.refused() == dict(expected)
+    assert_equal_to_twin(twin, outcome)
+    assert not list(outcome.folder.rglob(f"*{MARKER}*"))
+    outcome.sound()
 
 
-def test_failures_that_nodes_make_up_end_the_run_as_failed_in_their_own_names(
+def test_forged_failures_fail_the_run_in_the_name_of_the_forging_node(
     run: Resolved, twin: Path, tmp_path: Path
 ) -> None:
     values = [value for value in falsehoods("failed", at(run, "infra_1")) if value[1]["handler"] != "start"]
-    ended = play(tmp_path / "run", {node: sending(own("failed", node, *values)) for node in NODES})
-    assert (ended.code, ended.record["status"]) == (30, "handler_failures")
+    outcome = play(tmp_path / "run", {node: sending(own("failed", node, *values)) for node in NODES})
+    assert (outcome.code, outcome.record["status"]) == (30, "handler_failures")
     for node in NODES:
-        assert f"{node}.finish failed" in ended.message
-        assert ended.record["nodes"][node]["failures"]
-    assert not any(ended.record["nodes"][node]["failures"] for node in ended.record["nodes"].keys() - {*NODES})
-    untouched(twin, ended)
-    ended.sound()
+        assert f"{node}.finish failed" in outcome.message
+        assert outcome.record["nodes"][node]["failures"]
+    assert not any(outcome.record["nodes"][node]["failures"] for node in outcome.record["nodes"].keys() - {*NODES})
+    assert_equal_to_twin(twin, outcome)
+    outcome.sound()
 
 
 @only_all
@@ -131,24 +131,24 @@ def test_failures_that_nodes_make_up_end_the_run_as_failed_in_their_own_names(
     ("node", "exception", "code"),
     [(node, "KeyError: 'forged'", 21) for node in NODES] + [("infra_1", "DiskFull: forged", 28)],
 )
-def test_a_node_that_says_that_it_cannot_start_ends_the_run_and_is_named(
+def test_a_node_that_claims_it_cannot_start_ends_the_run_by_name(
     run: Resolved, tmp_path: Path, node: str, exception: str, code: int
 ) -> None:
     values = [value for value in falsehoods("failed", at(run, node)) if value[1]["handler"] == "start"]
     (value,) = (value for value in values if value[1]["exception"] == exception)
-    ended = play(tmp_path / "run", {node: sending(own("failed", node, value))})
-    assert (ended.code, ended.record["status"]) == (code, "failed")
-    assert ended.message.startswith(f"{node}.start failed")
-    ended.sound()
+    outcome = play(tmp_path / "run", {node: sending(own("failed", node, value))})
+    assert (outcome.code, outcome.record["status"]) == (code, "failed")
+    assert outcome.message.startswith(f"{node}.start failed")
+    outcome.sound()
 
 
 def outcomes(run: Resolved, node: str) -> list[dict[str, Any]]:
-    """The false results that are taken."""
-    found = []
+    """The false results that are accepted."""
+    accepted = []
     for outcome in false_results(at(run, node)):
         if not refused("result", node, results.pack(outcome)):
-            found.append(outcome)
-    return found
+            accepted.append(outcome)
+    return accepted
 
 
 N_RESULTS = 60
@@ -156,31 +156,31 @@ ROUNDS = range(0, N_RESULTS, len(NODES)) if ALL else (0,)
 
 
 @pytest.mark.parametrize("first", ROUNDS)
-def test_what_nodes_hand_in_too_early_and_is_false_spoils_their_own_results_alone(
+def test_early_false_results_affect_only_the_node_that_sent_them(
     run: Resolved, twin: Path, tmp_path: Path, first: int
 ) -> None:
-    """Each node hands in another one of the false results."""
+    """Each node delivers another one of the false results."""
     sent = {}
     for offset, node in enumerate(NODES):
         taken = outcomes(run, node)
         sent[node] = taken[(first + offset) % len(taken)]
-    ended = play(tmp_path / "run", {node: sending(own("result", node, outcome)) for node, outcome in sent.items()})
+    finished = play(tmp_path / "run", {node: sending(own("result", node, outcome)) for node, outcome in sent.items()})
     failed = sorted(node for node, outcome in sent.items() if outcome["failures"])
     if "problem" in sent["recorder"]["results"].get("recorded", {}):
-        assert ended.code == 28
-        assert ended.message.startswith("recorder: ")
+        assert finished.code == 28
+        assert finished.message.startswith("recorder: ")
     else:
-        assert ended.code == (30 if failed else 0), ended.message
-        assert all(node in ended.message for node in failed)
-    assert compare(twin, ended.folder, taps=True).first is None
-    late = {key: count for key, (count, _) in ended.record["invalid_control"].items()}
-    assert late == {f"result/{node}": 1 for node in NODES}, "what the sound nodes hand in comes too late"
-    inside = {path.relative_to(ended.folder).parts[0] for path in ended.folder.rglob("*") if path.is_file()}
+        assert finished.code == (30 if failed else 0), finished.message
+        assert all(node in finished.message for node in failed)
+    assert compare(twin, finished.folder, taps=True).first is None
+    late = {key: count for key, (count, _) in finished.record["invalid_control"].items()}
+    assert late == {f"result/{node}": 1 for node in NODES}, "the honest nodes' results come too late"
+    inside = {path.relative_to(finished.folder).parts[0] for path in finished.folder.rglob("*") if path.is_file()}
     ours = {path.relative_to(twin).parts[0] for path in twin.rglob("*") if path.is_file()}
     assert inside - ours <= {"logs", "report.html", "figures", "results", "metrics.parquet", "checks.json"}
-    for path in ended.folder.rglob(f"*{MARKER}*"):
-        assert path.parent.parent == ended.folder / "results", "a table of its own"
-    ended.sound()
+    for path in finished.folder.rglob(f"*{MARKER}*"):
+        assert path.parent.parent == finished.folder / "results", "its own table"
+    finished.sound()
 
 
 @only_all
@@ -189,7 +189,7 @@ def test_what_nodes_hand_in_too_early_and_is_false_spoils_their_own_results_alon
     [(node, kind) for node in NODES for kind in ("foreign sent", "much handled", "much sent")]
     + [(node, kind) for node in ("infra_1", "link_ego") for kind in ("foreign handled", "nothing")],
 )
-def test_false_counters_end_the_run_and_name_the_node_or_change_nothing(
+def test_false_counters_end_the_run_by_name_or_change_nothing(
     run: Resolved, twin: Path, tmp_path: Path, node: str, kind: str
 ) -> None:
     where = at(run, node)
@@ -203,19 +203,19 @@ def test_false_counters_end_the_run_and_name_the_node_or_change_nothing(
     counts = [1, dict.fromkeys(sent, 10**9), dict.fromkeys(handled, 10**9)]
     if kind.startswith("foreign") and not (sent or handled):
         pytest.skip("every key is its own")
-    ended = play(tmp_path / "run", {}, {node: sending(own("counts", node, counts))})
-    if ended.code:
-        assert ended.code in (23, 31)
-        assert ended.record["status"] == "failed"
-        assert node in ended.message
+    outcome = play(tmp_path / "run", {}, {node: sending(own("counts", node, counts))})
+    if outcome.code:
+        assert outcome.code in (23, 31)
+        assert outcome.record["status"] == "failed"
+        assert node in outcome.message
     else:
         assert not kind.startswith("foreign")
-        untouched(twin, ended)
-    ended.sound()
+        assert_equal_to_twin(twin, outcome)
+    outcome.sound()
 
 
-def say_one_more(key: str) -> Callable[..., None]:
-    """A message of which lock-step counts that it was handled, but not that it was sent."""
+def publish_uncounted_message(key: str) -> Callable[..., None]:
+    """A message that lock-step counts as handled but not as sent."""
 
     def insider(session: Any, prefix: str) -> None:
         session.put(f"{prefix}/{key}", b"\xc1", attachment=ATTACHMENT.pack(MARK, 1, 3))
@@ -225,22 +225,20 @@ def say_one_more(key: str) -> Callable[..., None]:
 
 @only_all
 @pytest.mark.parametrize("node", [node for node in NODES if node not in ("evaluator", "recorder", "counter")])
-def test_a_message_that_the_sound_node_does_not_report_ends_the_run_and_names_the_node(
+def test_a_message_missing_from_the_honest_nodes_report_ends_the_run_by_name(
     run: Resolved, tmp_path: Path, node: str
 ) -> None:
-    ended = play(tmp_path / "run", {node: say_one_more(at(run, node).publishes[0])})
-    assert (ended.code, ended.record["status"]) == (31, "failed")
-    assert ended.message.startswith(f"{node} reports ")
-    ended.sound()
+    outcome = play(tmp_path / "run", {node: publish_uncounted_message(at(run, node).publishes[0])})
+    assert (outcome.code, outcome.record["status"]) == (31, "failed")
+    assert outcome.message.startswith(f"{node} reports ")
+    outcome.sound()
 
 
 @only_all
 @pytest.mark.parametrize("node", NODES)
-def test_a_node_that_says_that_it_is_of_another_version_fails_the_run_and_is_named(
-    run: Resolved, tmp_path: Path, node: str
-) -> None:
+def test_a_node_that_claims_another_version_fails_the_run_by_name(run: Resolved, tmp_path: Path, node: str) -> None:
     value = {"do": "join", "version": "0.0.0 (sources forged)", "versions": {}}
-    ended = play(tmp_path / "run", {node: sending(own("fetch", node, value))})
-    assert (ended.code, ended.record["status"]) == (29, "failed")
-    assert ended.message.startswith(f"{node} runs mast-zenoh 0.0.0")
-    ended.sound()
+    outcome = play(tmp_path / "run", {node: sending(own("fetch", node, value))})
+    assert (outcome.code, outcome.record["status"]) == (29, "failed")
+    assert outcome.message.startswith(f"{node} runs mast-zenoh 0.0.0")
+    outcome.sound()

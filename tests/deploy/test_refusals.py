@@ -1,4 +1,4 @@
-"""An impossible deployment is refused before anything is started or written."""
+"""Impossible deployments are refused before anything is started or written."""
 
 from __future__ import annotations
 
@@ -54,17 +54,17 @@ def test_an_unreachable_engine_is_reported(tmp_path: Path) -> None:
     docker.parent.mkdir()
     docker.write_text("#!/bin/sh\necho 'Cannot connect to the Docker daemon' >&2; exit 1\n")
     docker.chmod(0o755)
-    done = up(tmp_path / "run", {"PATH": f"{docker.parent}:{os.environ['PATH']}"})
-    assert done.returncode == EngineError.exit_code, done.stdout + done.stderr
-    assert "the Docker engine cannot be reached" in done.stderr
-    assert "Cannot connect to the Docker daemon" in done.stderr
+    process = up(tmp_path / "run", {"PATH": f"{docker.parent}:{os.environ['PATH']}"})
+    assert process.returncode == EngineError.exit_code, process.stdout + process.stderr
+    assert "the Docker engine cannot be reached" in process.stderr
+    assert "Cannot connect to the Docker daemon" in process.stderr
     assert not (tmp_path / "run").exists()
 
 
-def test_a_machine_without_an_engine_is_told_what_to_install(tmp_path: Path) -> None:
-    done = up(tmp_path / "run", {"PATH": str(tmp_path)})
-    assert done.returncode == EngineError.exit_code
-    assert "there is no `docker` on this machine: install docker.io" in done.stderr
+def test_a_machine_without_an_engine_gets_install_instructions(tmp_path: Path) -> None:
+    process = up(tmp_path / "run", {"PATH": str(tmp_path)})
+    assert process.returncode == EngineError.exit_code
+    assert "there is no `docker` on this machine: install docker.io" in process.stderr
     assert not (tmp_path / "run").exists()
 
 
@@ -78,7 +78,7 @@ def unplugged(until: float = 2.0, rate: float = 1.0) -> Resolved:
     ("engine", "runtime", "where"),
     [("swarm", "mesh", "engine swarm"), ("", "mesh", "processes of this machine"), ("", "inproc", "one process")],
 )
-def test_an_engine_that_cannot_disconnect_nodes_refuses_before_anything_starts(
+def test_a_disconnect_fault_on_an_unable_engine_is_refused_before_anything_starts(
     tmp_path: Path, engine: str, runtime: str, where: str
 ) -> None:
     with pytest.raises(BackendError, match=rf"'infra_1' \(before frame 5\).*compose.*found {where}; use Partition"):
@@ -91,9 +91,9 @@ def test_nodes_on_ssh_hosts_cannot_be_disconnected() -> None:
 
 
 def test_a_disconnected_node_waits_longer_for_the_launcher() -> None:
-    made = document.document(unplugged(until=4.5, rate=0.5), "a-run", image="any", patience_s=10.0)
-    waits = {name: service["command"][-1] for name, service in made["services"].items()}
-    assert waits.pop("infra_1") == "18", "4 s of the scene at half its speed"
+    compose_file = document.document(unplugged(until=4.5, rate=0.5), "a-run", image="any", patience_s=10.0)
+    waits = {name: service["command"][-1] for name, service in compose_file["services"].items()}
+    assert waits.pop("infra_1") == "18", "4 s of scene time at half speed"
     assert set(waits.values()) == {"10"}
 
 
@@ -106,7 +106,7 @@ def test_a_container_is_reconnected_with_its_former_addresses() -> None:
     ]
     fixed = {"Aliases": None, "IPAMConfig": {"IPv4Address": "192.0.2.7"}, "IPAddress": "192.0.2.7"}
     assert connected_as(fixed) == ["--ip", "192.0.2.7"]
-    assert connected_as({"IPAddress": "192.0.2.7"}) == [], "an address that Docker has chosen it may choose again"
+    assert connected_as({"IPAddress": "192.0.2.7"}) == [], "an address assigned by Docker may be assigned anew"
 
 
 def test_a_full_disk_is_reported_before_anything_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,13 +118,13 @@ def test_a_full_disk_is_reported_before_anything_is_written(tmp_path: Path, monk
     assert not (tmp_path / "not").exists()
 
 
-def test_an_option_that_an_engine_lacks_is_a_usage_error(tmp_path: Path) -> None:
-    done = up(tmp_path / "run", {}, "--hosts", "hosts.toml")
-    assert done.returncode == 2
-    assert "engine compose has no such option" in " ".join(done.stderr.split())
+def test_an_option_unsupported_by_the_engine_is_a_usage_error(tmp_path: Path) -> None:
+    process = up(tmp_path / "run", {}, "--hosts", "hosts.toml")
+    assert process.returncode == 2
+    assert "engine compose has no such option" in " ".join(process.stderr.split())
 
 
-def test_an_unknown_engine_is_named_with_the_nearest() -> None:
+def test_an_unknown_engine_is_refused_with_the_nearest() -> None:
     with pytest.raises(EngineError, match="did you mean 'compose'"):
         engines.load("composed")
     assert engines.names() == ("compose", "ssh", "swarm")
@@ -151,12 +151,12 @@ def engine_file(tmp_path: Path) -> Path:
     return tmp_path / "lab.py"
 
 
-def test_an_engine_is_found_in_the_file_that_defines_it(engine_file: Path) -> None:
+def test_an_engine_is_found_in_its_defining_file(engine_file: Path) -> None:
     kind = engines.load(f"{engine_file}:Rack")
     assert kind.name == f"{engine_file}:Rack"
     assert engines.load(kind.name) is kind
-    made = engines.make(kind, engines.options(kind, ["racks=3"]))
-    assert made.racks == 3
+    engine = engines.make(kind, engines.options(kind, ["racks=3"]))
+    assert engine.racks == 3
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_an_engine_is_found_in_the_file_that_defines_it(engine_file: Path) -> No
         ("{folder}/nosuch.py", "nosuch.py: no such file, expected one that defines a subclass of"),
     ],
 )
-def test_a_file_without_the_engine_asked_for_is_named(engine_file: Path, name: str, message: str) -> None:
+def test_a_file_without_the_requested_engine_is_refused(engine_file: Path, name: str, message: str) -> None:
     with pytest.raises(EngineError, match=message):
         engines.load(name.format(file=engine_file, folder=engine_file.parent))
 
@@ -180,30 +180,30 @@ def test_a_file_without_the_engine_asked_for_is_named(engine_file: Path, name: s
         ("racks=many", "engine .*lab.py:Rack.racks: found 'many', expected a whole number"),
     ],
 )
-def test_an_unsuitable_parameter_of_an_engine_is_named(engine_file: Path, option: str, message: str) -> None:
+def test_an_invalid_parameter_of_an_engine_is_named(engine_file: Path, option: str, message: str) -> None:
     kind = engines.load(f"{engine_file}:Rack")
     with pytest.raises(ConfigurationError, match=message):
         engines.make(kind, engines.options(kind, [option]))
 
 
-def test_the_doctor_finds_the_mesh_and_suggests_fixes_for_the_rest() -> None:
-    found = {finding.name: finding for finding in doctor.examine()}
-    assert found["python"].ok
-    assert found["zenoh"].ok
-    assert all(finding.fix for finding in found.values() if not finding.ok)
+def test_the_doctor_finds_the_mesh_and_suggests_fixes_for_missing_tools() -> None:
+    findings = {finding.name: finding for finding in doctor.examine()}
+    assert findings["python"].ok
+    assert findings["zenoh"].ok
+    assert all(finding.fix for finding in findings.values() if not finding.ok)
 
 
-def test_the_doctor_explains_a_certificate(tmp_path: Path) -> None:
+def test_the_doctor_diagnoses_a_certificate(tmp_path: Path) -> None:
     *_, last = doctor.examine(tmp_path)
     assert last.name == "certificates"
     assert last.ok is False
     assert "is missing" in last.detail
 
 
-# -- what nodes elsewhere get, and may give ------------------------------------------------------------------------
+# -- files that remote nodes receive and send ----------------------------------------------------------------------
 
 
-def test_a_node_gets_its_own_file_with_what_it_imports_and_nobody_elses(tmp_path: Path) -> None:
+def test_a_node_gets_only_its_own_file_and_imports(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("import near, package.inside\nfrom os import path\n")
     (tmp_path / "near.py").write_text("from further import x\n")
     (tmp_path / "further.py").write_text("import mine\nx = 1\n")
@@ -215,17 +215,17 @@ def test_a_node_gets_its_own_file_with_what_it_imports_and_nobody_elses(tmp_path
     assert names == {"mine.py", "near.py", "further.py", "package/__init__.py", "package/inside.py"}
 
 
-def test_the_scene_goes_to_whoever_drives_it_and_to_nobody_else(tmp_path: Path) -> None:
+def test_the_scene_is_served_only_to_the_driver(tmp_path: Path) -> None:
     resolved = small()
     files = {name: {path for path, _ in files_for_node(resolved, name, tmp_path)} for name in resolved.nodes}
     assert files["simulator"] == {"scenario.json", "wiring.json", "files/0/simulator.py", "scene.npz"}
     assert files["ego"] == {"scenario.json", "wiring.json", "files/0/agent.py"}
-    told = dict(files_for_node(resolved, "ego", tmp_path))["scenario.json"]
-    assert isinstance(told, bytes)
-    assert str(Path(__file__).parents[2]).encode() not in told, "no path of the launcher's machine"
+    served = dict(files_for_node(resolved, "ego", tmp_path))["scenario.json"]
+    assert isinstance(served, bytes)
+    assert str(Path(__file__).parents[2]).encode() not in served, "no path of the launcher's machine"
 
 
-def test_only_who_writes_a_log_may_give_one() -> None:
+def test_only_a_recorder_may_send_a_log() -> None:
     resolved = small()
     assert {name: files_written_by(resolved, name) for name in resolved.nodes if files_written_by(resolved, name)} == {
         "recorder": (str(MessageLog().path),)
@@ -233,10 +233,10 @@ def test_only_who_writes_a_log_may_give_one() -> None:
 
 
 @given(st.text(st.sampled_from("./ab~\\"), min_size=1, max_size=12))
-def test_no_name_of_a_file_leads_out_of_the_folder(name: str) -> None:
+def test_file_names_cannot_escape_the_folder(name: str) -> None:
     folder = Path("/tmp/somewhere")
     try:
-        found = _below(folder, name)
+        path = _below(folder, name)
     except RunError:
         return
-    assert found.is_relative_to(folder)
+    assert path.is_relative_to(folder)

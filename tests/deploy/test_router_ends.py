@@ -1,4 +1,4 @@
-"""When the router of a run ends, the error names the router, not the nodes that lost their mesh."""
+"""When a run's router ends, the error names the router and not the nodes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mast_zenoh.deploy.compose.containers import Containers
 from mast_zenoh.deploy.ssh.nodes import RemoteNodes
 from mast_zenoh.errors import EngineError
 
-#: Stands for Docker: it starts what it is told to start, and tells of the deaths in a file.
+#: A stand-in for Docker: starts what it is told to, and reports deaths from a file.
 DOCKER = """#!/bin/sh
 case "$1" in
     events) exec tail -f -n +1 "{deaths}";;
@@ -29,7 +29,7 @@ SPEC = NodeSpec("broker", "broker.py", "Broker", {}, "fail")
 
 @pytest.fixture
 def deaths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A file: a line in it is the death of a container."""
+    """A file in which each line is the death of a container."""
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "docker").write_text(DOCKER.format(deaths=tmp_path / "deaths"))
     (tmp_path / "bin" / "docker").chmod(0o755)
@@ -50,11 +50,11 @@ def runs(supervisor: Any) -> bool:
         return False
 
 
-def test_a_killed_router_container_is_named_and_not_a_node(tmp_path: Path, deaths: Path) -> None:
+def test_a_killed_router_container_is_named_instead_of_a_node(tmp_path: Path, deaths: Path) -> None:
     with composed(tmp_path) as supervisor:
         supervisor.start_all({"command_center": SPEC, "broker": SPEC})
         assert len(supervisor.running()) == 2
-        # The nodes leave when they have been without a launcher for a while.
+        # The nodes exit when they have been without a launcher for a while.
         deaths.write_text(
             DIED.format(time=1, name="r-router", code=137) + DIED.format(time=2, name="r-command_center", code=3)
         )
@@ -63,7 +63,7 @@ def test_a_killed_router_container_is_named_and_not_a_node(tmp_path: Path, death
             supervisor.running()
 
 
-def test_nodes_are_ended_even_if_the_router_has_ended(tmp_path: Path, deaths: Path) -> None:
+def test_nodes_are_stopped_even_if_the_router_has_ended(tmp_path: Path, deaths: Path) -> None:
     with composed(tmp_path) as supervisor:
         supervisor.start_all({"broker": SPEC})
         deaths.write_text(DIED.format(time=1, name="r-router", code=1))
@@ -74,7 +74,7 @@ def test_nodes_are_ended_even_if_the_router_has_ended(tmp_path: Path, deaths: Pa
         assert supervisor.children["broker"].exit == -15
 
 
-def test_a_container_of_another_name_is_not_taken_for_the_router(tmp_path: Path, deaths: Path) -> None:
+def test_a_container_with_another_name_is_not_mistaken_for_the_router(tmp_path: Path, deaths: Path) -> None:
     with composed(tmp_path) as supervisor:
         supervisor.start_all({"broker": SPEC, "ego": SPEC})
         deaths.write_text(DIED.format(time=1, name="r-broker", code=137))
@@ -83,7 +83,7 @@ def test_a_container_of_another_name_is_not_taken_for_the_router(tmp_path: Path,
 
 
 class Host:
-    """Stands for the attachment of a host: what is known of its processes is set here."""
+    """A stand-in for the connection to a host; the test sets its processes."""
 
     def __init__(self) -> None:
         self.host = SimpleNamespace(name="alpha", called="alpha")
@@ -113,7 +113,7 @@ def remote(tmp_path: Path, host: Any) -> RemoteNodes:
     return nodes
 
 
-def test_a_killed_router_on_a_host_is_named_with_the_host_and_not_a_node(tmp_path: Path, host: Host) -> None:
+def test_a_killed_router_on_a_host_is_named_with_its_host_instead_of_a_node(tmp_path: Path, host: Host) -> None:
     nodes = remote(tmp_path, host)
     assert len(nodes.running()) == 2
     host.exits = {"@router": -9, "broker": 3}
@@ -122,7 +122,7 @@ def test_a_killed_router_on_a_host_is_named_with_the_host_and_not_a_node(tmp_pat
     nodes.end(1.0)
 
 
-def test_a_host_that_is_gone_has_taken_its_router_with_it(tmp_path: Path, host: Host) -> None:
+def test_the_router_of_a_lost_host_counts_as_ended(tmp_path: Path, host: Host) -> None:
     nodes = remote(tmp_path, host)
     host.gone = True
     with pytest.raises(EngineError, match=r"the router on alpha has ended: killed by signal 9"):

@@ -1,4 +1,4 @@
-"""hosts.toml: read strictly, with errors that name the path inside the file, and the placement of nodes."""
+"""hosts.toml: strict reading, errors with paths, and placement of nodes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NODES = {
 }
 
 
-def test_the_example_is_a_hosts_file_that_places_every_node() -> None:
+def test_the_example_hosts_file_places_every_node() -> None:
     hosts = read(ROOT / "deploy" / "hosts.toml")
     assert set(hosts.placed(NODES)) == set(NODES)
 
@@ -68,7 +68,7 @@ def test_defaults_fill_in_missing_settings_of_a_host() -> None:
         ("[hosts", "h.toml: "),
     ],
 )
-def test_an_invalid_file_is_refused_with_the_place_of_the_fault(text: str, expected: str) -> None:
+def test_an_invalid_file_is_refused_with_the_location_of_the_fault(text: str, expected: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         parse(text, "h.toml")
     assert expected in str(refused.value)
@@ -76,12 +76,12 @@ def test_an_invalid_file_is_refused_with_the_place_of_the_fault(text: str, expec
 
 @given(st.text(max_size=200) | st.text(alphabet='[]hosts.="1\n{}', max_size=60))
 def test_any_text_is_read_or_refused(text: str) -> None:
-    said = "h.toml: "
+    error_message = "h.toml: "
     try:
         assert isinstance(parse(text, "h.toml"), Hosts)
     except ConfigurationError as error:
-        said = str(error)
-    assert said.startswith("h.toml: ")
+        error_message = str(error)
+    assert error_message.startswith("h.toml: ")
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_nodes_are_placed_by_name_then_by_role_then_in_turn() -> None:
     by_role = placed('roles = ["agent"]', 'roles = ["agent"]', 'nodes = ["infra_1"]\nspread = true')
     assert by_role == {"simulator": "h2", "ego": "h0", "infra_1": "h2", "infra_2": "h1", "broker": "h2"}
     everywhere = placed('nodes = ["infra_*"]', 'roles = ["broker"]')
-    assert placed('nodes = ["mobile_*"]\nroles = ["recorder"]') == dict.fromkeys(NODES, "h0"), "what is not there"
+    assert placed('nodes = ["mobile_*"]\nroles = ["recorder"]') == dict.fromkeys(NODES, "h0"), "names an unknown node"
     assert everywhere == {"simulator": "h0", "ego": "h1", "infra_1": "h0", "infra_2": "h0", "broker": "h1"}
 
 
@@ -115,13 +115,13 @@ def test_nodes_are_placed_by_name_then_by_role_then_in_turn() -> None:
         (('nodes = ["ego"]', 'nodes = ["e*"]'), "h.toml: hosts.h1.nodes[0]: ego is already on h0"),
     ],
 )
-def test_a_placement_that_does_not_fit_the_scenario_is_refused(of: tuple[str, ...], expected: str) -> None:
+def test_a_placement_that_contradicts_the_scenario_is_refused(of: tuple[str, ...], expected: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         placed(*of)
     assert expected in str(refused.value)
 
 
 @given(st.lists(st.sampled_from(["", "spread = true", 'roles = ["agent"]', 'nodes = ["ego"]']), min_size=1, max_size=5))
-def test_every_node_has_one_host(of: list[str]) -> None:
+def test_every_node_has_exactly_one_host(of: list[str]) -> None:
     if of.count('nodes = ["ego"]') < 2:
         assert set(placed(*of)) == set(NODES)

@@ -1,4 +1,4 @@
-"""Runs on three hosts with SSH: their results, the failures that they survive, and that they leave nothing behind."""
+"""Runs on three SSH hosts: results, recovery from failures, and cleanup."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ PLACES = {"beta": 'nodes = ["ego", "infra_4", "infra_5"]', "gamma": 'nodes = ["i
 @pytest.fixture(scope="module")
 def hosts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshHosts]:
     ssh_hosts.require()
-    wheel.third_party(wheel.cache())  # here, for the launcher is in a network that reaches no index
-    with SshHosts(tmp_path_factory.mktemp("hosts")) as made:
-        yield made
+    wheel.third_party(wheel.cache())  # built here because the launcher's network has no package index
+    with SshHosts(tmp_path_factory.mktemp("hosts")) as started:
+        yield started
 
 
-def left(hosts: SshHosts) -> list[str]:
-    """What there is of runs: processes in hosts, but those of the SSH server, and files."""
-    found = []
+def remnants_on(hosts: SshHosts) -> list[str]:
+    """Remnants of runs: processes in hosts, except SSH servers, and files."""
+    remnants = []
     for name in NAMES:
         words = [" ".join(_cmdline(process)) for process in hosts.processes(name)]
-        found += [f"{name}: {line}" for line in words if not line.startswith("sshd:")]
-        found += [str(path) for path in (hosts.home(name) / "runs").glob("*")]
-        # not `rglob`: it fails at a folder that goes away meanwhile
+        remnants += [f"{name}: {line}" for line in words if not line.startswith("sshd:")]
+        remnants += [str(path) for path in (hosts.home(name) / "runs").glob("*")]
+        # not `rglob`: it fails if a folder disappears meanwhile
         files = [Path(folder, file) for folder, _, files in os.walk(hosts.home(name)) for file in files]
-        found += [str(path) for path in files if path.suffix == ".pem" and "certifi" not in path.parts]
-    return found
+        remnants += [str(path) for path in files if path.suffix == ".pem" and "certifi" not in path.parts]
+    return remnants
 
 
 def _cmdline(process: psutil.Process) -> list[str]:
@@ -61,7 +61,7 @@ def _cmdline(process: psutil.Process) -> list[str]:
 
 @pytest.fixture
 def launch(hosts: SshHosts, start: Callable[..., Launched], tmp_path: Path) -> Callable[..., Launched]:
-    """Starts runs; fails if anything is left of them when the test is over."""
+    """Starts runs; fails if anything of them remains after the test."""
     temporary = tmp_path / "tmp"
     temporary.mkdir()
 
@@ -71,17 +71,17 @@ def launch(hosts: SshHosts, start: Callable[..., Launched], tmp_path: Path) -> C
         return start(*command, afterwards=nothing_is_left, TMPDIR=str(temporary))
 
     def nothing_is_left(_: Launched) -> None:
-        eventually(lambda: not left(hosts), f"nothing is left: {left(hosts)}", 30.0)
+        eventually(lambda: not remnants_on(hosts), f"nothing is left: {remnants_on(hosts)}", 30.0)
         assert [path for path in temporary.rglob("*") if path.suffix in (".pem", ".whl")] == []
 
     return run
 
 
-def test_a_secure_run_on_three_hosts_equals_the_one_in_this_process(launch, hosts: SshHosts, tmp_path: Path) -> None:
-    """With a router on one of the hosts, and with nodes that are killed, leave and come back."""
+def test_a_secure_run_on_three_hosts_equals_the_one_in_one_process(launch, hosts: SshHosts, tmp_path: Path) -> None:
+    """With a router on one host, and with nodes that are killed and restarted."""
     steps = ((5, "kill", "infra_1"), (6, "leave", "infra_2"), (9, "start", "infra_2"), (10, "start", "infra_1"))
     run: Launched = launch('[router]\non = "beta"', secure="acl", frames=15, steps=steps)
-    keys = run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/credentials/*/key.pem")], "keys come to hosts")
+    keys = run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/credentials/*/key.pem")], "keys arrive on the hosts")
     modes = {stat.S_IMODE(os.stat(place).st_mode) for key in keys for place in (key.parent, key.parent.parent)}
     assert modes == {0o700}
     assert {stat.S_IMODE(os.stat(key).st_mode) for key in keys} == {0o600}
@@ -96,18 +96,18 @@ def test_a_secure_run_on_three_hosts_equals_the_one_in_this_process(launch, host
     assert {node["host"] for node in record["nodes"].values()} == set(NAMES)
     assert sum(node["role"] == "agent" for node in record["nodes"].values()) == 8
     for node in record["nodes"].values():
-        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "it is the same clock"
+        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
     here = launcher.run(ssh_launch.resolved(15, steps=steps), tmp_path / "here", runtime="inproc")
-    found = compare(here.folder, run.out)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
-    told = [json.loads((folder / "metrics.json").read_text()) for folder in (here.folder, run.out)]
-    assert told[0] == told[1]
+    difference = compare(here.folder, run.out)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
+    metrics = [json.loads((folder / "metrics.json").read_text()) for folder in (here.folder, run.out)]
+    assert metrics[0] == metrics[1]
     assert "router at tls/" in (run.out / "logs" / "@router.log").read_text()
 
 
-def test_a_host_that_is_cut_off_for_five_seconds_takes_part_again(launch, hosts: SshHosts) -> None:
-    """And a lost connection of SSH alone is nothing at all: it comes again, and the host's nodes have not noticed."""
+def test_a_host_cut_off_for_five_seconds_rejoins(launch, hosts: SshHosts) -> None:
+    """A lost SSH connection alone is restored without effect on the nodes."""
     steps = ((20, "pause", "infra_7"), (30, "resume", "infra_7"))
     run: Launched = launch(mode="realtime", frames=110, steps=steps)
     run.until(run.recorded, "frames are played")
@@ -133,49 +133,49 @@ def test_a_host_that_is_cut_off_for_five_seconds_takes_part_again(launch, hosts:
     away = range(min(frames["infra_1"]) + 1, max(frames["infra_1"]))
     missing = [frame for frame in away if frame not in frames["infra_1"]]
     assert len(missing) >= 20, "it was away"
-    assert frames["ego"].intersection(missing), "the others went on"
-    assert max(frames["infra_1"]) > max(missing), "it is back"
+    assert frames["ego"].intersection(missing), "the other agents continued"
+    assert max(frames["infra_1"]) > max(missing), "it has returned"
     for name in ("infra_1", "infra_2", "infra_3"):
         assert record["nodes"][name]["last_frame"] == 109
 
 
-def test_the_rest_of_a_killed_launchers_run_is_shown_and_can_be_removed(launch, hosts: SshHosts) -> None:
-    """Also where hosts share a home."""
+def test_remnants_of_a_killed_launchers_run_are_listed_and_can_be_removed(launch, hosts: SshHosts) -> None:
+    """Also with a home directory shared by the hosts."""
     shared = {name: f'folder = "{hosts.home("alpha")}"' for name in ("beta", "gamma")}
     run: Launched = launch("patience_s = 600", mode="realtime", frames=5000, n_infrastructure=1, places=shared)
     run.until(run.recorded, "frames are played")
     run.kill()
-    shown = json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)
-    assert {entry["state"] for entry in shown} == {"running"}
-    assert {entry["node"] for entry in shown} == set(run.record()["nodes"])
+    status = json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)
+    assert {entry["state"] for entry in status} == {"running"}
+    assert {entry["node"] for entry in status} == set(run.record()["nodes"])
     before = hosts.run(*PROGRAM, "logs", str(run.out))
     assert before.returncode == 0, before.stderr
-    for _ in range(2):  # what is not there cannot be taken away: nothing happens
+    for _ in range(2):  # removing what does not exist has no effect
         done = hosts.run(*PROGRAM, "down", str(run.out))
         assert done.returncode == 0, done.stderr
-        assert left(hosts) == []
+        assert remnants_on(hosts) == []
     assert {entry["state"] for entry in json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)} == {"not there"}
 
 
-def test_the_rest_of_a_killed_launchers_run_ends_by_itself(launch, hosts: SshHosts) -> None:
-    """Also a node that stands still, which cannot see that the launcher has gone."""
+def test_remnants_of_a_killed_launchers_run_end_by_themselves(launch, hosts: SshHosts) -> None:
+    """Also with a suspended node, which cannot notice that the launcher is gone."""
     run: Launched = launch("patience_s = 1", mode="realtime", frames=5000, n_infrastructure=1, places={}, secure="acl")
     run.until(run.recorded, "frames are played")
     os.kill(run.until(lambda: run.record()["nodes"]["infra_1"]["pid"], "its process is known"), signal.SIGSTOP)
     run.kill()
-    eventually(lambda: not left(hosts), "nothing is left", 60.0)
+    eventually(lambda: not remnants_on(hosts), "nothing is left", 60.0)
 
 
 def test_ctrl_c_during_startup_leaves_nothing_on_hosts(launch, hosts: SshHosts) -> None:
     run: Launched = launch(n_infrastructure=1, places={}, secure="acl")
-    run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/control")], "the first supervisor is there")
+    run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/control")], "the first supervisor is running")
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == Interrupted.exit_code, output
     assert run.record()["status"] == "interrupted"
 
 
-def test_a_killed_supervisor_ends_its_nodes_and_the_run_reports_it(launch, hosts: SshHosts) -> None:
+def test_a_killed_supervisor_ends_its_nodes_and_is_reported(launch, hosts: SshHosts) -> None:
     run: Launched = launch(mode="realtime", frames=5000, n_infrastructure=1, places={"beta": 'nodes = ["broker"]'})
     run.until(run.recorded, "frames are played")
     for process in hosts.processes("beta"):
@@ -202,7 +202,7 @@ def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tm
     old.chmod(0o755)
     (tmp_path / "closed").write_text("")
     codecs = {path: path.read_text() for path in hosts.home("alpha").glob("releases/*/mast_zenoh/messages/codec.py")}
-    assert codecs, "a run before this one has brought it there"
+    assert codecs, "an earlier run has installed it there"
     broken = {
         "fine": "",
         "key": f'known_hosts = "{hosts.swap_keys("alpha", "beta")}"',
@@ -228,11 +228,11 @@ def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tm
     finally:
         for codec, text in codecs.items():
             codec.write_text(text)
-    found = json.loads(done.stdout)
-    assert found.pop("fine") == [0, ""]
-    assert found.pop("full")[0] == 28, "DiskFull"
-    assert {code for code, _ in found.values()} == {EngineError.exit_code}, found
-    assert all("host alpha (root@10.78.0." in message for _, message in found.values())
+    content = json.loads(done.stdout)
+    assert content.pop("fine") == [0, ""]
+    assert content.pop("full")[0] == 28, "DiskFull"
+    assert {code for code, _ in content.values()} == {EngineError.exit_code}, content
+    assert all("host alpha (root@10.78.0." in message for _, message in content.values())
     expected = {
         "key": "its host key is not the one in",
         "unknown": "its host key is not the one in",
@@ -243,11 +243,11 @@ def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tm
         "old": "is Python 3.9, expected 3.11 or newer",
         "closed": "Not a directory",
     }
-    assert {name: expected[name] for name, (_, message) in found.items() if expected[name] in message} == expected
+    assert {name: expected[name] for name, (_, message) in content.items() if expected[name] in message} == expected
     (code, message) = json.loads(other.stdout)["fine"]
     assert code == 29, "VersionMismatch"
-    assert message.count("(sources ") == 2, "both are named"
-    assert left(hosts) == []
+    assert message.count("(sources ") == 2, "both versions are named"
+    assert remnants_on(hosts) == []
 
 
 def _replace(file: Path, old: str, new: str) -> None:

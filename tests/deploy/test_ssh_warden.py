@@ -1,4 +1,4 @@
-"""A host's supervisor without SSH: commands are carried out once, and nothing is left when it exits."""
+"""A host's supervisor without SSH: commands run once, nothing remains."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SLEEP = [sys.executable, "-c", "import signal, sys; print('up', flush=True); sig
 
 
 class Attached:
-    """A connection to a supervisor, as the launcher has one."""
+    """A connection to a supervisor, like the launcher's."""
 
     def __init__(self, folder: Path, **offsets: int) -> None:
         self.there = socket.socket(socket.AF_UNIX)
@@ -33,27 +33,27 @@ class Attached:
         self.there.connect(str(folder / "control"))
         self.lines = self.there.makefile("r")
         self.heard: list[dict[str, Any]] = []
-        self.tell({"as": "launcher", "logs": offsets})
-        self.wait(lambda said: "warden" in said)
+        self.send({"as": "launcher", "logs": offsets})
+        self.wait(lambda event: "warden" in event)
 
-    def tell(self, said: dict[str, Any]) -> None:
-        self.there.sendall(json.dumps(said).encode() + b"\n")
+    def send(self, message: dict[str, Any]) -> None:
+        self.there.sendall(json.dumps(message).encode() + b"\n")
 
     def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """The first thing heard that is so, from now on."""
+        """The next received event that satisfies the condition."""
         for line in self.lines:
             self.heard.append(json.loads(line))
             if condition(self.heard[-1]):
                 return self.heard[-1]
         raise AssertionError(f"the connection has ended; heard {self.heard}")
 
-    def do(self, which: str, do: str, **more: Any) -> dict[str, Any]:
-        """Have something done; the answer."""
-        self.tell({"id": which, "do": do, **more})
-        return self.wait(lambda said: said.get("answer") == which)
+    def request(self, which: str, do: str, **more: Any) -> dict[str, Any]:
+        """Send a command and return the answer."""
+        self.send({"id": which, "do": do, **more})
+        return self.wait(lambda event: event.get("answer") == which)
 
-    def ended(self) -> bool:
-        """Wait until the other side has closed the connection."""
+    def wait_until_closed(self) -> bool:
+        """Wait until the peer has closed the connection."""
         for line in self.lines:
             self.heard.append(json.loads(line))
         return True
@@ -65,7 +65,7 @@ class Attached:
 
 @pytest.fixture
 def serve() -> Iterator[Callable[..., Path]]:
-    """Starts supervisors, in short folders: a socket's path may not be long."""
+    """Starts supervisors in short folders, as socket paths are limited."""
     top = Path(tempfile.mkdtemp(prefix="mast_w"))
 
     def start(patience_s: float = 600.0, umask: int = -1) -> Path:
@@ -86,22 +86,22 @@ def serve() -> Iterator[Callable[..., Path]]:
 
 
 def of(top: Path) -> list[psutil.Process]:
-    """The supervisors and nodes in a folder that run."""
-    found = []
+    """The running supervisors and nodes in a folder."""
+    pids = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):
             words = [*process.cmdline(), process.environ().get("TMPDIR", "")]
             if process.status() != psutil.STATUS_ZOMBIE and any(str(top) in word for word in words):
-                found.append(process)
-    return found
+                pids.append(process)
+    return pids
 
 
 def started(attached: Attached, name: str, *argv: str) -> int:
-    answer = attached.do(f"start {name}", "start", name=name, argv=list(argv or SLEEP), env={"WORD": "given"})
+    answer = attached.request(f"start {name}", "start", name=name, argv=list(argv or SLEEP), env={"WORD": "given"})
     return int(answer["pid"])
 
 
-def gone(pid: int) -> bool:
+def wait_for_exit(pid: int) -> bool:
     """Wait until a process has ended."""
     deadline = time.monotonic() + 30.0
     while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
@@ -111,107 +111,107 @@ def gone(pid: int) -> bool:
     return True
 
 
-def test_a_repeated_command_is_carried_out_once(serve) -> None:
+def test_a_repeated_command_is_executed_once(serve) -> None:
     folder = serve()
     first = Attached(folder)
     pid = started(first, "ego")
     first.close()  # the answer may have been lost
     again = Attached(folder)
     assert started(again, "ego") == pid
-    assert again.do("another", "start", name="ego", argv=SLEEP, env={})["error"] == "ego is already running"
-    assert "error" in again.do("none", "start", name="other", argv=["/does/not/exist"], env={})
-    again.do("leave", "leave", grace_s=10.0)
-    assert again.ended()
-    assert gone(pid)
-    assert not folder.parent.exists(), "nothing is left but what other runs may need"
+    assert again.request("another", "start", name="ego", argv=SLEEP, env={})["error"] == "ego is already running"
+    assert "error" in again.request("none", "start", name="other", argv=["/does/not/exist"], env={})
+    again.request("leave", "leave", grace_s=10.0)
+    assert again.wait_until_closed()
+    assert wait_for_exit(pid)
+    assert not folder.parent.exists(), "only files that other runs may need remain"
     assert folder.parent.parent.exists()
 
 
-def test_only_its_user_can_read_a_runs_files_on_a_host_with_any_umask(serve) -> None:
+def test_only_the_owner_can_read_a_runs_files_on_a_host_with_any_umask(serve) -> None:
     folder = serve(umask=0)
     attached = Attached(folder)
     program = "import pathlib, sys; pathlib.Path('written').touch(); sys.exit(0)"
     started(attached, "ego", sys.executable, "-c", program)
-    attached.wait(lambda said: said.get("node") == "ego" and said["exit"] == 0)
-    found = {path: path.stat().st_mode & 0o777 for path in (folder.parent, folder, *folder.rglob("*"))}
-    assert {"control", "logs", "ego.log", "@warden.log", "written"} <= {path.name for path in found}
-    assert {str(path): oct(mode) for path, mode in found.items() if mode & 0o077} == {}
-    attached.do("leave", "leave", grace_s=10.0)
-    assert attached.ended()
+    attached.wait(lambda event: event.get("node") == "ego" and event["exit"] == 0)
+    permissions = {path: path.stat().st_mode & 0o777 for path in (folder.parent, folder, *folder.rglob("*"))}
+    assert {"control", "logs", "ego.log", "@warden.log", "written"} <= {path.name for path in permissions}
+    assert {str(path): oct(mode) for path, mode in permissions.items() if mode & 0o077} == {}
+    attached.request("leave", "leave", grace_s=10.0)
+    assert attached.wait_until_closed()
 
 
-def test_nodes_get_their_environment_and_folder_and_their_exit_code_is_reported(serve) -> None:
+def test_nodes_get_their_environment_and_folder_and_report_their_exit_code(serve) -> None:
     folder = serve()
     attached = Attached(folder)
     program = "import os, sys; print(os.environ['WORD'], os.environ['TMPDIR'], os.getcwd(), flush=True); sys.exit(5)"
     started(attached, "ego", sys.executable, "-c", program)
-    assert attached.wait(lambda said: said.get("node") == "ego")["exit"] == 5
-    said = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
-    assert said == f"given {folder}/tmp/ego {folder}\n", "what it has said comes before its end"
-    attached.do("leave", "leave", grace_s=1.0)
+    assert attached.wait(lambda output: output.get("node") == "ego")["exit"] == 5
+    output = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
+    assert output == f"given {folder}/tmp/ego {folder}\n", "output arrives before the exit event"
+    attached.request("leave", "leave", grace_s=1.0)
     attached.close()
 
 
-def test_logs_continue_where_the_last_connection_ended(serve) -> None:
+def test_logs_continue_from_the_last_connection(serve) -> None:
     folder = serve()
     first = Attached(folder)
     program = "for i in range(10_000): print(i, 'ä' * 20)\nprint('end', flush=True)\nimport signal; signal.pause()"
     started(first, "ego", sys.executable, "-c", program)
-    pieces = [first.wait(lambda said: "log" in said)]
+    pieces = [first.wait(lambda event: "log" in event)]
     first.close()
     offset = pieces[0]["offset"] + len(pieces[0]["text"].encode("latin-1"))
     second = Attached(folder, ego=offset)
     content = pieces[0]["text"]
     while not content.endswith("end\n"):
-        content += second.wait(lambda said: "log" in said)["text"]
+        content += second.wait(lambda event: "log" in event)["text"]
     expected = "".join(f"{i} {'ä' * 20}\n" for i in range(10_000)) + "end\n"
     assert content.encode("latin-1").decode() == expected
-    second.do("leave", "leave", grace_s=1.0)
+    second.request("leave", "leave", grace_s=1.0)
     second.close()
 
 
-def test_nodes_that_do_not_leave_are_killed_after_the_grace_period_also_stopped_ones(serve) -> None:
+def test_nodes_that_do_not_exit_are_killed_after_the_grace_period_even_if_stopped(serve) -> None:
     attached = Attached(serve())
     program = (
         "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\nwhile 1: signal.pause()"
     )
     pids = [started(attached, "deaf", sys.executable, "-c", program), started(attached, "still")]
     for _ in range(2):
-        attached.wait(lambda said: said.get("text") == "up\n")
-    attached.do("stop", "signal", names=["still"], number=int(signal.SIGSTOP))
-    attached.do("end", "end", grace_s=0.5)
-    codes = {said["node"]: said["exit"] for said in attached.heard if "node" in said}
+        attached.wait(lambda event: event.get("text") == "up\n")
+    attached.request("stop", "signal", names=["still"], number=int(signal.SIGSTOP))
+    attached.request("end", "end", grace_s=0.5)
+    codes = {event["node"]: event["exit"] for event in attached.heard if "node" in event}
     assert codes == {"deaf": -signal.SIGKILL, "still": -signal.SIGTERM}
-    assert all(gone(pid) for pid in pids)
-    attached.do("leave", "leave", grace_s=1.0)
+    assert all(wait_for_exit(pid) for pid in pids)
+    attached.request("leave", "leave", grace_s=1.0)
     attached.close()
 
 
-def test_without_a_launcher_it_ends_all_even_if_a_stopped_node_has_seen_one(serve) -> None:
+def test_without_a_launcher_it_ends_all_nodes_even_if_a_stopped_one_saw_the_launcher(serve) -> None:
     folder = serve(patience_s=1.0)
     attached = Attached(folder)
     pid = started(attached, "ego")
     (folder / "tmp" / "ego" / "mast-up").touch()
-    attached.wait(lambda said: said.get("text") == "up\n")
+    attached.wait(lambda event: event.get("text") == "up\n")
     os.kill(pid, signal.SIGSTOP)
     attached.close()
-    assert gone(pid)
+    assert wait_for_exit(pid)
     deadline = time.monotonic() + 30.0
     while folder.exists() and time.monotonic() < deadline:
         threading.Event().wait(0.05)
     assert not folder.exists()
 
 
-def test_it_stays_without_a_connection_as_long_as_a_node_sees_the_launcher(serve) -> None:
+def test_it_survives_without_a_connection_while_a_node_sees_the_launcher(serve) -> None:
     folder = serve(patience_s=0.5)
     attached = Attached(folder)
     started(attached, "ego")
     (folder / "tmp" / "ego" / "mast-up").touch()
     attached.close()
-    threading.Event().wait(2.0)  # several times its patience
+    threading.Event().wait(2.0)  # several times its timeout
     again = Attached(folder)
-    assert again.do("state", "state")["nodes"][0]["exit"] is None
-    again.do("leave", "leave", grace_s=1.0)
+    assert again.request("state", "state")["nodes"][0]["exit"] is None
+    again.request("leave", "leave", grace_s=1.0)
     again.close()
 
 
@@ -220,5 +220,5 @@ def test_its_nodes_die_with_it(serve) -> None:
     attached = Attached(folder)
     pid = started(attached, "ego")
     os.kill(attached.heard[0]["warden"], signal.SIGKILL)
-    assert gone(pid)
+    assert wait_for_exit(pid)
     attached.close()

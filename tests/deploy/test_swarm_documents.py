@@ -1,4 +1,4 @@
-"""Stack files, Docker's output about a stack, and their consequences, without a Docker engine."""
+"""Stack files and Docker's output about stacks, without a Docker engine."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ THERE = Machine("id-there", "there", True, {"mast.host": "east"})
 @pytest.fixture(scope="module")
 def resolved() -> Resolved:
     path, loaded = scenario.load("uncoordinated", ["n_infrastructure=2", "n_adversaries=1", "n_mobile=1"])
-    found = scenario.resolve(path, loaded, frames=2)
-    changed = {"infra_2": replace(found.nodes["infra_2"], on_exit="restart")}
-    return replace(found, nodes=found.nodes | changed)
+    resolved_scenario = scenario.resolve(path, loaded, frames=2)
+    changed = {"infra_2": replace(resolved_scenario.nodes["infra_2"], on_exit="restart")}
+    return replace(resolved_scenario, nodes=resolved_scenario.nodes | changed)
 
 
 def stacked(resolved: Resolved, **options: Any) -> dict[str, Any]:
@@ -41,16 +41,16 @@ def stacked(resolved: Resolved, **options: Any) -> dict[str, Any]:
 
 
 def test_every_node_is_a_service_with_one_task_and_a_limit(resolved: Resolved) -> None:
-    found = stacked(resolved, absent=["infra_1"])["services"]
-    assert found.keys() == {"router", *resolved.nodes}
-    for name, service in found.items():
-        told = service["deploy"]
-        assert told["replicas"] == (0 if name == "infra_1" else 1)
-        assert told["endpoint_mode"] == "dnsrr", "a kernel without IPVS has no virtual addresses"
-        assert told["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
+    services_by_name = stacked(resolved, absent=["infra_1"])["services"]
+    assert services_by_name.keys() == {"router", *resolved.nodes}
+    for name, service in services_by_name.items():
+        deploy = service["deploy"]
+        assert deploy["replicas"] == (0 if name == "infra_1" else 1)
+        assert deploy["endpoint_mode"] == "dnsrr", "a kernel without IPVS has no virtual addresses"
+        assert deploy["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
 
 
-def test_a_stack_file_has_no_keys_of_compose_only(resolved: Resolved) -> None:
+def test_a_stack_file_has_no_compose_only_keys(resolved: Resolved) -> None:
     content = stacked(resolved, secure="acl", environment={"OPENBLAS_CORETYPE": "Haswell"})
     known = {"image", "user", "init", "read_only", "cap_drop", "healthcheck", "volumes", "stop_grace_period"}
     known |= {"command", "networks", "ports", "secrets", "deploy", "environment", "<<"}
@@ -67,16 +67,16 @@ def test_nodes_get_the_same_commands_as_from_compose(resolved: Resolved) -> None
         assert service["networks"] == composed[name]["networks"]
 
 
-def test_docker_restarts_only_nodes_whose_on_exit_says_so(resolved: Resolved) -> None:
-    found = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
-    assert found.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
-    assert {policy["condition"] for policy in found.values()} == {"none"}
+def test_docker_restarts_only_nodes_with_a_restart_policy(resolved: Resolved) -> None:
+    policies = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
+    assert policies.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
+    assert {policy["condition"] for policy in policies.values()} == {"none"}
 
 
 def test_the_router_is_restarted_in_real_time_only(resolved: Resolved) -> None:
     for mode, condition in (("lockstep", "none"), ("realtime", "on-failure")):
-        found = stacked(replace(resolved, mode=mode))["services"]["router"]
-        assert found["deploy"]["restart_policy"]["condition"] == condition
+        router = stacked(replace(resolved, mode=mode))["services"]["router"]
+        assert router["deploy"]["restart_policy"]["condition"] == condition
 
 
 def test_mobile_agents_have_their_own_network_and_no_node_has_external_access(resolved: Resolved) -> None:
@@ -84,24 +84,24 @@ def test_mobile_agents_have_their_own_network_and_no_node_has_external_access(re
     assert {network["driver"] for network in content["networks"].values()} == {"overlay"}
     assert content["networks"]["wired"]["internal"]
     assert content["networks"]["wireless"]["internal"]
-    found = {name: service["networks"] for name, service in content["services"].items()}
-    assert found.pop("router") == ["launcher", "wired", "wireless"]
-    assert {name for name, networks in found.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
+    networks_by_node = {name: service["networks"] for name, service in content["services"].items()}
+    assert networks_by_node.pop("router") == ["launcher", "wired", "wireless"]
+    assert {name for name, networks in networks_by_node.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
 
 
-def test_the_router_and_nodes_that_the_scenario_kills_are_on_the_launchers_machine(resolved: Resolved) -> None:
+def test_the_router_and_nodes_killed_by_the_scenario_are_on_the_launchers_machine(resolved: Resolved) -> None:
     steps = (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"), ProcessStep(4, "leave", "broker"))
     place = placement.resolve({"infra_*": "west"}, resolved.nodes)
     services = stacked(resolved, place=place, pinned=placement.pinned(steps))["services"]
-    found = {name: s["deploy"].get("placement", {}).get("constraints", []) for name, s in services.items()}
+    constraints = {name: s["deploy"].get("placement", {}).get("constraints", []) for name, s in services.items()}
     west = "node.labels.mast.host == west"
-    assert found["router"] == ["node.id == id-here"]
-    assert found["infra_1"] == ["node.id == id-here", west]
-    assert found["infra_2"] == [west]
-    assert found["broker"] == [], "whoever is asked to leave may be anywhere"
+    assert constraints["router"] == ["node.id == id-here"]
+    assert constraints["infra_1"] == ["node.id == id-here", west]
+    assert constraints["infra_2"] == [west]
+    assert constraints["broker"] == [], "a node to be disconnected may run on any machine"
 
 
-def test_only_the_processes_user_can_read_secrets_which_are_named_by_their_files(resolved: Resolved) -> None:
+def test_only_the_nodes_user_can_read_secrets_which_are_named_by_their_files(resolved: Resolved) -> None:
     content = stacked(resolved, secure="acl")
     for name, service in content["services"].items():
         names = {"router.json"} if name == "router" else {"ca.pem", "certificate.pem", "key.pem", "control.json"}
@@ -111,14 +111,14 @@ def test_only_the_processes_user_can_read_secrets_which_are_named_by_their_files
     assert "secrets" not in stacked(resolved)
 
 
-def test_the_router_is_checked_often_as_its_name_resolves_only_when_healthy(resolved: Resolved) -> None:
-    found = stacked(resolved)
-    assert found["services"]["router"]["healthcheck"]["interval"] == "2s"
-    assert found["services"]["router"]["healthcheck"]["test"] == found["x-node"]["healthcheck"]["test"]
+def test_the_router_is_checked_often_because_its_name_resolves_only_when_healthy(resolved: Resolved) -> None:
+    stack_file = stacked(resolved)
+    assert stack_file["services"]["router"]["healthcheck"]["interval"] == "2s"
+    assert stack_file["services"]["router"]["healthcheck"]["test"] == stack_file["x-node"]["healthcheck"]["test"]
 
 
 @given(name=st.text(alphabet=string.ascii_letters + string.digits + "_-.é ", min_size=1, max_size=60))
-def test_every_accepted_name_is_a_label_of_a_domain_name(resolved: Resolved, name: str) -> None:
+def test_every_accepted_name_is_a_valid_dns_label(resolved: Resolved, name: str) -> None:
     one = replace(resolved, nodes={name: resolved.nodes["broker"]})
     label = document.service(RUN, name)
     with contextlib.suppress(ConfigurationError):
@@ -129,7 +129,7 @@ def test_every_accepted_name_is_a_label_of_a_domain_name(resolved: Resolved, nam
         assert label[-1].isalnum()
 
 
-def test_a_pattern_that_matches_no_node_is_refused_with_the_nearest_name(resolved: Resolved) -> None:
+def test_a_pattern_without_matching_nodes_is_refused_with_the_nearest_name(resolved: Resolved) -> None:
     with pytest.raises(ConfigurationError, match=r"--place brokr: there is no such node; did you mean 'broker'\?"):
         placement.resolve({"brokr": "west"}, resolved.nodes)
     assert placement.resolve({"infra_1": "east", "infra_*": "west"}, ["infra_1", "infra_2", "ego"]) == {
@@ -149,7 +149,7 @@ def test_a_host_label_that_no_machine_has_is_refused() -> None:
     placement.check([HERE, THERE], {"infra_1": "east"}, ())
 
 
-def test_a_node_that_the_scenario_kills_cannot_be_placed_on_another_machine() -> None:
+def test_a_node_killed_by_the_scenario_cannot_be_placed_on_another_machine() -> None:
     with pytest.raises(
         EngineError, match=r"infra_1: the scenario kills or pauses it, .*here.* found it placed on .*east"
     ):
@@ -157,12 +157,12 @@ def test_a_node_that_the_scenario_kills_cannot_be_placed_on_another_machine() ->
     placement.check([HERE, THERE], {"infra_1": "west"}, {"infra_1"})
 
 
-def line(identity: str, state: str, error: str = "", node: str = "infra_1", wanted: str = "Running") -> str:
-    return f"{identity}\t{document.service(RUN, node)}.1\there\t{wanted}\t{state}\t{error}"
+def line(identity: str, state: str, error: str = "", node: str = "infra_1", desired_state: str = "Running") -> str:
+    return f"{identity}\t{document.service(RUN, node)}.1\there\t{desired_state}\t{state}\t{error}"
 
 
 @pytest.mark.parametrize(
-    ("said", "code"),
+    ("state", "code"),
     [
         (("Running 3 seconds ago",), None),
         (("Preparing less than a second ago",), None),
@@ -174,12 +174,12 @@ def line(identity: str, state: str, error: str = "", node: str = "infra_1", want
         (("Shutdown 1 second ago",), -15),
     ],
 )
-def test_the_exit_code_of_a_task_is_read_from_docker(said: tuple[str, ...], code: int | None) -> None:
-    found = tasks.parse(document.stack(RUN), [line("t1", *said)])
-    assert [task.exit for task in found["infra_1"]] == [code]
+def test_the_exit_code_of_a_task_is_read_from_docker(state: tuple[str, ...], code: int | None) -> None:
+    task_states = tasks.parse(document.stack(RUN), [line("t1", *state)])
+    assert [task.exit for task in task_states["infra_1"]] == [code]
 
 
-def test_a_task_that_was_not_started_has_dockers_reason() -> None:
+def test_a_task_that_was_not_started_has_the_reason_from_docker() -> None:
     (task,) = tasks.parse(document.stack(RUN), [line("t1", "Rejected 1 second ago", '"No such image: sha256:1"')])[
         "infra_1"
     ]
@@ -192,12 +192,12 @@ def test_a_task_that_was_not_started_has_dockers_reason() -> None:
 
 @given(st.lists(st.text(max_size=80)))
 def test_any_output_of_docker_is_parsed_without_an_error(lines: list[str]) -> None:
-    for found in tasks.parse(document.stack(RUN), lines).values():
-        assert all(isinstance(task.exit, int | None) and isinstance(task.refused, str) for task in found)
+    for history in tasks.parse(document.stack(RUN), lines).values():
+        assert all(isinstance(task.exit, int | None) and isinstance(task.refused, str) for task in history)
 
 
 class Engine:
-    """Stands for Docker: what it says of the tasks is told here, what it is told is noted."""
+    """A stand-in for Docker: scripted task states, recorded commands."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.tasks: list[Task] = []
@@ -213,9 +213,9 @@ class Engine:
         self.told.append(words)
         return "x"
 
-    def say(self, *said: tuple[str, str, str]) -> None:
+    def say(self, *states: tuple[str, str, str]) -> None:
         self.now += 1.0
-        self.tasks = [Task(identity, "infra_2", "here", "running", state, error) for identity, state, error in said]
+        self.tasks = [Task(identity, "infra_2", "here", "running", state, error) for identity, state, error in states]
 
 
 @pytest.fixture
@@ -225,15 +225,17 @@ def dockerd(monkeypatch: pytest.MonkeyPatch) -> Engine:
 
 def supervised(resolved: Resolved, tmp_path: Path, mode: str = "lockstep") -> Services:
     (tmp_path / "logs").mkdir()
-    found = Services(document.stack(RUN), lambda name: document.service(RUN, name), "here", tmp_path / "logs", mode)
-    found.start_all({"infra_2": resolved.nodes["infra_2"]})
-    return found
+    supervisor = Services(
+        document.stack(RUN), lambda name: document.service(RUN, name), "here", tmp_path / "logs", mode
+    )
+    supervisor.start_all({"infra_2": resolved.nodes["infra_2"]})
+    return supervisor
 
 
 KILLED = "task: non-zero exit (137)"
 
 
-def test_a_node_that_docker_restarts_has_ended_and_runs_again(
+def test_a_node_restarted_by_docker_has_ended_and_runs_again(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -247,14 +249,14 @@ def test_a_node_that_docker_restarts_has_ended_and_runs_again(
     assert (child.exit, supervisor.newly_ended()) == (-9, [])
     assert supervisor.restart(child, {"ego"})
     assert (child.exit, child.restarts, supervisor.without["infra_2"]) == (None, 1, ["ego"])
-    assert dockerd.told == [("log", "t1")], "nobody has scaled anything"
+    assert dockerd.told == [("log", "t1")], "nothing was scaled"
     dockerd.say(("t2", "complete", ""), ("t1", "failed", KILLED))
     supervisor.running()
     assert supervisor.newly_ended() == [child]
     assert child.exit == 0
 
 
-def test_a_node_that_fails_twice_between_two_looks_has_ended_twice(
+def test_a_node_that_fails_twice_between_two_polls_has_ended_twice(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -268,7 +270,7 @@ def test_a_node_that_fails_twice_between_two_looks_has_ended_twice(
     assert codes == [-9, 3]
 
 
-def test_a_node_for_which_there_is_no_machine_ends_the_run_with_dockers_reason(
+def test_a_node_without_a_suitable_machine_ends_the_run_with_the_reason_from_docker(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -291,12 +293,12 @@ def test_a_lock_step_run_does_not_survive_its_router(resolved: Resolved, tmp_pat
         supervisor.running()
 
 
-def test_a_real_time_run_waits_for_its_router_only_for_a_while(
+def test_a_real_time_run_waits_for_its_router_for_a_limited_time(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path, "realtime")
-    there, gone = dockerd.router, dockerd.router._replace(state="failed", error=KILLED)
-    for dockerd.router in (there, gone, gone, there, gone, gone, gone):
+    there, failed = dockerd.router, dockerd.router._replace(state="failed", error=KILLED)
+    for dockerd.router in (there, failed, failed, there, failed, failed, failed):
         dockerd.say(("t1", "running", ""))
         assert supervisor.running()
     dockerd.now += 10.0
@@ -320,7 +322,7 @@ def test_killing_a_node_on_another_machine_is_refused_with_the_reason(
     assert dockerd.told == []
 
 
-def test_docker_may_fail_for_a_short_time_only(
+def test_docker_may_be_unavailable_for_a_short_time_only(
     resolved: Resolved, tmp_path: Path, dockerd: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -339,7 +341,7 @@ def test_docker_may_fail_for_a_short_time_only(
 
 
 @pytest.mark.parametrize(
-    ("said", "reason"),
+    ("swarm_state", "reason"),
     [
         ("inactive false", r"in no swarm: make one by `docker swarm init --advertise-addr 127\.0\.0\.1`"),
         ("locked false", "the swarm of this machine is locked"),
@@ -347,8 +349,10 @@ def test_docker_may_fail_for_a_short_time_only(
         ("active true", None),
     ],
 )
-def test_worker_node_cannot_deploy_a_stack(monkeypatch: pytest.MonkeyPatch, said: str, reason: str | None) -> None:
-    monkeypatch.setattr(engine, "docker", lambda *words: said + "\n")
+def test_worker_node_cannot_deploy_a_stack(
+    monkeypatch: pytest.MonkeyPatch, swarm_state: str, reason: str | None
+) -> None:
+    monkeypatch.setattr(engine, "docker", lambda *words: swarm_state + "\n")
     if reason is None:
         engine.check_manager()
     else:
@@ -364,14 +368,14 @@ def test_the_engine_of_another_machine_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "expected"),
+    ("output", "expected"),
     [
         ('["registry.example/mast@sha256:2"]\tsha256:1\n', "registry.example/mast@sha256:2"),
         ("[]\tsha256:1\n", "sha256:1"),
     ],
 )
-def test_all_machines_run_the_same_image(monkeypatch: pytest.MonkeyPatch, said: str, expected: str) -> None:
-    monkeypatch.setattr(engine, "docker", lambda *words: said)
+def test_all_machines_run_the_same_image(monkeypatch: pytest.MonkeyPatch, output: str, expected: str) -> None:
+    monkeypatch.setattr(engine, "docker", lambda *words: output)
     assert engine.reference("mast") == expected
 
 
@@ -396,8 +400,8 @@ def test_a_machine_without_a_swarm_has_only_containers_of_a_stack(monkeypatch: p
     assert asked == ["info", "container", "network"]
 
 
-def test_nodes_elsewhere_get_only_the_variables_that_affect_floating_point_results() -> None:
+def test_remote_nodes_get_only_the_variables_that_affect_floating_point_results() -> None:
     ours = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2", "HOME": "/somewhere"}
-    theirs = numeric_environment.environment(ours)
-    assert theirs.pop("MAST_KERNELS", kernels.USED) == kernels.USED
-    assert theirs == {"OPENBLAS_CORETYPE": "Haswell"}
+    environment = numeric_environment.environment(ours)
+    assert environment.pop("MAST_KERNELS", kernels.USED) == kernels.USED
+    assert environment == {"OPENBLAS_CORETYPE": "Haswell"}

@@ -1,4 +1,4 @@
-"""Runs in a swarm of one machine: their results, the failures that they survive, and that they leave nothing behind."""
+"""Swarm runs on one machine: results, recovery from failures, and cleanup."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ def image() -> Iterator[str]:
 
 @pytest.fixture(autouse=True)
 def nothing_is_left_behind(image: str) -> Iterator[None]:
-    """Nothing that belongs to a stack is there after a test that was not there before."""
+    """Fails if a test leaves anything of a stack behind."""
 
     def stacked() -> set[str]:
-        found = set()
+        names = set()
         for kind in ("service", "network", "secret", "config", "volume", "container"):
             more = ("--all",) if kind == "container" else ()
             form = f"{kind} {{{{.{'Names' if kind == 'container' else 'Name'}}}}}"
             words = (kind, "ls", *more, "--filter", "label=com.docker.stack.namespace", "--format", form)
-            found |= set(docker(*words).splitlines())
-        return found
+            names |= set(docker(*words).splitlines())
+        return names
 
     before = stacked()
     yield
@@ -60,25 +60,25 @@ def metrics(run: Run) -> Any:
 def same(here: Run, there: Run) -> None:
     assert there.error is None, there.error
     assert metrics(here) == metrics(there)
-    found = compare(here.folder, there.folder, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
+    difference = compare(here.folder, there.folder, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
 
 
-def test_a_secure_run_gives_exactly_the_same_and_reveals_no_key(tmp_path: Path, image: str) -> None:
+def test_a_secure_run_equals_the_one_in_one_process_and_reveals_no_key(tmp_path: Path, image: str) -> None:
     resolved = swarm_launch.resolved()
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     there = launcher.run(resolved, tmp_path / "there", engine=Swarm(image), secure="acl")
     same(here, there)
     for name, node in there.record["nodes"].items():
         assert node["service"] == f"{there.record['deployment']['stack']}_{name}"
-        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "it is the same clock"
+        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
     assert not (there.folder / document.CREDENTIALS).exists()
     for path in there.folder.rglob("*"):
         assert path.is_dir() or b"PRIVATE KEY" not in path.read_bytes(), path
 
 
-def test_a_killed_node_stays_down_until_it_is_started_and_messages_are_the_same(tmp_path: Path, image: str) -> None:
+def test_a_killed_node_stays_down_until_started_and_messages_are_unchanged(tmp_path: Path, image: str) -> None:
     kill = dict(type="Kill", at=0.5, node="infra_2", restart_after=0.5)
     resolved = swarm_launch.resolved(frames=14, faults=[kill])
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
@@ -136,30 +136,28 @@ def scenario():
 """
 
 
-def test_a_node_that_docker_starts_again_takes_part_at_the_current_frame_of_a_lock_step_run(
-    tmp_path: Path, image: str
-) -> None:
+def test_a_node_restarted_by_docker_rejoins_at_the_current_frame_of_a_lock_step_run(tmp_path: Path, image: str) -> None:
     shutil.copyfile(bundle.find("nodes", "agent.py", tmp_path), tmp_path / "agent.py")
     for name, content in (("phoenix", PHOENIX), ("patient", PATIENT), ("rising", SCENARIO)):
         (tmp_path / f"{name}.py").write_text(content)
     path, loaded = scenario.load(str(tmp_path / "rising.py"), [])
     resolved = scenario.resolve(path, loaded, frames=150)
-    ended = launcher.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl", allow_churn=True)
-    assert ended.error is None, ended.error
-    assert [(each["node"], each["what"]) for each in ended.record["churn"]] == [
+    outcome = launcher.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl", allow_churn=True)
+    assert outcome.error is None, outcome.error
+    assert [(each["node"], each["what"]) for each in outcome.record["churn"]] == [
         ("infra_2", "lost"),
         ("infra_2", "back"),
     ]
-    node = ended.record["nodes"]["infra_2"]
+    node = outcome.record["nodes"]["infra_2"]
     assert (node["restarts"], node["exit"], node["last_frame"]) == (1, 0, 149)
     assert node["ended"] == "killed by signal 9 (SIGKILL); ok"
-    assert "burning" in (ended.folder / "logs" / "infra_2.log").read_text(), "what it said before is kept"
-    assert ended.record["steps"] == [], "nobody but Docker has started it"
+    assert "burning" in (outcome.folder / "logs" / "infra_2.log").read_text(), "earlier output is kept"
+    assert outcome.record["steps"] == [], "only Docker restarted it"
 
 
 @pytest.fixture
 def launch(image: str, start: Callable[..., Launched]) -> Callable[..., Launched]:
-    """Starts runs in the swarm; removes the stacks that are left of them."""
+    """Starts runs in the swarm; removes remaining stacks."""
     program = (sys.executable, swarm_launch.__file__, image)
     return lambda **options: start(*program, json.dumps(options), afterwards=remove)
 
@@ -198,7 +196,7 @@ def test_a_stopped_real_time_run_keeps_its_results_and_leaves_nothing_running(
     assert stack.left(record["deployment"]["stack"]) == {}
 
 
-def test_services_of_a_killed_launcher_end_and_down_removes_the_rest(
+def test_services_of_a_killed_launcher_end_and_down_removes_the_remainder(
     launch: Callable[..., Launched],
 ) -> None:
     run = launch(frames=900, mode="realtime", secure="tls")

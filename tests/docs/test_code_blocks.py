@@ -1,11 +1,11 @@
-"""Every code block of every page runs, is checked against the code, or is marked as output or illustration.
+"""Code blocks of all pages are run, checked, or marked as output.
 
 text, mermaid          output and diagrams
 console                commands of `mast`: parsed by the command line itself
 toml, json             parsed
 python                 run below, by page
-python file=…          files of walk-throughs, which tests of their own run
-python illustration    needs what no test machine has: only compiled
+python file=…          files of walk-throughs, run by separate tests
+python illustration    needs more than a test machine has: only compiled
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ KINDS = ("text", "mermaid", "console", "toml", "json", "python")
 
 
 class Block(NamedTuple):
-    """A fenced block: the page that it is on, its language, what else stands behind the fence, and its content."""
+    """A fenced block: its page, language, text after the language, and content."""
 
     page: str
     language: str
@@ -50,11 +50,11 @@ class Block(NamedTuple):
 
 
 def blocks_of(path: Path) -> list[Block]:
-    """All fenced blocks of a page; refuses a fence without a language."""
+    """All fenced blocks of a page; a fence without a language fails."""
     text = path.read_text(encoding="utf-8")
-    found = re.findall(r"^```([^\n]*)\n(.*?)^```$", text, flags=re.S | re.M)
-    assert 2 * len(found) == len(re.findall(r"^ *```", text, flags=re.M)), f"{path.name}: a fence that is not closed"
-    return [Block(path.name, *head.partition(" ")[::2], content) for head, content in found]
+    fences = re.findall(r"^```([^\n]*)\n(.*?)^```$", text, flags=re.S | re.M)
+    assert 2 * len(fences) == len(re.findall(r"^ *```", text, flags=re.M)), f"{path.name}: a fence that is not closed"
+    return [Block(path.name, *head.partition(" ")[::2], content) for head, content in fences]
 
 
 BLOCKS = [block for path in PAGES for block in blocks_of(path)]
@@ -64,7 +64,7 @@ def blocks(language: str, mark: str = "") -> list[Block]:
     return [block for block in BLOCKS if block.language == language and block.mark.startswith(mark)]
 
 
-def test_every_block_says_what_it_is() -> None:
+def test_every_block_declares_its_language() -> None:
     for block in BLOCKS:
         assert block.language in KINDS, f"{block.page}: a block of the language {block.language!r}\n{block.content}"
 
@@ -80,7 +80,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
-def test_a_command_has_options_and_arguments_that_the_command_line_knows(page: str, command: str) -> None:
+def test_commands_have_options_and_arguments_known_to_the_command_line(page: str, command: str) -> None:
     words = shlex.split(command, comments=True)[1:]
     words = words[: next((k for k, word in enumerate(words) if word in ("||", "&&", "|", ">", "&")), len(words))]
     group: Any = typer.main.get_command(app)
@@ -92,7 +92,7 @@ def test_a_command_has_options_and_arguments_that_the_command_line_knows(page: s
     group.make_context(command, words, parent=context)  # raises UsageError
 
 
-def test_a_console_block_holds_commands_alone() -> None:
+def test_a_console_block_contains_only_commands() -> None:
     for block in blocks("console"):
         for line in block.content.splitlines():
             assert line.startswith("$ "), f"{block.page}: {line}"
@@ -102,7 +102,7 @@ def test_a_console_block_holds_commands_alone() -> None:
 
 
 @pytest.mark.parametrize("block", [*blocks("toml"), *blocks("json")], ids=lambda block: block.page)
-def test_data_can_be_read(block: Block) -> None:
+def test_data_blocks_can_be_parsed(block: Block) -> None:
     assert (tomllib.loads if block.language == "toml" else json.loads)(block.content)
 
 
@@ -110,11 +110,11 @@ def test_data_can_be_read(block: Block) -> None:
 
 
 def executed(block: Block, **names: Any) -> dict[str, Any]:
-    """The names that a block defines; `_` is the value of an expression at its end."""
+    """The names defined by a block; `_` is the value of its last expression."""
     tree = ast.parse(block.content, block.page)
     if isinstance(last := tree.body[-1], ast.Expr):
         tree.body[-1] = ast.copy_location(ast.Assign([ast.Name("_", ast.Store())], last.value), last)
-    # As a module of this name, so that a class of the block can be built.
+    # registered as a module, so that classes of the block can be built
     space = {"__name__": __name__, **names}
     exec(compile(ast.fix_missing_locations(tree), block.page, "exec"), space)
     return space
@@ -185,7 +185,7 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
     detections = Detections(place, size, zero, zero + 0.9, np.ones(1, np.uint8), np.zeros((1, 3, 3)))
     view = SensorView(np.zeros(3), np.eye(3), -np.pi, np.pi, -1.0, 1.0, 60.0)
     all_tracks = ObjectStates.of(place, size=size, covariance=np.eye(9)[None])
-    found = executed(
+    names = executed(
         block,
         time_ns=0,
         detections=detections,
@@ -194,11 +194,11 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
         agent=zero.astype(int),
         agents=("ego",),
     )
-    assert found["tracker"].matched.tolist() == [-1] or len(found["tracker"].matched) <= 1
-    assert len(found["picture"]) == len(found["support"])
+    assert names["tracker"].matched.tolist() == [-1] or len(names["tracker"].matched) <= 1
+    assert len(names["picture"]) == len(names["support"])
 
 
-#: By page what runs its Python blocks, in their order; None: a test of that page does.
+#: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "faults.md": [part_of_a_scenario, random_faults, fault_of_ones_own],
     "links.md": [part_of_a_scenario, None],  # test_links_page.py
@@ -218,11 +218,11 @@ def test_every_python_block_is_run_by_a_test() -> None:
         plain = [block for block in blocks("python") if block.page == path.name and not block.mark]
         assert len(plain) == len(RUN.get(path.name, [])), f"{path.name}: say in RUN how its Python blocks are run"
     for block in blocks("python", "file="):
-        assert block.page in ("tutorial.md", "interception.md", "extending.md"), f"{block.page}: nothing runs this file"
+        assert block.page in ("tutorial.md", "interception.md", "extending.md"), f"{block.page}: no test runs this file"
 
 
 @pytest.mark.parametrize("page", RUN)
-def test_the_python_blocks_of_a_page_run(page: str, tmp_path: Path) -> None:
+def test_python_blocks_of_a_page_run(page: str, tmp_path: Path) -> None:
     plain = [block for block in blocks("python") if block.page == page and not block.mark]
     for block, run in zip(plain, RUN[page], strict=True):
         if run is not None:
@@ -230,5 +230,5 @@ def test_the_python_blocks_of_a_page_run(page: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("block", blocks("python", "illustration"), ids=lambda block: block.page)
-def test_an_illustration_can_be_compiled(block: Block) -> None:
+def test_an_illustration_compiles(block: Block) -> None:
     compile(block.content, block.page, "exec")

@@ -1,4 +1,4 @@
-"""docs/deploy.md works as written, as far as one machine allows."""
+"""docs/deploy.md works as written, as far as possible on one machine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "deploy.md"
 
 @pytest.mark.mesh
 @pytest.mark.timeout(600)
-def test_every_command_for_this_machine_works_as_written(tmp_path: Path) -> None:
+def test_every_command_for_one_machine_works_as_written(tmp_path: Path) -> None:
     here = base()
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     blocks = re.findall(r"^```console( image)?\n(.*?)^```$", PAGE.read_text(), flags=re.S | re.M)
@@ -28,14 +28,14 @@ def test_every_command_for_this_machine_works_as_written(tmp_path: Path) -> None
         for line in text.splitlines():
             assert line.startswith("$ ")
             command = line[2:].replace("python:3.12-slim", here) if image else line[2:]
-            done = subprocess.run(
+            process = subprocess.run(
                 command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
             )
-            assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+            assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
     assert (tmp_path / "composed" / "report.html").is_file()
 
 
-def test_the_hosts_of_the_example_are_where_it_says() -> None:
+def test_the_example_places_nodes_as_described() -> None:
     text = re.findall(r"^```toml\n(.*?)^```$", PAGE.read_text(), flags=re.S | re.M)[0]
     path, loaded = scenario.load("uncoordinated")
     nodes = scenario.resolve(path, loaded, frames=2, record=True).nodes

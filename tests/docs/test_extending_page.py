@@ -1,4 +1,4 @@
-"""Every example of docs/extending.md runs as written, and does what the page says."""
+"""Every example of docs/extending.md runs as written."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def play(folder: Path) -> Callable[..., mast.Run]:
-    """Plays a file of the page, or one of our scenarios, in this process."""
+    """Plays a file of the page, or a shipped scenario, in this process."""
 
     def played(name: str, **parameters: Any) -> mast.Run:
         scenario = str(folder / name) if name in FILES else name
@@ -49,12 +49,12 @@ def play(folder: Path) -> Callable[..., mast.Run]:
 
 @pytest.fixture(scope="module")
 def baseline(play: Callable[..., mast.Run]) -> mast.Run:
-    """What the examples are compared with."""
+    """The run that the examples are compared with."""
     return play("baseline")
 
 
 def picture(run: mast.Run, measure: str) -> float:
-    """A measure of the picture near the ego, the mean over the frames."""
+    """A metric of the picture near the ego, averaged over the frames."""
     value = run.summary["agents"]["ego"]["picture"][measure]
     return float(value["mean"] if isinstance(value, dict) else value)
 
@@ -66,27 +66,27 @@ def test_the_attack_moves_all_objects_of_its_victim(play: Callable[..., mast.Run
     assert {round(row["after_x"] - row["before_x"], 6) for row in moved} == {3.0}
 
 
-def test_the_tracker_follows_what_is_seen(play: Callable[..., mast.Run], baseline: mast.Run) -> None:
+def test_the_tracker_follows_detected_objects(play: Callable[..., mast.Run], baseline: mast.Run) -> None:
     run = play("nearest.py")
     assert run.agent("ego").tracks.num_rows > 0
     assert picture(run, "tp") > 0.5 * picture(baseline, "tp")
-    assert picture(run, "fp") > picture(baseline, "fp"), "it tracks clutter at once"
+    assert picture(run, "fp") > picture(baseline, "fp"), "it also tracks clutter"
 
 
-def test_without_clusters_an_object_is_in_the_picture_several_times(
+def test_without_clustering_an_object_is_in_the_picture_several_times(
     play: Callable[..., mast.Run], baseline: mast.Run
 ) -> None:
     run = play("unclustered.py")
     assert picture(run, "fp") > picture(baseline, "fp") + 1.0
 
 
-def test_the_fusion_takes_one_member(play: Callable[..., mast.Run], baseline: mast.Run) -> None:
+def test_the_fusion_returns_one_member(play: Callable[..., mast.Run], baseline: mast.Run) -> None:
     run = play("surest.py")
     assert picture(run, "tp") > 0.8 * picture(baseline, "tp")
     assert picture(run, "rmse_m") != picture(baseline, "rmse_m")
 
 
-def test_the_scene_has_as_many_cars_as_asked_for(play: Callable[..., mast.Run]) -> None:
+def test_the_scene_has_the_requested_number_of_cars(play: Callable[..., mast.Run]) -> None:
     run = play("parked.py", n_cars=2)
     assert np.unique(run.truth["id"].to_numpy()).tolist() == [0, 1, 2]
     assert run.agents == ("ego", "infra_1")
@@ -112,7 +112,7 @@ def test_the_link_rule_loses_every_fourth_message(play: Callable[..., mast.Run])
     assert frames == set(range(3, FRAMES, 4))
 
 
-def test_the_fault_jams_its_targets_while_it_lasts(play: Callable[..., mast.Run]) -> None:
+def test_the_fault_jams_its_targets_for_its_duration(play: Callable[..., mast.Run]) -> None:
     run = play("jammed.py")
     lost = run.attacks.filter(pc.field("effect") == "dropped").to_pylist()
     assert {row["interposer"] for row in lost} == {"link_infra_1", "link_infra_2"}
@@ -128,9 +128,9 @@ def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run
 def test_the_check_is_applied_to_the_run(play: Callable[..., mast.Run]) -> None:
     run = play("checked.py")
     checks = json.loads((run.path / "checks.json").read_text())["checks"]
-    (found,) = [check for check in checks if check["name"] == "PictureNeverEmpty"]
-    assert found["ok"]
-    assert found["detail"] == "0 frames without any object after the first one"
+    (result,) = [check for check in checks if check["name"] == "PictureNeverEmpty"]
+    assert result["ok"]
+    assert result["detail"] == "0 frames without any object after the first one"
 
 
 CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
@@ -156,19 +156,19 @@ def test_the_node_conforms(folder: Path) -> None:
 
 
 def carry_out(commands: str, folder: Path) -> list[str]:
-    """What each command of a block prints."""
+    """The output of each command of a block."""
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     printed = []
     for line in commands.splitlines():
         words = shlex.split(line.removeprefix("$ "))
-        done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
-        printed.append(done.stdout)
+        process = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
+        printed.append(process.stdout)
     return printed
 
 
 @pytest.mark.mesh
-def test_the_engine_deploys_a_run_that_equals_the_one_in_this_process(folder: Path) -> None:
+def test_the_engine_deploys_a_run_equal_to_the_one_in_one_process(folder: Path) -> None:
     assert "polite.py" in FILES
     printed = carry_out(COMMANDS[0], folder)
     assert re.search(r"simulator +exited with 0 +this machine", printed[1])
@@ -184,4 +184,4 @@ def test_every_file_of_the_page_is_run_by_a_test() -> None:
     tests = Path(__file__).read_text()
     assert len(COMMANDS) == 2
     for name in FILES:
-        assert f'"{name}"' in tests, f"nothing runs {name}"
+        assert f'"{name}"' in tests, f"no test runs {name}"

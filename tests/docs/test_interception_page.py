@@ -22,7 +22,7 @@ def test_every_file_and_command_of_the_example_works_as_written(tmp_path: Path) 
     example = PAGE.read_text().split("## An example")[1].split("\n## ")[0]
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     blocks = re.findall(r"^```(console terminal=1|console|python file=(\S+))\n(.*?)^```$", example, flags=re.S | re.M)
-    assert len(blocks) == len(re.findall(r"^```\w", example, flags=re.M)) == 3, "a block that nobody runs"
+    assert len(blocks) == len(re.findall(r"^```\w", example, flags=re.M)) == 3, "a block that no test runs"
     (_, _, first), (_, file, text), (_, _, others) = blocks
     run = subprocess.Popen(first.removeprefix("$ ").split(), cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
     try:
@@ -33,7 +33,7 @@ def test_every_file_and_command_of_the_example_works_as_written(tmp_path: Path) 
             assert time.monotonic() < deadline
             threading.Event().wait(0.05)
         for line in others.splitlines():
-            done = subprocess.run(
+            process = subprocess.run(
                 line.removeprefix("$ "),
                 shell=True,
                 cwd=tmp_path,
@@ -42,9 +42,9 @@ def test_every_file_and_command_of_the_example_works_as_written(tmp_path: Path) 
                 text=True,
                 check=False,
             )
-            assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+            assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
     finally:
         run.send_signal(signal.SIGINT)
         run.wait(60)
-    did = [(done["action"], done["node"]) for done in json.loads(record.read_text())["interceptions"]]
+    did = [(entry["action"], entry["node"]) for entry in json.loads(record.read_text())["interceptions"]]
     assert did == [(action, name) for name in ("half_1", "mallory") for action in ("intercept", "release")]

@@ -1,4 +1,4 @@
-"""The example of docs/links.md puts a link where it says."""
+"""The example of docs/links.md puts a link on the stated wire."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from mast_zenoh.wiring.model import Wiring
 PAGE = (Path(__file__).parents[2] / "docs" / "links.md").read_text(encoding="utf-8")
 
 
-def test_the_link_of_the_page_sits_on_the_detections_of_the_ego() -> None:
+def test_the_link_of_the_page_is_on_the_detections_of_the_ego() -> None:
     (example,) = re.findall(r"^## On other wires\n.*?^```python\n(.*?)^```$", PAGE, flags=re.S | re.M)
-    found: dict[str, Any] = {}
-    exec(example, found)
+    names: dict[str, Any] = {}
+    exec(example, names)
     path, content = scenario.load("baseline", ["n_infrastructure=1"])
-    resolved = scenario.resolve(path, content | found["lossy_cable"], frames=2)
+    resolved = scenario.resolve(path, content | names["lossy_cable"], frames=2)
     on = {wire.key: wire.interposers for wire in Wiring.from_json(resolved.wiring).wires if wire.interposers}
     assert on == {"agent/ego/detections": ("sensor_cable",)}

@@ -1,4 +1,4 @@
-"""What docs/metrics.md and docs/effects.md say of a run folder is so, and the metric that they show can be used."""
+"""docs/metrics.md and docs/effects.md describe run folders correctly."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of a scenario with what the page shows of metrics and driving."""
+    """A run of a scenario with the page's examples of metrics and driving."""
     (metric,) = re.findall(r"^```python\n(.*?)^```$", METRICS, flags=re.S | re.M)
     options = re.findall(r"`evaluator=dict\(((?:metrics|driving)=.*?)\)`", METRICS)
     assert len(options) == 2
     folder = tmp_path_factory.mktemp("pages")
     (folder / "mine.py").write_text(SCENARIO.format(metric=metric, options=", ".join(options)))
     path, content = scenario.load(str(folder / "mine.py"))
-    ended = launcher.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def named_in(text: str, heading: str) -> set[str]:
@@ -50,7 +50,7 @@ def named_in(text: str, heading: str) -> set[str]:
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
 
 
-def test_the_metric_of_the_page_is_in_the_summary_and_the_table(run: Path) -> None:
+def test_the_example_metric_is_in_the_summary_and_the_table(run: Path) -> None:
     table = read_table(run / "metrics.parquet")
     metrics = json.loads((run / "metrics.json").read_text())
     assert "false_nearby" in table
@@ -58,36 +58,36 @@ def test_the_metric_of_the_page_is_in_the_summary_and_the_table(run: Path) -> No
     assert max(of_agents) > 0.0
 
 
-def test_attacks_have_the_columns_and_effects_of_the_page(run: Path) -> None:
+def test_the_page_lists_all_columns_and_effects_of_attacks(run: Path) -> None:
     columns = set(read_table(run / "attacks.parquet"))
-    said = named_in(EFFECTS_PAGE, "## attacks.parquet")
+    documented = named_in(EFFECTS_PAGE, "## attacks.parquet")
     spelled_out = {f"{side}_{axis}" for side in ("before", "after") for axis in "xyz"}
-    assert (said - {"before_x", "after_z"}) | spelled_out == columns
+    assert (documented - {"before_x", "after_z"}) | spelled_out == columns
     effects = named_in(EFFECTS_PAGE, "## Effects on objects") | named_in(EFFECTS_PAGE, "## Effects on messages")
     assert {name for name in effects if name != "columns"} == set(EFFECTS)
 
 
-def test_the_tables_have_the_columns_of_the_page(run: Path) -> None:
+def test_the_page_lists_all_columns_of_the_tables(run: Path) -> None:
     for name in ("targets", "driving"):
-        (said,) = re.findall(rf"^`{name}\.parquet`, (.*?)\n\n", METRICS, flags=re.S | re.M)
+        (documented,) = re.findall(rf"^`{name}\.parquet`, (.*?)\n\n", METRICS, flags=re.S | re.M)
         for column in read_table(run / f"{name}.parquet"):
             stem = column.removesuffix("_centre").removesuffix("_ego")
-            assert re.search(rf"\b{stem}\b", said), f"{name}.parquet: {column} is not on the page"
+            assert re.search(rf"\b{stem}\b", documented), f"{name}.parquet: {column} is not on the page"
 
 
-def test_causes_are_on_the_page() -> None:
+def test_the_page_lists_all_causes() -> None:
     section = METRICS.split("## Causes of errors")[1].split("## Cut off")[0]
     assert {cause for cause in CAUSES if f"`{cause}`" not in section} == set()
 
 
-def test_what_was_achieved_and_what_it_means_for_driving_is_explained(run: Path) -> None:
+def test_achievements_and_consequences_for_driving_are_documented(run: Path) -> None:
     metrics = json.loads((run / "metrics.json").read_text())
     achieved: dict[str, Any] = metrics["achieved"]["all"]
-    said = named_in(METRICS, "## What an attack achieved")
-    stems = {name.rstrip("…").removesuffix("_centre").rstrip("_") for name in said} | {"inserted_frames"}
+    documented = named_in(METRICS, "## What an attack achieved")
+    stems = {name.rstrip("…").removesuffix("_centre").rstrip("_") for name in documented} | {"inserted_frames"}
     for key in achieved:
         stem = key.removesuffix("_centre").removesuffix("_ego")
         assert stem in stems or stem.endswith("_frames"), f"achieved: {key} is not on the page"
-    said = {name.replace("…", "") for name in named_in(METRICS, "## What it would mean for driving")}
+    documented = {name.replace("…", "") for name in named_in(METRICS, "## What it would mean for driving")}
     for key in metrics["driving"]["ego"]["mission"]:
-        assert key in said or key.removesuffix("_attack") in said, f"driving: {key} is not on the page"
+        assert key in documented or key.removesuffix("_attack") in documented, f"driving: {key} is not on the page"

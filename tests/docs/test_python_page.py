@@ -20,7 +20,7 @@ def test_every_block_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(tmp_path)
     page = (DOCS / "python.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```$", page, flags=re.S | re.M)
-    assert len(blocks) == len(re.findall(r"^```\w", page, flags=re.M)) >= 10, "a block that nobody runs"
+    assert len(blocks) == len(re.findall(r"^```\w", page, flags=re.M)) >= 10, "a block that no test runs"
     names: dict[str, Any] = {"__name__": __name__}
     for block in blocks:
         exec(compile(block, "python.md", "exec"), names)
@@ -41,23 +41,23 @@ def cells() -> list[str]:
     notebook = json.loads((DOCS / "notebook.ipynb").read_text(encoding="utf-8"))
     assert notebook["nbformat"] == 4
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    assert not any(cell["outputs"] for cell in code), "outputs are not kept: they go stale"
+    assert not any(cell["outputs"] for cell in code), "outputs are not kept, as they become outdated"
     return ["".join(cell["source"]) for cell in code]
 
 
-def test_the_notebook_gets_to_false_positives_of_two_runs_over_time_in_fewer_than_15_lines(
+def test_the_notebook_plots_false_positives_of_two_runs_in_fewer_than_15_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     code = cells()
     assert sum(bool(line.strip()) for cell in code for line in cell.splitlines()) < 15
     names: dict[str, Any] = {}
-    shown = []
-    for cell in code:  # as a notebook does: what the last line gives is shown
+    displayed = []
+    for cell in code:  # like a notebook: display the value of the last line
         *body, last = cell.splitlines()
         exec("\n".join(body), names)
-        shown.append(eval(last, names))
-    run, over_time, birdseye, _ = shown
+        displayed.append(eval(last, names))
+    run, over_time, birdseye, _ = displayed
     assert isinstance(run, mast.Run)
     assert isinstance(over_time, Figure)
     labels = {line.get_label() for line in over_time.axes[0].get_lines()}

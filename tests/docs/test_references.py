@@ -1,4 +1,4 @@
-"""Every file, module and name that a docstring or a page refers to exists."""
+"""Files, modules and names that docstrings and pages mention exist."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ PACKAGE = ROOT / "mast_zenoh"
 MODULES = sorted([*PACKAGE.rglob("*.py"), *(ROOT / "nodes").glob("*.py")])
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*.md")])
 
-#: Names of the Python API, which lie in no module of their name.
+#: Names of the Python API that are not in a module of their name.
 PUBLIC = {*mast_zenoh.__all__, "__all__"}
-#: Files of the reader.
+#: Files that users write.
 PLACEHOLDERS = {"/home/me/shover.py"}
 #: Documents of the working group that are not shipped.
 NOT_SHIPPED = re.compile(r"\b(DESIGN|ANCHORS|INTEGRITY|STYLE|DATASETS|REVIEWS|ZENOH)\b|layout-moves")
-#: What stands before a dot in backticks without being a module: suffixes of data files, labels, other packages.
+#: Prefixes in backticks that are not modules: suffixes of data files, labels, other packages.
 FOREIGN = {"detections", "visibility", "buildings", "scene", "study", "mast", "self", "role", "filterpy"}
 
 
@@ -44,14 +44,14 @@ def text_of(path: Path) -> str:
 
 @cache
 def named(name: str) -> tuple[Path, ...]:
-    """Modules and packages of this name, and the modules that define a class of this name."""
+    """Modules and packages of this name, and modules that define such a class."""
     folders = [path for path in [PACKAGE, *PACKAGE.rglob("*")] if path.is_dir() and path.name == name]
     files = [path for path in [*MODULES, *PACKAGE.rglob("*.pyx")] if path.stem == name]
     return (*folders, *files, *(path for path in MODULES if f"class {name}" in text_of(path)))
 
 
 def exists(reference: str, beside: Path) -> bool:
-    """Whether a path that a text in the folder `beside` mentions is that of a file."""
+    """Whether a path mentioned in a text in the folder `beside` is a file."""
     folders = [
         ROOT,
         PACKAGE,
@@ -64,34 +64,36 @@ def exists(reference: str, beside: Path) -> bool:
 
 
 @pytest.mark.parametrize("path", [*MODULES, *PAGES], ids=lambda path: str(path.relative_to(ROOT)))
-def test_what_a_text_refers_to_exists(path: Path) -> None:
+def test_references_in_texts_exist(path: Path) -> None:
     texts = [path.read_text(encoding="utf-8")] if path.suffix == ".md" else list(docstrings(path))
     for text in texts:
         for reference in re.findall(r"[\w./-]*\w/[\w./-]*\.(?:pyx|pxd|py|md|toml)\b", text):
             assert reference in PLACEHOLDERS or exists(reference, path.parent), f"no file {reference}"
         for reference in re.findall(r"\bmast_zenoh((?:\.[a-z_]\w*)+)", text):
-            first, *rest = reference[1:].split(".")
+            first, *remaining = reference[1:].split(".")
             folder = PACKAGE / first
             if first in PUBLIC:
                 continue
             assert folder.is_dir() or folder.with_suffix(".py").is_file(), f"no module mast_zenoh.{first}"
-            if rest:
-                module = folder / rest[0]
+            if remaining:
+                module = folder / remaining[0]
                 is_module = module.is_dir() or module.with_suffix(".py").is_file()
-                assert is_module or re.search(rf"\b{rest[0]}\b", text_of(folder)), f"no {reference}"
+                assert is_module or re.search(rf"\b{remaining[0]}\b", text_of(folder)), f"no {reference}"
         if path.suffix == ".py":
             for first, second in re.findall(r"`([A-Za-z]\w*)\.([A-Za-z]\w*)[\w.()]*`", text):
                 if first not in {"mast_zenoh", *FOREIGN}:
                     word = re.compile(rf"\b{second}\b")
-                    beside = [found.parent / f"{second}.py" for found in named(first)]
-                    known = any(word.search(text_of(found)) for found in named(first))
-                    known |= any((found / f"{second}.py").is_file() for found in named(first) if found.is_dir())
+                    beside = [candidate.parent / f"{second}.py" for candidate in named(first)]
+                    known = any(word.search(text_of(candidate)) for candidate in named(first))
+                    known |= any(
+                        (candidate / f"{second}.py").is_file() for candidate in named(first) if candidate.is_dir()
+                    )
                     assert known or any(file.is_file() for file in beside), f"no `{first}.{second}`"
         assert not NOT_SHIPPED.search(text), "refers to a document that is not shipped"
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("__init__.py")), ids=lambda path: path.parent.name)
-def test_a_package_lists_modules_that_it_has(path: Path) -> None:
+def test_packages_list_existing_modules(path: Path) -> None:
     for line in (ast.get_docstring(ast.parse(path.read_text())) or "").splitlines():
         if table := re.match(r" *([a-z_]+/?(?:, [a-z_]+/?)*)  +\S", line):
             for name in table[1].split(", "):

@@ -1,4 +1,4 @@
-"""Inserted objects that have no ids are the same objects from frame to frame, whatever noise and gaps they have."""
+"""Inserted objects without ids are tracked through noise and gaps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PERIOD_S = 0.1
 
 
 def inserted(frame: list[int], place: list[tuple[float, float]], id_: list[int] | None = None) -> Effects:
-    """Insertions of one passage, by frame."""
+    """Insertions on one passage, by frame."""
     n = len(frame)
     order = np.argsort(frame, kind="stable")
     zeros, nowhere = np.zeros(n, np.int64), np.full((n, 3), np.nan)
@@ -37,14 +37,14 @@ def inserted(frame: list[int], place: list[tuple[float, float]], id_: list[int] 
 def drive(
     rng: np.random.Generator, start: tuple[float, float], velocity: tuple[float, float], frames: int, share: float
 ) -> tuple[list[int], list[tuple[float, float]]]:
-    """Frames and noisy places of an object that is shown in a share of the frames, never with a gap of a second."""
-    shown = [k for k in range(frames) if k % 8 == 0 or rng.random() < share]
-    noise = rng.normal(0.0, 0.4, (len(shown), 2))
-    places = [(start[0] + velocity[0] * k * PERIOD_S, start[1] + velocity[1] * k * PERIOD_S) for k in shown]
-    return shown, [(x + dx, y + dy) for (x, y), (dx, dy) in zip(places, noise.tolist(), strict=True)]
+    """Frames and noisy positions of an object shown in a share of the frames."""
+    visible_frames = [k for k in range(frames) if k % 8 == 0 or rng.random() < share]
+    noise = rng.normal(0.0, 0.4, (len(visible_frames), 2))
+    places = [(start[0] + velocity[0] * k * PERIOD_S, start[1] + velocity[1] * k * PERIOD_S) for k in visible_frames]
+    return visible_frames, [(x + dx, y + dy) for (x, y), (dx, dy) in zip(places, noise.tolist(), strict=True)]
 
 
-def test_noise_and_misses_do_not_split_an_object_but_in_one_case_of_a_hundred() -> None:
+def test_noise_and_misses_split_at_most_one_object_in_a_hundred() -> None:
     split = 0
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -56,7 +56,7 @@ def test_noise_and_misses_do_not_split_an_object_but_in_one_case_of_a_hundred() 
         assert len(rows) == len(frames) + len(others)
         is_far = effects.after[rows][:, 1] > 20.0
         kinds = set(zip(episode.tolist(), is_far.tolist(), strict=True))
-        assert len(kinds) == len(np.unique(episode)), "no two objects are taken for one"
+        assert len(kinds) == len(np.unique(episode)), "no two objects are merged"
         split += len(kinds) > 2
         for side in (is_far, ~is_far):
             assert abs(abs(np.median(velocity[side][:, 0])) - speed) < 2.0

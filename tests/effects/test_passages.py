@@ -1,4 +1,4 @@
-"""What counts is what subscribers can tell: they take the first message about a frame, whatever its number."""
+"""Effects are what subscribers see: the first message about a frame."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def effects(metered: PassageMeter) -> Counter[str]:
 
 
 def changed(metered: PassageMeter) -> int:
-    """How many objects were changed in any way."""
+    """The number of objects changed in any way."""
     return sum(len(each.frame) for each in metered.effects.objects)
 
 
@@ -61,18 +61,18 @@ def test_a_renumbered_message_is_not_forged(late: int) -> None:
     assert changed(metered) == (15 if late else 0)
 
 
-def test_a_forged_message_that_pre_empts_the_original_changes_differing_objects() -> None:
+def test_a_forged_message_before_the_original_changes_differing_objects() -> None:
     metered = meter()
     for frame in range(5):
         metered.take_received(tracks(frame))
         metered.take_sent(tracks(frame, seq=frame + 100, x=3.0))
     metered.close(100)
     assert effects(metered) == {"dropped": 5, "forged": 5}
-    assert changed(metered) == 5, "two of three objects are as they were"
+    assert changed(metered) == 5, "two of three objects are unchanged"
 
 
 @pytest.mark.parametrize("passed_on", [True, False])
-def test_a_pose_that_is_forged_before_the_true_one_is_a_false_pose(passed_on: bool) -> None:
+def test_a_pose_forged_before_the_true_one_is_a_false_pose(passed_on: bool) -> None:
     metered = meter("pose")
     for frame in range(5):
         metered.take_received(pose(frame, seq=frame))
@@ -85,7 +85,7 @@ def test_a_pose_that_is_forged_before_the_true_one_is_a_false_pose(passed_on: bo
     ]
 
 
-def test_forgeries_are_measured_alike_however_long_the_run_is() -> None:
+def test_forgeries_are_measured_equally_in_runs_of_any_length() -> None:
     metered = meter()
     for frame in range(2 * REMEMBERED):
         metered.take_received(tracks(frame))
@@ -96,7 +96,7 @@ def test_forgeries_are_measured_alike_however_long_the_run_is() -> None:
     assert changed(metered) == 2 * REMEMBERED
 
 
-def test_an_old_message_that_is_sent_again_is_repeated() -> None:
+def test_an_old_message_sent_again_is_a_repetition() -> None:
     metered = meter()
     for frame in range(2 * REMEMBERED):
         metered.take_received(tracks(frame))

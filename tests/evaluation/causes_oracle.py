@@ -1,4 +1,4 @@
-"""The causes of errors, by plain loops over objects.parquet, attacks.parquet and the truth of a run."""
+"""The causes of errors, by plain loops over a run's tables and the truth."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Row = dict[str, Any]
 
 
 def reaches(attack: Row, agent: str, estimator: str) -> bool:
-    """Whether what an interposer did on a wire can show in an estimate of an agent."""
+    """Whether an interposer on a wire can affect an estimate of an agent."""
     own = attack["wire"].split("/")[1] == agent
     if attack["message"] == "detections":
         return own or estimator in ("picture", *DOWNLINK)
@@ -33,7 +33,7 @@ def apart(a: Row, b: Row) -> float:
 
 
 class Causes:
-    """The rows of a run, by series and frame; what is expected of the cause of each."""
+    """The rows of a run by series and frame, and the expected cause of each."""
 
     def __init__(self, played: Played) -> None:
         self.run = Run(played)
@@ -61,16 +61,16 @@ class Causes:
                 self.hiding[attack["object"]].append(attack)
 
     def hidden(self, row: Row) -> dict[str, set[str]]:
-        """Who removed, moved or altered the object of a missed row in the 4 s before, by kind."""
-        found: dict[str, set[str]] = defaultdict(set)
+        """Adversaries that manipulated a missed object in the last 4 s, by kind."""
+        by_kind: dict[str, set[str]] = defaultdict(set)
         for attack in self.hiding[row["id"]]:
             late = row["frame"] - attack["frame"]
             if 0 <= late <= COAST and reaches(attack, row["agent"], row["estimator"]):
-                found[attack["effect"]].add(attack["interposer"])
-        return found
+                by_kind[attack["effect"]].add(attack["interposer"])
+        return by_kind
 
     def shown(self, row: Row) -> bool:
-        """Whether somebody shows an object where a false track is, in its frame."""
+        """Whether an adversary inserted an object at a false track, in its frame."""
         return any(
             math.dist((attack["after_x"], attack["after_y"]), (row["x"], row["y"])) <= LIE_M
             and reaches(attack, row["agent"], row["estimator"])
@@ -78,7 +78,7 @@ class Causes:
         )
 
     def active(self, row: Row) -> set[str]:
-        """The interposers that can have caused an error: active in the 8 s before, where it reaches the estimate."""
+        """The interposers that may have caused an error in the last 8 s."""
         return {
             attack["interposer"]
             for attack in self.attacks
@@ -86,7 +86,7 @@ class Causes:
         }
 
     def natural_track(self, row: Row) -> str:
-        """The cause of a false track that nobody shows."""
+        """The cause of a false track without an inserted object."""
         now = self.at[row["agent"], row["estimator"], row["frame"]]
         truths = [other for other in now if other["kind"] == "truth"]
         near = [other for other in truths if apart(other, row) <= ASTRAY_M]
@@ -105,7 +105,7 @@ class Causes:
         return "occlusion or range" if exists and not evaluated else "lag"
 
     def last_match(self, row: Row) -> int | None:
-        """What a track, or object, was matched with last, in the 4 s before."""
+        """The last match of a track or object within 4 s."""
         history = self.of[row["agent"], row["estimator"], row["kind"], row["id"]]
         for frame in range(row["frame"], row["frame"] - COAST - 1, -1):
             if frame in history and history[frame]["outcome"] == "matched":
@@ -113,7 +113,7 @@ class Causes:
         return None
 
     def natural_miss(self, row: Row) -> str:
-        """The cause of a missed object that nobody hides."""
+        """The cause of a missed object that was not hidden."""
         history = self.of[row["agent"], row["estimator"], "truth", row["id"]]
         begun = row["frame"]
         while begun - 1 in history and history[begun - 1]["outcome"] != "unevaluated":

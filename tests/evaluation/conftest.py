@@ -1,4 +1,4 @@
-"""Fixtures of the tests of the evaluation: whole runs in one process, each played once."""
+"""Fixtures for evaluation tests: whole runs in one process, played once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mast_zenoh import scenario
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Played]:
-    """`play`, but every run is played only once in a session."""
+    """`play`, with every run played once per session."""
     runs: dict[tuple[str, ...], Played] = {}
 
     def get(name: str, *settings: str, **files: str) -> Played:
@@ -28,7 +28,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Played]:
 
 @pytest.fixture(scope="session")
 def shipped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[str, ...]], tuple[Played, Watched]]:
-    """Plays each scenario that the package ships, with its interposers watched, once in a session."""
+    """Plays each shipped scenario with watched interposers, once per session."""
     runs: dict[tuple[str, ...], tuple[Played, Watched]] = {}
 
     def get(variant: tuple[str, ...]) -> tuple[Played, Watched]:
@@ -43,5 +43,5 @@ def shipped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[str, ..
 
 @pytest.fixture(params=every(), ids=label)
 def variant(request: pytest.FixtureRequest) -> tuple[str, ...]:
-    """One of the scenarios that the package ships, with its settings."""
+    """One of the shipped scenarios, with its settings."""
     return request.param

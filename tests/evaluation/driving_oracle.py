@@ -1,4 +1,4 @@
-"""What each estimate would mean for driving, computed by plain loops from the recording and objects.parquet."""
+"""Consequences of estimates for driving, by plain loops over a recording."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Thing(NamedTuple):
 
 
 class Met(NamedTuple):
-    """An object in the corridor: gap m, time to collision s, whether the vehicle has to brake for it."""
+    """An object in the corridor: gap m, time to collision s, need to brake."""
 
     thing: Thing
     gap: float
@@ -58,7 +58,7 @@ def things(body: Any) -> list[Thing]:
 def expected(played: Played, agent: str, sources: dict[str, str]) -> dict[str, dict[int, dict[str, Any]]]:
     """By estimate and frame the columns of driving.parquet.
 
-    sources: by estimate the key on which it is sent
+    sources: by estimate its key
     """
     truth: dict[int, Any] = {}
     believed: dict[str, dict[int, list[Thing]]] = defaultdict(dict)
@@ -80,14 +80,14 @@ def expected(played: Played, agent: str, sources: dict[str, str]) -> dict[str, d
     for frame, met in by_truth.items():
         result["truth"][frame] = row(met) | {"overlapping": path.overlapping(frame, others[frame])}
         for estimate in sources:
-            mine = path.met(frame, believed[estimate].get(frame, []))
-            false = [(each, wrong[estimate, frame, "false", each.thing.id]) for each in mine]
+            obstacles = path.met(frame, believed[estimate].get(frame, []))
+            false = [(each, wrong[estimate, frame, "false", each.thing.id]) for each in obstacles]
             missed = [(each, wrong[estimate, frame, "missed", each.thing.id]) for each in met]
-            brakes, should = any(each.brake for each in mine), any(each.brake for each in met)
+            brakes, should = any(each.brake for each in obstacles), any(each.brake for each in met)
             guilty = (brakes and not should and any(e.brake and cause in ATTACKS for e, cause in false)) or (
                 should and not brakes and any(e.brake and cause in ATTACKS for e, cause in missed)
             )
-            result[estimate][frame] = row(mine) | {
+            result[estimate][frame] = row(obstacles) | {
                 "overlapping": path.overlapping(frame, believed[estimate].get(frame, [])),
                 "false": sum(bool(cause) for _, cause in false),
                 "missed": sum(bool(cause) for _, cause in missed),
@@ -99,7 +99,7 @@ def expected(played: Played, agent: str, sources: dict[str, str]) -> dict[str, d
 
 
 def row(met: list[Met]) -> dict[str, Any]:
-    """What can be said of one estimate by itself."""
+    """The columns of one estimate by itself."""
     return {
         "objects": len(met),
         "false": 0,
@@ -114,19 +114,21 @@ def row(met: list[Met]) -> dict[str, Any]:
 
 
 def errors(played: Played, agent: str) -> dict[tuple[str, int, str, int], str]:
-    """The cause of every false track and missed object of an agent, by estimate, frame, outcome and id."""
+    """Causes of an agent's errors, by estimate, frame, outcome and id."""
     table, same_as = played.table("objects"), played.metrics["same_as"].get(agent, {})
-    found: dict[tuple[str, int, str, int], str] = defaultdict(str)
+    causes: dict[tuple[str, int, str, int], str] = defaultdict(str)
     names = ("agent", "estimator", "frame", "outcome", "id", "cause")
-    for who, estimator, frame, outcome, id_, cause in zip(*(table[name].tolist() for name in names), strict=True):
-        if who == agent and outcome in ("false", "missed"):
+    for agent_name, estimator, frame, outcome, id_, cause in zip(
+        *(table[name].tolist() for name in names), strict=True
+    ):
+        if agent_name == agent and outcome in ("false", "missed"):
             for estimate in (estimator, *(twin for twin, other in same_as.items() if other == estimator)):
-                found[estimate, frame, outcome, id_] = cause
-    return found
+                causes[estimate, frame, outcome, id_] = cause
+    return causes
 
 
 class Path:
-    """The path that a vehicle drove, in steps of 1 m, and straight on."""
+    """The path of a vehicle in steps of 1 m, extended straight ahead."""
 
     def __init__(self, me: list[Thing]) -> None:
         self.me = me
@@ -145,8 +147,8 @@ class Path:
         return math.atan2(b.y - a.y, b.x - a.x)
 
     def met(self, frame: int, objects: list[Thing]) -> list[Met]:
-        """What is in the corridor in a frame."""
-        me, here, found = self.me[frame], self.here[frame], []
+        """The objects in the corridor in a frame."""
+        me, here, obstacles = self.me[frame], self.here[frame], []
         speed = math.hypot(me.vx, me.vy)
         for thing in objects:
             near = [
@@ -160,50 +162,50 @@ class Path:
             turn = self.heading(k)
             dx, dy = thing.x - self.points[k].x, thing.y - self.points[k].y
             ahead = dx * math.cos(turn) + dy * math.sin(turn)
-            aside = dy * math.cos(turn) - dx * math.sin(turn)
+            lateral = dy * math.cos(turn) - dx * math.sin(turn)
             c, s = abs(math.cos(thing.yaw - turn)), abs(math.sin(thing.yaw - turn))
             centre = k + ahead - here
             gap = centre - (thing.length * c + thing.width * s) / 2 - me.length / 2
-            beside = abs(aside) - (thing.length * s + thing.width * c) / 2
+            beside = abs(lateral) - (thing.length * s + thing.width * c) / 2
             if centre <= 0.0 or gap > HORIZON_M or beside > me.width / 2 + MARGIN_M:
                 continue
             gap = max(gap, 0.0)
-            theirs = thing.vx * math.cos(turn) + thing.vy * math.sin(turn)
-            ttc = gap / (speed - theirs) if speed - theirs > 1e-9 else math.inf
+            speed_along = thing.vx * math.cos(turn) + thing.vy * math.sin(turn)
+            ttc = gap / (speed - speed_along) if speed - speed_along > 1e-9 else math.inf
             faster = speed + RESPONSE_S * ACCELERATION
             safe = speed * RESPONSE_S + ACCELERATION * RESPONSE_S**2 / 2 + faster**2 / (2 * BRAKING)
-            safe -= max(theirs, 0.0) ** 2 / (2 * BRAKING_AHEAD)
-            found.append(Met(thing, gap, ttc, speed > 0.3 and gap < max(safe, 0.0)))
-        return found
+            safe -= max(speed_along, 0.0) ** 2 / (2 * BRAKING_AHEAD)
+            obstacles.append(Met(thing, gap, ttc, speed > 0.3 and gap < max(safe, 0.0)))
+        return obstacles
 
     def overlapping(self, frame: int, objects: list[Thing]) -> int:
-        """How many objects overlap the vehicle in a frame."""
+        """The number of objects that overlap the vehicle in a frame."""
         me = self.me[frame]
         return sum(overlaps(me, thing) for thing in objects)
 
 
 def overlaps(me: Thing, thing: Thing) -> bool:
-    """Whether a thing overlaps the vehicle, or is centred on it."""
+    """Whether a box overlaps the vehicle or is centred on it."""
     near = math.hypot(thing.x - me.x, thing.y - me.y)
     return near <= 2.0 or (near < 20.0 and outline(me).intersection(outline(thing)).area > 1e-6)
 
 
 def outline(thing: Thing) -> Polygon:
-    """Its outline from above."""
+    """The outline of a box from above."""
     x, y = thing.length / 2, thing.width / 2
     turned = affinity.rotate(Polygon([(x, y), (-x, y), (-x, -y), (x, -y)]), thing.yaw, (0, 0), use_radians=True)
     return affinity.translate(turned, thing.x, thing.y)
 
 
 def compare(table: dict[str, np.ndarray], agent: str, rows: dict[str, dict[int, dict[str, Any]]]) -> int:
-    """Assert that driving.parquet has these rows; how many were compared."""
+    """Assert that driving.parquet has these rows; returns their number."""
     count = 0
     for estimate, by_frame in rows.items():
         for frame, values in by_frame.items():
             at = (table["agent"] == agent) & (table["estimate"] == estimate) & (table["frame"] == frame)
             assert at.sum() == 1, (estimate, frame)
             for name, value in values.items():
-                found = table[name][at][0]
-                np.testing.assert_allclose(found, value, atol=1e-6, err_msg=f"{agent} {estimate} {frame} {name}")
+                measured = table[name][at][0]
+                np.testing.assert_allclose(measured, value, atol=1e-6, err_msg=f"{agent} {estimate} {frame} {name}")
             count += 1
     return count

@@ -1,4 +1,4 @@
-"""The effects of interposers, computed by plain loops from what each received and sent.
+"""The effects of interposers, by plain loops over their inputs and outputs.
 
 Shares no code with mast_zenoh.effects.
 """
@@ -24,7 +24,7 @@ Row = dict[str, Any]
 
 
 def poses_of(process: Watched) -> Poses:
-    """Where the agents were."""
+    """The poses of the agents."""
     recording = process.hosts["simulator"].node.recording  # type: ignore[attr-defined]
     return {
         (agent.name, frame): (recording.agent_position[frame, k], recording.agent_rotation[frame, k])
@@ -34,7 +34,7 @@ def poses_of(process: Watched) -> Poses:
 
 
 def expected(process: Watched, frames: int) -> list[Row]:
-    """The rows of attacks.parquet, in no particular order, without what depends on reports."""
+    """The rows of attacks.parquet, unordered, without columns that need reports."""
     poses, rows = poses_of(process), []
     for passage in process.passages:
         arrivals = [arrival for arrival in process.arrivals if arrival.passage == passage]
@@ -75,7 +75,7 @@ def _of_passage(
     for (frame, _), (came, went) in numbered.items():
         if came:
             continue
-        for number, (others, gone) in numbered.items():  # sent on under another number
+        for number, (others, gone) in numbered.items():  # forwarded under another number
             while number[0] == frame and len(others) > len(gone) and went:
                 (arrival, read), (sent, after) = others[len(gone)], went[0]
                 if not _renumbered(read, after):
@@ -94,7 +94,7 @@ def _of_passage(
             continue
         pairs += [(frame, seq, *pair) for pair in zip_longest(came, went)]
     lateness = [went[0].step - came[0].step for _, _, came, went in pairs if came and went]
-    # One late message excuses no others: a delay is usual when a twentieth of all messages are as late.
+    # A delay is usual when a twentieth of all messages are as late: one late message is not enough.
     usual = max((late for late in lateness if 20 * sum(each >= late for each in lateness) >= len(arrivals)), default=0)
     for frame, seq, came, went in pairs:
         number = {"frame": frame, "seq": seq}
@@ -104,7 +104,7 @@ def _of_passage(
                 damaged.remove(copies[0])
                 yield number | {"effect": "corrupted"}
             else:
-                # A message that may still be under way when the run ends is neither delivered nor dropped.
+                # A message still in transit when the run ends is neither delivered nor dropped.
                 known = came[0].step + usual <= last
                 yield number | {"effect": "dropped" if known else "unsettled"}
         elif came is None:
@@ -122,7 +122,7 @@ def _of_passage(
 
 
 def _renumbered(one: Read, other: Read) -> bool:
-    """Whether two messages about one frame differ in nothing but their numbers."""
+    """Whether two messages about one frame differ only in their numbers."""
     if one.body is None or other.body is None or one.header is None or other.header is None:
         return False
     return one.header._replace(seq=0) == other.header._replace(seq=0) and all(
@@ -131,7 +131,7 @@ def _renumbered(one: Read, other: Read) -> bool:
 
 
 def _changes(passage: Passage, arrival: Arrival, before: Read, sent: Sent, after: Read, poses: Poses) -> Iterator[Row]:
-    """The differences between a message and what was relayed of it."""
+    """The differences between a message and its relayed version."""
     if _same(arrival.content, sent.content):
         return
     if before.body is None or after.body is None:
@@ -156,7 +156,7 @@ def _changes(passage: Passage, arrival: Arrival, before: Read, sent: Sent, after
 
 
 def _object(a: Body, b: Body, names: list[str], i: int, j: int, where: tuple[str, int], poses: Poses) -> Iterator[Row]:
-    """The row of one object: row i of the message received, row j of the message sent; -1: absent."""
+    """The row of one object: row i of the input, row j of the output; -1: absent."""
     differ = [name for name in names if i >= 0 and j >= 0 and not _equal(a[name][i], b[name][j])]
     if i >= 0 and j >= 0 and not differ:
         return
@@ -165,7 +165,7 @@ def _object(a: Body, b: Body, names: list[str], i: int, j: int, where: tuple[str
     ids = [int(c["id"][k]) for c, k in ((a, i), (b, j)) if k >= 0 and "id" in c]
     velocity = NAN3
     if "velocity" in body:
-        # A velocity has the frame of reference of the message that went, or of that which came.
+        # A velocity is in the frame of reference of the sent, or else the received, message.
         velocity = tuple(_world(body["velocity"][row], body, where, poses, place=False))
     yield {
         "effect": effect,
@@ -178,14 +178,14 @@ def _object(a: Body, b: Body, names: list[str], i: int, j: int, where: tuple[str
 
 
 def _objects(a: Body, b: Body, names: list[str]) -> list[tuple[int, int]]:
-    """Pairs of rows about the same object; -1 where there is none."""
+    """Pairs of rows about the same object; -1: no partner."""
     if not names:
         return []
     left, right = list(range(len(a["position"]))), list(range(len(b["position"])))
     pairs: list[tuple[int, int]] = []
 
     def take(fits: Any) -> None:
-        """Pair what fits, the nearest first."""
+        """Pair compatible rows, the nearest first."""
         possible = [(_apart(a["position"][i], b["position"][j]), i, j) for i in left for j in right if fits(i, j)]
         for _, i, j in sorted(possible):
             if i in left and j in right:
@@ -212,7 +212,7 @@ def _apart(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _equal(a: Any, b: Any) -> bool:
-    """Whether two values, or arrays, are equal but for rounding."""
+    """Whether two values, or arrays, are equal up to rounding."""
     a, b = np.asarray(a), np.asarray(b)
     if a.shape != b.shape:
         return False
@@ -224,7 +224,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 def _same(a: bytes | Message, b: bytes | Message) -> bool:
-    """Whether two messages are the same bytes."""
+    """Whether two messages have the same bytes."""
     if a is b:
         return True
     one, other = (each if isinstance(each, bytes) else codec.encode(each) for each in (a, b))
@@ -232,7 +232,7 @@ def _same(a: bytes | Message, b: bytes | Message) -> bool:
 
 
 def _resemble(damaged: bytes | Message, original: bytes | Message) -> bool:
-    """Whether bytes are a damaged copy of a message: nine in ten are unchanged. Anything else is rubbish."""
+    """Whether bytes are a damaged copy of a message: nine in ten unchanged."""
     one, other = (each if isinstance(each, bytes) else codec.encode(each) for each in (damaged, original))
     equal = sum(one[k] == other[k] for k in range(min(len(one), len(other))))
     return equal >= 0.9 * max(len(one), len(other))
@@ -243,7 +243,7 @@ def _delay(frames: int) -> float:
 
 
 def _world(vector: np.ndarray, body: Body, where: tuple[str, int], poses: Poses, *, place: bool = True) -> np.ndarray:
-    """A place, or else a velocity, of a message in the world frame."""
+    """A position, or a velocity, of a message in the world frame."""
     if "mount_position" in body:
         position, rotation = poses[where]
         vector = _turned(body["mount_rotation"]) @ vector + (body["mount_position"] if place else 0.0)
@@ -254,7 +254,7 @@ def _world(vector: np.ndarray, body: Body, where: tuple[str, int], poses: Poses,
 
 
 def _turned(quaternion: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation of a quaternion w x y z: its columns are the turned axes, by q v q*."""
+    """(3, 3) rotation matrix of a quaternion w x y z, from q v q*."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     columns = []
     for v in np.eye(3):

@@ -1,4 +1,4 @@
-"""Runs as a user plays them, in one process: a scenario, settings, files of the user's own; then the run folder."""
+"""Runs in one process as a user plays them, and access to the run folder."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FRAMES = 36
 
 @dataclass(frozen=True)
 class Played:
-    """The folder of a run that has ended."""
+    """The folder of a finished run."""
 
     folder: Path
 
@@ -45,31 +45,31 @@ class Played:
         return read_table(self.folder / f"{name}.parquet")
 
     def bodies(self, key: str) -> Iterator[tuple[int, Body]]:
-        """Frame and columns of every message that was sent on a key."""
+        """Frame and columns of every message sent on a key."""
         for message in read(self.folder):
             if message.key == key:
                 yield message.frame, codec.decode(message.payload, message.message).body
 
 
 def play(folder: Path, name: str, *settings: str, frames: int = FRAMES, seed: int = 0, **files: str) -> Played:
-    """Play a scenario: one of ours by name, or one of `files` (by name without .py), which are written beside it."""
+    """Play a shipped scenario, or one of `files` (by name without .py)."""
     for file, text in files.items():
         (folder / f"{file}.py").write_text(text)
     path, content = scenario.load(str(folder / f"{name}.py") if name in files else name, list(settings))
     resolved = scenario.resolve(path, content, frames=frames, seed=seed, record=True)
-    ended = run.run(resolved, folder / "run", runtime="inproc")
-    assert ended.error is None, ended.error
-    return Played(ended.folder)
+    outcome = run.run(resolved, folder / "run", runtime="inproc")
+    assert outcome.error is None, outcome.error
+    return Played(outcome.folder)
 
 
 def files_of(page: str) -> dict[str, str]:
-    """The Python files that a page of the documentation has the reader save, by name without .py."""
+    """The Python files of a documentation page, by name without .py."""
     blocks = re.findall(r"^```python file=(\S+)\.py\n(.*?)^```$", (DOCS / page).read_text(), flags=re.S | re.M)
     return dict(blocks)
 
 
 def watch(folder: Path, resolved: Resolved) -> tuple[Played, Watched]:
-    """Play a resolved scenario with its interposers watched."""
+    """Play a resolved scenario with watched interposers."""
     made: list[Watched] = []
 
     def process(*arguments: Any, **more: Any) -> Watched:
@@ -78,6 +78,6 @@ def watch(folder: Path, resolved: Resolved) -> tuple[Played, Watched]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "InProcess", process)
-        ended = run.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
-    assert ended.error is None, ended.error
-    return Played(ended.folder), made[0]
+        outcome = run.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
+    assert outcome.error is None, outcome.error
+    return Played(outcome.folder), made[0]

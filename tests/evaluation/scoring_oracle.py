@@ -1,4 +1,4 @@
-"""Counts and errors of every estimate, computed from the recording of a run.
+"""Counts and errors of every estimate, computed from a run's recording.
 
 Shares no code with mast_zenoh.metrics: one plain loop over objects and tracks, and one use of py-motmetrics.
 """
@@ -21,7 +21,7 @@ from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 
 RANGE_M, GATE_M, MIN_POINTS = 100.0, 2.0, 5
-HELD = 5  # frames: 0.5 s, for which an agent goes on with a picture
+HELD = 5  # frames: agents use a picture for 0.5 s
 #: An estimate: agent and estimator.
 Series = tuple[str, str]
 #: Objects by id: x and y, m, world frame.
@@ -29,7 +29,7 @@ Objects = dict[int, tuple[float, float]]
 
 
 class Frame(NamedTuple):
-    """What is compared in one frame of one estimate: objects to be found, and tracks."""
+    """Ground-truth objects and tracks in one frame of one estimate."""
 
     truth: Objects
     tracks: Objects
@@ -46,7 +46,7 @@ class Row(NamedTuple):
 
 
 def frames_of(folder: Path) -> dict[Series, list[Frame]]:
-    """What is to be compared in every frame of every estimate of a recorded run."""
+    """Ground truth and tracks in every frame of every estimate of a recorded run."""
     wires = json.loads((folder / "wiring.json").read_text())["wires"]
     takes = _keys(wires)
     publisher = {leg["key"]: wire["publisher"] for wire in wires for leg in wire["legs"]}
@@ -88,7 +88,7 @@ def frames_of(folder: Path) -> dict[Series, list[Frame]]:
 
 
 def _keys(wires: list[dict[str, Any]]) -> dict[str, list[Series]]:
-    """By key the estimates that its messages are; an empty agent stands for all agents."""
+    """By key its estimates; an empty agent stands for all agents."""
     takes: dict[str, list[Series]] = defaultdict(list)
     for wire in wires:
         source = wire["legs"][0]["key"]
@@ -131,7 +131,7 @@ def _frame(truth: Any, agent: int, tracks: Objects) -> Frame:
 
 
 def by_loop(frames: list[Frame]) -> list[Row]:
-    """The scores of one estimate: in each frame as many pairs as can be, of these the nearest."""
+    """The scores of one estimate: most pairs first, then least distance."""
     last: dict[int, int] = {}
     rows = []
     for frame in frames:
@@ -154,7 +154,7 @@ def _pairs(frame: Frame) -> list[tuple[int, int]]:
     pairs: list[tuple[int, int]] = []
     left = [truth for truth in near if near[truth]]
     while left:
-        # Objects that compete for tracks, directly or through others.
+        # Objects that compete for tracks, directly or transitively.
         together = [left.pop()]
         tracks = set(near[together[0]])
         grown = True
@@ -170,7 +170,7 @@ def _pairs(frame: Frame) -> list[tuple[int, int]]:
 
 
 def _best(frame: Frame, truths: tuple[int, ...], near: dict[int, list[int]]) -> list[tuple[int, int]]:
-    """The best pairs of some objects, by trying all."""
+    """The best pairs of some objects, by exhaustive search."""
 
     @cache
     def best(k: int, taken: frozenset[int]) -> tuple[int, float, tuple[tuple[int, int], ...]]:
@@ -194,13 +194,12 @@ def _best(frame: Frame, truths: tuple[int, ...], near: dict[int, list[int]]) -> 
 def by_motmetrics(estimates: dict[Series, list[Frame]]) -> dict[Series, list[Row]]:
     """The scores of all estimates of a run.
 
-    CLEAR MOT keeps the pairs of the frame before while they are within the gate; our metrics pair every frame anew.
-    So frames are matched as if each had objects of its own; identity switches come from a second pass, with those
-    pairs alone.
+    CLEAR MOT keeps pairs of the previous frame while they are within the gate; our metrics match every frame anew. So
+    every frame gets its own object ids; identity switches come from a second pass restricted to the resulting pairs.
     """
     keys = [(series, k) for series, frames in estimates.items() for k in range(len(frames))]
     frames = [estimates[series][k] for series, k in keys]
-    codes: dict[Any, int] = {}  # py-motmetrics takes numbers only
+    codes: dict[Any, int] = {}  # py-motmetrics accepts numbers only
 
     def code(*name: Any) -> int:
         return codes.setdefault(name, len(codes))
@@ -211,15 +210,15 @@ def by_motmetrics(estimates: dict[Series, list[Frame]]) -> dict[Series, list[Row
         distance = [[_apart(frame, t, k) for k in frame.tracks] for t in frame.truth]
         gated = np.where(np.array(distance) <= GATE_M, distance, np.nan) if truth and tracks else []
         matching.update(truth, tracks, gated, frameid=number)
-    found: list[dict[str, list[Any]]] = [defaultdict(list) for _ in keys]
+    scores: list[dict[str, list[Any]]] = [defaultdict(list) for _ in keys]
     events = matching.mot_events
     columns = (events.index.get_level_values(0), events["Type"], events["OId"], events["HId"], events["D"])
     for number, kind, oid, hid, apart in zip(*(list(column) for column in columns), strict=True):
-        found[number][kind].append((oid, hid, apart))
+        scores[number][kind].append((oid, hid, apart))
     names = list(codes)
     switching = motmetrics.MOTAccumulator()
     for number, (series, _) in enumerate(keys):
-        pairs = found[number]["MATCH"]
+        pairs = scores[number]["MATCH"]
         apart = np.full((len(pairs), len(pairs)), np.nan)
         np.fill_diagonal(apart, [pair[2] for pair in pairs])
         truth, tracks = ([code(series, names[int(pair[side])][1]) for pair in pairs] for side in (0, 1))
@@ -229,7 +228,7 @@ def by_motmetrics(estimates: dict[Series, list[Frame]]) -> dict[Series, list[Row
         switches[number] += kind == "SWITCH"
     result: dict[Series, list[Row]] = defaultdict(list)
     for number, (series, _) in enumerate(keys):
-        kinds = found[number]
+        kinds = scores[number]
         apart = [pair[2] for pair in kinds["MATCH"]]
         rmse = math.sqrt(np.mean(np.square(apart))) if apart else math.nan
         result[series].append(Row(len(kinds["MISS"]), len(kinds["FP"]), len(apart), rmse, switches[number]))

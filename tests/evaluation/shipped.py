@@ -1,4 +1,4 @@
-"""Every scenario that the package ships, with settings for short runs: attacks begin within the first second."""
+"""All shipped scenarios with settings for short runs and early attacks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from mast_zenoh.config import bundle, loading
 
-#: By name further settings, each in a list of variants; other scenarios are played as they are.
+#: By name variants of further settings; other scenarios are played unchanged.
 VARIANTS: dict[str, list[tuple[str, ...]]] = {
     "uncoordinated": [("fraction_translations=0.3",)],
     "coordinated": [("fraction_translations=0.3", "reselect_every_s=1.5")],
@@ -22,25 +22,25 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
     ],
     "attack_during_partition": [("partition_s=1.0", "partition_until_s=2.0", "kill_s=2.4", "restart_after_s=0.6")],
     "two_hosts": [("partition_s=0", "run.mode=lockstep")],
-    "hide_object": [("attack_start_s=1.5",)],  # it chooses its target once, when there must be tracks
+    "hide_object": [("attack_start_s=1.5",)],  # it selects its target once, when tracks must exist
     "rogue": [("run.mode=lockstep", "run.record=True")],
 }
 
 
 def every() -> list[tuple[str, ...]]:
     """(name, setting, …) of each."""
-    found = []
+    variants = []
     for path in sorted((bundle.ROOT / "scenarios").glob("*.py")):
         parameters = inspect.signature(loading.function("scenarios", path.stem, "scenario")[1]).parameters
         for more in VARIANTS.get(path.stem, [()]):
             own_start = any(setting.startswith("attack_start_s=") for setting in more)
             early = ("attack_start_s=0.5",) if "attack_start_s" in parameters and not own_start else ()
-            found.append((path.stem, *early, *more))
-    return found
+            variants.append((path.stem, *early, *more))
+    return variants
 
 
 def label(variant: Any) -> str:
-    """What a test of a variant is called."""
+    """The test id of a variant."""
     return "-".join(word.rpartition("=")[2] for word in variant if "." not in word.partition("=")[0])
 
 

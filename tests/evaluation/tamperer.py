@@ -1,4 +1,4 @@
-"""An adversary for tests: manipulates each message in ways drawn at random, and reports nothing."""
+"""An adversary for tests: random manipulations of messages, no reports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mast_zenoh.node import Context, Node, Received
 
 
 class Tamperer(Node):
-    """agent: on whose wires it sits; rate: probability of each manipulation of a message."""
+    """agent: whose wires it is on; rate: probability of each manipulation."""
 
     role = "adversary"
     inputs = {"clock": "clock", "detections": "detections", "tracks": "tracks", "picture": "picture"}
@@ -21,7 +21,7 @@ class Tamperer(Node):
         self.rate = rate
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """A frame begins."""
+        """Begin a frame."""
 
     def on_detections(self, received: Received, context: Context) -> None:
         self.tamper(received, context)

@@ -1,4 +1,4 @@
-"""Two scenes of one seed are attacked independently, so that a study may count them as two."""
+"""Attacks on two scenes of one seed are independent, as studies assume."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAPER = {
 
 
 def inserted(played: Played, agent: str) -> np.ndarray:
-    """(n, 2) m: where false objects are when they first appear, from their victim, sorted."""
+    """(n, 2) m: first positions of false objects relative to their victim, sorted."""
     table = played.table("attacks")
     rows = table["effect"] == "inserted"
     rows &= table["frame"] == table["frame"][rows].min()
@@ -27,10 +27,10 @@ def inserted(played: Played, agent: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("scenario", PAPER)
-def test_false_objects_of_one_seed_are_elsewhere_in_another_scene(once: Callable[..., Played], scenario: str) -> None:
+def test_false_objects_of_one_seed_differ_between_scenes(once: Callable[..., Played], scenario: str) -> None:
     settings = ("n_adversaries=1", "attack_start_s=0.5", "n_infrastructure=2", PAPER[scenario])
     one, other = (inserted(once(scenario, f"scene_index={index}", *settings), "infra_1") for index in (0, 1))
     assert len(one) > 0
     assert len(other) > 0
     apart = np.linalg.norm(one[:, None] - other[None], axis=2)
-    assert apart.min() > 0.5, "no false object is where one of the other scene is"
+    assert apart.min() > 0.5, "no false object is at a position of the other scene"

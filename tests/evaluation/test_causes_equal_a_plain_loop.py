@@ -1,4 +1,4 @@
-"""The causes of false tracks and missed objects, in every estimate, equal plain loops over the tables of the run."""
+"""Causes of errors in every estimate equal plain loops over the tables."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ VARIANTS = [variant for variant in every() if variant[0] in LINKLESS]
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=label)
 def test_causes_equal_a_plain_loop(shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]) -> None:
-    """Scenarios without links: in those, what a picture lacks may be due to what a link dropped."""
+    """Scenarios without links, whose drops may also cause missing tracks."""
     played, _ = shipped(variant)
     causes = Causes(played)
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for row in causes.rows:
         cause, by = row["cause"], set(row["by"].split("+")) - {""}
         assert bool(cause) == (row["outcome"] in ("false", "missed")), row
         assert bool(by) == (cause in ATTACKS), row
-        found[cause] += 1
+        counts[cause] += 1
         if row["outcome"] == "missed":
             hidden = causes.hidden(row)
             if hidden:
@@ -38,25 +38,25 @@ def test_causes_equal_a_plain_loop(shipped: Callable[..., tuple[Played, object]]
             elif cause not in ATTACKS:
                 assert cause == causes.natural_track(row), row
             assert by <= causes.active(row), row
-    assert bool(set(found) & set(ATTACKS)) == (variant[0] not in HARMLESS)
-    assert found["link or fault"] == 0
+    assert bool(set(counts) & set(ATTACKS)) == (variant[0] not in HARMLESS)
+    assert counts["link or fault"] == 0
 
 
-def test_errors_split_into_fault_attack_and_natural_ones_in_every_estimate(
+def test_errors_in_every_estimate_are_split_into_fault_attack_and_natural(
     shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]
 ) -> None:
     played, _ = shipped(variant)
     frames = 1 + played.metrics["scored_frames"][1] - played.metrics["scored_frames"][0]
     for agent, estimators in played.agents.items():
-        for estimator, found in estimators.items():
+        for estimator, estimate in estimators.items():
             for what, total in (
-                ("fp", found["fp"]["mean"]),
-                ("fn", found["fn"]["mean"]),
-                ("id_switches", found["id_switches"]),
+                ("fp", estimate["fp"]["mean"]),
+                ("fn", estimate["fn"]["mean"]),
+                ("id_switches", estimate["id_switches"]),
             ):
-                split = found[f"{what}_split"]
+                split = estimate[f"{what}_split"]
                 assert sum(split.values()) == pytest.approx(total, abs=1e-9), (agent, estimator, what)
-                counts = Counter(found["causes"][what])
+                counts = Counter(estimate["causes"][what])
                 per = 1 if what == "id_switches" else frames
                 assert split["attack"] == pytest.approx(sum(counts[cause] for cause in ATTACKS) / per)
                 assert split["fault"] == pytest.approx(counts["link or fault"] / per)

@@ -1,4 +1,4 @@
-"""Whatever way an adversary takes to damage the picture, the errors are due to it."""
+"""Errors are attributed to an adversary, however it damages the picture."""
 
 from __future__ import annotations
 

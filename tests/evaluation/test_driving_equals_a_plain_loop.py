@@ -1,4 +1,4 @@
-"""What estimates would mean for driving equals plain loops, on runs with and without an attack."""
+"""Driving metrics equal plain loops, with and without an attack."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ def test_corridor_and_braking_equal_a_plain_loop(
     first, last = played.metrics["scored_frames"]
     scored = range(first, last + 1)
     for estimate in sources:
-        found, mine = played.metrics["driving"]["ego"][estimate], [rows[estimate][frame] for frame in scored]
+        measured, expected_rows = (
+            played.metrics["driving"]["ego"][estimate],
+            [rows[estimate][frame] for frame in scored],
+        )
         for name, column in (
             ("corridor_objects", "objects"),
             ("corridor_false", "false"),
@@ -33,9 +36,11 @@ def test_corridor_and_braking_equal_a_plain_loop(
             ("needless_brake_share", "needless"),
             ("missed_brake_share", "omitted"),
         ):
-            assert found[name] == pytest.approx(sum(each[column] for each in mine) / len(mine), abs=1e-12)
+            assert measured[name] == pytest.approx(
+                sum(each[column] for each in expected_rows) / len(expected_rows), abs=1e-12
+            )
         for name, column in (("needless_brake_share_attack", "needless"), ("missed_brake_share_attack", "omitted")):
-            share = sum(each[column] and each["attacked"] for each in mine) / len(mine)
-            assert found[name] == pytest.approx(share, abs=1e-12)
-        times = [each["ttc_s"] for each in mine if each["ttc_s"] == each["ttc_s"]]
-        assert found["min_ttc_s"] == (pytest.approx(min(times), abs=1e-9) if times else None)
+            share = sum(each[column] and each["attacked"] for each in expected_rows) / len(expected_rows)
+            assert measured[name] == pytest.approx(share, abs=1e-12)
+        times = [each["ttc_s"] for each in expected_rows if each["ttc_s"] == each["ttc_s"]]
+        assert measured["min_ttc_s"] == (pytest.approx(min(times), abs=1e-9) if times else None)

@@ -1,4 +1,4 @@
-"""The measured effects of every interposer equal, row by row, what it did."""
+"""Measured effects of interposers equal their actions, row by row."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WHOLE = ("frame", "seq", "id")
 
 
 def measured(played: Played) -> list[dict[str, Any]]:
-    """The rows of attacks.parquet, as the oracle has them."""
+    """The rows of attacks.parquet in the format of the oracle."""
     table = played.table("attacks")
     rows = []
     for k in range(len(table["frame"])):
@@ -38,7 +38,7 @@ def measured(played: Played) -> list[dict[str, Any]]:
 
 
 def compare(played: Played, process: Watched) -> Counter[str]:
-    """Assert that measured rows and those of the oracle are equal; the number of rows of each effect."""
+    """Assert that measured rows equal the oracle's; returns counts by effect."""
 
     def place(row: dict[str, Any]) -> tuple[Any, ...]:
         numbers = [row["delay_s"], *row["before"], *row["after"], *row["velocity"]]
@@ -48,29 +48,33 @@ def compare(played: Played, process: Watched) -> Counter[str]:
             *np.round(np.nan_to_num(numbers, nan=-1e9), 5).tolist(),
         )
 
-    found = sorted(measured(played), key=place)
+    measured_rows = sorted(measured(played), key=place)
     done = sorted(expected(process, played.metrics["frames"]), key=place)
-    kinds = [Counter(row["effect"] for row in rows) for rows in (found, done)]
+    kinds = [Counter(row["effect"] for row in rows) for rows in (measured_rows, done)]
     assert kinds[0] == kinds[1]
-    for mine, other in zip(found, done, strict=True):
-        assert {name: mine[name] for name in (*TEXTS, *WHOLE)} == {name: other[name] for name in (*TEXTS, *WHOLE)}
+    for measured_row, other in zip(measured_rows, done, strict=True):
+        assert {name: measured_row[name] for name in (*TEXTS, *WHOLE)} == {
+            name: other[name] for name in (*TEXTS, *WHOLE)
+        }
         for name in ("delay_s", "before", "after", "velocity"):
-            np.testing.assert_allclose(mine[name], other[name], rtol=0.0, atol=1e-8, err_msg=f"{name}: {mine}")
+            np.testing.assert_allclose(
+                measured_row[name], other[name], rtol=0.0, atol=1e-8, err_msg=f"{name}: {measured_row}"
+            )
     return kinds[0]
 
 
-def test_effects_are_those_of_every_shipped_scenario(
+def test_effects_equal_the_oracles_in_every_shipped_scenario(
     shipped: Callable[..., tuple[Played, Watched]], variant: tuple[str, ...]
 ) -> None:
     played, process = shipped(variant)
     kinds = compare(played, process)
     assert bool(kinds) == (variant[0] not in HARMLESS)
-    for name, found in played.metrics["interposers"].items():
-        assert found["agreement"] in ("agrees", "nothing to report"), (name, found)
+    for name, counts in played.metrics["interposers"].items():
+        assert counts["agreement"] in ("agrees", "nothing to report"), (name, counts)
 
 
 def chain(seed: int) -> dict[str, Any]:
-    """A scenario with adversaries, tamperers and links on wires drawn at random."""
+    """A scenario with adversaries, tamperers and links on random wires."""
     rng = np.random.default_rng(seed)
     path, content = scenario.load("baseline", ["n_infrastructure=2"])
     adversaries: dict[str, Any] = {}
@@ -109,7 +113,7 @@ def chain(seed: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_effects_are_those_of_chains_drawn_at_random(seed: int, tmp_path: Path) -> None:
+def test_effects_equal_the_oracles_in_random_chains(seed: int, tmp_path: Path) -> None:
     played, process = watch(tmp_path, chain(seed))
     kinds = compare(played, process)
     assert sum(kinds.values()) > 50

@@ -1,4 +1,4 @@
-"""An attack on any leg shows in the estimates that it changes, and in no other."""
+"""An attack on a leg affects exactly the estimates behind it."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ def baseline(once: Once) -> Played:
 def counts(played: Played, agent: str, estimator: str) -> dict[str, list[float]]:
     """Counts and errors of an estimate, frame by frame."""
     table = played.table("metrics")
-    mine = (table["agent"] == agent) & (table["estimator"] == estimator)
-    return {name: table[name][mine].tolist() for name in ("fn", "fp", "tp", "id_switches", "ospa_m")}
+    selected = (table["agent"] == agent) & (table["estimator"] == estimator)
+    return {name: table[name][selected].tolist() for name in ("fn", "fp", "tp", "id_switches", "ospa_m")}
 
 
 def test_an_attack_on_the_downlink_affects_the_received_picture_and_the_mission_estimate(
@@ -79,7 +79,9 @@ def test_an_attack_on_the_downlink_affects_the_received_picture_and_the_mission_
     for estimator in ("local", "received", "picture"):
         assert attacked.agents["ego"][estimator] == baseline.agents["ego"][estimator], estimator
     for agent in ("infra_1", "infra_2"):
-        assert attacked.agents[agent]["mission"] == baseline.agents[agent]["mission"], "the others hear the true one"
+        assert attacked.agents[agent]["mission"] == baseline.agents[agent]["mission"], (
+            "the other agents get the true one"
+        )
     for estimator in ("picture_received", "picture_on_arrival", "mission"):
         before, after = baseline.agents["ego"][estimator], attacked.agents["ego"][estimator]
         assert after["fp"]["mean"] > before["fp"]["mean"] + 2.0, estimator
@@ -99,13 +101,13 @@ def test_an_attack_on_sent_tracks_does_not_change_the_agents_own_estimates(once:
         assert counts(attacked, agent, "local") == counts(baseline, agent, "local"), agent
     for agent in ("ego", "infra_1"):
         before, after = (played.agents[agent]["received"]["fp"]["mean"] for played in (baseline, attacked))
-        assert after > before + 1.0, "the broker received something else from a compromised agent"
+        assert after > before + 1.0, "the broker received different tracks from a compromised agent"
     for agent in ("infra_2", "infra_3", "infra_4"):
         assert attacked.agents[agent]["received"] == baseline.agents[agent]["received"]
         assert attacked.metrics["same_as"][agent]["received"] == "local"
 
 
-def test_a_late_picture_scores_as_before_by_its_stamp_and_worse_when_it_arrives(once: Once, baseline: Played) -> None:
+def test_a_late_picture_scores_the_same_by_stamp_and_worse_on_arrival(once: Once, baseline: Played) -> None:
     late = once("baseline", "broker.latency_s=0.3")
     assert late.metrics["latency_ms"]["sim_to_picture"]["p50"] == pytest.approx(300.0)
     first = slice(0, FRAMES - 3)  # pictures of the last three frames are never sent
@@ -115,7 +117,7 @@ def test_a_late_picture_scores_as_before_by_its_stamp_and_worse_when_it_arrives(
     assert arrived["tp"]["mean"] < stamped["tp"]["mean"] - 1.0
     assert arrived["fp"]["mean"] > stamped["fp"]["mean"] + 1.0
     assert late.agents["ego"]["mission"]["rmse_m"] != baseline.agents["ego"]["mission"]["rmse_m"]
-    assert baseline.metrics["same_as"]["ego"]["picture_on_arrival"] == "picture", "without latency both are one"
+    assert baseline.metrics["same_as"]["ego"]["picture_on_arrival"] == "picture", "without latency both are identical"
 
 
 METRICS = {
@@ -152,7 +154,7 @@ def scenario(range_m=30.0):
 }
 
 
-def test_metrics_of_the_user_are_in_the_summary_and_the_tables_of_every_estimate(once: Once) -> None:
+def test_user_metrics_are_in_the_summary_and_tables_of_every_estimate(once: Once) -> None:
     played = once("judged", "range_m=25.0", **METRICS)
     per_frame, objects = played.table("metrics"), played.table("objects")
     first, last = played.metrics["scored_frames"]
@@ -170,8 +172,8 @@ def test_metrics_of_the_user_are_in_the_summary_and_the_tables_of_every_estimate
                 now = rows & (objects["frame"] == frame)
                 x, y, _ = places[frame, agent]
                 values.append(np.sum(np.hypot(objects["x"][now] - x, objects["y"][now] - y) <= 25.0))
-            mine = (per_frame["agent"] == agent) & (per_frame["estimator"] == estimator)
-            assert per_frame["ahead"][mine].tolist() == values
+            selected = (per_frame["agent"] == agent) & (per_frame["estimator"] == estimator)
+            assert per_frame["ahead"][selected].tolist() == values
             assert summary["ahead"]["mean"] == pytest.approx(np.mean(values[first : last + 1]), abs=1e-12)
             assert summary["ahead"]["std"] == pytest.approx(np.std(values[first : last + 1]), abs=1e-12)
             assert summary["highest_id"] == objects["id"][rows].max()

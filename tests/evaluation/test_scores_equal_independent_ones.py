@@ -1,4 +1,4 @@
-"""The scores of every estimate equal those of two independent implementations, on recordings of every scenario."""
+"""Scores equal two independent implementations on all shipped scenarios."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def assert_equal(played: Played, scores: dict[Series, list[Row]]) -> None:
     table = played.table("metrics")
     first, last = played.metrics["scored_frames"]
     for (agent, estimator), rows in scores.items():
-        mine = (table["agent"] == agent) & (table["estimator"] == estimator)
+        selected = (table["agent"] == agent) & (table["estimator"] == estimator)
         for name, values in zip(Row._fields, zip(*rows, strict=True), strict=True):
             np.testing.assert_allclose(
-                table[name][mine], values, rtol=0.0, atol=1e-9, err_msg=f"{agent} {estimator} {name}"
+                table[name][selected], values, rtol=0.0, atol=1e-9, err_msg=f"{agent} {estimator} {name}"
             )
         counted, summary = rows[first : last + 1], played.agents[agent][estimator]
         for name in ("fn", "fp", "tp"):

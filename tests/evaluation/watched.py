@@ -1,4 +1,4 @@
-"""A run in one process that records what each interposer received and sent, at the interposer's context."""
+"""A run in one process that records inputs and outputs of interposers."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PERIOD_NS = 100_000_000
 
 
 class Read(NamedTuple):
-    """What a subscriber can read of a message: the header and the columns, None where it refuses them."""
+    """Header and columns as a subscriber decodes them; None where it refuses them."""
 
     header: Header | None
     body: Body | None
 
 
 class Sent(NamedTuple):
-    """A message that an interposer relayed: its content, and the frame of the run in which it leaves."""
+    """A relayed message: its content, and the frame of the run in which it leaves."""
 
     content: bytes | Message
     step: int
@@ -32,7 +32,7 @@ class Sent(NamedTuple):
 
 @dataclass(eq=False)
 class Arrival:
-    """A message sent to an interposer: its passage, its content, the frame of the run, and what was relayed of it."""
+    """A message sent to an interposer: passage, content, frame and relayed copies."""
 
     passage: Passage
     content: bytes | Message
@@ -43,10 +43,10 @@ class Arrival:
 
 
 class Watched(InProcess):
-    """See the module.
+    """Inputs and outputs of interposers.
 
     arrivals:  in order of arrival
-    forgeries: messages that interposers published themselves on the wires they sit on, with the passage
+    forgeries: messages that interposers published on their own wires, with the passage
     """
 
     def __init__(self, resolved: Any, **more: Any) -> None:
@@ -60,7 +60,7 @@ class Watched(InProcess):
             self._ways.setdefault(passage.received, []).append(passage)
 
     def read(self, passage: Passage, content: bytes | Message, flaw: str = "") -> Read:
-        """What subscribers of a wire can read of a message."""
+        """The content of a message as subscribers of a wire decode it."""
         header = None
         try:
             if isinstance(content, Message):
@@ -83,9 +83,9 @@ class Watched(InProcess):
 
     def _build_host(self, name: str) -> Host:
         host = super()._build_host(name)
-        mine = [passage for passage in self._wiring.passages() if passage.node == name]
-        if mine:
-            self._watch(host, mine)
+        passages = [passage for passage in self._wiring.passages() if passage.node == name]
+        if passages:
+            self._watch(host, passages)
         return host
 
     def _watch(self, host: Host, passages: list[Passage]) -> None:
@@ -117,7 +117,7 @@ class Watched(InProcess):
         host.relay, host.publish, host._send_payload = relayed, published, noted  # type: ignore[method-assign]
 
     def _arrival(self, name: str, received: Received) -> Arrival:
-        """The arrival that was handed to a node as `received`: the first of this content not yet handed over."""
+        """The first undelivered arrival whose content equals `received`."""
         content = received.payload if received.payload is not None else received.message
         for arrival in self.arrivals:
             if arrival.passage.node != name or arrival.passage.subject != received.subject:

@@ -1,4 +1,4 @@
-"""Whatever goes wrong, at random: all checks hold, nothing is left, and what fails can be replayed by one command."""
+"""Random faults: all checks hold, nothing remains, failures are replayable."""
 
 import json
 import shlex
@@ -21,53 +21,54 @@ SMALL = ("n_infrastructure=1",)
 
 
 def command(seed: int, runtime: str, *settings: str) -> str:
-    """What replays a schedule."""
+    """The command that replays a schedule."""
     words = [word for setting in (f"chaos_seed={seed}", *settings) for word in ("--set", setting)]
     return shlex.join(["mast", "run", "chaos", *words, "--runtime", runtime])
 
 
 def played(out: Path, seed: int, runtime: str, *settings: str) -> Path:
-    """The folder of a run under a random schedule; fails, and says how to replay it, if anything is wrong with it."""
+    """Run a random schedule; on a problem fail with the command to replay it."""
     path, loaded = scenario.load("chaos", [f"chaos_seed={seed}", *settings])
     resolved = scenario.resolve(path, loaded, record=True)
-    ended = run.run(resolved, out, runtime=runtime)
-    wrong = [f"{type(ended.error).__name__}: {ended.error}"] if ended.error else []
-    wrong += [f"{check['name']}: {check['detail']}" for check in told(ended.folder) if not check["ok"]]
-    broken = {name: node["failures"] for name, node in ended.record["nodes"].items() if node.get("failures")}
+    outcome = run.run(resolved, out, runtime=runtime)
+    wrong = [f"{type(outcome.error).__name__}: {outcome.error}"] if outcome.error else []
+    wrong += [f"{check['name']}: {check['detail']}" for check in check_results(outcome.folder) if not check["ok"]]
+    broken = {name: node["failures"] for name, node in outcome.record["nodes"].items() if node.get("failures")}
     wrong += [f"handlers failed: {broken}"] if broken else []
     if wrong:
         pytest.fail("\n".join([*wrong, *map(str, loaded["faults"]), f"replay: {command(seed, runtime, *settings)}"]))
-    return ended.folder
+    return outcome.folder
 
 
-def told(folder: Path) -> list[dict[str, Any]]:
-    """What the checks of a run have found."""
+def check_results(folder: Path) -> list[dict[str, Any]]:
+    """The results of a run's checks."""
     return list(json.loads((folder / checks.FILE).read_text())["checks"])
 
 
 @pytest.mark.parametrize("block", range(20))
-def test_200_random_schedules_in_one_process(block: int, tmp_path: Path) -> None:
+def test_200_random_schedules_in_one_process_pass_all_checks(block: int, tmp_path: Path) -> None:
     asked: set[str] = set()
     for seed in range(10 * block, 10 * block + 10):
         folder = played(tmp_path / str(seed), seed, "inproc")
-        asked |= {check["name"] for check in told(folder) if check["values"]["checked"]}
+        asked |= {check["name"] for check in check_results(folder) if check["values"]["checked"]}
     assert asked == {"collation", "convergence", "sequences"}
 
 
 @pytest.mark.mesh
 @pytest.mark.parametrize("seed", range(20))
-def test_20_random_schedules_on_the_mesh_as_in_one_process(seed: int, tmp_path: Path) -> None:
+def test_20_random_schedules_on_the_mesh_equal_those_in_one_process(seed: int, tmp_path: Path) -> None:
     folder = played(tmp_path / "mesh", seed, "mesh", *SMALL)
-    assert {check["name"] for check in told(folder) if check["values"]["checked"]} >= {"processes", "sequences"}
+    assert {check["name"] for check in check_results(folder) if check["values"]["checked"]} >= {
+        "processes",
+        "sequences",
+    }
     lines = [" ".join(process.info["cmdline"] or ()) for process in psutil.process_iter(["cmdline"])]
     assert not [line for line in lines if str(tmp_path) in line]
-    found = compare(folder, played(tmp_path / "inproc", seed, "inproc", *SMALL), taps=True)
-    assert found.first is None, "\n".join([*explain(found), f"replay: {command(seed, 'mesh', *SMALL)}"])
+    difference = compare(folder, played(tmp_path / "inproc", seed, "inproc", *SMALL), taps=True)
+    assert difference.first is None, "\n".join([*explain(difference), f"replay: {command(seed, 'mesh', *SMALL)}"])
 
 
-def test_a_failing_schedule_says_the_one_command_that_replays_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_schedule_prints_a_command_that_replays_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(convergence, "THRESHOLD_M", 0.0)
     with pytest.raises(pytest.fail.Exception) as failed:
         played(tmp_path / "failed", 17, "inproc")
@@ -76,7 +77,7 @@ def test_a_failing_schedule_says_the_one_command_that_replays_it(
     assert replay == "replay: mast run chaos --set chaos_seed=17 --runtime inproc"
     _, *words = shlex.split(replay.removeprefix("replay: "))
     CliRunner().invoke(app.app, [*words, "--no-report", "--out", str(tmp_path / "replayed")])
-    assert [check["ok"] for check in told(tmp_path / "replayed")] == [
-        check["ok"] for check in told(tmp_path / "failed")
+    assert [check["ok"] for check in check_results(tmp_path / "replayed")] == [
+        check["ok"] for check in check_results(tmp_path / "failed")
     ]
     assert compare(tmp_path / "failed", tmp_path / "replayed", taps=True).first is None

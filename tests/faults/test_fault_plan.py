@@ -1,4 +1,4 @@
-"""A list of faults becomes rules of links, steps of processes and bands of a timeline; what cannot be is refused."""
+"""Faults become link rules, process steps and timeline bands, or are refused."""
 
 import dataclasses
 import inspect
@@ -41,7 +41,7 @@ def planned(*specs: dict[str, Any], seed: int = 0, lockstep: bool = True, times_
 
 
 @pytest.mark.parametrize(("at_s", "frame"), [(0.0, 0), (0.001, 1), (0.1, 1), (0.30000000000000004, 3), (9.9, 99)])
-def test_a_step_happens_before_the_first_frame_that_is_not_earlier(at_s: float, frame: int) -> None:
+def test_a_step_happens_before_the_first_frame_at_or_after_its_time(at_s: float, frame: int) -> None:
     assert frame_at(TIMES_NS, at_s) == frame
 
 
@@ -54,11 +54,11 @@ def test_frames_need_not_be_evenly_spaced() -> None:
 
 
 def test_a_partition_cuts_both_directions_from_start_to_end() -> None:
-    found = planned(dict(type="Partition", at=3.0, until=6.0, nodes=["infra_1", "infra_2"]))
+    fault_plan = planned(dict(type="Partition", at=3.0, until=6.0, nodes=["infra_1", "infra_2"]))
     cut = [dict(type="Cut", at=3.0, until=6.0)]
-    assert found.rules == {name: {"up": cut, "down": cut} for name in ("infra_1", "infra_2")}
-    assert found.steps == ()
-    assert found.bands == [
+    assert fault_plan.rules == {name: {"up": cut, "down": cut} for name in ("infra_1", "infra_2")}
+    assert fault_plan.steps == ()
+    assert fault_plan.bands == [
         dict(
             label="Partition infra_1, infra_2",
             kind="fault",
@@ -72,11 +72,11 @@ def test_a_partition_cuts_both_directions_from_start_to_end() -> None:
 
 
 def test_rules_keep_the_order_of_the_faults() -> None:
-    found = planned(
+    fault_plan = planned(
         dict(type="Loss", at=5.0, until=6.0, node="infra_1", probability=0.5),
         dict(type="Partition", at=1.0, until=6.0, node="infra_1"),
     )
-    assert [rule["type"] for rule in found.rules["infra_1"]["up"]] == ["Loss", "Cut"]
+    assert [rule["type"] for rule in fault_plan.rules["infra_1"]["up"]] == ["Loss", "Cut"]
 
 
 @pytest.mark.parametrize(
@@ -96,14 +96,14 @@ def test_rules_keep_the_order_of_the_faults() -> None:
         (dict(type="Impair", rule=dict(type="PoseError", yaw_std_rad=0.1)), dict(type="PoseError", yaw_std_rad=0.1)),
     ],
 )
-def test_every_fault_of_messages_is_a_rule_that_links_know(fault: dict[str, Any], rule: dict[str, Any]) -> None:
-    found = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
-    assert found == [{**rule, "at": 1.0, "until": 2.0}]
-    assert isinstance(registry.build(found[0], links.Rule, "here"), links.Rule)
+def test_every_message_fault_is_a_known_link_rule(fault: dict[str, Any], rule: dict[str, Any]) -> None:
+    fault_plan = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
+    assert fault_plan == [{**rule, "at": 1.0, "until": 2.0}]
+    assert isinstance(registry.build(fault_plan[0], links.Rule, "here"), links.Rule)
 
 
 @pytest.mark.parametrize("fault", [cls for cls in KINDS.values() if issubclass(cls, LinkFault)])
-def test_a_parameter_has_the_same_default_as_fault_and_as_rule(fault: type[LinkFault]) -> None:
+def test_parameters_have_the_same_default_in_faults_and_rules(fault: type[LinkFault]) -> None:
     needed = {field.name: 0.5 for field in dataclasses.fields(fault) if field.default is dataclasses.MISSING}
     rule = fault(
         **needed | {"at": 1.0, "node": "ego"} | ({"rule": {"type": "Cut"}} if "rule" in needed else {})
@@ -116,11 +116,11 @@ def test_a_parameter_has_the_same_default_as_fault_and_as_rule(fault: type[LinkF
 
 
 def test_a_directed_fault_acts_in_one_direction() -> None:
-    found = planned(dict(type="Loss", at=1.0, node="ego", probability=0.5, direction="down"))
-    assert found.rules["ego"] == {"up": [], "down": [dict(type="Loss", probability=0.5, at=1.0, until=None)]}
+    fault_plan = planned(dict(type="Loss", at=1.0, node="ego", probability=0.5, direction="down"))
+    assert fault_plan.rules["ego"] == {"up": [], "down": [dict(type="Loss", probability=0.5, at=1.0, until=None)]}
 
 
-def test_a_slow_node_delays_the_messages_that_it_publishes() -> None:
+def test_a_slow_node_delays_its_published_messages() -> None:
     slow = dict(type="SlowNode", at=1.0, until=2.0, delay_s=0.3)
     agent = planned({**slow, "node": "infra_1"}).rules
     assert list(agent) == ["infra_1"]
@@ -140,15 +140,15 @@ def cut(seed: int = 0, **aim: Any) -> list[str]:
 def test_targets_are_names_and_roles() -> None:
     assert cut(nodes=["infra_2", "ego", "infra_2"]) == ["ego", "infra_2"], "in the order of the scene, once"
     assert cut(nodes="agent") == list(AGENTS)
-    assert cut(node="broker") == cut(node="command_center") == list(AGENTS), "who is cut off from the centre"
+    assert cut(node="broker") == cut(node="command_center") == list(AGENTS), "the agents cut off from the centre"
 
 
-def test_words_draw_agents_by_the_seed_of_the_run() -> None:
+def test_random_targets_are_drawn_by_the_seed_of_the_run() -> None:
     assert [len(cut(nodes=word)) for word in ("one", "minority", "majority")] == [1, 2, 3]
     assert cut(nodes="minority", seed=4) == cut(nodes="minority", seed=4)
     assert len({tuple(cut(nodes="minority", seed=seed)) for seed in range(20)}) > 5
     two = planned(*[dict(type="Partition", at=1.0, until=2.0, nodes="one")] * 8)
-    assert len({tuple(band["nodes"]) for band in two.bands}) > 1, "every fault draws its own lots"
+    assert len({tuple(band["nodes"]) for band in two.bands}) > 1, "every fault draws its targets independently"
 
 
 @pytest.mark.parametrize("n", range(1, 9))
@@ -175,10 +175,14 @@ def test_a_key_of_a_wire_selects_one_direction() -> None:
 
 
 def test_a_killed_node_restarts_at_the_configured_time() -> None:
-    found = planned(dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0))
-    assert found.steps == (ProcessStep(40, "kill", "infra_3"), ProcessStep(60, "start", "infra_3"))
-    assert found.rules == {}
-    assert (found.bands[0]["at_s"], found.bands[0]["until_s"], found.bands[0]["backend"]) == (4.0, 6.0, "process")
+    fault_plan = planned(dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0))
+    assert fault_plan.steps == (ProcessStep(40, "kill", "infra_3"), ProcessStep(60, "start", "infra_3"))
+    assert fault_plan.rules == {}
+    assert (fault_plan.bands[0]["at_s"], fault_plan.bands[0]["until_s"], fault_plan.bands[0]["backend"]) == (
+        4.0,
+        6.0,
+        "process",
+    )
 
 
 @pytest.mark.parametrize(
@@ -194,18 +198,18 @@ def test_a_killed_node_restarts_at_the_configured_time() -> None:
         (dict(type="Kill", at=9.5, restart_after=2.0), [(95, "kill")]),
     ],
 )
-def test_every_fault_of_processes_is_steps(fault: dict[str, Any], steps: list[tuple[int, str]]) -> None:
-    found = planned({**fault, "node": "infra_1"})
-    assert found.steps == tuple(ProcessStep(frame, action, "infra_1") for frame, action in steps)
+def test_every_process_fault_becomes_steps(fault: dict[str, Any], steps: list[tuple[int, str]]) -> None:
+    fault_plan = planned({**fault, "node": "infra_1"})
+    assert fault_plan.steps == tuple(ProcessStep(frame, action, "infra_1") for frame, action in steps)
 
 
 @pytest.mark.parametrize("node", ["broker", "command_center", "adversary_1", "coordinator"])
 def test_nodes_other_than_agents_can_be_killed_and_restarted(node: str) -> None:
-    found = planned(dict(type="Kill", at=1.0, node=node, restart_after=1.0))
-    assert [step.node for step in found.steps] == [node, node]
+    fault_plan = planned(dict(type="Kill", at=1.0, node=node, restart_after=1.0))
+    assert [step.node for step in fault_plan.steps] == [node, node]
 
 
-def test_a_joining_node_is_absent_before() -> None:
+def test_a_joining_node_is_absent_until_it_joins() -> None:
     (band,) = planned(dict(type="Join", at=2.0, node="infra_1")).bands
     assert (band["at_s"], band["until_s"]) == (0.0, 2.0)
 
@@ -219,25 +223,25 @@ def test_a_fault_that_outlasts_the_run_has_no_end() -> None:
 
 
 def test_faults_after_the_last_frame_have_no_effect() -> None:
-    found = planned(
+    fault_plan = planned(
         dict(type="Kill", at=9.95, node="infra_1"), dict(type="Partition", at=30.0, until=40.0, node="infra_2")
     )
-    assert found.steps == ()
-    assert found.bands == []
-    assert found.missed == ["mine.py: faults[0]", "mine.py: faults[1]"]
+    assert fault_plan.steps == ()
+    assert fault_plan.bands == []
+    assert fault_plan.missed == ["mine.py: faults[0]", "mine.py: faults[1]"]
 
 
 def test_steps_are_in_the_order_of_frames() -> None:
-    found = planned(
+    fault_plan = planned(
         dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0), dict(type="Restart", at=1.0, node="ego")
     )
-    assert [step.frame for step in found.steps] == [10, 15, 40, 60]
+    assert [step.frame for step in fault_plan.steps] == [10, 15, 40, 60]
 
 
 # -- pauses ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_pause_is_signals_in_real_time_and_held_messages_in_lock_step() -> None:
+def test_a_pause_is_signals_in_real_time_and_delayed_messages_in_lock_step() -> None:
     pause = dict(type="Pause", at=2.0, until=3.0, node="infra_1")
     real = planned(pause, lockstep=False)
     assert real.steps == (ProcessStep(20, "pause", "infra_1"), ProcessStep(30, "resume", "infra_1"))
@@ -249,35 +253,35 @@ def test_a_pause_is_signals_in_real_time_and_held_messages_in_lock_step() -> Non
     assert (real.bands[0]["backend"], exact.bands[0]["backend"]) == ("process", "links")
 
 
-def test_a_pause_that_would_outlast_the_run_ends_before_its_last_frame() -> None:
-    found = planned(dict(type="Pause", at=9.0, until=12.0, node="infra_1"), lockstep=False)
-    assert found.steps[-1] == ProcessStep(99, "resume", "infra_1")
+def test_a_pause_beyond_the_run_ends_before_its_last_frame() -> None:
+    fault_plan = planned(dict(type="Pause", at=9.0, until=12.0, node="infra_1"), lockstep=False)
+    assert fault_plan.steps[-1] == ProcessStep(99, "resume", "infra_1")
 
 
-def test_a_paused_command_centre_is_a_pause_of_every_link() -> None:
-    found = planned(dict(type="Pause", at=2.0, until=3.0, node="command_center"))
-    assert list(found.rules) == list(AGENTS)
-    assert found.bands[0]["nodes"] == ["command_center"]
+def test_pausing_the_command_centre_pauses_every_link() -> None:
+    fault_plan = planned(dict(type="Pause", at=2.0, until=3.0, node="command_center"))
+    assert list(fault_plan.rules) == list(AGENTS)
+    assert fault_plan.bands[0]["nodes"] == ["command_center"]
 
 
-# -- unplugged -------------------------------------------------------------------------------------------------------
+# -- disconnections --------------------------------------------------------------------------------------------------
 
 
 UNPLUG = dict(type="Unplug", at=2.0, until=3.0, node="infra_1")
 
 
 def test_an_unplugged_node_is_disconnected_and_reconnected() -> None:
-    found = planned(UNPLUG, lockstep=False)
-    assert found.steps == (ProcessStep(20, "disconnect", "infra_1"), ProcessStep(30, "connect", "infra_1"))
-    assert found.rules == {}
-    (band,) = found.bands
+    fault_plan = planned(UNPLUG, lockstep=False)
+    assert fault_plan.steps == (ProcessStep(20, "disconnect", "infra_1"), ProcessStep(30, "connect", "infra_1"))
+    assert fault_plan.rules == {}
+    (band,) = fault_plan.bands
     assert (band["kind"], band["type"], band["backend"]) == ("fault", "Unplug", "process")
     assert (band["at_s"], band["until_s"], band["nodes"]) == (2.0, 3.0, ["infra_1"])
 
 
 def test_a_node_unplugged_beyond_the_run_is_reconnected_before_its_last_frame() -> None:
     assert planned(UNPLUG | {"until": 12.0}, lockstep=False).steps[-1] == ProcessStep(99, "connect", "infra_1")
-    assert planned(UNPLUG | {"at": 9.9, "until": 12.0}, lockstep=False).steps == (), "nobody is left unplugged"
+    assert planned(UNPLUG | {"at": 9.9, "until": 12.0}, lockstep=False).steps == (), "every node is reconnected"
 
 
 def test_unplugging_is_refused_in_lock_step() -> None:
@@ -285,13 +289,13 @@ def test_unplugging_is_refused_in_lock_step() -> None:
         planned(UNPLUG)
 
 
-def test_a_disconnected_node_can_be_neither_killed_nor_paused() -> None:
+def test_a_disconnected_node_cannot_be_killed_or_paused() -> None:
     for other in (dict(type="Kill", at=2.5, node="infra_1"), dict(type="Pause", at=2.5, until=4.0, node="infra_1")):
         with pytest.raises(ConfigurationError, match=r"of 'infra_1' at 2.5 s: it is cut off then \(see .*\[0\]\)"):
             planned(UNPLUG, other, lockstep=False)
 
 
-# -- what is refused -------------------------------------------------------------------------------------------------
+# -- refusals --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -325,7 +329,7 @@ def test_a_disconnected_node_can_be_neither_killed_nor_paused() -> None:
         (dict(type="Pause", at=1.0, until=2.0, node="coordinator"), "has no link of its own"),
     ],
 )
-def test_a_wrong_fault_is_refused_with_its_place(fault: dict[str, Any], reason: str) -> None:
+def test_an_invalid_fault_is_refused_with_its_location(fault: dict[str, Any], reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason) as caught:
         planned(fault)
     assert str(caught.value).startswith("mine.py: faults[0]")
@@ -382,10 +386,10 @@ PARAMETERS = sorted({name for cls in KINDS.values() for name in inspect.signatur
     st.booleans(),
 )
 def test_every_list_of_faults_is_planned_or_refused(specs: list[dict[str, Any]], lockstep: bool) -> None:
-    refused, found = "", Plan()
+    refused, fault_plan = "", Plan()
     try:
-        found = planned(*specs, lockstep=lockstep)
+        fault_plan = planned(*specs, lockstep=lockstep)
     except ConfigurationError as error:
         refused = str(error)
-    assert refused.startswith("mine.py: faults[") or len(found.bands) + len(found.missed) == len(specs)
-    assert all(0 <= step.frame < len(TIMES_NS) for step in found.steps)
+    assert refused.startswith("mine.py: faults[") or len(fault_plan.bands) + len(fault_plan.missed) == len(specs)
+    assert all(0 <= step.frame < len(TIMES_NS) for step in fault_plan.steps)

@@ -1,4 +1,4 @@
-"""Random schedules come from a seed, contradict nothing, and are over before the run is."""
+"""Random schedules depend on a seed, are consistent, and end before the run."""
 
 import numpy as np
 import pytest
@@ -20,20 +20,20 @@ KINDS = {
 
 @settings(max_examples=200)
 @given(st.integers(0, 2**31), st.floats(2.0, 20.0), st.integers(1, 12), st.booleans())
-def test_every_schedule_can_be_carried_out_and_is_healed_in_time(
+def test_every_schedule_is_feasible_and_heals_in_time(
     seed: int, duration_s: float, max_faults: int, lockstep: bool
 ) -> None:
     specs = random_schedule(seed, duration_s, AGENTS, servers=SERVERS, settle_s=1.0, max_faults=max_faults)
     assert 1 <= len(specs) <= max_faults
     times_ns = np.arange(round(duration_s * 10)) * 100_000_000
     faults = [("", registry.build(spec, Fault, f"faults[{i}]")) for i, spec in enumerate(specs)]
-    found = plan(faults, ROLES, times_ns, seed, lockstep=lockstep)
-    assert not found.missed
+    fault_plan = plan(faults, ROLES, times_ns, seed, lockstep=lockstep)
+    assert not fault_plan.missed
     assert all(fault.over is not None and fault.over <= duration_s - 1.0 + 1e-9 for _, fault in faults)
     up = dict.fromkeys(ROLES, True)
-    for step in found.steps:
+    for step in fault_plan.steps:
         up[step.node] = step.action in ("start", "resume")
-    assert all(up.values()), "in the end everyone is there"
+    assert all(up.values()), "all agents are present at the end"
 
 
 def test_equal_seeds_give_equal_schedules_and_others_do_not() -> None:
@@ -41,9 +41,9 @@ def test_equal_seeds_give_equal_schedules_and_others_do_not() -> None:
     assert len({str(random_schedule(seed, 6.0, AGENTS)) for seed in range(50)}) == 50
 
 
-def test_every_kind_of_fault_comes_up() -> None:
+def test_every_kind_of_fault_occurs() -> None:
     specs = [spec for seed in range(300) for spec in random_schedule(seed, 6.0, AGENTS, servers=SERVERS)]
-    assert {spec["type"] for spec in specs} == KINDS - {"Unplug"}, "which engine compose alone can carry out"
+    assert {spec["type"] for spec in specs} == KINDS - {"Unplug"}, "only the compose engine can disconnect nodes"
     assert {spec.get("node") for spec in specs} >= {*AGENTS, *SERVERS}
     assert {spec["nodes"] for spec in specs if isinstance(spec.get("nodes"), str)} == {
         *("one", "minority", "majority", "agent")
@@ -55,7 +55,7 @@ def test_kinds_can_be_chosen() -> None:
     assert {spec["type"] for spec in specs} == {"Loss", "Kill"}
 
 
-def test_only_the_given_servers_are_targets() -> None:
+def test_only_the_configured_servers_are_targets() -> None:
     specs = [spec for seed in range(100) for spec in random_schedule(seed, 6.0, AGENTS)]
     assert {spec["node"] for spec in specs if "node" in spec} == set(AGENTS)
 

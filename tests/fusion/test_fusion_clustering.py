@@ -1,4 +1,4 @@
-"""Clusters: the same whatever the order, and never two tracks of one agent in one."""
+"""Clusters are independent of order, with at most one track per agent."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from mast_zenoh.arrays import clustering, neighbours
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion import Clusterer, DBSCANClusterer, SampledAssignmentClusterer
 
-#: (x, y, agent) of tracks; coarse places, so that distances tie.
+#: (x, y, agent) of tracks on a coarse grid, so that distances tie.
 tracks = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6), st.integers(0, 4)), max_size=25)
 clusterers = st.sampled_from(
     [
@@ -48,7 +48,7 @@ def test_a_cluster_has_at_most_one_track_of_an_agent(rows, clusterer):
 
 @settings(max_examples=100)
 @given(tracks, clusterers)
-def test_labels_count_up_in_the_order_of_each_clusters_first_track(rows, clusterer):
+def test_labels_follow_the_order_of_each_clusters_first_track(rows, clusterer):
     objects, agent = states(rows)
     labels = clusterer.cluster(objects, agent)[np.lexsort((objects.id, agent))]
     _, first = np.unique(labels, return_index=True)
@@ -62,28 +62,28 @@ def test_tracks_of_one_object_by_four_agents_are_one_cluster(clusterer: Clustere
     assert clusterer.cluster(objects, agent).tolist() == [0, 0, 0, 0, 1, 1]
 
 
-def test_of_two_candidates_the_nearer_one_joins():
+def test_the_nearer_of_two_candidates_joins():
     objects, agent = states([(0, 0, 0), (2, 0, 1), (0.5, 0, 1)])
     assert SampledAssignmentClusterer().cluster(objects, agent).tolist() == [0, 1, 0]
 
 
-def test_the_radius_bounds_how_far_centres_are_apart():
+def test_the_radius_limits_the_distance_between_centres():
     objects, agent = states([(0, 0, 0), (2, 0, 1), (4, 0, 2)])
     # 1.6 m apart each: the first two join, and their centre is 2.4 m from the third.
     assert SampledAssignmentClusterer(assign_radius=2.0).cluster(objects, agent).tolist() == [0, 0, 1]
     assert DBSCANClusterer(eps=2.0).cluster(objects, agent).tolist() == [0, 0, 0]
 
 
-def test_a_sparse_point_does_not_link_the_dense_clusters_beside_it():
+def test_a_sparse_point_does_not_connect_adjacent_dense_clusters():
     left, right = [(0.25 * k, 0, k) for k in range(4)], [(2.75 + 0.25 * k, 0, 5 + k) for k in range(4)]
     objects, agent = states([*left, *right, (1.75, 0, 10)])
-    # The last is 0.8 m from both, and no core: it joins the first of the two.
+    # The last is 0.8 m from both and is not a core point: it joins the first of the two.
     assert DBSCANClusterer(eps=0.85, min_samples=4).cluster(objects, agent).tolist() == [0] * 4 + [1] * 4 + [0]
     assert DBSCANClusterer(eps=0.85, min_samples=3).cluster(objects, agent).tolist() == [0] * 9
 
 
 def nearest_first(objects: ObjectStates, agent: np.ndarray, radius: float) -> list[set[int]]:
-    """What `SampledAssignmentClusterer` says it does, one pair after the other."""
+    """`SampledAssignmentClusterer` as documented, one pair at a time."""
     order = np.lexsort((objects.id, agent))
     position, agent = objects.position[order, :2], agent[order]
     n = len(order)
@@ -103,14 +103,14 @@ def nearest_first(objects: ObjectStates, agent: np.ndarray, radius: float) -> li
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 4), st.integers(0, 4)), max_size=14))
 def test_pairs_are_joined_nearest_first(rows):
     objects, agent = states(rows)
-    # Off the radius by more than rounding, which the order of sums decides.
+    # Away from the radius by more than rounding errors, which depend on the order of sums.
     labels = SampledAssignmentClusterer(assign_radius=2.005).cluster(objects, agent)
-    found = [{int(row) for row in np.flatnonzero(labels == label)} for label in range(labels.max(initial=-1) + 1)]
-    assert sorted(found, key=min) == nearest_first(objects, agent, 2.005)
+    clusters = [{int(row) for row in np.flatnonzero(labels == label)} for label in range(labels.max(initial=-1) + 1)]
+    assert sorted(clusters, key=min) == nearest_first(objects, agent, 2.005)
 
 
 @pytest.mark.parametrize("clusterer", [SampledAssignmentClusterer(), DBSCANClusterer()])
-def test_many_tracks_are_clustered_as_few_are(clusterer: Clusterer, monkeypatch: pytest.MonkeyPatch):
+def test_many_tracks_are_clustered_like_few(clusterer: Clusterer, monkeypatch: pytest.MonkeyPatch):
     random = np.random.default_rng(0)
     objects = ObjectStates.of(random.uniform(-40, 40, (400, 3)), id=np.arange(400) // 5)
     few = clusterer.cluster(objects, np.arange(400) % 5)
@@ -120,17 +120,17 @@ def test_many_tracks_are_clustered_as_few_are(clusterer: Clusterer, monkeypatch:
 
 
 @pytest.mark.parametrize("clusterer", [SampledAssignmentClusterer(), DBSCANClusterer()])
-def test_thousands_of_tracks_in_one_place_are_no_trouble(clusterer: Clusterer):
+def test_thousands_of_tracks_at_one_position_are_clustered(clusterer: Clusterer):
     labels = clusterer.cluster(ObjectStates.of(np.zeros((5000, 3)), id=np.arange(5000) // 5), np.arange(5000) % 5)
     assert np.bincount(labels).max() <= 5
 
 
-def test_nothing_gives_no_clusters():
+def test_no_tracks_give_no_clusters():
     for clusterer in (SampledAssignmentClusterer(), DBSCANClusterer()):
         assert clusterer.cluster(ObjectStates.empty(), np.zeros(0, np.int64)).tolist() == []
 
 
-def test_a_radius_that_is_none_is_refused():
+def test_an_invalid_radius_is_refused():
     with pytest.raises(ValueError, match="assign_radius: found 0"):
         SampledAssignmentClusterer(assign_radius=0.0)
     with pytest.raises(ValueError, match="eps"):

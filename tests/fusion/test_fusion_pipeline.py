@@ -75,7 +75,7 @@ def test_the_papers_configuration_runs():
 
 
 @pytest.mark.parametrize("group", [wrapper, unfiltered])
-def test_an_object_seen_by_three_is_one_with_one_id_and_its_support(group):
+def test_an_object_seen_by_three_agents_has_one_id_and_support_three(group):
     pipeline = centre(group())
     ids = set()
     for frame in range(10):
@@ -90,14 +90,14 @@ def test_an_object_seen_by_three_is_one_with_one_id_and_its_support(group):
     assert len(ids) == 1
 
 
-def test_the_picture_is_as_sure_as_the_fusion_says():
+def test_the_picture_has_the_covariance_of_the_fusion():
     pipeline = centre(wrapper())
     for frame in range(20):
-        sure, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.01), tracks([10, 0], 0.01)), NAMES)
+        certain, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.01), tracks([10, 0], 0.01)), NAMES)
     pipeline = centre(wrapper())
     for frame in range(20):
         unsure, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.5), tracks([10, 0], 0.5)), NAMES)
-    assert 0.003 < sure.covariance[0, 0, 0] < 0.02
+    assert 0.003 < certain.covariance[0, 0, 0] < 0.02
     assert 0.1 < unsure.covariance[0, 0, 0] < 0.7
 
 
@@ -107,7 +107,7 @@ def test_the_picture_is_as_sure_as_the_fusion_says():
     [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.triu(np.full((9, 9), 5.0)), np.diag([1e-300] * 9)],
     ids=["none", "negative", "huge", "not symmetric", "tiny"],
 )
-def test_no_covariance_from_outside_spoils_the_picture(group, covariance):
+def test_invalid_covariances_do_not_spoil_the_picture(group, covariance):
     pipeline = centre(group())
     for frame in range(6):
         honest, hostile = tracks([[10, 0], [30, 0]]), tracks([[10.2, 0], [50, 0]])
@@ -117,7 +117,7 @@ def test_no_covariance_from_outside_spoils_the_picture(group, covariance):
     assert np.isclose(picture.position[:, 0], 30.0, atol=0.1).any()
 
 
-def test_an_agent_that_falls_silent_leaves_the_object_with_less_support():
+def test_an_object_has_less_support_after_an_agent_falls_silent():
     pipeline = centre(wrapper())
     for frame in range(5):
         pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0]), tracks([10, 0.3])), NAMES)
@@ -147,7 +147,7 @@ def test_an_untrusted_agents_object_does_not_reach_the_picture(group):
 
 
 @pytest.mark.parametrize("group", [wrapper, unfiltered])
-def test_rows_and_agents_may_come_in_any_order(group):
+def test_the_order_of_rows_and_agents_does_not_matter(group):
     random = np.random.default_rng(0)
     a, b = centre(group()), centre(group())
     for frame in range(12):
@@ -174,7 +174,7 @@ def test_an_unfiltered_object_returns_under_its_id_at_its_predicted_position():
 
 
 @pytest.mark.parametrize("group", [wrapper, unfiltered])
-def test_reset_starts_anew(group):
+def test_reset_restores_the_initial_state_of_the_pipeline(group):
     pipeline = centre(group())
     runs = []
     for _ in range(2):

@@ -13,7 +13,7 @@ CI = CovarianceIntersectionFusion
 
 
 def members(n: int, seed: int = 0, spread: float = 1.0) -> ObjectStates:
-    """n states near each other with covariances of all shapes."""
+    """n neighbouring states with covariances of all shapes."""
     random = np.random.default_rng(seed)
     root = random.normal(size=(n, 9, 9)) * spread * random.uniform(0.3, 3.0, (n, 1, 1))
     return ObjectStates.of(
@@ -41,7 +41,7 @@ def test_a_cluster_of_one_member_equals_that_member(fusion):
     assert fused.id.tolist() == [0]
 
 
-def test_uniform_weights_follow_the_formula():
+def test_uniform_weights_give_the_expected_formula():
     three = members(3)
     information = np.linalg.inv(three.covariance)
     P = np.linalg.inv(information.mean(axis=0))
@@ -55,7 +55,7 @@ def test_uniform_weights_follow_the_formula():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_optimised_weights_give_nearly_the_least_trace(seed):
+def test_optimised_weights_give_nearly_the_smallest_trace(seed):
     n = 2 + seed % 3
     some = members(n, seed)
     some.covariance[:, 2:, :2] = some.covariance[:, :2, 2:] = 0.0
@@ -73,7 +73,7 @@ def test_optimised_weights_give_nearly_the_least_trace(seed):
 
 @settings(max_examples=60)
 @given(st.integers(2, 5), st.integers(0, 1000), st.sampled_from(["uniform", "optimised"]))
-def test_the_bound_holds_even_if_all_members_share_their_error(n, seed, weights):
+def test_the_covariance_is_conservative_even_if_all_errors_are_shared(n, seed, weights):
     some = members(n, seed)
     # Fully correlated errors: e_i = root_i u. The fused error is P sum w_i P_i^-1 root_i u; the bound must cover it.
     fused = CI(weights=weights).fuse(some, together(n)).covariance[0]
@@ -102,7 +102,7 @@ def test_the_order_of_members_does_not_matter(n, seed, fusion, trusted):
         assert column.tobytes() == other.columns()[name].tobytes()
 
 
-def test_clusters_do_not_touch_each_other():
+def test_clusters_do_not_affect_each_other():
     some = members(6)
     labels = np.array([0, 1, 0, 2, 1, 0])
     fused = CI().fuse(some, labels)
@@ -112,26 +112,26 @@ def test_clusters_do_not_touch_each_other():
         np.testing.assert_allclose(fused.position[label], alone.position[0], atol=1e-12)
 
 
-def test_an_untrusted_member_is_left_out_and_a_cluster_without_trust_too():
+def test_untrusted_members_are_left_out_and_so_are_clusters_without_trust():
     some = members(3)
     fused = CI().fuse(some, np.array([0, 0, 1]), np.array([1.0, 0.0, 0.0]))
     assert fused.id.tolist() == [0]
     np.testing.assert_allclose(fused.position[0], some.position[0], atol=1e-12)
 
 
-def test_a_member_of_more_trust_pulls_harder():
+def test_a_more_trusted_member_has_more_weight():
     pair = members(2)
     pair.covariance[:] = np.eye(9)
     fused = CI().fuse(pair, together(2), np.array([3.0, 1.0]))
     np.testing.assert_allclose(fused.position[0], 0.75 * pair.position[0] + 0.25 * pair.position[1])
 
 
-def test_headings_half_a_turn_apart_are_one_axis_and_the_majority_has_the_front():
+def test_opposite_headings_share_an_axis_and_the_majority_sets_the_direction():
     three = members(3).with_(yaw=np.array([3.1, -3.1, 0.0]), covariance=np.tile(np.eye(9), (3, 1, 1)))
     assert abs(abs(CI().fuse(three, together(3)).yaw[0]) - np.pi) < 0.05
 
 
-def test_the_class_is_voted_for_and_the_score_is_that_of_the_surest():
+def test_the_class_is_the_majority_and_the_score_the_highest():
     car, truck = CLASS_INDEX["car"], CLASS_INDEX["truck"]
     three = members(3).with_(class_id=np.array([truck, car, car], np.uint8), score=np.array([0.9, 0.6, 0.7]))
     fused = CI().fuse(three, together(3))
@@ -139,7 +139,7 @@ def test_the_class_is_voted_for_and_the_score_is_that_of_the_surest():
     assert fused.score.tolist() == [0.9]
 
 
-def test_the_best_member_is_the_one_that_knows_its_position_best():
+def test_the_best_member_has_the_most_certain_position():
     three = members(3)
     three.covariance[:] = np.eye(9) * np.array([3.0, 1.0, 2.0])[:, None, None]
     np.testing.assert_array_equal(BestMemberFusion().fuse(three, together(3)).position[0], three.position[1])
@@ -147,13 +147,13 @@ def test_the_best_member_is_the_one_that_knows_its_position_best():
 
 @pytest.mark.parametrize("covariance", [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.eye(9) * 1e-300])
 @pytest.mark.parametrize("fusion", [CI(), CI(weights="optimised"), BestMemberFusion()])
-def test_no_covariance_from_outside_breaks_the_fusion(fusion, covariance):
+def test_invalid_covariances_do_not_break_the_fusion(fusion, covariance):
     three = members(3)
     three.covariance[1] = covariance
     fused = fusion.fuse(three, together(3))
     assert all(np.isfinite(column).all() for column in fused.columns().values())
 
 
-def test_nothing_fuses_to_nothing():
+def test_no_members_fuse_to_no_states():
     for fusion in (CI(), CI(weights="optimised"), BestMemberFusion()):
         assert len(fusion.fuse(ObjectStates.empty(), together(0))) == 0

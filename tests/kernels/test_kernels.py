@@ -1,4 +1,4 @@
-"""Compiled kernels equal their NumPy references, and missing ones are replaced by them."""
+"""Compiled kernels equal their NumPy references, which missing ones are replaced by them."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def covariances(random, n, k=9):
 
 
 def places(random, n):
-    """Some of them in the same place, or in a row."""
+    """Points, some coincident or collinear."""
     spread = random.choice([0.5, 5.0, 50.0])
-    found = random.normal(0.0, spread, (n, 3))
-    return np.round(found) if random.random() < 0.3 else found
+    points = random.normal(0.0, spread, (n, 3))
+    return np.round(points) if random.random() < 0.3 else points
 
 
 def table(random, n):
@@ -61,8 +61,8 @@ def table(random, n):
 
 
 def pairs(random, n, m):
-    found = np.flatnonzero(random.random(n * m) < 0.4) if n and m else np.zeros(0, np.int64)
-    return found // max(m, 1), found % max(m, 1)
+    indices = np.flatnonzero(random.random(n * m) < 0.4) if n and m else np.zeros(0, np.int64)
+    return indices // max(m, 1), indices % max(m, 1)
 
 
 def gated_pairs(random, n, m):
@@ -80,7 +80,7 @@ def pair_gains(random, n, m):
 
 
 def clusters(random, n):
-    """Rows of first members, of n >= 1 members."""
+    """Start rows of groups with n >= 1 members."""
     return np.unique(np.append(0, random.integers(0, n, n // 2)))
 
 
@@ -96,7 +96,7 @@ def boxes(random, n):
 
 
 def message(random, n):
-    """A message with every kind of column, and how its columns are planned."""
+    """A message with every kind of column, and the plan of its columns."""
     states = ObjectStates.of(places(random, n), covariance=covariances(random, n)).columns()
     body = states | {
         "agent": np.zeros(n, np.int64),
@@ -149,7 +149,7 @@ def buildings(random, m):
     return corners.reshape(-1, 2), end.reshape(-1, 2), random.uniform(1, 9, 3 * m), 3 * np.arange(m)
 
 
-#: For each kernel its arguments, of n rows and m others (both may be 0).
+#: For each kernel its arguments, with n rows and m others (both may be 0).
 ARGUMENTS = {
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
@@ -200,7 +200,7 @@ ARGUMENTS = {
 
 
 def assert_same(one, other):
-    """Down to 1e-9, or exactly where it is not a number with a point."""
+    """Assert equality within 1e-9, exact for non-floats."""
     assert type(one) is type(other) or isinstance(one, bool | np.bool_ | float | np.floating)
     if isinstance(one, tuple | list):
         assert len(one) == len(other)
@@ -232,22 +232,22 @@ def test_every_kernel_is_compared_with_its_reference():
 @settings(max_examples=25)
 @given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
 def test_a_compiled_kernel_equals_its_numpy_reference(name, seed, n, m):
-    given = ARGUMENTS[name](np.random.default_rng(seed), n, m)
-    ours, theirs = copy.deepcopy(given), copy.deepcopy(given)
+    arguments = ARGUMENTS[name](np.random.default_rng(seed), n, m)
+    ours, reference = copy.deepcopy(arguments), copy.deepcopy(arguments)
     with np.errstate(all="ignore"):
-        expected = kernels.REFERENCES[name](*theirs)
+        expected = kernels.REFERENCES[name](*reference)
     assert_same(kernels.COMPILED[name](*ours), expected)
-    assert_same(ours, theirs)  # what they change in place
+    assert_same(ours, reference)  # arrays changed in place
 
 
 @compiled
 def test_a_node_with_compiled_kernels_does_not_import_scipy():
-    """It takes as long to load as all else that a node needs."""
+    """SciPy takes as long to load as everything else that a node needs."""
     code = "import nodes.agent, nodes.command_center, nodes.simulator, nodes.adversary, sys; print(*sys.modules)"
     root = Path(mast_zenoh.__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
-    assert "nodes.agent" in done.stdout.split()
-    assert "scipy" not in done.stdout.split()
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert "nodes.agent" in process.stdout.split()
+    assert "scipy" not in process.stdout.split()
 
 
 PLAY = """
@@ -266,10 +266,10 @@ np.savez(sys.argv[2], kernels=kernels.USED, **{name: np.concatenate(parts) for n
 """
 
 
-def played(scene: str, wanted: str, file: Path):
+def played(scene: str, mode: str, file: Path):
     """Tracks and pictures of a whole run with one kind of kernels."""
     command = [sys.executable, "-c", PLAY, scene, str(file)]
-    subprocess.run(command, env=os.environ | {"MAST_KERNELS": wanted}, check=True)
+    subprocess.run(command, env=os.environ | {"MAST_KERNELS": mode}, check=True)
     return np.load(file)
 
 
@@ -280,22 +280,20 @@ def test_a_recorded_scene_has_the_same_tracks_with_compiled_and_numpy_kernels(tm
         with tarfile.open(DATA / "scene_a.tar.gz") as archive:
             archive.extractall(tmp_path, filter="data")
         scene = f"avstack:{tmp_path}/scene_a"
-    ours, theirs = (played(scene, wanted, tmp_path / f"{wanted}.npz") for wanted in ("compiled", "numpy"))
-    assert (str(ours["kernels"]), str(theirs["kernels"])) == ("compiled", "numpy")
-    assert ours.files == theirs.files
+    ours, numpy = (played(scene, mode, tmp_path / f"{mode}.npz") for mode in ("compiled", "numpy"))
+    assert (str(ours["kernels"]), str(numpy["kernels"])) == ("compiled", "numpy")
+    assert ours.files == numpy.files
     assert any(name.endswith("picture id") for name in ours.files)
     for name in set(ours.files) - {"kernels"}:
-        if name.endswith("yaw"):  # a half turn and minus a half turn are one
-            np.testing.assert_allclose(np.exp(1j * ours[name]), np.exp(1j * theirs[name]), atol=1e-9)
+        if name.endswith("yaw"):  # half a turn in either direction is equal
+            np.testing.assert_allclose(np.exp(1j * ours[name]), np.exp(1j * numpy[name]), atol=1e-9)
         else:
-            np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9, atol=1e-9, err_msg=name)
+            np.testing.assert_allclose(ours[name], numpy[name], rtol=1e-9, atol=1e-9, err_msg=name)
 
 
-def used(code: str, wanted: str) -> subprocess.CompletedProcess[str]:
+def used(code: str, mode: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", f"{code}; from mast_zenoh import kernels; print(kernels.USED)"]
-    return subprocess.run(
-        command, env=os.environ | {"MAST_KERNELS": wanted}, capture_output=True, text=True, check=False
-    )
+    return subprocess.run(command, env=os.environ | {"MAST_KERNELS": mode}, capture_output=True, text=True, check=False)
 
 
 @compiled
@@ -309,9 +307,7 @@ def test_kernels_compiled_from_other_sources_are_not_used(tmp_path):
     assert used(here, "").stdout.strip() == "numpy"
 
 
-@pytest.mark.parametrize(
-    ("wanted", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")]
-)
-def test_unavailable_or_unknown_kernels_are_refused(wanted, message):
+@pytest.mark.parametrize(("mode", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")])
+def test_unavailable_or_unknown_kernels_are_refused(mode, message):
     hidden = "import sys; sys.modules['mast_zenoh.kernels.tracks'] = None"
-    assert message in used(hidden, wanted).stderr
+    assert message in used(hidden, mode).stderr

@@ -1,4 +1,4 @@
-"""What tools/stopped.py and tools/endings.py say of a run that was disturbed: sound, or which promise is broken."""
+"""Verdicts of tools/stopped.py and tools/endings.py on disturbed runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ERROR = "error: NodeLost: infra_1 was lost before frame 3"
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """The undisturbed one, one that equals it, and one that does not."""
+    """The undisturbed run, an equal run, and a different one."""
     folder = tmp_path_factory.mktemp("runs")
     path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
     made = [
@@ -63,13 +63,13 @@ def test_a_plan_follows_from_its_number_and_covers_every_scenario() -> None:
 
 
 def test_claims_about_a_recording_must_be_true(runs: list[Path]) -> None:
-    def judged(run: Path, status: str, **said: object) -> list[str]:
+    def judged(run: Path, status: str, **changes: object) -> list[str]:
         record = json.loads((run / "run.json").read_text())
-        return endings._recording_errors({**record, **said}, status, run, runs[0])
+        return endings._recording_errors({**record, **changes}, status, run, runs[0])
 
     complete, cut = {"complete": True}, {"complete": False, "from_frame": 0}
     assert judged(runs[1], "ok", recording=complete) == []
     assert judged(runs[1], "ok", recording=complete, recorded={"messages": 7})[0].endswith("run.json says 7")
     assert judged(runs[2], "interrupted", recording=cut) == []
     assert "not that of the undisturbed run" in judged(runs[2], "interrupted", recording=complete)[0]
-    assert judged(runs[2], "killed", recorded={})  # nothing is missing of it, and it is another run
+    assert judged(runs[2], "killed", recorded={})  # complete, but of another run

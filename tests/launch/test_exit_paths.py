@@ -1,4 +1,4 @@
-"""However `mast run` ends, run.json says how, the exit code is the documented one, and no traceback is shown."""
+"""However `mast run` ends, run.json and the exit code are as documented."""
 
 from __future__ import annotations
 
@@ -17,35 +17,38 @@ from launched import MAST
 
 from mast_zenoh.messagelog.reader import read
 
-STAGED = (sys.executable, "-m", "at_stage")  # as a module, as MAST is: Python ends scripts in another way
+STAGED = (sys.executable, "-m", "at_stage")  # as a module, like MAST: Python ends scripts differently
 RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "30", "--no-report", "--out")
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
-class Ended:
-    """A command that has ended: its exit code, what it printed, and the folder that it was given."""
+class FinishedCommand:
+    """A finished command: its exit code, output and folder."""
 
     def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         beside = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "support")}}
-        done = subprocess.run(
+        process = subprocess.run(
             [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | beside | options)
         )
-        self.out, self.code = out, done.returncode if done.returncode >= 0 else 128 - done.returncode  # as a shell does
-        self.text = (done.stdout or "") + (done.stderr or "")
+        self.out, self.code = (
+            out,
+            process.returncode if process.returncode >= 0 else 128 - process.returncode,
+        )  # like a shell
+        self.text = (process.stdout or "") + (process.stderr or "")
 
     @property
     def status(self) -> str:
-        """In run.json; "" if there is none."""
+        """The status in run.json; "" if there is none."""
         path = self.out / "run.json"
         return json.loads(path.read_text())["status"] if path.is_file() else ""
 
-    def is_as(self, row: Ending) -> None:
-        """Check what is said of it in a row of the table, and what holds for all of them."""
+    def assert_matches(self, row: Ending) -> None:
+        """Assert that the ending matches a row of the table, and common rules."""
         assert (self.status, self.code) == row, self.text
         assert "Traceback" not in self.text
-        reserve = {".reserve"} if row.status == "running" else set()  # kept for a run.json that was never written
-        assert {path.name for path in self.out.glob(".*")} <= reserve, "no temporary file is left"
+        reserve = {".reserve"} if row.status == "running" else set()  # written for a run.json that never followed
+        assert {path.name for path in self.out.glob(".*")} <= reserve, "no temporary file remains"
         if (self.out / "messages.mcap").is_file():
             list(read(self.out))
 
@@ -64,12 +67,12 @@ def with_report() -> list[str]:
 
 
 def no_larger_than(size: int) -> Callable[[], None]:
-    """Limits the files that a command may write, as a full disk does, to `size` bytes each."""
+    """Limits files written by a command to `size` bytes, like a full disk."""
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
 def test_a_signal_before_the_run_folder_exists_leaves_nothing(out: Path) -> None:
-    Ended(out, at("loading", "SIGTERM")).is_as(ending("signal before the run folder exists"))
+    FinishedCommand(out, at("loading", "SIGTERM")).assert_matches(ending("signal before the run folder exists"))
     assert not out.exists()
 
 
@@ -82,9 +85,9 @@ def test_a_signal_during_import_of_the_command_line_prints_one_line(out: Path) -
         "        if name == 'mast_zenoh.cli.app': signal.raise_signal(signal.SIGINT)\n"
         "sys.meta_path.insert(0, Raiser()); process.main()"
     )
-    ended = Ended(out, (sys.executable, "-c", script, *RUN))
-    ended.is_as(ending("signal before the run folder exists"))
-    assert "error: Interrupted" in ended.text
+    outcome = FinishedCommand(out, (sys.executable, "-c", script, *RUN))
+    outcome.assert_matches(ending("signal before the run folder exists"))
+    assert "error: Interrupted" in outcome.text
 
 
 INTERRUPTED_CLASS = """
@@ -104,38 +107,40 @@ with mock.patch("mast_zenoh.scenario.resolve", make) if when == "resolving" else
 @pytest.mark.parametrize("when", ["mast_zenoh.launch.stop_signals", "mast_zenoh.cli.app", "resolving"])
 def test_a_signal_while_a_class_is_created_prints_one_line(out: Path, when: str) -> None:
     """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
-    ended = Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
-    ended.is_as(ending("signal before the run folder exists"))
+    outcome = FinishedCommand(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
+    outcome.assert_matches(ending("signal before the run folder exists"))
 
 
 def test_a_signal_while_nodes_start(out: Path) -> None:
-    Ended(out, at("starting", "SIGHUP")).is_as(ending("signal while nodes start"))
+    FinishedCommand(out, at("starting", "SIGHUP")).assert_matches(ending("signal while nodes start"))
 
 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_a_signal_while_the_scene_is_played_keeps_results_and_draws_the_report(out: Path, name: str) -> None:
     run = with_report() if name == "SIGINT" else RUN
-    Ended(out, at("playing", name, run=run)).is_as(ending("signal while the scene is played"))
+    FinishedCommand(out, at("playing", name, run=run)).assert_matches(ending("signal while the scene is played"))
     assert json.loads((out / "metrics.json").read_text())["frames"] == 3
     assert (out / "report.html").is_file() == (name == "SIGINT")
 
 
 @pytest.mark.parametrize("names", [("SIGINT", "SIGINT"), ("SIGHUP", "SIGTERM", "SIGINT")])
 def test_a_second_signal_while_the_scene_is_played(out: Path, names: tuple[str, ...]) -> None:
-    Ended(out, at("playing", *names)).is_as(ending("second signal while the scene is played"))
+    FinishedCommand(out, at("playing", *names)).assert_matches(ending("second signal while the scene is played"))
 
 
 @pytest.mark.parametrize("names", [("SIGTERM",), ("SIGINT", "SIGTERM")])
 def test_a_signal_while_results_are_collected_skips_the_report(out: Path, names: tuple[str, ...]) -> None:
-    Ended(out, at("collecting", *names, run=with_report())).is_as(ending("signal while results are collected"))
+    FinishedCommand(out, at("collecting", *names, run=with_report())).assert_matches(
+        ending("signal while results are collected")
+    )
     assert (out / "metrics.parquet").is_file()
     assert not (out / "report.html").exists()
 
 
 def test_a_signal_while_the_report_is_drawn_skips_the_report(out: Path) -> None:
-    ended = Ended(out, at("reporting", "SIGINT", run=with_report()))
-    ended.is_as(ending("signal while the report is drawn"))
-    assert f"mast report {out}" in ended.text.replace("\n", "")
+    outcome = FinishedCommand(out, at("reporting", "SIGINT", run=with_report()))
+    outcome.assert_matches(ending("signal while the report is drawn"))
+    assert f"mast report {out}" in outcome.text.replace("\n", "")
     assert (out / "metrics.json").is_file()
     assert not (out / "report.html").exists()
 
@@ -151,17 +156,19 @@ def test_a_signal_while_the_report_is_drawn_skips_the_report(out: Path) -> None:
     ],
 )
 def test_a_launcher_killed_at_any_stage_leaves_a_readable_run_folder(out: Path, stage: str, what: str) -> None:
-    Ended(out, at(stage, "SIGKILL", run=with_report())).is_as(ending(what))
+    FinishedCommand(out, at(stage, "SIGKILL", run=with_report())).assert_matches(ending(what))
     assert out.exists() == (stage != "loading")
     if stage in ("playing", "collecting", "reporting"):
-        told = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
-        assert told.returncode == 0, told.stderr
+        report = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
+        assert report.returncode == 0, report.stderr
         assert (out / "report.html").is_file()
 
 
 def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
-    ended = Ended(out, at("playing", "SIGHUP"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
-    ended.is_as(Ending("ok", 0))
+    outcome = FinishedCommand(
+        out, at("playing", "SIGHUP"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    )
+    outcome.assert_matches(Ending("ok", 0))
 
 
 @pytest.mark.parametrize(
@@ -172,39 +179,39 @@ def test_a_closed_pipe_does_not_fail_the_run(out: Path, stream: str, what: str) 
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        ended = Ended(out, (*MAST, *RUN), **{stream: writing})
+        outcome = FinishedCommand(out, (*MAST, *RUN), **{stream: writing})
     finally:
         os.close(writing)
-    ended.is_as(ending(what))
+    outcome.assert_matches(ending(what))
 
 
 @pytest.mark.parametrize("descriptors", [(1,), (2,), (0, 1, 2)])
 def test_a_closed_stream_does_not_fail_the_run_and_its_descriptor_is_not_reused(
     out: Path, descriptors: tuple[int]
 ) -> None:
-    ended = Ended(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
-    ended.is_as(ending("standard output or error closed (`>&-`)"))
+    outcome = FinishedCommand(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
+    outcome.assert_matches(ending("standard output or error closed (`>&-`)"))
 
 
 def test_standard_output_on_a_full_disk_is_an_error_but_the_run_is_kept(out: Path) -> None:
     with Path("/dev/full").open("w") as full:
-        ended = Ended(out, (*MAST, *RUN), stdout=full)
-    ended.is_as(ending("standard output on a full disk (`> /dev/full`)"))
-    assert "standard output: No space left on device" in ended.text
+        outcome = FinishedCommand(out, (*MAST, *RUN), stdout=full)
+    outcome.assert_matches(ending("standard output on a full disk (`> /dev/full`)"))
+    assert "standard output: No space left on device" in outcome.text
 
 
 def test_a_disk_that_is_full_from_the_start_leaves_no_run_folder(out: Path) -> None:
-    ended = Ended(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
-    ended.is_as(ending("disk full while the run folder is made"))
-    assert f"error: DiskFull: {out}: File too large: a run cannot begin there" in " ".join(ended.text.split())
+    outcome = FinishedCommand(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
+    outcome.assert_matches(ending("disk full while the run folder is made"))
+    assert f"error: DiskFull: {out}: File too large: a run cannot begin there" in " ".join(outcome.text.split())
     assert not any(out.iterdir())
 
 
 def test_a_recording_that_fills_the_disk_fails_the_run_but_keeps_its_results(out: Path) -> None:
     command = [word if word != "30" else "120" for word in (*MAST, *RUN)]
-    ended = Ended(out, command, preexec_fn=no_larger_than(2_200_000))
-    ended.is_as(ending("disk full while the scene is played"))
-    assert "messages.mcap: cannot be written: File too large" in ended.text
+    outcome = FinishedCommand(out, command, preexec_fn=no_larger_than(2_200_000))
+    outcome.assert_matches(ending("disk full while the scene is played"))
+    assert "messages.mcap: cannot be written: File too large" in outcome.text
     assert (out / "metrics.parquet").is_file()
 
 
@@ -220,19 +227,19 @@ def test_a_recording_that_fills_the_disk_fails_the_run_but_keeps_its_results(out
 )
 def test_a_run_on_a_completely_full_disk(tiny_disk: Path, stage: str, what: str) -> None:
     out = tiny_disk / "run"
-    ended = Ended(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
-    ended.is_as(ending(what))
-    assert "error: DiskFull" in ended.text
+    outcome = FinishedCommand(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
+    outcome.assert_matches(ending(what))
+    assert "error: DiskFull" in outcome.text
     whole = [path for path in out.glob("*.parquet") if path.read_bytes()[-4:] != b"PAR1"]
-    assert not whole, "a table is there whole or not at all"
+    assert not whole, "a table is complete or absent"
 
 
 def test_a_run_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("a file")
-    done = subprocess.run([*MAST, *RUN[:-1]], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == ending("run folder cannot be made").code
-    assert "runs/baseline-" in done.stderr.replace("\n", "")
-    assert "None" not in done.stderr
+    process = subprocess.run([*MAST, *RUN[:-1]], cwd=tmp_path, capture_output=True, text=True)
+    assert process.returncode == ending("run folder cannot be made").code
+    assert "runs/baseline-" in process.stderr.replace("\n", "")
+    assert "None" not in process.stderr
 
 
 @pytest.mark.parametrize("name", ["../evil", "a/b", "/tmp/evil", "..", "", "a*b", 7])
@@ -243,9 +250,9 @@ def test_a_scenario_name_cannot_lead_outside_runs(tmp_path: Path, name: object) 
         f"def scenario(): return baseline() | dict(name={name!r})\n"
     )
     command = [*MAST, "run", "named.py", *RUN[2:-1]]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == ending("scenario whose name leaves `runs/`").code, done.stderr
-    assert "named.py: name: found" in done.stderr
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert process.returncode == ending("scenario whose name leaves `runs/`").code, process.stderr
+    assert "named.py: name: found" in process.stderr
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"named.py"}
 
 
@@ -256,15 +263,17 @@ def test_a_defect_is_shown_with_its_traceback_and_the_run_is_failed(out: Path) -
         "from mast_zenoh.__main__ import main\n"
         "main()"
     )
-    ended = Ended(out, (sys.executable, "-c", script, *RUN))
-    assert (ended.status, ended.code) == ending("defect in the launcher")
+    outcome = FinishedCommand(out, (sys.executable, "-c", script, *RUN))
+    assert (outcome.status, outcome.code) == ending("defect in the launcher")
     assert "ZeroDivisionError" in json.loads((out / "run.json").read_text())["message"]
-    assert "Traceback" in ended.text
+    assert "Traceback" in outcome.text
 
 
 @pytest.mark.parametrize("backend", ["bogus", "tkagg"])
-def test_a_report_needs_no_screen_and_no_valid_mplbackend(out: Path, backend: str) -> None:
-    Ended(out, (*MAST, *with_report()), env={**os.environ, "MPLBACKEND": backend}).is_as(Ending("ok", 0))
+def test_a_report_needs_no_display_and_no_valid_mplbackend(out: Path, backend: str) -> None:
+    FinishedCommand(out, (*MAST, *with_report()), env={**os.environ, "MPLBACKEND": backend}).assert_matches(
+        Ending("ok", 0)
+    )
     assert (out / "report.html").is_file()
 
 
@@ -275,16 +284,16 @@ def test_a_path_that_the_locale_cannot_encode(tmp_path: Path, utf8: str) -> None
         "from mast_zenoh.config import loading\n_, scenario = loading.function('scenarios', 'baseline', 'scenario')\n"
     )
     ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": utf8, "PYTHONCOERCECLOCALE": "0"}
-    ended = Ended(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)
-    ended.is_as(Ending("ok", 0))
-    assert (ended.out / "report.html").is_file()
+    outcome = FinishedCommand(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)
+    outcome.assert_matches(Ending("ok", 0))
+    assert (outcome.out / "report.html").is_file()
 
 
 def test_runs_that_end_at_random_times_match_the_table() -> None:
     tool = Path(__file__).parents[2] / "tools" / "endings.py"
     command = [sys.executable, str(tool), "--runs", "4", "--seed", "12", "--runtime", "inproc"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 0, process.stdout + process.stderr
 
 
 def test_every_row_of_the_table_has_a_test() -> None:
@@ -296,7 +305,7 @@ def test_every_row_of_the_table_has_a_test() -> None:
 
 def test_a_stopped_study_is_marked_as_interrupted(tmp_path: Path) -> None:
     command = (*STAGED, "collecting", "SIGTERM", "--", "study", "case_study", "--runtime", "inproc", "--frames", "4")
-    ended = Ended(tmp_path / "study", (*command, "--out"))
-    assert ended.code == 130, ended.text
-    assert "Traceback" not in ended.text
+    outcome = FinishedCommand(tmp_path / "study", (*command, "--out"))
+    assert outcome.code == 130, outcome.text
+    assert "Traceback" not in outcome.text
     assert json.loads((tmp_path / "study" / "study.json").read_text())["status"] == "interrupted"

@@ -1,4 +1,4 @@
-"""Whatever one node hands in, the launcher concludes the run: what is false of it is that node's own."""
+"""False results of one node affect only that node, not the run."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NODES = ("infra_1", "broker", "adversary_1", "coordinator", "link_ego", "evaluat
 
 
 class Ended(Child):
-    """A process that has ended well."""
+    """A process that has exited successfully."""
 
     exit = 0
 
@@ -55,7 +55,7 @@ def at(node: str) -> Position:
 
 
 def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dict[str, Any]:
-    """run.json of a run in which one node hands this in, and the others nothing."""
+    """run.json of a run in which only one node returns results."""
     folder = run_folder.create(out, "false")
     resolved().write(folder)
     record: dict[str, Any] = {"id": "x", "message": "", "timings": {}, "churn": [], "nodes": {}}
@@ -65,8 +65,8 @@ def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dic
     reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, context.invalid)
     parts = dict.fromkeys(("steps", "requests", "interceptions"), MagicMock())
     watch = Watch(context, Mesh(MagicMock(), supervisor), MagicMock(), reports=reports, **parts)
-    came = MagicMock(to_bytes=lambda: payload)
-    reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=came))
+    query = MagicMock(to_bytes=lambda: payload)
+    reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=query))
     try:
         watch.take_reports()
         conclude(context, supervisor, reports, time.monotonic())
@@ -118,4 +118,4 @@ def test_a_report_is_written_for_any_evaluator_results_or_its_error_is_explained
             except RunFolderError:
                 refusals += 1
     assert written > 10
-    assert refusals, "metrics of another shape"
+    assert refusals, "metrics in another format"

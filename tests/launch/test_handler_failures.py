@@ -1,4 +1,4 @@
-"""A run in which a handler failed says so: in its error, in run.json, on the page; unless that was allowed."""
+"""Failed handlers are named in the error, run.json and report unless allowed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def played(name: str, folder: Path, **options: Any) -> run.Run:
         ("evaluator", "evaluator", "finish", [11], "ZeroDivisionError: division by zero"),
     ],
 )
-def test_the_error_and_run_json_name_node_handler_frames_exception_and_line(
+def test_failed_handlers_are_named_with_node_frames_exception_and_line(
     tmp_path: Path, name: str, node: str, handler: str, frames: list[int], text: str
 ) -> None:
     ended = played(name, tmp_path)
@@ -53,7 +53,7 @@ def test_the_error_and_run_json_name_node_handler_frames_exception_and_line(
         "last_frame": frames[-1],
         "exception": text,
     }
-    assert Path(where.rpartition(":")[0]).parent == tmp_path, "in the file of the user"
+    assert Path(where.rpartition(":")[0]).parent == tmp_path, "in the user's file"
     log = ended.folder / "logs" / f"{node}.log"
     for part in (f"{node}.{handler} failed", text, where, str(log)):
         assert part in str(ended.error)
@@ -87,11 +87,11 @@ def test_another_error_takes_precedence_and_the_failures_are_recorded(
         return truth_at(self, frame)
 
     monkeypatch.setattr(Recording, "truth_at", fails_at_9)
-    ended = run.run(world, tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, NodeDied)
-    assert ended.record["status"] == "failed"
-    assert ended.record["nodes"]["eve"]["failures"][0]["last_frame"] == 8
-    assert ended.record["nodes"]["eve"]["ended"] == "did not finish"
+    outcome = run.run(world, tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, NodeDied)
+    assert outcome.record["status"] == "failed"
+    assert outcome.record["nodes"]["eve"]["failures"][0]["last_frame"] == 8
+    assert outcome.record["nodes"]["eve"]["ended"] == "did not finish"
 
 
 @pytest.mark.parametrize("allowed", [False, True])
@@ -101,11 +101,11 @@ def test_the_report_has_a_red_banner_or_an_amber_one_for_allowed_failures(tmp_pa
     banner = page.partition(f'<div class="{kind}" role="alert">')[2].partition("</div>")[0]
     assert "the numbers may be wrong" in banner
     assert "eve.on_detections failed 7 times in 7 frames (5 to 11): ValueError: no [plan] for frame 5" in banner
-    assert page.count("no [plan] for frame 5") == 1, "and not once more as the run's message"
+    assert page.count("no [plan] for frame 5") == 1, "and not repeated as the run's message"
     assert "7 handler failures" in page
 
 
-def test_the_page_of_a_study_has_the_banner_on_top(tmp_path: Path) -> None:
+def test_the_study_page_begins_with_the_banner(tmp_path: Path) -> None:
     runs = {"mine": played("attack", tmp_path).folder}
     page = write_study_report(tmp_path, runs).read_text()
     banner = page.partition('role="alert">')[2].partition("</div>")[0]
@@ -122,14 +122,18 @@ def test_a_run_without_failures_has_no_banner_and_no_error(tmp_path: Path) -> No
     assert list((ended.folder / "logs").iterdir()) == []
 
 
-def test_a_run_with_links_is_checked_although_handlers_failed(tmp_path: Path) -> None:
+def test_a_run_with_links_is_checked_even_if_handlers_failed(tmp_path: Path) -> None:
     file, loaded = scenario.load(str(failing.write("attack", tmp_path)), [])
     loaded["faults"] = [dict(type="Loss", at=0.2, until=0.6, node="ego", probability=0.5)]
     world = scenario.resolve(file, loaded, frames=12, record=True)
-    ended = run.run(world, tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, HandlerFailed)
-    found = {check["name"]: check for check in json.loads((ended.folder / checks.FILE).read_text())["checks"]}
-    assert found["sequences"]["values"].get("checked", True), "the run came to its end, so its record is complete"
+    outcome = run.run(world, tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, HandlerFailed)
+    checks_by_name = {
+        check["name"]: check for check in json.loads((outcome.folder / checks.FILE).read_text())["checks"]
+    }
+    assert checks_by_name["sequences"]["values"].get("checked", True), (
+        "the run was completed, so its record is complete"
+    )
 
 
 def test_a_failing_metric_is_named_with_its_line_and_leaves_the_others_unchanged(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What is asked of a running run is checked before anything is asked, and asked by who may only."""
+"""Requests to change a running run are checked and authenticated."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def resolved(tmp_path: Path) -> Resolved:
 
 
 def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], role: str = "link") -> str:
-    """A node with these ports that does nothing."""
+    """A node with these ports and no behaviour."""
     handlers = "".join(f"    def on_{port}(self, received, context): ...\n" for port in inputs)
     path = folder / "mine_own.py"
     path.write_text(
@@ -118,7 +118,7 @@ def test_an_invalid_request_is_refused_with_the_nearest_valid_choice(
         plan(resolved, **{"wire": TRACKS, "file": "adversary.py", "settings": ATTACK, **arguments})
 
 
-def test_settings_reach_into_dicts_and_are_typed() -> None:
+def test_dotted_settings_change_nested_dicts_and_are_typed() -> None:
     assert nested(["a.b.c=1", "a.b.d=x y", "e=[1, 2]", "f=True", "g=a=b"]) == {
         "a": {"b": {"c": 1, "d": "x y"}},
         "e": [1, 2],
@@ -156,7 +156,7 @@ def test_arbitrary_bytes_are_refused_as_a_request(payload: bytes) -> None:
         (dict(status="running", runtime="mesh"), "has not started its nodes yet"),
     ],
 )
-def test_a_run_that_cannot_be_changed_says_why(tmp_path: Path, record: dict[str, str], what: str) -> None:
+def test_a_run_that_cannot_be_changed_gives_the_reason(tmp_path: Path, record: dict[str, str], what: str) -> None:
     (tmp_path / "run.json").write_text(json.dumps(record))
     with pytest.raises(NotRunning, match=what):
         intercept(tmp_path, TRACKS, "adversary.py")

@@ -1,4 +1,4 @@
-"""The launcher's loop goes round whatever happens."""
+"""The launcher's loop continues whatever happens."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""A run is `running` as long as its launcher lives, and `killed` when it cannot end any more."""
+"""A run is `running` while its launcher lives, and `killed` afterwards."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SAYS_WHO = (
 
 @pytest.fixture
 def other() -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
-    """Another process, and what it says that it is."""
+    """Another process, and the identity that it reports."""
     import json
 
     command = [sys.executable, "-c", SAYS_WHO]

@@ -1,4 +1,4 @@
-"""What nodes return from `finish` is in the run folder, and no node writes over another's, or anywhere else."""
+"""Results of `finish` are written to the run folder and nowhere else."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
 
 
 def written(results: dict[str, Any], folder: Path, **measured: Any) -> tuple[list[str], set[str]]:
-    """(what was refused, the files that were written)."""
+    """(refusals, written files)."""
     folder.mkdir()
     refused = run_folder.write_results(folder, results, measured)
     return refused, {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_only_the_evaluator_writes_to_the_top_of_the_folder(tmp_path: Path) -> None:
+def test_only_the_evaluator_writes_to_the_top_level_of_the_folder(tmp_path: Path) -> None:
     results = {
         "zeta": {"metrics": {"mine": 1}, "tables": {"metrics": {"a": [1]}}},
         "evaluator": {"metrics": METRICS, "tables": {"metrics": TABLE}, "more": [1]},
@@ -55,7 +55,7 @@ def test_only_the_evaluator_writes_to_the_top_of_the_folder(tmp_path: Path) -> N
     assert run_folder.read_json(top / "results/evaluator/results.json") == {"more": [1]}
 
 
-def test_arrays_and_numbers_of_numpy_become_plain_json(tmp_path: Path) -> None:
+def test_numpy_arrays_and_numbers_become_plain_json(tmp_path: Path) -> None:
     values = {"n": np.int64(3), "yes": np.bool_(True), "x": np.array([[1.0, np.inf]]), "names": np.array(["a"], object)}
     written({"node": values}, tmp_path / "run")
     back = json.loads((tmp_path / "run/results/node/results.json").read_text())
@@ -107,17 +107,17 @@ def test_metrics_that_are_not_a_dict_are_kept_as_a_result(tmp_path: Path) -> Non
 
 def test_metrics_and_tables_of_another_node_do_not_replace_the_evaluators(tmp_path: Path) -> None:
     file, loaded = scenario.load(str(failing.write("second", tmp_path)), [])
-    ended = run.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
-    assert ended.error is None
-    assert run_folder.read_json(ended.folder / "metrics.json")["frames"] == 5
-    assert "rmse_m" in read_table(ended.folder / "metrics.parquet")
-    own = ended.folder / "results" / "counter"
+    outcome = run.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
+    assert outcome.error is None
+    assert run_folder.read_json(outcome.folder / "metrics.json")["frames"] == 5
+    assert "rmse_m" in read_table(outcome.folder / "metrics.parquet")
+    own = outcome.folder / "results" / "counter"
     assert run_folder.read_json(own / "results.json") == {
         "metrics": {"frames": "mine", "mean": None, "all": [*range(5)]}
     }
     assert read_table(own / "metrics.parquet")["frame"].tolist() == [*range(5)]
     assert not list(tmp_path.rglob("other.parquet"))
-    (notice,) = (notice for notice in ended.record["notices"] if notice["kind"] == "results")
+    (notice,) = (notice for notice in outcome.record["notices"] if notice["kind"] == "results")
     assert "other: table '../other': expected a name" in notice["text"]
 
 
@@ -128,13 +128,13 @@ def test_metrics_and_tables_of_another_node_do_not_replace_the_evaluators(tmp_pa
         ("uncoordinated", "region=victim_only", "adversary_2", "no place for"),
     ],
 )
-def test_an_attack_without_targets_or_places_says_so(
+def test_an_attack_without_targets_or_positions_is_reported(
     tmp_path: Path, name: str, setting: str, node: str, missing: str
 ) -> None:
     file, content = scenario.load(name, [setting, "attack_start_s=1.0"])
-    ended = run.run(scenario.resolve(file, content, frames=30), tmp_path / "run", runtime="inproc")
-    counts = json.loads((ended.folder / f"results/{node}/results.json").read_text())
-    log = (ended.folder / f"logs/{node}.log").read_text()
+    outcome = run.run(scenario.resolve(file, content, frames=30), tmp_path / "run", runtime="inproc")
+    counts = json.loads((outcome.folder / f"results/{node}/results.json").read_text())
+    log = (outcome.folder / f"logs/{node}.log").read_text()
     assert missing in log
     if name == "hide_object":
         assert counts == {"selected": 0, "placed": 0, "wanted": 0}
@@ -161,7 +161,7 @@ def test_only_a_recorders_counts_are_taken_as_recorded_and_only_numbers(tmp_path
     others = {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}
     run_folder.note_recording(tmp_path, record, others, specs)
     nothing = {"complete": False, "from_frame": 0}
-    assert record == {"message": "", "recording": nothing}, "the recorder has handed in nothing"
+    assert record == {"message": "", "recording": nothing}, "the recorder has returned nothing"
     run_folder.note_recording(tmp_path, record, {"rec": {"recorded": recorded}}, specs)
     sound = recorded == {"messages": 7, "lost": 0}
     assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if sound else {})
@@ -172,7 +172,7 @@ def test_lost_messages_are_reported(tmp_path: Path) -> None:
     record: dict[str, Any] = {"message": "so far"}
     run_folder.note_recording(tmp_path, record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
     assert record["message"] == "so far; 2 messages could not be recorded"
-    assert record["recording"] == {"complete": False, "from_frame": 0}, "there is no recording here"
+    assert record["recording"] == {"complete": False, "from_frame": 0}, "no recording exists here"
 
 
 def test_a_table_has_at_most_a_thousand_columns(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_a_table_has_at_most_a_thousand_columns(tmp_path: Path) -> None:
 
 
 def test_one_long_text_does_not_widen_the_others(tmp_path: Path) -> None:
-    texts = ["x" * 1_000_000, *[""] * 10_000]  # as an array of text this is 40 GB
+    texts = ["x" * 1_000_000, *[""] * 10_000]  # as a text array this takes 40 GB
     results = {"node": {"tables": {"t": {"a": texts}}, "plain": np.array(texts, object)}}
     tracemalloc.start()
     try:
@@ -195,7 +195,7 @@ def test_one_long_text_does_not_widen_the_others(tmp_path: Path) -> None:
     assert read_arrow(tmp_path / "run/results/node/t.parquet").num_rows == len(texts)
 
 
-def test_in_real_time_completeness_is_measured_from_the_recording(
+def test_completeness_in_real_time_is_measured_from_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("sim", "simulator"))}
@@ -208,7 +208,7 @@ def test_in_real_time_completeness_is_measured_from_the_recording(
 
 
 def test_of_two_runs_that_start_in_one_folder_only_one_gets_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The other run has made its folders between our look at the place and ours."""
+    """The other run creates its folders between our check and our creation."""
     (tmp_path / "logs").mkdir()
     monkeypatch.setattr(Path, "iterdir", lambda self: iter(()))
     with pytest.raises(RunFolderError, match="is not empty"):

@@ -1,4 +1,4 @@
-"""At its end a run says in one line each what was late, rejected or foreign; nothing where nothing was."""
+"""A finished run reports late, rejected and foreign messages in one line each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def world() -> Resolved:
 
 
 def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) -> dict[str, str]:
-    """The notices of a made-up run: kind to text."""
+    """The notices of a synthetic run: kind to text."""
     record = {
         "nodes": nodes or {},
         "invalid_control": more.get("invalid_control", {}),
@@ -31,9 +31,9 @@ def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) 
     }
     measured = {"late": more.get("late", {})} | more.get("measured", {})
     collations, refused = more.get("collations", []), more.get("refused", [])
-    found = notices.of_run(resolved, record, collations, measured, refused)
-    assert all(notice["count"] > 0 for notice in found)
-    return {notice["kind"]: notice["text"] for notice in found}
+    all_notices = notices.of_run(resolved, record, collations, measured, refused)
+    assert all(notice["count"] > 0 for notice in all_notices)
+    return {notice["kind"]: notice["text"] for notice in all_notices}
 
 
 def node(**counted: Any) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def node(**counted: Any) -> dict[str, Any]:
 
 
 def realtime(world: Resolved, p99: float | None, speed: float = 10.0, **more: Any) -> str:
-    """What is said of how a run in real time at 10 Hz kept pace; "" for nothing."""
+    """The notice on how a 10 Hz real-time run kept pace; "" for none."""
     measured = {"latency_ms": {"sim_to_picture": {"p99": p99}}}
     return texts(replace(world, mode="realtime"), measured=measured, speed=speed, **more).get("behind", "")
 
@@ -60,39 +60,41 @@ def test_the_notice_of_late_messages_names_the_worst_agent(world: Resolved) -> N
 
 
 def test_messages_left_out_by_a_broker_have_a_notice_per_reason(world: Resolved) -> None:
-    said = texts(world, collations=[{"overflowed": 3, "duplicates": 0, "absurd": 5}, {"overflowed": 1}])
-    assert said.keys() == {"overflowed", "absurd"}
-    assert said["overflowed"].startswith("4 messages dropped")
+    notice_texts = texts(world, collations=[{"overflowed": 3, "duplicates": 0, "absurd": 5}, {"overflowed": 1}])
+    assert notice_texts.keys() == {"overflowed", "absurd"}
+    assert notice_texts["overflowed"].startswith("4 messages dropped")
 
 
-def test_a_message_that_several_nodes_rejected_counts_once_and_the_first_is_quoted(world: Resolved) -> None:
+def test_a_message_rejected_by_several_nodes_counts_once_and_the_first_is_quoted(world: Resolved) -> None:
     heard = {"agent/a/tracks: tracks": 10, "agent/a/tracks: other": 5, "cc/picture: picture": 2}
     first = {"agent/a/tracks": [7, "tracks: not [MessagePack]"], "cc/picture": [3, "picture: truncated"]}
     nodes = {
         "broker": node(rejected={"agent/a/tracks: tracks": 15}, first_rejected={"agent/a/tracks": [7, "tracks: x"]}),
         "evaluator": node(rejected=heard, first_rejected=first),
     }
-    said = texts(world, nodes)["rejected"]
-    assert said == "17 messages on 2 keys (first, by evaluator: cc/picture: picture: truncated)"
+    notice_texts = texts(world, nodes)["rejected"]
+    assert notice_texts == "17 messages on 2 keys (first, by evaluator: cc/picture: picture: truncated)"
 
 
 def test_the_notice_of_foreign_messages_names_their_keys(world: Resolved) -> None:
     heard = {f"agent/{name}/tracks": 2 for name in "abcde"}
     nodes = {"broker": node(foreign=heard), "evaluator": node(foreign={"agent/a/tracks": 3})}
-    said = texts(world, nodes)["foreign"]
+    notice_texts = texts(world, nodes)["foreign"]
     where = "agent/a/tracks, agent/b/tracks, agent/c/tracks and 2 more"
-    assert said == f"11 messages without the mark of this run's nodes, on {where}"
+    assert notice_texts == f"11 messages without the mark of this run's nodes, on {where}"
 
 
 def test_the_notice_of_refused_control_messages_names_the_worst_key_and_the_reason(world: Resolved) -> None:
-    """What goes to all is counted by each: the node that refused most counts."""
+    """Broadcasts are counted by every node: the highest count is used."""
     nodes = {
         "ego": node(invalid_control={"epoch": [3, "epoch: not MessagePack"]}),
         "broker": node(invalid_control={"epoch": [2, "epoch: not MessagePack"]}),
         "dead": node(invalid_control=None),
     }
-    said = texts(world, nodes, invalid_control={"result/ego": [4, "result: it has handed in its results before"]})
-    assert said["control"] == (
+    notice_texts = texts(
+        world, nodes, invalid_control={"result/ego": [4, "result: it has handed in its results before"]}
+    )
+    assert notice_texts["control"] == (
         "4 invalid control messages refused on 1 key "
         "(most: result/ego, 4, the first: result: it has handed in its results before); "
         "nodes report 3 invalid control messages on 1 key (most: epoch, 3 by ego, the first: epoch: not MessagePack)"
@@ -102,15 +104,15 @@ def test_the_notice_of_refused_control_messages_names_the_worst_key_and_the_reas
 def test_a_real_time_run_that_keeps_up_has_no_notice(world: Resolved) -> None:
     assert realtime(world, 25.0) == ""
     assert realtime(world, None) == ""
-    assert realtime(world, 199.0) == "", "a silent agent is waited for until the next clock"
+    assert realtime(world, 199.0) == "", "the broker waits for a silent agent until the next clock"
 
 
 def test_a_real_time_run_that_does_not_keep_up_explains_why_and_what_to_do(world: Resolved) -> None:
-    said = realtime(world, 2800.0, speed=7.0, late={"ego": 102})
+    notice_texts = realtime(world, 2800.0, speed=7.0, late={"ego": 102})
     for part in ("2800 ms", "a frame lasts 100 ms", "7.0 frames/s instead of 10.0", "102 messages came too late"):
-        assert part in said
+        assert part in notice_texts
     for advice in ("lower --rate", "more cores", "latency_s or patience"):
-        assert advice in said
+        assert advice in notice_texts
 
 
 def test_the_latency_limit_depends_on_the_broker_and_the_rate(world: Resolved) -> None:
@@ -133,12 +135,14 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
         content["links"] = {"infra_1": dict(up=[dict(type="Delay", mean_s=0.25)]), "infra_2": dict(up=[corrupt])}
         content["links"]["*"] = dict(up=[])
 
-    ended = run.run(tiny(edit=slow_and_corrupt), tmp_path / "run", runtime="inproc")
-    assert ended.error is None
-    found = {notice["kind"]: notice for notice in json.loads((ended.folder / "run.json").read_text())["notices"]}
-    assert found["late"]["text"] == "10 messages of infra_1 came too late for their batch"
-    assert found["rejected"]["text"].startswith(f"{found['rejected']['count']} messages on ")
-    page = write_report(ended.folder).read_text()
+    outcome = run.run(tiny(edit=slow_and_corrupt), tmp_path / "run", runtime="inproc")
+    assert outcome.error is None
+    notices_by_kind = {
+        notice["kind"]: notice for notice in json.loads((outcome.folder / "run.json").read_text())["notices"]
+    }
+    assert notices_by_kind["late"]["text"] == "10 messages of infra_1 came too late for their batch"
+    assert notices_by_kind["rejected"]["text"].startswith(f"{notices_by_kind['rejected']['count']} messages on ")
+    page = write_report(outcome.folder).read_text()
     assert "late: 10 messages of infra_1 came too late for their batch" in page
     assert "messages on" in page
 
@@ -146,11 +150,11 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("frames", "expected"), [(1, "the only frame is"), (5, "all 5 frames are"), (40, "")])
 def test_a_run_too_short_to_leave_out_its_first_frames_has_a_notice(tmp_path: Path, frames: int, expected: str) -> None:
     file, content = scenario.load("baseline", ["n_infrastructure=1"])
-    ended = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
-    found = {notice["kind"]: notice["text"] for notice in ended.record["notices"]}
-    assert json.loads((ended.folder / "metrics.json").read_text())["settled"] == (not expected)
-    assert ("unsettled" in found) == bool(expected)
-    assert expected in found.get("unsettled", "")
+    outcome = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
+    notices_by_kind = {notice["kind"]: notice["text"] for notice in outcome.record["notices"]}
+    assert json.loads((outcome.folder / "metrics.json").read_text())["settled"] == (not expected)
+    assert ("unsettled" in notices_by_kind) == bool(expected)
+    assert expected in notices_by_kind.get("unsettled", "")
 
 
 def test_a_stall_error_names_the_refused_messages() -> None:

@@ -1,4 +1,4 @@
-"""Tables survive a file, and writing one does not load pandas."""
+"""Tables survive a round trip to a file, without loading pandas."""
 
 from __future__ import annotations
 

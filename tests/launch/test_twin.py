@@ -1,4 +1,4 @@
-"""The unattacked twin of a run is the run of the same scenario without its adversaries."""
+"""A run's twin is a run of the same scenario without its adversaries."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ FRAMES = 30
 
 
 def played(folder: Path, name: str, *settings: str, **changes: Any) -> Path:
-    """A run of one of our scenarios in one process; its attacks begin at once."""
+    """A run of a shipped scenario in one process, attacked from the start."""
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded | changes, seed=3, frames=FRAMES)
-    ended = run.run(resolved, folder, runtime="inproc")
-    assert ended.error is None
+    outcome = run.run(resolved, folder, runtime="inproc")
+    assert outcome.error is None
     return folder
 
 
 def results(folder: Path) -> dict[str, Any]:
-    found = json.loads((folder / "metrics.json").read_text())
-    return {name: found[name] for name in ("frames", "scored_frames", "agents", "driving")}
+    scores = json.loads((folder / "metrics.json").read_text())
+    return {name: scores[name] for name in ("frames", "scored_frames", "agents", "driving")}
 
 
 @pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
@@ -81,19 +81,19 @@ class OwnAgent(Base):
 
 
 def test_a_twin_is_played_again_if_a_users_file_or_one_beside_it_changed(tmp_path: Path) -> None:
-    mine = tmp_path / "mine"
-    mine.mkdir()
-    (mine / "own_agent.py").write_text(OWN_AGENT)
-    (mine / "offset.py").write_text("OFFSET = 1\n")
-    (mine / "own.py").write_text(
+    user_files = tmp_path / "mine"
+    user_files.mkdir()
+    (user_files / "own_agent.py").write_text(OWN_AGENT)
+    (user_files / "offset.py").write_text("OFFSET = 1\n")
+    (user_files / "own.py").write_text(
         "from mast_zenoh.scenario import load\n\n\ndef scenario():\n"
         "    content = dict(load('uncoordinated')[1])\n"
         "    content['agents'] = {'*': {**content['agents']['*'], 'file': 'own_agent.py'}}\n    return content\n"
     )
-    attacked = played(tmp_path / "attacked", str(mine / "own.py"))
+    attacked = played(tmp_path / "attacked", str(user_files / "own.py"))
     first = run_id(twin.of(attacked))
     assert run_id(twin.of(attacked)) == first
-    (mine / "offset.py").write_text("OFFSET = 2\n")
+    (user_files / "offset.py").write_text("OFFSET = 2\n")
     second = run_id(twin.of(attacked))
     assert second != first
     assert run_id(twin.of(attacked)) == second

@@ -15,7 +15,7 @@ PERIOD_NS = 100_000_000
 
 
 def build(**spec: Any) -> Rule:
-    """A rule from its dict, as a scenario has it built."""
+    """Build a rule from its dict, like a scenario."""
     rule = registry.build(spec, Rule, "link.rules_up[0]")
     assert isinstance(rule, Rule)
     return rule
@@ -29,16 +29,16 @@ def chain(rules: Sequence[dict[str, Any]], seed: int = 0) -> Chain:
 def carry(
     rules: Sequence[dict[str, Any]], count: int, *, seed: int = 0, every_ns: int = PERIOD_NS, **of_each: Any
 ) -> list[Outcome]:
-    """What becomes of `count` messages, one in each `every_ns`."""
+    """The outcomes of `count` messages, one every `every_ns`."""
     wire = chain(rules, seed)
     return [wire.carry(Passage(i * every_ns, i * every_ns, **of_each)) for i in range(count)]
 
 
-def came(outcomes: Sequence[Outcome]) -> np.ndarray:
-    """(n,) bool: which messages came through."""
+def arrived(outcomes: Sequence[Outcome]) -> np.ndarray:
+    """(n,) bool: which messages arrived."""
     return np.array([bool(outcome.leaving) for outcome in outcomes])
 
 
 def delays(outcomes: Sequence[Outcome]) -> np.ndarray:
-    """(n,) s: the delay of each copy that came through."""
+    """(n,) s: the delay of each copy that arrived."""
     return np.array([delay_s for outcome in outcomes for _, delay_s in outcome.leaving])

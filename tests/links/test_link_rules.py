@@ -1,4 +1,4 @@
-"""What each rule does to a message, alone and with others, and which parameters it refuses."""
+"""Effects of each link rule, alone and combined, and refused parameters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from link_bench import PERIOD_NS, build, came, carry, chain, delays
+from link_bench import PERIOD_NS, arrived, build, carry, chain, delays
 
 from mast_zenoh import links
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
@@ -17,7 +17,7 @@ from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.links import FATES, PROFILES, Outcome, Passage, Rule, displaced, flipped, profile
 
-#: One sound dict of every rule.
+#: One valid dict of every rule.
 EVERY: dict[str, dict[str, Any]] = {
     "Bandwidth": dict(bits_per_s=1e6, queue_s=0.2),
     "ClockSkew": dict(offset_s=0.1, drift=0.01),
@@ -35,7 +35,7 @@ EVERY: dict[str, dict[str, Any]] = {
 }
 
 
-def test_every_rule_is_tested_here_and_declares_its_fate() -> None:
+def test_every_rule_is_tested_and_declares_its_fate() -> None:
     ours = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
     assert ours == EVERY.keys()
     for name, given_ in EVERY.items():
@@ -43,23 +43,23 @@ def test_every_rule_is_tested_here_and_declares_its_fate() -> None:
 
 
 def through(*rules: dict[str, Any], at_s: float = 0.0, **of_it: Any) -> Outcome:
-    """What becomes of one message."""
+    """The outcome of one message."""
     time_ns = round(at_s * 1e9)
     return chain(rules).carry(Passage(time_ns, time_ns, **of_it))
 
 
-def test_without_rules_everything_passes_at_once() -> None:
+def test_without_rules_every_message_passes_at_once() -> None:
     outcome = through()
     assert [after_s for _, after_s in outcome.leaving] == [0.0]
     assert outcome.fates == {}
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_rule_acts_from_its_beginning_until_before_its_end(name: str) -> None:
-    sure = EVERY[name] | dict(probability=1.0) if "probability" in EVERY[name] else EVERY[name]
+def test_a_rule_acts_from_its_start_until_before_its_end(name: str) -> None:
+    parameters = EVERY[name] | dict(probability=1.0) if "probability" in EVERY[name] else EVERY[name]
     if name == "GilbertElliott":
-        sure = dict(good_to_bad=1.0, bad_to_good=0.0)
-    rule = dict(type=name, **(sure | dict(at=1.0, until=2.0)))
+        parameters = dict(good_to_bad=1.0, bad_to_good=0.0)
+    rule = dict(type=name, **(parameters | dict(at=1.0, until=2.0)))
     far = dict(size=1000, position=np.array([90.0, 0.0, 0.0]), referenced=True)
     for at_s, acts in ((0.9, False), (1.0, True), (1.9, True), (2.0, False)):
         outcome = through(rule, at_s=at_s, **far)
@@ -70,24 +70,24 @@ def test_a_rule_acts_from_its_beginning_until_before_its_end(name: str) -> None:
         assert bool(outcome.fates) is acts
 
 
-def test_the_first_rule_that_drops_a_message_is_the_one_that_did_it() -> None:
+def test_a_drop_is_attributed_to_the_first_rule_that_drops() -> None:
     assert through(dict(type="Loss", probability=0.0), dict(type="Cut"), dict(type="Cut")).fates == {"dropped": 1}
 
 
-def test_a_message_of_which_a_copy_comes_through_is_not_dropped() -> None:
+def test_a_message_is_not_dropped_if_a_copy_arrives() -> None:
     rules = [dict(type="Duplicate", probability=1.0, copies=3), dict(type="Loss", probability=0.6)]
     for outcome in carry(rules, 200):
         assert ("dropped" in outcome.fates) is not bool(outcome.leaving)
 
 
-def test_delays_add_up_and_the_longest_is_named() -> None:
+def test_delays_add_up_and_the_rule_with_the_longest_is_named() -> None:
     rules = [dict(type="Delay", mean_s=s, distribution="constant") for s in (0.05, 0.3, 0.1)]
     outcome = through(*rules)
     assert outcome.delay_s == pytest.approx(0.45)
     assert outcome.fates == {"delayed": 1}
 
 
-def test_a_message_does_not_overtake_the_one_before_it() -> None:
+def test_a_message_does_not_overtake_its_predecessor() -> None:
     rules = [dict(type="Delay", mean_s=0.5, distribution="constant", until=0.05)]
     first, second, *_, last = carry(rules, 10)
     assert first.delay_s == pytest.approx(0.5)
@@ -104,7 +104,7 @@ def test_a_reordered_message_is_overtaken_and_delays_no_other() -> None:
 
 @given(names=st.lists(st.sampled_from([n for n in EVERY if n != "Reorder"]), max_size=5), seed=st.integers(0, 20))
 @settings(max_examples=30)
-def test_without_reordering_messages_leave_in_the_order_in_which_they_came(names: list[str], seed: int) -> None:
+def test_without_reordering_messages_leave_in_order_of_arrival(names: list[str], seed: int) -> None:
     rules = [dict(type=name, **EVERY[name]) for name in names]
     outcomes = carry(rules, 30, seed=seed, size=5000, position=np.zeros(3), referenced=True)
     leaves = [i * PERIOD_NS + round(s * 1e9) for i, outcome in enumerate(outcomes) for _, s in outcome.leaving]
@@ -122,7 +122,7 @@ def test_held_messages_are_delivered_in_order_at_the_end() -> None:
 def test_out_of_range_of_every_gateway_messages_are_dropped(x: float, comes: bool) -> None:
     rule = dict(type="RangeLimit", range_m=50.0, gateways=[[0.0, 0.0, 0.0], [200.0, 0.0, 5.0]])
     assert bool(through(rule, position=np.array([x, 0.0, 0.0])).leaving) is comes
-    assert through(rule).leaving, "nobody knows where it is"
+    assert through(rule).leaving, "its position is unknown"
 
 
 def test_clock_drift_increases_the_offset_over_time() -> None:
@@ -132,26 +132,24 @@ def test_clock_drift_increases_the_offset_over_time() -> None:
     assert through(rule, rule, at_s=1.0).leaving[0][0].skew_ns == -400_000_000
 
 
-def test_a_pose_error_leaves_messages_alone_that_have_no_frame_of_reference() -> None:
+def test_a_pose_error_leaves_messages_without_a_frame_of_reference_unchanged() -> None:
     outcome = through(dict(type="PoseError", bias_m=[1.0, 0.0]), referenced=False)
     assert outcome.fates == {}
     assert outcome.leaving[0][0].shift == (0.0, 0.0)
 
 
-def test_a_displaced_frame_of_reference_is_moved_and_turned_about_the_vertical() -> None:
+def test_a_pose_error_moves_and_rotates_the_frame_of_reference_about_the_vertical() -> None:
     half = math.sqrt(0.5)
     body = {"origin": np.array([5.0, 6.0, 7.0]), "rotation": np.array([half, 0.0, 0.0, half]), "id": np.arange(3)}
-    found = displaced(body, (1.0, -1.0), 0.25)
-    assert found["origin"].tolist() == [6.0, 5.0, 7.0]
-    assert heading(rotation_from_quaternion(found["rotation"])) == pytest.approx(math.pi / 2 + 0.25)
-    assert found["id"] is body["id"]
+    displaced_body = displaced(body, (1.0, -1.0), 0.25)
+    assert displaced_body["origin"].tolist() == [6.0, 5.0, 7.0]
+    assert heading(rotation_from_quaternion(displaced_body["rotation"])) == pytest.approx(math.pi / 2 + 0.25)
+    assert displaced_body["id"] is body["id"]
 
 
 @given(payload=st.binary(max_size=50), places=st.lists(st.floats(0.0, 1.0), max_size=8))
 @settings(max_examples=50)
-def test_the_configured_number_of_bits_is_flipped_and_flipping_is_reversible(
-    payload: bytes, places: list[float]
-) -> None:
+def test_the_configured_number_of_bits_is_flipped_reversibly(payload: bytes, places: list[float]) -> None:
     once = flipped(payload, places)
     assert len(once) == len(payload)
     assert flipped(once, places) == payload
@@ -176,7 +174,7 @@ def test_the_number_of_copies_is_limited() -> None:
 
 @pytest.mark.parametrize("name", ["Loss", "GilbertElliott", "Duplicate", "Corrupt", "Reorder"])
 @pytest.mark.parametrize("other", ["Cut", "Delay", "Flood", "Loss"])
-def test_a_rule_added_before_or_after_changes_no_draw_of_another(name: str, other: str) -> None:
+def test_adding_a_rule_changes_no_draw_of_another(name: str, other: str) -> None:
     rule = dict(type=name, **EVERY[name])
     added = dict(type=other, **EVERY[other], at=1.0, until=3.0)
     alone = carry([rule], 600)
@@ -191,7 +189,7 @@ def test_a_rule_added_before_or_after_changes_no_draw_of_another(name: str, othe
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_rule_depends_on_seed_and_wire_alone(name: str) -> None:
+def test_a_rule_depends_only_on_seed_and_wire(name: str) -> None:
     rules = [dict(type=name, **EVERY[name]), dict(type="Delay", mean_s=0.1, jitter_s=0.1)]
     first, again, other = (carry(rules, 300, seed=seed, size=900, referenced=True) for seed in (3, 3, 4))
     assert first == again
@@ -266,11 +264,11 @@ def test_an_unknown_profile_is_refused_with_the_nearest() -> None:
         profile("wirelss_v2x")
 
 
-def test_a_wireless_link_loses_more_than_a_wired_one_and_takes_longer() -> None:
+def test_a_wireless_link_loses_more_and_is_slower_than_a_wired_one() -> None:
     lost, late = {}, {}
     for name in ("wired", "wireless_v2x"):
         rules = [rule for rule in profile(name)["up"] if rule["type"] != "RangeLimit"]
         outcomes = carry(rules, 2000, size=5000)
-        lost[name], late[name] = 1.0 - came(outcomes).mean(), delays(outcomes).mean()
+        lost[name], late[name] = 1.0 - arrived(outcomes).mean(), delays(outcomes).mean()
     assert lost["wired"] < 0.001 < 0.03 < lost["wireless_v2x"] < 0.1
     assert late["wired"] < 0.005 < 0.02 < late["wireless_v2x"] < 0.05

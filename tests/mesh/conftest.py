@@ -1,4 +1,4 @@
-"""Starts real processes on a real mesh, and fails the test that leaves anything of it behind."""
+"""Real processes on a real mesh, and fixtures that fail on leftovers."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from launched import MAST, Launched
 
 @pytest.fixture
 def launch(start: Callable[..., Launched]) -> Callable[..., Launched]:
-    """`mast run` as a user starts it."""
+    """Starts `mast run` like a user."""
     return lambda *words: start(*MAST, "run", *words, "--no-report", "--out")
 
 
 @pytest.fixture(autouse=True)
 def nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Fails the test that leaves a process, a thread or a socket file."""
+    """Fails if a test leaves a process, a thread or a socket file behind."""
     threads = set(threading.enumerate())
 
     def processes() -> list[psutil.Process]:
-        mine = []
+        children = []
         for process in psutil.process_iter(["cmdline"]):
             if process.pid != os.getpid() and any(str(tmp_path) in word for word in process.info["cmdline"] or ()):
-                mine.append(process)
-        return mine
+                children.append(process)
+        return children
 
-    with tempfile.TemporaryDirectory(prefix="mast_", dir="/tmp") as own:  # short: a socket's path may not be long
+    with tempfile.TemporaryDirectory(prefix="mast_", dir="/tmp") as own:  # short, as socket paths are limited
         monkeypatch.setenv("TMPDIR", own)
         monkeypatch.setattr(tempfile, "tempdir", None)
         yield

@@ -1,8 +1,8 @@
-"""A lock-step run on an open mesh whose nodes live elsewhere, and whose frames begin when a file says so.
+"""A lock-step run with remote nodes whose frames begin when a file says so.
 
     python held_back.py SCENARIO OUT
 
-OUT.frames holds how many frames may begin; the run waits between two frames, and takes what comes meanwhile.
+OUT.frames holds the number of frames that may begin; between frames the run waits and accepts messages.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ def gate(out: Path) -> Path:
 
 
 def allow(out: Path, frames: int) -> None:
-    """Let so many frames begin."""
+    """Allow this many frames to begin."""
     written = gate(out).with_suffix(".next")
     written.write_text(str(frames))
     written.replace(gate(out))
 
 
 def hold_back(file: str) -> None:
-    """From now on the driver of this process begins no frame before the file allows it."""
+    """Make this process's driver begin frames only as the file allows."""
     carry_out = Driver._carry_out
 
     def when_allowed(self: Driver) -> str:
@@ -46,20 +46,20 @@ def hold_back(file: str) -> None:
 
 
 def resolved(file: str) -> Resolved:
-    """What is run."""
+    """The scenario to run."""
     path, loaded = scenario.load(file, [])
     return scenario.resolve(path, loaded, record=True)
 
 
 def main() -> None:
-    """Run it; an error is printed, and its exit code given."""
+    """Run it; print an error and return its exit code."""
     file, out = sys.argv[1], Path(sys.argv[2])
     here = [str(Path(__file__).parent), *sys.path]
     wait = f"__import__('sys').path[:0] = {here!r}; __import__('held_back').hold_back({str(gate(out))!r})"
-    ended = run.run(resolved(file), out, engine=Beside({"simulator": wait}))
-    if ended.error:
-        print(f"{type(ended.error).__name__}: {ended.error}", file=sys.stderr)
-        sys.exit(ended.error.exit_code)
+    outcome = run.run(resolved(file), out, engine=Beside({"simulator": wait}))
+    if outcome.error:
+        print(f"{type(outcome.error).__name__}: {outcome.error}", file=sys.stderr)
+        sys.exit(outcome.error.exit_code)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Tests that need network namespaces, and commands that run inside them."""
+"""Support for tests in network namespaces."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mast_zenoh.launch.netns.namespaces import NAMESPACES, Owner
 
 
 def require(*needs: str) -> None:
-    """Skip the test, with the reason, unless this machine can do all of it. With MAST_TEST_NETWORK set it must."""
+    """Skip unless this machine can do all of it; fail if MAST_TEST_NETWORK is set."""
     try:
         machine.delays_by({need: ["this test"] for need in needs}, Owner.this_process())
     except BackendError as error:
@@ -27,7 +27,7 @@ def require(*needs: str) -> None:
 
 
 def left_by(pid: int) -> list[str]:
-    """The namespaces and folders that a launcher has left."""
+    """The namespaces and folders left by launchers."""
     return [path.name for place in (NAMESPACES, Path(gettempdir())) for path in place.glob(f"mast-{pid}-*")]
 
 
@@ -38,7 +38,7 @@ def outside() -> list[str]:
 
 
 class Echo:
-    """A UDP echo in one namespace. Its life is that of its standard input."""
+    """A UDP echo in a namespace, until its standard input closes."""
 
     PROGRAM = (
         "import select, socket, sys\n"
@@ -78,7 +78,7 @@ class Echo:
     def ask(
         cls, inside: Sequence[str], address: str, count: int, timeout_s: float = 1.0, size: int = 100
     ) -> list[float]:
-        """Round-trip times, ms, of those of so many packets that came back in time, one after the other."""
+        """Round-trip times, ms, of sequential packets that returned in time."""
         arguments = [address, str(count), str(timeout_s), str(size)]
         asked = [*inside, sys.executable, "-c", cls.ASK, *arguments]
         return [float(line) for line in subprocess.run(asked, capture_output=True, check=True).stdout.splitlines()]

@@ -1,4 +1,4 @@
-"""Processes that a scenario kills, starts and pauses: the run goes on as in one process, and nothing stays behind."""
+"""Killed, started and paused processes on the mesh: as in one process."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mast_zenoh.messages import codec
 
 pytestmark = pytest.mark.mesh
 
-#: One after the other, and two at once; some come back, one comes late, one never does.
+#: One after the other, and two at once; some return, one joins late, one never returns.
 STEPS = (
     (2, "start", "infra_3"),
     (3, "kill", "infra_1"),
@@ -43,23 +43,23 @@ STEPS = (
 
 def resolved(*steps: tuple[int, str, str], frames: int, **options: object) -> Resolved:
     path, loaded = scenario.load("coordinated", ["n_infrastructure=3", "attack_start_s=0.2"])
-    found = scenario.resolve(path, loaded, frames=frames, record=True, **options)
-    return replace(found, steps=tuple(ProcessStep(*step) for step in steps))
+    resolved_scenario = scenario.resolve(path, loaded, frames=frames, record=True, **options)
+    return replace(resolved_scenario, steps=tuple(ProcessStep(*step) for step in steps))
 
 
 def frames_of(folder: Path, key: str) -> list[int]:
     return [message.frame for message in read(folder) if message.key == key]
 
 
-def test_in_lock_step_the_mesh_says_what_one_process_says_whoever_dies_and_comes_back(tmp_path: Path) -> None:
+def test_in_lock_step_the_mesh_equals_one_process_despite_kills_and_restarts(tmp_path: Path) -> None:
     what = resolved(*STEPS, frames=16)
     mesh = launcher.run(what, tmp_path / "mesh")
     assert mesh.error is None, mesh.error
     inproc = launcher.run(what, tmp_path / "inproc", runtime="inproc")
     assert inproc.error is None
-    found = compare(mesh.folder, inproc.folder, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal == len(list(read(mesh.folder)))
+    difference = compare(mesh.folder, inproc.folder, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal == len(list(read(mesh.folder)))
     assert (mesh.folder / "metrics.json").read_bytes() == (inproc.folder / "metrics.json").read_bytes()
     assert frames_of(mesh.folder, "agent/infra_1/tracks/@tap/0") == [0, 1, 2, *range(5, 16)]
     assert frames_of(mesh.folder, "agent/infra_1/tracks") == [0, 1, 2, 5, *range(10, 16)], "its adversary was away"
@@ -69,7 +69,7 @@ def test_in_lock_step_the_mesh_says_what_one_process_says_whoever_dies_and_comes
     assert mesh.record["steps"] == inproc.record["steps"] == in_order
     for record in (mesh.record, inproc.record):
         assert record["status"] == "ok"
-        assert record["message"] == "", "what the scenario wants is no news"
+        assert record["message"] == "", "planned changes are not reported"
         assert record["nodes"]["infra_2"]["ended"].startswith("killed by the scenario")
         assert record["nodes"]["ego"]["exit"] == 0
         assert {name for name, node in record["nodes"].items() if node["restarts"]} == {
@@ -83,7 +83,7 @@ def test_in_lock_step_the_mesh_says_what_one_process_says_whoever_dies_and_comes
 
 @pytest.fixture
 def launch(start: Callable[..., Launched]) -> Callable[..., Launched]:
-    """Starts runs in real time, longer than any test, to whose processes these steps are done."""
+    """Starts real-time runs, longer than any test, with these process steps."""
     code = (
         "import sys\n"
         "from dataclasses import replace\n"
@@ -100,7 +100,7 @@ def launch(start: Callable[..., Launched]) -> Callable[..., Launched]:
     return lambda *steps: start(sys.executable, "-c", code.format(steps=steps))
 
 
-def test_in_real_time_who_is_killed_comes_back_and_who_is_paused_goes_on(launch) -> None:
+def test_in_real_time_killed_nodes_restart_and_paused_nodes_resume(launch) -> None:
     steps = ((5, "kill", "infra_1"), (5, "pause", "infra_2"), (8, "resume", "infra_2"), (8, "start", "infra_1"))
     run: Launched = launch(*steps)
     observer = Observer(run.started(), "agent/*/tracks")
@@ -110,7 +110,7 @@ def test_in_real_time_who_is_killed_comes_back_and_who_is_paused_goes_on(launch)
             heard = [s for key, s in observer.samples if key == f"agent/{agent}/tracks"]
             return codec.decode(heard[-1].payload.to_bytes(), "tracks").header.frame if heard else -1
 
-        eventually(lambda: newest("infra_1") > 8 and newest("infra_2") > 8, "both are there again")
+        eventually(lambda: newest("infra_1") > 8 and newest("infra_2") > 8, "both nodes have returned")
     finally:
         observer.close()
     run.process.send_signal(signal.SIGINT)
@@ -124,19 +124,19 @@ def test_in_real_time_who_is_killed_comes_back_and_who_is_paused_goes_on(launch)
     assert heard[:5] == list(range(5)), "it was killed when frame 5 was due"
     assert min(frame for frame in heard if frame > 5) >= 8
     clocks = frames_of(run.out, "clock")
-    assert clocks == list(range(len(clocks))), "nobody stalls the clock"
+    assert clocks == list(range(len(clocks))), "the clock was not delayed"
 
 
-def until_paused(run: Launched, node: str) -> None:
-    """Wait until a node stands still."""
+def wait_until_paused(run: Launched, node: str) -> None:
+    """Wait until a node is suspended."""
     process = psutil.Process(run.started()["nodes"][node]["pid"])
-    eventually(lambda: process.status() == psutil.STATUS_STOPPED, f"{node} stands still")
+    eventually(lambda: process.status() == psutil.STATUS_STOPPED, f"{node} is suspended")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed launcher"])
-def test_however_a_run_ends_a_node_that_stands_still_does_not_stay_behind(launch, number: signal.Signals) -> None:
+def test_a_paused_node_never_outlives_its_run(launch, number: signal.Signals) -> None:
     run: Launched = launch((2, "pause", "infra_1"))
-    until_paused(run, "infra_1")
+    wait_until_paused(run, "infra_1")
     pids = run.pids()
     run.process.send_signal(number)
     _, output = run.end(30.0)
@@ -144,19 +144,19 @@ def test_however_a_run_ends_a_node_that_stands_still_does_not_stay_behind(launch
     if number == signal.SIGINT:
         assert output.split() == ["interrupted"]
         ended = {node["ended"] for node in run.record()["nodes"].values()}
-        assert ended == {"ok"}, "it was let go on, and has handed in"
+        assert ended == {"ok"}, "it was resumed and returned its results"
 
 
-def test_who_still_stands_still_at_the_end_is_let_go_on(tmp_path: Path) -> None:
-    ended = launcher.run(resolved((5, "pause", "infra_1"), frames=10, mode="realtime", rate=2.0), tmp_path / "run")
-    assert ended.error is None, ended.error
-    assert ended.record["nodes"]["infra_1"]["ended"] == "ok"
+def test_a_node_still_paused_at_the_end_is_resumed(tmp_path: Path) -> None:
+    outcome = launcher.run(resolved((5, "pause", "infra_1"), frames=10, mode="realtime", rate=2.0), tmp_path / "run")
+    assert outcome.error is None, outcome.error
+    assert outcome.record["nodes"]["infra_1"]["ended"] == "ok"
 
 
-def test_who_dies_of_itself_beside_what_is_planned_is_still_dealt_with(launch) -> None:
-    """A command centre that dies unplanned fails the run, whatever the scenario does to others."""
+def test_an_unplanned_death_beside_planned_ones_is_handled(launch) -> None:
+    """An unplanned death of the command centre fails the run despite planned ones."""
     run: Launched = launch((2, "kill", "infra_1"), (3, "pause", "infra_2"))
-    until_paused(run, "infra_2")
+    wait_until_paused(run, "infra_2")
     os.kill(run.record()["nodes"]["command_center"]["pid"], signal.SIGKILL)
     _, output = run.end(30.0)
     assert output.split() == ["failed"]

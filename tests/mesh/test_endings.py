@@ -1,4 +1,4 @@
-"""However a run ends, nothing is left running, and what it has found up to then can be read."""
+"""However a run ends, no process remains and its results are readable."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from mast_zenoh.messages import codec
 
 pytestmark = pytest.mark.mesh
 
-#: Slow enough to be in the middle of it, quick enough for a test.
+#: Slow enough to be interrupted midway, fast enough for a test.
 PACED = ("--mode", "realtime", "--rate", "3", "--frames", "60")
 
 
 def at_frame(run: Launched, frame: int) -> dict:
-    """run.json, when the run has come to a frame."""
+    """run.json when the run has reached a frame."""
     record = run.started()
     observer = Observer(record, "clock")
     try:
@@ -55,7 +55,7 @@ def test_a_killed_agent_does_not_end_the_run(launch, mode: tuple[str, ...]) -> N
     assert json.loads((run.out / "metrics.json").read_text())["frames"] == record["frames"]
 
 
-def test_an_agent_whose_policy_is_restart_comes_back_at_the_current_frame(launch, tmp_path: Path) -> None:
+def test_an_agent_with_policy_restart_returns_at_the_current_frame(launch, tmp_path: Path) -> None:
     (tmp_path / "phoenix.py").write_text(
         "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
@@ -67,7 +67,7 @@ def test_an_agent_whose_policy_is_restart_comes_back_at_the_current_frame(launch
     record = at_frame(run, 15)
     observer = Observer(record, "agent/infra_2/tracks")
     try:
-        eventually(lambda: observer.samples, "infra_2 speaks")
+        eventually(lambda: observer.samples, "infra_2 publishes")
         os.kill(record["nodes"]["infra_2"]["pid"], signal.SIGKILL)
         code, output = run.end()
     finally:
@@ -76,11 +76,11 @@ def test_an_agent_whose_policy_is_restart_comes_back_at_the_current_frame(launch
     node = run.record()["nodes"]["infra_2"]
     assert node["restarts"] == 1
     assert node["pid"] != record["nodes"]["infra_2"]["pid"]
-    assert node["last_frame"] == 99, "it took part to the end"
+    assert node["last_frame"] == 99, "it took part until the end"
     frames = [codec.decode(sample.payload.to_bytes(), "tracks").header.frame for _, sample in observer.samples]
     assert frames == sorted(frames)
     assert frames[-1] == 99
-    assert len(frames) < 100 - frames[0], "frames went by while it was away"
+    assert len(frames) < 100 - frames[0], "frames passed while it was away"
 
 
 def test_a_dead_command_centre_fails_the_run_with_its_own_exit_code(launch) -> None:
@@ -92,10 +92,10 @@ def test_a_dead_command_centre_fails_the_run_with_its_own_exit_code(launch) -> N
     assert "command_center killed by signal 9" in output
     record = run.record()
     assert record["status"] == "failed"
-    assert (run.out / "metrics.json").is_file(), "what was found up to then is kept"
+    assert (run.out / "metrics.json").is_file(), "earlier results are kept"
 
 
-def test_who_drives_a_scene_that_nobody_else_is_left_to_see_does_not_play_on(launch, tmp_path: Path) -> None:
+def test_a_driver_left_alone_does_not_continue_the_scene(launch, tmp_path: Path) -> None:
     (tmp_path / "alone.py").write_text(
         "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
@@ -116,7 +116,7 @@ def test_who_drives_a_scene_that_nobody_else_is_left_to_see_does_not_play_on(lau
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_run_that_is_stopped_keeps_what_it_has(launch, number: signal.Signals) -> None:
+def test_a_stopped_run_keeps_the_results_obtained_so_far(launch, number: signal.Signals) -> None:
     run: Launched = launch("baseline", *PACED)
     at_frame(run, 20)
     run.process.send_signal(number)
@@ -127,7 +127,7 @@ def test_a_run_that_is_stopped_keeps_what_it_has(launch, number: signal.Signals)
     assert 20 <= json.loads((run.out / "metrics.json").read_text())["frames"] < 60
 
 
-def test_a_second_signal_ends_the_nodes_at_once_and_the_recording_can_be_read(launch) -> None:
+def test_a_second_signal_ends_nodes_at_once_and_leaves_a_readable_recording(launch) -> None:
     run: Launched = launch("baseline", *PACED)
     at_frame(run, 10)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -148,15 +148,15 @@ def test_a_signal_while_nodes_start_ends_them(launch) -> None:
 
 
 def suspend(run: Launched, seconds: float) -> None:
-    """Have the launcher, and with it the router, stand still for a while."""
+    """Suspend the launcher, and with it the router, for a while."""
     run.process.send_signal(signal.SIGSTOP)
-    eventually(lambda: psutil.Process(run.process.pid).status() == psutil.STATUS_STOPPED, "it stands still")
+    eventually(lambda: psutil.Process(run.process.pid).status() == psutil.STATUS_STOPPED, "the launcher is suspended")
     threading.Event().wait(seconds)
     run.process.send_signal(signal.SIGCONT)
 
 
 @pytest.mark.parametrize("seconds", [0.5, 5.0])
-def test_a_launcher_that_was_suspended_goes_on_in_lock_step_as_if_nothing_had_been(launch, seconds: float) -> None:
+def test_a_suspended_launcher_resumes_a_lock_step_run_without_effect(launch, seconds: float) -> None:
     run: Launched = launch("baseline", "--frames", "150")
     at_frame(run, 15)
     suspend(run, seconds)
@@ -167,7 +167,7 @@ def test_a_launcher_that_was_suspended_goes_on_in_lock_step_as_if_nothing_had_be
     assert {message.frame for message in read(run.out)} == set(range(150))
 
 
-def test_a_launcher_that_was_suspended_for_long_in_real_time_says_who_was_lost(launch) -> None:
+def test_a_launcher_suspended_too_long_in_real_time_names_lost_nodes(launch) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--frames", "120")
     at_frame(run, 15)
     suspend(run, 5.0)
@@ -179,7 +179,7 @@ def test_a_launcher_that_was_suspended_for_long_in_real_time_says_who_was_lost(l
     list(read(run.out))
 
 
-def test_a_launcher_that_was_suspended_for_long_fails_a_run_whose_nodes_live_elsewhere(
+def test_a_launcher_suspended_too_long_fails_a_run_with_remote_nodes(
     start: Callable[..., Launched], tmp_path: Path
 ) -> None:
     allow(tmp_path / "run_0", 20)
@@ -195,7 +195,7 @@ def test_a_launcher_that_was_suspended_for_long_fails_a_run_whose_nodes_live_els
 
 
 @pytest.mark.parametrize("stage", ["starting", "playing", "collecting"])
-def test_a_launcher_killed_at_any_stage_takes_its_nodes_with_it(
+def test_a_launcher_killed_at_any_stage_leaves_no_nodes_running(
     start: Callable[..., Launched], stage: str, tmp_path: Path
 ) -> None:
     mast = (sys.executable, str(Path(__file__).parents[1] / "support" / "at_stage.py"), stage, "SIGKILL", "--")
@@ -226,7 +226,7 @@ def test_nodes_that_fill_the_disk_fail_the_run(launch, tiny_disk: Path, tmp_path
     list(read(tiny_disk))
 
 
-def test_a_killed_launcher_takes_its_nodes_with_it(launch) -> None:
+def test_a_killed_launcher_leaves_no_nodes_running(launch) -> None:
     run: Launched = launch("uncoordinated", *PACED)
     at_frame(run, 10)
     pids = run.pids()
@@ -234,14 +234,14 @@ def test_a_killed_launcher_takes_its_nodes_with_it(launch) -> None:
     run.kill()
     eventually(lambda: not alive(pids), "all nodes have left", seconds=5.0)
     row = ending("launcher killed (SIGKILL)")
-    assert (run.record()["status"], 128 - run.process.returncode) == row, "what was written before is readable"
-    told = subprocess.run([*MAST, "report", str(run.out)], capture_output=True, text=True)
-    assert told.returncode == 0, told.stderr
-    assert "The run was cut off" in told.stderr.replace("\n", " ")
+    assert (run.record()["status"], 128 - run.process.returncode) == row, "earlier messages are readable"
+    report = subprocess.run([*MAST, "report", str(run.out)], capture_output=True, text=True)
+    assert report.returncode == 0, report.stderr
+    assert "The run was cut off" in report.stderr.replace("\n", " ")
     assert "killed" in (run.out / "report.html").read_text()
 
 
-def test_a_node_that_hangs_is_ended(launch, tmp_path: Path) -> None:
+def test_a_hanging_node_is_killed(launch, tmp_path: Path) -> None:
     run: Launched = launch("baseline", *PACED)
     record = at_frame(run, 5)
     os.kill(record["nodes"]["infra_3"]["pid"], signal.SIGSTOP)
@@ -251,7 +251,7 @@ def test_a_node_that_hangs_is_ended(launch, tmp_path: Path) -> None:
     assert "kill" in run.record()["nodes"]["infra_3"]["ended"]
 
 
-def test_a_node_that_cannot_start_is_named_with_its_last_words(launch, tmp_path: Path) -> None:
+def test_a_node_that_cannot_start_is_named_with_its_last_output(launch, tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(
         "import os\n"
         "from mast_zenoh.node import Node\n"
@@ -275,10 +275,10 @@ def test_a_node_that_cannot_start_is_named_with_its_last_words(launch, tmp_path:
     assert "mallory ended before the first frame: exit code 1" in output
     assert "no licence found" in output
     others = [node["ended"] for name, node in run.record()["nodes"].items() if name != "mallory"]
-    assert set(others) == {"ok"}, "also who was still starting has heard that it is to stop"
+    assert set(others) == {"ok"}, "starting nodes also received the stop"
 
 
-def test_a_folder_that_holds_something_is_not_written_into(launch, tmp_path: Path) -> None:
+def test_a_non_empty_folder_is_not_written_to(launch, tmp_path: Path) -> None:
     (tmp_path / "run_0").mkdir()
     (tmp_path / "run_0" / "thesis.txt").write_text("precious")
     code, output = launch("baseline", *PACED).end()

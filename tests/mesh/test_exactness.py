@@ -1,4 +1,4 @@
-"""Runs on the mesh are equal to the last byte: to each other, to runs in one process, and whoever sits on the wires."""
+"""Runs on the mesh are bitwise equal to each other and to one process."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ FRAMES = 8
 
 
 def in_process(out: Path, name: str, *settings: str) -> Path:
-    """The same in one process."""
+    """The same run in one process."""
     path, loaded = scenario.load(name, settings)
-    ended = launcher.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), out, runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), out, runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def on_mesh(launch, name: str, *settings: str) -> Path:
-    """The run folder of a run on the mesh, every message of which was recorded."""
+    """The run folder of a fully recorded run on the mesh."""
     words = [word for setting in settings for word in ("--set", setting)]
     run: Launched = launch(name, "--frames", str(FRAMES), *words)
     code, output = run.end()
@@ -41,15 +41,15 @@ def on_mesh(launch, name: str, *settings: str) -> Path:
 
 
 def assert_equal(a: Path, b: Path, *, taps: bool = True) -> None:
-    found = compare(a, b, taps=taps)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal == sum(taps or not message.tap for message in read(a)) > 0
+    difference = compare(a, b, taps=taps)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal == sum(taps or not message.tap for message in read(a)) > 0
 
 
 def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path: Path) -> None:
     what = ("coordinated", "n_infrastructure=5", "n_adversaries=2", "attack_start_s=0.2")
     first, second = on_mesh(launch, *what), on_mesh(launch, *what)
-    assert any(message.message == "attack_report" for message in read(first)), "there is something to go wrong"
+    assert any(message.message == "attack_report" for message in read(first)), "a difference could show"
     assert_equal(first, second)
     assert_equal(first, in_process(tmp_path / "inproc", *what))
 
@@ -85,7 +85,7 @@ def scenario():
 """
 
 
-def test_a_users_own_pipeline_makes_the_same_pictures_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+def test_a_user_defined_pipeline_gives_the_same_pictures_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(OWN_PIPELINE)
     run = on_mesh(launch, str(tmp_path / "mine.py"))
     assert not any(node.get("failures") for node in json.loads((run / "run.json").read_text())["nodes"].values())
@@ -119,7 +119,7 @@ def scenario(folder=""):
 """
 
 
-def test_nodes_that_listen_hear_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+def test_listeners_hear_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(LISTENING)
     what = (str(tmp_path / "mine.py"), f"folder={Path(__file__).parents[1] / 'support'}")
     run = on_mesh(launch, *what)
@@ -129,10 +129,10 @@ def test_nodes_that_listen_hear_the_same_on_the_mesh_and_in_one_process(launch, 
         [m.payload for m in read(run) if m.key == f"agent/infra_1/detections{leg}"] for leg in ("/@tap/0", "")
     )
     assert len(before) == len(after) == FRAMES
-    assert not set(before) & set(after), "every pose was heard, so every message was changed"
+    assert not set(before) & set(after), "every pose was received, so every message was changed"
 
 
-def test_the_reference_scene_is_played_alike_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
     archive = DATA / "scene_a.tar.gz"
     if not archive.exists():
         pytest.skip(f"no reference data: {archive} is missing (set MAST_DATA)")
@@ -142,7 +142,7 @@ def test_the_reference_scene_is_played_alike_on_the_mesh_and_in_one_process(laun
     assert_equal(on_mesh(launch, *what), in_process(tmp_path / "inproc", *what))
 
 
-def test_a_real_log_is_played_alike_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+def test_a_real_log_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
     logs = sorted((DATA / "av2_logs").glob("*/city_SE3_egovehicle.feather"))
     if not logs:
         pytest.skip(f"no reference data: no log in {DATA / 'av2_logs'} (set MAST_DATA)")
@@ -151,7 +151,7 @@ def test_a_real_log_is_played_alike_on_the_mesh_and_in_one_process(launch, tmp_p
 
 
 @pytest.mark.parametrize("victim", ["launcher", "recorder"])
-def test_whoever_is_killed_the_recording_can_be_read(launch, tmp_path: Path, victim: str) -> None:
+def test_the_recording_is_readable_whichever_node_is_killed(launch, tmp_path: Path, victim: str) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--rate", "6")
     record = run.started()
     observer = Observer(record, "clock")
@@ -162,11 +162,11 @@ def test_whoever_is_killed_the_recording_can_be_read(launch, tmp_path: Path, vic
     if victim == "launcher":
         run.kill()
         eventually(
-            lambda: (run.out / "messages.mcap").read_bytes().endswith(b"MCAP0\r\n"), "the recorder has closed it"
+            lambda: (run.out / "messages.mcap").read_bytes().endswith(b"MCAP0\r\n"), "the recorder has closed its file"
         )
     else:
         os.kill(record["nodes"]["recorder"]["pid"], signal.SIGKILL)
-        assert run.end()[0] == 22, "a run that cannot be recorded any more has failed"
+        assert run.end()[0] == 22, "a run that can no longer be recorded has failed"
     frames = [message.frame for message in read(run.out) if message.key == "clock"]
     assert frames == list(range(len(frames)))
-    assert len(frames) >= 25, "a recorder on a busy machine is behind, but not by half of the run"
+    assert len(frames) >= 25, "a recorder on a busy machine lags, but by less than half of the run"

@@ -1,4 +1,4 @@
-"""A flood of large messages costs the nodes of a run a bounded amount of memory."""
+"""A flood of large messages uses a bounded amount of memory."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ LIMIT_MB = 400
 
 
 def peak_mb(pid: int) -> float:
-    """The most memory that a process has ever had, MB."""
+    """The peak memory of a process, MB."""
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1000
 
 
 def tracks_of(source: str) -> bytes:
-    """Sound tracks of 15 MB about the last frame of the run."""
+    """Valid tracks of 15 MB about the last frame of the run."""
     n = 20_000
     states = ObjectStates.of(np.zeros((n, 3)), id=np.arange(n), covariance=np.tile(np.eye(9), (n, 1, 1)))
     reference = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
@@ -35,12 +35,12 @@ def tracks_of(source: str) -> bytes:
     return codec.encode(codec.conform(header, states.columns() | reference))
 
 
-def test_messages_that_wait_for_a_clock_or_an_epoch_do_not_fill_the_memory(launch) -> None:
+def test_messages_waiting_for_a_clock_or_an_epoch_use_bounded_memory(launch) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--no-record", "--rate", "0.3")
     record = run.started()
     observer = Observer(record, "clock")
     try:
-        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        eventually(lambda: observer.frame() > 3, "frames are played")
         flood = observer.session.declare_publisher(
             observer.prefix + "agent/infra_1/tracks", congestion_control=zenoh.CongestionControl.BLOCK
         )
@@ -48,7 +48,7 @@ def test_messages_that_wait_for_a_clock_or_an_epoch_do_not_fill_the_memory(launc
         for number in range(MESSAGES):
             flood.put(payload, attachment=ATTACHMENT.pack(MARK, 1 + number % 2, LAST))
         after = observer.frame()
-        eventually(lambda: observer.frame() > after + 5, "what was sent has come")
+        eventually(lambda: observer.frame() > after + 5, "all messages have arrived")
         peaks = {name: peak_mb(node["pid"]) for name, node in run.record()["nodes"].items()}
     finally:
         observer.close()

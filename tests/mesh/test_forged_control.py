@@ -1,4 +1,4 @@
-"""Who may put anything on any key of a mesh, but cannot sign, leads nobody astray; on an open mesh it is counted."""
+"""Unsigned control messages have no effect; an open mesh counts them."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ WHAT = ("baseline", "--frames", "20", "--set", "n_infrastructure=1")
 
 
 def credentials(record: dict) -> Credentials:
-    """Those of infra_1, stolen."""
+    """The stolen credentials of infra_1."""
     command = psutil.Process(record["nodes"]["infra_1"]["pid"]).cmdline()
     return Credentials.read(Path(command[command.index("--credentials") + 1]))
 
 
 @pytest.mark.parametrize("level", ["tls", "mtls"])
-def test_what_is_not_signed_changes_nothing_and_is_counted(launch, tmp_path: Path, level: str) -> None:
+def test_unsigned_messages_change_nothing_and_are_counted(launch, tmp_path: Path, level: str) -> None:
     run: Launched = launch(*WHAT, "--secure", level)
     record = run.started()
     thief = credentials(record)
     run.until(run.recorded, "frames are played")
     driver = record["nodes"]["simulator"]["pid"]
-    os.kill(driver, signal.SIGSTOP)  # so that the run waits until all this is sent
+    os.kill(driver, signal.SIGSTOP)  # the run waits until everything is sent
     wiring = Wiring.from_json(json.loads((run.out / "wiring.json").read_text()))
     control = f"mast/{record['id']}/@control"
     with open_client(record["endpoint"], thief) as session:
@@ -53,13 +53,13 @@ def test_what_is_not_signed_changes_nothing_and_is_counted(launch, tmp_path: Pat
     assert code == 0, output
     path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
     sound = launcher.run(scenario.resolve(path, loaded, frames=20, record=True), tmp_path / "sound", runtime="inproc")
-    found = compare(sound.folder, run.out)
-    assert found.first is None
-    assert found.equal > 0
-    ended = run.record()
-    assert ended["unsigned_control"] == 0
-    assert {key: count for key, (count, _) in ended["invalid_control"].items()} == {"act": 1}
-    for name, node in ended["nodes"].items():
+    difference = compare(sound.folder, run.out)
+    assert difference.first is None
+    assert difference.equal > 0
+    final_record = run.record()
+    assert final_record["unsigned_control"] == 0
+    assert {key: count for key, (count, _) in final_record["invalid_control"].items()} == {"act": 1}
+    for name, node in final_record["nodes"].items():
         expected = {"epoch": 1, "stop": 1}
         expected |= {"broker": {"leave/broker": 1}, "ego": {"drain/ego": 1}, "simulator": {"rewire": 1}}.get(name, {})
         assert {key: count for key, (count, _) in node["invalid_control"].items()} == expected, name
@@ -69,7 +69,7 @@ def test_what_is_not_signed_changes_nothing_and_is_counted(launch, tmp_path: Pat
     )
 
 
-def test_an_open_run_says_how_many_unsigned_messages_it_has_obeyed(launch) -> None:
+def test_an_open_run_counts_the_unsigned_messages_it_obeyed(launch) -> None:
     run: Launched = launch(*WHAT, "--mode", "realtime")
     record = run.started()
     run.until(run.recorded, "frames are played")
@@ -77,9 +77,11 @@ def test_an_open_run_says_how_many_unsigned_messages_it_has_obeyed(launch) -> No
         session.put(f"mast/{record['id']}/@control/leave/evaluator", "leave")
         eventually(
             lambda: not psutil.pid_exists(record["nodes"]["evaluator"]["pid"]) or run.process.poll() is not None,
-            "it leaves",
+            "the node exits",
         )
     run.end()
-    ended = run.record()
-    assert ended["nodes"]["evaluator"]["unsigned_control"] >= 2, "at least an epoch, and what made it leave"
-    assert ended["unsigned_control"] == sum(node["unsigned_control"] for node in ended["nodes"].values())
+    final_record = run.record()
+    assert final_record["nodes"]["evaluator"]["unsigned_control"] >= 2, (
+        "at least an epoch, and the message that made it exit"
+    )
+    assert final_record["unsigned_control"] == sum(node["unsigned_control"] for node in final_record["nodes"].values())

@@ -1,4 +1,4 @@
-"""The effects of a node inserted into a running mesh are measured from then on, and attributed to it alone."""
+"""Effects of an inserted node are measured and attributed to it alone."""
 
 from __future__ import annotations
 
@@ -32,19 +32,17 @@ class Shover(Node):
 """
 
 
-def test_a_node_that_intercepts_is_measured_from_then_on_and_no_other_adversary_is_credited(
-    launch, tmp_path: Path
-) -> None:
-    """adversary_1 sits on the detections of infra_1 from the start, and would attack long after the end."""
+def test_an_inserted_node_is_measured_from_then_on_and_credited_alone(launch, tmp_path: Path) -> None:
+    """adversary_1 is on infra_1's detections, but its attack starts after the end."""
     (tmp_path / "shover.py").write_text(SHOVER)
     settings = ("n_infrastructure=1", "n_adversaries=1", "attack_start_s=1000")
     options = [word for setting in settings for word in ("--set", setting)]
     run = launch("uncoordinated", *options, "--mode", "realtime", "--rate", "2", "--frames", "150")
     observer = Observer(run.started())
     try:
-        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        eventually(lambda: observer.frame() > 3, "frames are played")
         done = client.intercept(run.out, "agent/infra_1/tracks", str(tmp_path / "shover.py"), name="mallory")
-        assert done["frame"] < 120, "there is time left to deceive"
+        assert done["frame"] < 120, "time remains for the attack"
         code, output = run.end()
     finally:
         observer.close()
@@ -54,12 +52,12 @@ def test_a_node_that_intercepts_is_measured_from_then_on_and_no_other_adversary_
     assert set(attacks["interposer"]) == {"mallory"}
     assert set(attacks["wire"]) == {"agent/infra_1/tracks"}
     moved = attacks["effect"] == "moved"
-    first = done["frame"] - 1  # what an agent says of a frame may be late, and go the new way
+    first = done["frame"] - 1  # messages about a frame may be late and take the new path
     assert attacks["frame"][moved].min() >= first
-    assert attacks["frame"][moved].max() >= 148, "up to the end"
+    assert attacks["frame"][moved].max() >= 148, "until the end"
     offset = np.column_stack([attacks[f"after_{axis}"] - attacks[f"before_{axis}"] for axis in "xyz"])[moved]
     np.testing.assert_allclose(offset, np.tile([0.0, 5.0, 0.0], (len(offset), 1)), atol=1e-9)
-    verdicts = {name: found["agreement"] for name, found in metrics["interposers"].items()}
+    verdicts = {name: verdict["agreement"] for name, verdict in metrics["interposers"].items()}
     assert verdicts == {"adversary_1": "nothing to report", "mallory": "silent"}
     blamed = objects["by"] != ""
     assert set(objects["by"][blamed]) == {"mallory"}

@@ -1,4 +1,4 @@
-"""Nodes are put on wires and taken off while a run goes on, and nobody who hears the wire can tell by what comes."""
+"""Nodes are inserted and removed during a run, invisibly to subscribers."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ TIMES = 50
 
 @pytest.fixture
 def going(launch) -> Iterator[Callable[..., tuple[Launched, Observer]]]:
-    """A run of the quiet scenario that has begun, and a stranger who hears everything that can be heard."""
+    """A started run of the quiet scenario, and an observer of all keys."""
     observers: list[Observer] = []
 
     def begin(*arguments: str) -> tuple[Launched, Observer]:
         run: Launched = launch(str(LIVE / "quiet.py"), *arguments)
         observers.append(Observer(run.started()))
-        eventually(lambda: observers[-1].frame() > 3, "the run is on its way")
+        eventually(lambda: observers[-1].frame() > 3, "frames are played")
         return run, observers[-1]
 
     yield begin
@@ -48,7 +48,7 @@ def going(launch) -> Iterator[Callable[..., tuple[Launched, Observer]]]:
 
 
 def stop(run: Launched) -> dict:
-    """run.json of a run that was told to stop."""
+    """run.json of a run that was stopped."""
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == 130, output
@@ -56,13 +56,13 @@ def stop(run: Launched) -> dict:
 
 
 def gaps(numbers: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Between which frames messages are missing, of (number, frame) as they came: in order, and none twice."""
-    assert all(before[0] < after[0] for before, after in pairwise(numbers)), "in order, none twice"
+    """Gaps between frames in a list of (number, frame), which must be ordered."""
+    assert all(before[0] < after[0] for before, after in pairwise(numbers)), "in order, without duplicates"
     return [(before[1], after[1]) for before, after in pairwise(numbers) if after[0] > before[0] + 1]
 
 
 def lost(run: Launched, observer: Observer) -> list[tuple[str, str, list[tuple[int, int]]]]:
-    """What the stranger, the recorder and the evaluator have missed of any wire; what came, came in order."""
+    """Gaps in any wire for observer, recorder and evaluator; asserts the order."""
     recorded = [(m.key, (m.seq, m.frame)) for m in read(run.out) if not m.tap]
     types = {wire["key"]: wire["message"] for wire in json.loads((run.out / "wiring.json").read_text())["wires"]}
     seen = []
@@ -71,31 +71,31 @@ def lost(run: Launched, observer: Observer) -> list[tuple[str, str, list[tuple[i
         seen.append((key, (header.seq, header.frame)))
     table = read_table(run.out / "results" / "evaluator" / "heard.parquet")
     heard = list(zip(table["wire"], zip(table["seq"].tolist(), table["frame"].tolist(), strict=True), strict=True))
-    found = [
-        (who, wire, gaps([number for key, number in messages if key == wire]))
-        for who, messages in (("stranger", seen), ("recorder", recorded), ("evaluator", heard))
+    all_gaps = [
+        (hearer, wire, gaps([number for key, number in messages if key == wire]))
+        for hearer, messages in (("stranger", seen), ("recorder", recorded), ("evaluator", heard))
         for wire in sorted({key for key, _ in messages})
     ]
-    heard_by = [(who, wire) for who, wire, _ in found if wire in (TRACKS, DETECTIONS)]
-    assert len(heard_by) == 5, "all three hear them, but the detections, which are not for the evaluator"
-    return [entry for entry in found if entry[2]]
+    heard_by = [(hearer, wire) for hearer, wire, _ in all_gaps if wire in (TRACKS, DETECTIONS)]
+    assert len(heard_by) == 5, "all three hear them, except detections, which the evaluator does not need"
+    return [entry for entry in all_gaps if entry[2]]
 
 
 @pytest.mark.timeout(600)
-def test_fifty_insertions_and_removals_lose_double_and_reorder_nothing(going) -> None:
+def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "5")
     for i in range(TIMES):
         wire = (TRACKS, DETECTIONS)[i % 2]
         settings = ("keeps=True",) if i % 5 == 0 else ()
-        done = client.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
+        interceptions = client.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
         reached = observer.frame() + 3
-        eventually(lambda reached=reached: observer.frame() >= reached, "messages pass it")
-        assert done["wires"] == [wire]
+        eventually(lambda reached=reached: observer.frame() >= reached, "messages pass through the node")
+        assert interceptions["wires"] == [wire]
         assert client.release(run.out, name="mallory")["node"] == "mallory"
     record = stop(run)
-    assert [done["action"] for done in record["interceptions"]] == ["intercept", "release"] * TIMES
+    assert [interceptions["action"] for interceptions in record["interceptions"]] == ["intercept", "release"] * TIMES
     taps = {wire: [m.seq for m in read(run.out) if m.tap and m.wire == wire] for wire in (TRACKS, DETECTIONS)}
-    assert all(len(numbers) >= 2 * TIMES // 2 for numbers in taps.values()), "it sat on the wires indeed"
+    assert all(len(numbers) >= 2 * TIMES // 2 for numbers in taps.values()), "it was on the wires"
     assert all(len(set(numbers)) == len(numbers) for numbers in taps.values())
     assert not lost(run, observer)
     logs = "".join(path.read_text() for path in (run.out / "logs").iterdir())
@@ -104,10 +104,10 @@ def test_fifty_insertions_and_removals_lose_double_and_reorder_nothing(going) ->
     assert all(node["ended"].endswith("ok") for node in record["nodes"].values()), record["nodes"]
 
 
-def test_a_subscriber_sees_the_same_of_every_message_with_the_node_and_without(going) -> None:
+def test_a_subscriber_sees_the_same_messages_with_and_without_the_node(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
     on = client.intercept(run.out, TRACKS, RELAY)
-    eventually(lambda: observer.frame() > on["frame"] + 10, "frames with it")
+    eventually(lambda: observer.frame() > on["frame"] + 10, "frames with the inserted node")
     stop(run)
     samples = [sample for key, sample in observer.samples if key == TRACKS]
     kinds = set()
@@ -121,7 +121,7 @@ def test_a_subscriber_sees_the_same_of_every_message_with_the_node_and_without(g
     assert [codec.decode_header(s.payload.to_bytes(), "tracks").seq for s in samples][-1] > on["frame"]
 
 
-def test_in_lock_step_the_stream_is_that_of_an_undisturbed_run(going) -> None:
+def test_in_lock_step_the_stream_equals_that_of_an_undisturbed_run(going) -> None:
     run, _ = going("--frames", "50")
     client.intercept(run.out, TRACKS, "adversary.py", name="mallory", settings=("attack.type=PassThrough",))
     client.intercept(run.out, TRACKS, RELAY, name="eve")
@@ -148,14 +148,14 @@ def test_in_lock_step_the_stream_is_that_of_an_undisturbed_run(going) -> None:
         assert payloads == undisturbed[key][: len(payloads)], key
     assert taps.keys() == {f"{TRACKS}/@tap/0", f"{TRACKS}/@tap/1", f"{DETECTIONS}/@tap/0"}
     assert 0 < min(taps.values()) <= max(taps.values()) < frames
-    assert [done["action"] for done in record["interceptions"]] == ["intercept"] * 3 + ["release"] * 2
+    assert [interceptions["action"] for interceptions in record["interceptions"]] == ["intercept"] * 3 + ["release"] * 2
 
 
-def test_an_attack_that_begins_while_the_run_goes_on_deceives_and_is_reported(going) -> None:
+def test_an_attack_started_during_the_run_deceives_and_is_reported(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
     settings = ("attack.type=UncoordinatedAttack", "attack.start_s=0")
     on = client.intercept(run.out, DETECTIONS, "adversary.py", name="mallory", settings=settings)
-    eventually(lambda: any(key == "attack/mallory/report" for key, _ in observer.samples), "it attacks")
+    eventually(lambda: any(key == "attack/mallory/report" for key, _ in observer.samples), "the node attacks")
     stop(run)
     heard = read_table(run.out / "results" / "evaluator" / "heard.parquet")
     reports = heard["frame"][heard["wire"] == "attack/mallory/report"]
@@ -163,12 +163,14 @@ def test_an_attack_that_begins_while_the_run_goes_on_deceives_and_is_reported(go
     assert min(reports) >= on["frame"]
 
 
-def test_a_wire_whose_inserted_node_is_killed_heals(going) -> None:
+def test_a_wire_recovers_after_its_inserted_node_is_killed(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
     client.intercept(run.out, TRACKS, RELAY, name="mallory")
     os.kill(run.record()["nodes"]["mallory"]["pid"], signal.SIGKILL)
-    healed = eventually(lambda: [d for d in run.record()["interceptions"] if d["action"] == "heal"], "it heals")[0]
-    eventually(lambda: observer.frame() > healed["frame"] + 10, "frames without it")
+    healed = eventually(
+        lambda: [d for d in run.record()["interceptions"] if d["action"] == "heal"], "the wire recovers"
+    )[0]
+    eventually(lambda: observer.frame() > healed["frame"] + 10, "frames without the inserted node")
     stop(run)
     numbers = [codec.decode_header(s.payload.to_bytes(), "tracks").seq for k, s in observer.samples if k == TRACKS]
     after = [number for number in numbers if number > healed["frame"]]
@@ -181,11 +183,11 @@ def test_a_wire_whose_inserted_node_is_killed_heals(going) -> None:
 def mast(*arguments: str, cwd: Path) -> tuple[int, str]:
     """(exit code, output) of a command."""
     command = [sys.executable, "-m", "mast_zenoh", *arguments]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
+    process = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    return process.returncode, process.stdout + process.stderr
 
 
-def test_the_commands_say_what_they_did_or_why_they_did_not(going, tmp_path: Path) -> None:
+def test_the_commands_report_success_or_the_reason_for_failure(going, tmp_path: Path) -> None:
     run, _ = going("--mode", "realtime", "--rate", "2")
     (tmp_path / "mine.py").write_text((LIVE / "relay.py").read_text())
     folder = str(run.out)
@@ -204,7 +206,7 @@ def test_the_commands_say_what_they_did_or_why_they_did_not(going, tmp_path: Pat
     assert "the run is over" in output
 
 
-def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Path) -> None:
+def test_impossible_requests_are_refused_and_change_nothing(going, tmp_path: Path) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
     wiring, nodes = (run.out / "wiring.json").read_text(), json.loads((run.out / "scenario.json").read_text())["nodes"]
     (tmp_path / "stillborn.py").write_text(
@@ -237,7 +239,7 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Pat
     assert not lost(run, observer)
 
 
-def test_a_run_whose_launcher_was_killed_is_not_waited_for(going) -> None:
+def test_commands_do_not_wait_for_a_run_whose_launcher_was_killed(going) -> None:
     run, _ = going("--mode", "realtime", "--rate", "2")
     run.kill()
     with pytest.raises(NotRunning, match="the run is over: killed"):

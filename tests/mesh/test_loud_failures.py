@@ -1,4 +1,4 @@
-"""Failures of handlers on a mesh are loud, and the same as in one process; and a node's file needs no `main`."""
+"""Failed handlers on a mesh are reported exactly as in one process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FRAMES = 12
 
 
 def in_process(path: Path, out: Path, frames: int = FRAMES) -> dict[str, Any]:
-    """run.json of the same in one process."""
+    """run.json of the same scenario in one process."""
     file, loaded = scenario.load(str(path), [])
     return launcher.run(scenario.resolve(file, loaded, frames=frames), out, runtime="inproc").record
 
@@ -31,15 +31,15 @@ def failures(record: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("attack", "eve.on_detections failed 7 times in 7 frames (5 to 11): ValueError: no [plan] for frame 5 ("),
         ("center", "command_center.on_collated failed 4 times in 4 frames (2 to 11): RuntimeError: no clusters ("),
         ("evaluator", "evaluator.finish failed once in frame 11: ZeroDivisionError: division by zero ("),
     ],
 )
-def test_a_run_ends_with_an_exit_code_of_its_own_and_the_failures_of_one_process(
-    launch, tmp_path: Path, name: str, said: str
+def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(
+    launch, tmp_path: Path, name: str, message: str
 ) -> None:
     path = failing.write(name, tmp_path)
     run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record")
@@ -47,15 +47,17 @@ def test_a_run_ends_with_an_exit_code_of_its_own_and_the_failures_of_one_process
     assert code == 30, output
     record = run.record()
     assert record["status"] == "handler_failures"
-    assert f"HandlerFailed: handlers failed, so the numbers may be wrong:\n  {said}" in output
+    assert f"HandlerFailed: handlers failed, so the numbers may be wrong:\n  {message}" in output
     (node,) = failures(record)
     assert str(run.out / "logs" / f"{node}.log") in output
     assert failures(record) == failures(in_process(path, tmp_path / "inproc"))
-    assert (run.out / "metrics.json").is_file() == (name != "evaluator"), "the results are evidence"
+    assert (run.out / "metrics.json").is_file() == (name != "evaluator"), "the results are kept as evidence"
 
 
 @pytest.mark.parametrize("error", ["FileNotFoundError", "GeneratorExit", "CancelledError"])
-def test_a_node_whose_start_fails_ends_the_run_on_a_mesh_and_in_one_process(launch, tmp_path: Path, error: str) -> None:
+def test_a_node_that_fails_to_start_ends_the_run_on_a_mesh_and_in_one_process(
+    launch, tmp_path: Path, error: str
+) -> None:
     path = failing.write("start", tmp_path)
     node = tmp_path / "idle.py"
     imported = "from asyncio import CancelledError\n" if error == "CancelledError" else ""
@@ -63,11 +65,11 @@ def test_a_node_whose_start_fails_ends_the_run_on_a_mesh_and_in_one_process(laun
     run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record", "--allow-failures")
     code, output = run.end()
     assert code == 21, output
-    said = f"eve.start failed once before the first frame: {error}: no weights ("
-    assert f"StartError: {said}" in output
+    message = f"eve.start failed once before the first frame: {error}: no weights ("
+    assert f"StartError: {message}" in output
     record = in_process(path, tmp_path / "inproc")
     assert record["status"] == run.record()["status"] == "failed"
-    assert record["message"].startswith(said)
+    assert record["message"].startswith(message)
     assert failures(record) == failures(run.record())
 
 
@@ -81,7 +83,7 @@ def test_allowed_failures_are_a_warning(launch, tmp_path: Path) -> None:
     assert failures(run.record())["eve"][0]["count"] == 7
 
 
-def test_the_failures_of_a_node_that_is_killed_are_not_lost(launch, tmp_path: Path) -> None:
+def test_failures_of_a_killed_node_are_kept(launch, tmp_path: Path) -> None:
     failing.write("attack", tmp_path)
     (tmp_path / "killed.py").write_text(
         "from attack import Fragile, scenario as attacked\n\n"
@@ -97,9 +99,7 @@ def test_the_failures_of_a_node_that_is_killed_are_not_lost(launch, tmp_path: Pa
     assert failures(run.record()) == failures(in_process(tmp_path / "killed.py", tmp_path / "inproc", 14))
 
 
-def test_a_node_file_without_main_takes_part_and_a_list_of_processes_tells_which_node_is_which(
-    launch, tmp_path: Path
-) -> None:
+def test_a_node_file_without_main_runs_and_its_process_title_names_the_node(launch, tmp_path: Path) -> None:
     path = failing.write("second", tmp_path)
     assert "__main__" not in (tmp_path / "counter.py").read_text()
     run: Launched = launch(str(path), "--mode", "realtime", "--rate", "5", "--frames", "20")
@@ -120,7 +120,7 @@ def test_a_node_file_without_main_takes_part_and_a_list_of_processes_tells_which
     assert not list(tmp_path.rglob("other.parquet"))
 
 
-def test_a_node_that_exits_with_0_before_the_first_frame_is_not_ok(launch, tmp_path: Path) -> None:
+def test_a_node_that_exits_with_0_before_the_first_frame_fails_the_run(launch, tmp_path: Path) -> None:
     path = failing.write("second", tmp_path)
     file = tmp_path / "counter.py"
     leaves = "        if __import__('os').path.exists('wiring.json'):\n            raise SystemExit(0)\n"
@@ -134,7 +134,7 @@ def test_a_node_that_exits_with_0_before_the_first_frame_is_not_ok(launch, tmp_p
     assert "ok" not in (ended["counter"], ended["other"])
 
 
-def test_a_run_that_cannot_keep_up_with_real_time_says_so(launch) -> None:
+def test_a_run_slower_than_real_time_is_reported(launch) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--rate", "2000", "--frames", "60", "--no-record")
     code, output = run.end()
     assert code == 0, output

@@ -1,4 +1,4 @@
-"""What is no control message costs one message, whoever sends it and to whom, and the run is as if nothing had been."""
+"""A malformed control message costs one message and does not affect the run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.mesh
 
 TOTAL, TOTAL_LONG = 1_000, 50_000
 FRAMES = 20
-AWAY = "infra_1"  # leaves and comes again; its first process takes along what it has counted
+AWAY = "infra_1"  # leaves and returns; its first process takes its counters with it
 STRANGER = "nobody"
 SCENARIO = f"""
 from mast_zenoh import scenario as ours
@@ -50,7 +50,7 @@ MAX_UNANSWERED = 200
 
 
 class Target(NamedTuple):
-    """A control key, the examples that messages to it are made of, and what is made of the bytes before they go."""
+    """A control key, examples of its messages, and a final change of the bytes."""
 
     key: str
     examples: tuple[str, ...]
@@ -58,11 +58,11 @@ class Target(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """As in CONTROLS, except that `leave` is as `stop`."""
+        """As in CONTROLS, except that `leave` is treated like `stop`."""
         return self.key.partition("/")[0]
 
     def payloads(self, seed: tuple[int, ...]) -> Iterator[bytes]:
-        """Malformed messages without end, made of one example after the other."""
+        """Endless malformed messages, made of one example after the other."""
         made = [
             malformed_payloads(self.kind, CODECS[name][1], CODECS[name][0], (*seed, number))
             for number, name in enumerate(self.examples)
@@ -71,7 +71,7 @@ class Target(NamedTuple):
 
 
 def targets(nodes: list[str], secret: bytes) -> list[Target]:
-    """Every control key on which somebody takes messages, and those of a node that is not there."""
+    """Every control key with a receiver, and those of an absent node."""
 
     def sealed(body: bytes) -> bytes:
         return packed([body, hmac.digest(secret, body, hashlib.sha256)])
@@ -97,7 +97,7 @@ def targets(nodes: list[str], secret: bytes) -> list[Target]:
 
 
 class Sender:
-    """A stranger on the mesh of a run who sends what is none of its messages.
+    """A client on a run's mesh that sends malformed messages.
 
     sent: by control key
     """
@@ -113,13 +113,13 @@ class Sender:
         self._order: list[int] = []
 
     def send(self) -> None:
-        """Send one message: each target gets as many as any other, in an order drawn at random."""
+        """Send one message to a random target; all targets get equally many."""
         self._order = self._order or list(self._rng.permutation(len(self._targets)))
         number = self._order.pop()
         self._send(self._targets[number], next(self._payloads[number]))
 
     def settle(self) -> None:
-        """Wait until everything that was sent has been looked at: a drain is answered behind all that came before."""
+        """Wait until everything sent has been handled: drains are answered in order."""
         for number, target in enumerate(self._targets):
             if target.kind == "drain":
                 self._send(target, next(self._payloads[number]))
@@ -139,7 +139,7 @@ class Sender:
 
 @pytest.fixture
 def begin(start: Callable[..., Launched], tmp_path: Path) -> Callable[[int], Launched]:
-    """Starts the run, of which so many frames may begin."""
+    """Starts the run, allowing this many frames."""
     (tmp_path / "fuzzed.py").write_text(SCENARIO)
 
     def launch(frames: int) -> Launched:
@@ -152,7 +152,7 @@ def begin(start: Callable[..., Launched], tmp_path: Path) -> Callable[[int], Lau
 
 
 def ended_as_if_nothing_had_been(run: Launched, tmp_path: Path) -> dict[str, Any]:
-    """Check that a run has ended as its twin in one process, and left no traceback; run.json."""
+    """Assert that a run ended like its twin, without traceback; returns run.json."""
     code, output = run.end()
     logs = output + "".join(path.read_text() for path in (run.out / "logs").iterdir())
     assert code == 0, logs
@@ -170,11 +170,11 @@ def ended_as_if_nothing_had_been(run: Launched, tmp_path: Path) -> dict[str, Any
 
 
 def refused(invalid: dict[str, list[Any]]) -> dict[str, int]:
-    """How many messages were refused by key, as run.json tells it."""
+    """Refused messages by key, from run.json."""
     return {key: count for key, (count, _) in invalid.items()}
 
 
-def test_each_malformed_control_message_is_refused_and_counted_once_by_each_receiver(
+def test_each_malformed_control_message_is_refused_and_counted_once_per_receiver(
     begin: Callable[[int], Launched], tmp_path: Path, fuzzing: Fuzzing
 ) -> None:
     total = TOTAL_LONG if fuzzing.long else TOTAL
@@ -182,7 +182,7 @@ def test_each_malformed_control_message_is_refused_and_counted_once_by_each_rece
     run.started()
     sender = Sender(run, fuzzing.seed)
     try:
-        run.until(lambda: sender.observer.frame() >= 2, "everybody takes part")
+        run.until(lambda: sender.observer.frame() >= 2, "all nodes take part")
         for number in range(total):
             frames = 2 + number * (FRAMES - 2) // total  # all but the last
             if frames > sender.observer.frame():
@@ -192,14 +192,14 @@ def test_each_malformed_control_message_is_refused_and_counted_once_by_each_rece
         sender.settle()
         processes = [run.process.pid, *(child.pid for child in psutil.Process(run.process.pid).children())]
         peaks = {pid: peak_mb(pid) for pid in processes}
-        allow(run.out, FRAMES + 1)  # and what comes after the last
+        allow(run.out, FRAMES + 1)  # and messages after the last
         record = ended_as_if_nothing_had_been(run, tmp_path)
     finally:
         sender.observer.close()
     assert len(peaks) == 1 + len(sender.nodes)
     assert {pid: mb for pid, mb in peaks.items() if mb > LIMIT_MB} == {}
 
-    # A message to all nodes is counted by each of them, on its own; any other by its one receiver.
+    # A message to all nodes is counted by each on its own key; any other by its one receiver.
     expected: dict[str, dict[str, int]] = {node: {} for node in [*sender.nodes, ""]}  # "": the launcher
     for key, n in sender.sent.items():
         kind, _, node = key.partition("/")
@@ -221,7 +221,7 @@ def test_each_malformed_control_message_is_refused_and_counted_once_by_each_rece
     assert {place: pair for place, pair in both.items() if pair[0] != pair[1]} == {}, "(counted, sent)"
 
 
-def test_malformed_control_messages_up_to_the_end_cost_no_sound_one(
+def test_malformed_control_messages_until_the_end_cost_no_valid_one(
     begin: Callable[[int], Launched], tmp_path: Path, fuzzing: Fuzzing
 ) -> None:
     run = begin(FRAMES + 1)

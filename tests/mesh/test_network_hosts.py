@@ -1,4 +1,4 @@
-"""Hosts as namespaces: what their links do to packets, that nothing else is touched, and that nothing is left."""
+"""Hosts as namespaces: link behaviour, isolation and cleanup."""
 
 from __future__ import annotations
 
@@ -28,118 +28,120 @@ pytestmark = pytest.mark.mesh
 
 
 def hosts(tmp_path: Path, *faults: dict, rate: float = 1.0, **west: object) -> Hosts:
-    """Two hosts, west with one node `a` and east with one node `b`; everything else, `c`, is at the centre."""
+    """Hosts west (node `a`) and east (node `b`); `c` is at the centre."""
     spec = {"west": {"nodes": ["a"], **west}, "east": {"nodes": ["b"]}}
     placed = [(f"faults[{index}]", {"at": 0.0, "hosts": ["west"], **fault}) for index, fault in enumerate(faults)]
     return Hosts(network.resolve(spec, placed, ["a", "b", "c"], mode="realtime", place="test"), rate, tmp_path)
 
 
 def applied(made: Hosts, steps: int) -> None:
-    """Let scene time run, and wait until so many steps have been taken."""
+    """Let scene time run, and wait for this many steps."""
     made.begin()
     eventually(lambda: made.problem() or len(made.done) == steps, f"{steps} steps", seconds=20.0)
     assert made.problem() is None
 
 
-def test_each_host_reaches_the_centre_and_nobody_else(tmp_path: Path) -> None:
+def test_each_host_reaches_only_the_centre(tmp_path: Path) -> None:
     require()
     before = outside() if shutil.which("nft") else None
-    with hosts(tmp_path) as made, Echo(made.command("c")), Echo(made.command("b")):
+    with hosts(tmp_path) as namespaces, Echo(namespaces.command("c")), Echo(namespaces.command("b")):
         assert len(left_by(os.getpid())) == 4, "three namespaces, and a folder for the router's socket"
         for node in ("a", "b", "c"):
-            assert len(Echo.ask(made.command(node), CENTRE, 3)) == 3
-        east = subprocess.run([*made.command("b"), "hostname", "-I"], capture_output=True, text=True).stdout.split()[0]
+            assert len(Echo.ask(namespaces.command(node), CENTRE, 3)) == 3
+        east = subprocess.run(
+            [*namespaces.command("b"), "hostname", "-I"], capture_output=True, text=True
+        ).stdout.split()[0]
         with pytest.raises(subprocess.CalledProcessError):
-            Echo.ask(made.command("a"), east, 1)
+            Echo.ask(namespaces.command("a"), east, 1)
         assert before is None or outside() == before
     assert left_by(os.getpid()) == []
     assert before is None or outside() == before
 
 
-def test_a_partition_lets_nothing_through_until_it_is_healed(tmp_path: Path) -> None:
+def test_a_partition_blocks_everything_until_it_heals(tmp_path: Path) -> None:
     require("partition")
-    with hosts(tmp_path, {"type": "HostPartition"}) as made, Echo(made.command("c")):
-        applied(made, 1)
-        assert Echo.ask(made.command("a"), CENTRE, 5, 0.05) == []
-        assert len(Echo.ask(made.command("b"), CENTRE, 5)) == 5, "nobody else is hit"
-        made.heal()
-        assert len(Echo.ask(made.command("a"), CENTRE, 5)) == 5
+    with hosts(tmp_path, {"type": "HostPartition"}) as namespaces, Echo(namespaces.command("c")):
+        applied(namespaces, 1)
+        assert Echo.ask(namespaces.command("a"), CENTRE, 5, 0.05) == []
+        assert len(Echo.ask(namespaces.command("b"), CENTRE, 5)) == 5, "other nodes are not affected"
+        namespaces.heal()
+        assert len(Echo.ask(namespaces.command("a"), CENTRE, 5)) == 5
 
 
-def test_a_loss_drops_its_share_in_each_direction(tmp_path: Path) -> None:
+def test_a_loss_drops_the_configured_share_in_each_direction(tmp_path: Path) -> None:
     require("loss")
-    with hosts(tmp_path, {"type": "HostLoss", "probability": 0.2}) as made, Echo(made.command("c")):
-        applied(made, 1)
-        back = len(Echo.ask(made.command("a"), CENTRE, 400, 0.01))
+    with hosts(tmp_path, {"type": "HostLoss", "probability": 0.2}) as namespaces, Echo(namespaces.command("c")):
+        applied(namespaces, 1)
+        back = len(Echo.ask(namespaces.command("a"), CENTRE, 400, 0.01))
     # 0.8² of 400 are 256; binomial, σ = 9.6. A packet that took longer than 10 ms on a busy machine counts as lost.
     assert 400 * 0.64 - 80 < back < 400 * 0.64 + 5 * 9.6
 
 
-def test_a_narrow_link_takes_as_long_as_its_bandwidth_says(tmp_path: Path) -> None:
+def test_a_narrow_link_has_the_configured_bandwidth(tmp_path: Path) -> None:
     require("bandwidth")
-    with hosts(tmp_path, {"type": "HostBandwidth", "bits_per_s": 100e3}) as made, Echo(made.command("c")):
-        applied(made, 1)
+    with hosts(tmp_path, {"type": "HostBandwidth", "bits_per_s": 100e3}) as namespaces, Echo(namespaces.command("c")):
+        applied(namespaces, 1)
         # A packet has 1242 bytes with its headers; the bucket holds 4000: the others need 1.27 s.
-        assert sum(Echo.ask(made.command("a"), CENTRE, 16, 2.0, size=1200)) > 1200.0
-        made.heal()
-        assert min(Echo.ask(made.command("a"), CENTRE, 5, size=1200)) < 50.0
+        assert sum(Echo.ask(namespaces.command("a"), CENTRE, 16, 2.0, size=1200)) > 1200.0
+        namespaces.heal()
+        assert min(Echo.ask(namespaces.command("a"), CENTRE, 5, size=1200)) < 50.0
 
 
 @pytest.mark.parametrize("by", ["relay", "netem"])
-def test_a_delayed_link_takes_its_delay_in_each_direction(tmp_path: Path, by: str) -> None:
+def test_a_delayed_link_has_the_configured_delay_in_each_direction(tmp_path: Path, by: str) -> None:
     if by == "relay":
         require("relay")
     elif reason := lacks("netem"):
         pytest.skip(reason)
     slower = {"type": "HostDelay", "delay_ms": 15.0}
-    with hosts(tmp_path, slower, delay_ms=20.0, delay_by=by) as made, Echo(made.command("c")):
-        assert 40.0 <= min(Echo.ask(made.command("a"), CENTRE, 20)) < 50.0
-        assert min(Echo.ask(made.command("b"), CENTRE, 20)) < 10.0
-        applied(made, 1)
-        assert 70.0 <= min(Echo.ask(made.command("a"), CENTRE, 20)) < 80.0
-        made.heal()
-        assert 40.0 <= min(Echo.ask(made.command("a"), CENTRE, 20)) < 50.0
+    with hosts(tmp_path, slower, delay_ms=20.0, delay_by=by) as namespaces, Echo(namespaces.command("c")):
+        assert 40.0 <= min(Echo.ask(namespaces.command("a"), CENTRE, 20)) < 50.0
+        assert min(Echo.ask(namespaces.command("b"), CENTRE, 20)) < 10.0
+        applied(namespaces, 1)
+        assert 70.0 <= min(Echo.ask(namespaces.command("a"), CENTRE, 20)) < 80.0
+        namespaces.heal()
+        assert 40.0 <= min(Echo.ask(namespaces.command("a"), CENTRE, 20)) < 50.0
 
 
-def test_a_delayed_link_can_be_cut_and_narrowed_as_well(tmp_path: Path) -> None:
+def test_a_delayed_link_can_also_be_cut_and_narrowed(tmp_path: Path) -> None:
     require("relay", "partition", "bandwidth")
     narrow = {"type": "HostBandwidth", "bits_per_s": 100e3}
     cut = {"type": "HostPartition", "at": 0.1}
-    with hosts(tmp_path, narrow, cut, delay_ms=20.0, delay_by="relay") as made, Echo(made.command("c")):
-        applied(made, 2)
-        assert Echo.ask(made.command("a"), CENTRE, 3, 0.2) == []
-        made.heal()
-        assert len(Echo.ask(made.command("a"), CENTRE, 3)) == 3
+    with hosts(tmp_path, narrow, cut, delay_ms=20.0, delay_by="relay") as namespaces, Echo(namespaces.command("c")):
+        applied(namespaces, 2)
+        assert Echo.ask(namespaces.command("a"), CENTRE, 3, 0.2) == []
+        namespaces.heal()
+        assert len(Echo.ask(namespaces.command("a"), CENTRE, 3)) == 3
 
 
-def test_scene_time_runs_at_its_rate(tmp_path: Path) -> None:
+def test_scene_time_advances_at_the_configured_rate(tmp_path: Path) -> None:
     require("partition")
-    with hosts(tmp_path, {"type": "HostPartition", "at": 600.0, "until": 1200.0}, rate=6000.0) as made:
-        applied(made, 2)
-        assert [step["at_s"] for step in made.done] == [600.0, 1200.0]
+    with hosts(tmp_path, {"type": "HostPartition", "at": 600.0, "until": 1200.0}, rate=6000.0) as namespaces:
+        applied(namespaces, 2)
+        assert [step["at_s"] for step in namespaces.done] == [600.0, 1200.0]
 
 
-def test_a_relay_that_dies_is_noticed(tmp_path: Path) -> None:
+def test_a_dead_relay_is_noticed(tmp_path: Path) -> None:
     require("relay")
-    with hosts(tmp_path, delay_ms=5.0, delay_by="relay") as made:
-        assert made.problem() is None
-        relay = next(process for process in made._processes if process.name == "relay_west")
+    with hosts(tmp_path, delay_ms=5.0, delay_by="relay") as namespaces:
+        assert namespaces.problem() is None
+        relay = next(process for process in namespaces._processes if process.name == "relay_west")
         relay._process.kill()
-        eventually(made.problem, "it is noticed", seconds=5.0)
-        assert "relay_west has ended" in str(made.problem())
+        eventually(namespaces.problem, "the death is noticed", seconds=5.0)
+        assert "relay_west has ended" in str(namespaces.problem())
     assert left_by(os.getpid()) == []
 
 
-def test_what_a_killed_launcher_has_left_is_removed_at_the_next_start(tmp_path: Path) -> None:
+def test_remnants_of_a_killed_launcher_are_removed_at_the_next_start(tmp_path: Path) -> None:
     require()
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    left, ours = f"mast-{gone.pid}-1-0-centre", Owner.this_process().name("centre")
-    reused = f"mast-{os.getpid()}-1-0-centre"  # an id that came again: this process was not started at tick 1
-    others = f"not-mast-{gone.pid}"
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    left, ours = f"mast-{ended.pid}-1-0-centre", Owner.this_process().name("centre")
+    reused = f"mast-{os.getpid()}-1-0-centre"  # a reused pid: this process was not started at tick 1
+    others = f"not-mast-{ended.pid}"
     for name in (left, ours, reused, others):
         subprocess.run(["ip", "netns", "add", name], check=True)
-    folder = Path(tempfile.gettempdir()) / f"mast-{gone.pid}-1-0-abc"
+    folder = Path(tempfile.gettempdir()) / f"mast-{ended.pid}-1-0-abc"
     folder.mkdir()
     try:
         sweep()
@@ -151,7 +153,7 @@ def test_what_a_killed_launcher_has_left_is_removed_at_the_next_start(tmp_path: 
 
 
 def lacks(need: str) -> str | None:
-    """Why this machine cannot do something."""
+    """The reason why this machine cannot do something."""
     try:
         machine.delays_by({need: ["west"]}, Owner.this_process())
     except BackendError as error:
@@ -159,7 +161,7 @@ def lacks(need: str) -> str | None:
     return None
 
 
-def test_what_the_machine_lacks_is_said_with_who_wants_it_and_what_to_install(
+def test_missing_tools_are_named_with_their_purpose_and_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     require("relay")
@@ -177,7 +179,7 @@ def test_what_the_machine_lacks_is_said_with_who_wants_it_and_what_to_install(
     assert left_by(os.getpid()) == []
 
 
-def test_a_run_that_this_machine_cannot_do_is_refused_before_any_process_starts(
+def test_a_run_beyond_this_machine_is_refused_before_any_process_starts(
     launch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     require()
@@ -192,22 +194,22 @@ def test_a_run_that_this_machine_cannot_do_is_refused_before_any_process_starts(
     assert left_by(run.process.pid) == []
 
 
-def test_a_run_in_one_process_refuses_faults_of_hosts(tmp_path: Path) -> None:
+def test_a_run_in_one_process_refuses_host_faults(tmp_path: Path) -> None:
     path, loaded = scenario.load("two_hosts")
-    ended = launcher.run(scenario.resolve(path, loaded, frames=5), tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, BackendError)
-    assert "one process has no network" in str(ended.error)
+    outcome = launcher.run(scenario.resolve(path, loaded, frames=5), tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, BackendError)
+    assert "one process has no network" in str(outcome.error)
 
 
-def test_a_router_gives_up_a_link_that_acknowledges_nothing_before_its_lease_is_over() -> None:
-    """Else closing it would block the router: a socket of Zenoh's lingers for as long as bytes are unacknowledged."""
+def test_a_router_drops_an_unresponsive_link_before_its_lease_expires() -> None:
+    """Otherwise closing blocks: Zenoh's sockets linger over unacknowledged bytes."""
     router, endpoint = open_router()
     with router, open_client(endpoint):
         port = int(endpoint.rpartition(":")[2])
         patience_ms = {}
         for fd in os.listdir("/proc/self/fd"):
             with suppress(OSError), socket.fromfd(int(fd), socket.AF_INET, socket.SOCK_STREAM) as ours:
-                if ours.getsockname()[1] == port:  # what listens, and our end of the client's link
+                if ours.getsockname()[1] == port:  # the listening socket, and our end of the client's link
                     patience_ms[fd] = ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
     assert len(patience_ms) == 2
     assert set(patience_ms.values()) == {1500}

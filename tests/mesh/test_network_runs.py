@@ -1,4 +1,4 @@
-"""Runs on three namespaces: a partition that heals, a slow link, and every way to end in the middle of it."""
+"""Runs in three namespaces: partitions, a slow link, and interruptions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WEST = {"infra_1", "infra_2"}
 
 @pytest.fixture
 def two_hosts(launch) -> Iterator:
-    """Starts scenarios/two_hosts.py with settings, and fails if anything is left of it."""
+    """Starts scenarios/two_hosts.py; fails if anything of it remains."""
     require("partition", "relay")
     runs: list[Launched] = []
 
@@ -39,7 +39,7 @@ def two_hosts(launch) -> Iterator:
 
 
 def at_frame(run: Launched, frame: int) -> None:
-    """Wait until the run has come to a frame."""
+    """Wait until the run has reached a frame."""
     observer = Observer(run.started(), "clock")
     try:
         eventually(lambda: observer.frame() >= frame, f"{frame} clocks")
@@ -48,7 +48,7 @@ def at_frame(run: Launched, frame: int) -> None:
 
 
 class Stopwatch(Observer):
-    """Notes when each message came, ns."""
+    """Records the arrival time of each message, ns."""
 
     def __init__(self, record: dict) -> None:
         self.came_ns: dict[str, dict[int, int]] = {}
@@ -61,16 +61,16 @@ class Stopwatch(Observer):
             self.came_ns.setdefault(key, {}).setdefault(frame, time.monotonic_ns())
 
     def longest_silence_s(self, key: str) -> float:
-        """The longest time between two messages of a key."""
+        """The longest gap between two messages on a key."""
         return float(np.diff(sorted(self.came_ns[key].values())).max()) * 1e-9
 
     def delays_ms(self, agent: str) -> np.ndarray:
-        """From a frame's clock to this agent's tracks of it, as the centre sees both."""
+        """Time from a frame's clock to this agent's tracks, as seen at the centre."""
         clock, tracks = self.came_ns.get("clock", {}), self.came_ns.get(f"agent/{agent}/tracks", {})
         return np.array([(tracks[frame] - clock[frame]) * 1e-6 for frame in tracks if frame in clock])
 
 
-def test_after_a_partition_of_five_seconds_the_picture_is_whole_within_three(two_hosts) -> None:
+def test_after_a_partition_of_five_seconds_the_picture_recovers_within_three(two_hosts) -> None:
     run: Launched = two_hosts(100, cut_s=1.5, partition_s=5.0)
     watch = Stopwatch(run.started())
     try:
@@ -79,17 +79,15 @@ def test_after_a_partition_of_five_seconds_the_picture_is_whole_within_three(two
         watch.close()
     assert code == 0, output
     for key in ("clock", "agent/infra_3/tracks"):
-        assert watch.longest_silence_s(key) < 2.0, (
-            "those who are not cut off go on: they do not stand still until the heal"
-        )
+        assert watch.longest_silence_s(key) < 2.0, "agents that are not cut off continue during the partition"
     record = run.record()
     assert record["status"] == "ok"
     assert {name: (node["ended"], node["restarts"]) for name, node in record["nodes"].items()} == dict.fromkeys(
         record["nodes"], ("ok", 0)
-    ), "nobody has crashed"
+    ), "no process has crashed"
     assert [(step["at_s"], step["hosts"]) for step in record["network"]] == [(1.5, ["west"]), (6.5, ["west"])]
 
-    heard = {}  # by frame, the agents whose own word of this frame is in the collation
+    heard = {}  # by frame, the agents whose own message about this frame is in the collation
     for message in read(run.out):
         if message.message == "collated":
             decoded = codec.decode(message.payload, "collated")
@@ -97,17 +95,17 @@ def test_after_a_partition_of_five_seconds_the_picture_is_whole_within_three(two
     assert any(heard[frame] >= WEST for frame in range(15) if frame in heard)
     assert not any(heard[frame] & WEST for frame in range(20, 65) if frame in heard), "west is cut off"
     back = min(frame for frame in heard if frame >= 65 and heard[frame] >= WEST)
-    assert back <= 95, "within 3 s of the heal both are members again, and heard"
+    assert back <= 95, "within 3 s of the heal both are members again"
 
     checks = json.loads((run.out / "checks.json").read_text())
     assert [check["name"] for check in checks["checks"] if not check["ok"]] == [], checks
     assert checks["heals_s"] == [6.5]
     assert checks["converged_after_s"] <= 3.0
     missed = json.loads((run.out / "metrics.json").read_text())["agents"]["ego"]["picture"]["fn"]["mean"]
-    assert missed > 0, "the partition was felt"
+    assert missed > 0, "the partition had an effect"
 
 
-def test_a_slow_link_makes_what_crosses_it_twice_later_by_twice_its_delay(two_hosts) -> None:
+def test_a_slow_link_adds_twice_its_delay_to_a_round_trip(two_hosts) -> None:
     settings = {"hosts__west__delay_ms": 20, "hosts__west__delay_by": "relay"}
     run: Launched = two_hosts(40, partition_s=0, **settings)
     watch = Stopwatch(run.started())
@@ -118,8 +116,8 @@ def test_a_slow_link_makes_what_crosses_it_twice_later_by_twice_its_delay(two_ho
     assert code == 0, output
     near, far = (np.concatenate([watch.delays_ms(agent) for agent in agents]) for agents in (("infra_3", "ego"), WEST))
     assert len(far) > 20
-    # Detections cross to the agent, tracks back. The quicker frames, for the machine may be busy with others; not the
-    # very quickest, whose clock the stopwatch may have noted late.
+    # Detections cross to the agent, tracks back. The faster frames, as the machine may be busy; not the very fastest,
+    # whose clock the stopwatch may have recorded late.
     quick = np.percentile(far, 25)
     assert quick >= 40.0
     rise = quick - np.percentile(near, 25)
@@ -133,10 +131,10 @@ def test_a_slow_link_makes_what_crosses_it_twice_later_by_twice_its_delay(two_ho
 
 
 @pytest.mark.parametrize("how", ["scene ends", "Ctrl-C"])
-def test_a_run_that_ends_during_a_partition_is_healed_and_everyone_hands_in(two_hosts, how: str) -> None:
+def test_a_run_that_ends_during_a_partition_heals_it_and_collects_all_results(two_hosts, how: str) -> None:
     run: Launched = two_hosts(40 if how == "scene ends" else 150, cut_s=0.5, partition_s=1000.0)
     if how == "Ctrl-C":
-        at_frame(run, 35)  # those who were cut off have been given up
+        at_frame(run, 35)  # disconnected nodes have been given up
         run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == (0 if how == "scene ends" else 130), output
@@ -145,7 +143,7 @@ def test_a_run_that_ends_during_a_partition_is_healed_and_everyone_hands_in(two_
     assert (run.out / "metrics.json").is_file()
 
 
-def test_what_a_killed_launcher_leaves_is_empty_and_the_next_run_removes_it(two_hosts) -> None:
+def test_remnants_of_a_killed_launcher_are_empty_and_removed_by_the_next_run(two_hosts) -> None:
     run: Launched = two_hosts(100, partition_s=1000.0, hosts__west__delay_ms=5, hosts__west__delay_by="relay")
     at_frame(run, 5)
     pids = run.pids()

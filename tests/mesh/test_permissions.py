@@ -1,4 +1,4 @@
-"""What a run writes is its user's alone to change, and its secrets are nobody else's to read, whatever the umask."""
+"""Only the user can change a run's files or read its secrets."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ SMALL = ("--set", "n_infrastructure=1", "--out")
 
 
 def modes(*folders: Path) -> dict[Path, int]:
-    """Permissions of all that is in some folders, and of the folders; not those of symbolic links, which have none."""
+    """Permissions of folders and their content, without symbolic links."""
     paths: Iterable[Path] = (path for folder in folders for path in (folder, *folder.rglob("*")))
     return {path: stat.S_IMODE(path.stat().st_mode) for path in paths if not path.is_symlink()}
 
 
-def writable_by_others(found: dict[Path, int]) -> dict[str, str]:
-    return {str(path): oct(mode) for path, mode in found.items() if mode & 0o022}
+def writable_by_others(permissions: dict[Path, int]) -> dict[str, str]:
+    return {str(path): oct(mode) for path, mode in permissions.items() if mode & 0o022}
 
 
-def test_a_run_a_report_and_the_cache_leave_nothing_that_others_may_change(
+def test_runs_reports_and_the_cache_are_not_writable_by_others(
     start: Callable[..., Launched], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     run = start(*LAX, "run", "baseline", "--frames", "12", *SMALL)
     assert run.end()[0] == 0
-    found = modes(run.out, tmp_path / "cache")
-    names = {path.name for path in found}
+    permissions = modes(run.out, tmp_path / "cache")
+    names = {path.name for path in permissions}
     assert {"run.json", "messages.mcap", "metrics.json", "report.html", "scene.npz", "broker.log", "scenes"} <= names
-    assert writable_by_others(found) == {}
+    assert writable_by_others(permissions) == {}
 
 
-def test_keys_of_a_secure_run_are_nobody_elses_to_read(start: Callable[..., Launched], tmp_path: Path) -> None:
+def test_keys_of_a_secure_run_are_not_readable_by_others(start: Callable[..., Launched], tmp_path: Path) -> None:
     run = start(*LAX, "run", "baseline", "--secure", "--mode", "realtime", "--frames", "40", "--no-report", *SMALL)
     run.started()
     (keys,) = Path(os.environ["TMPDIR"]).glob("mast-keys-*")

@@ -1,4 +1,4 @@
-"""What strangers on an open mesh report in the name of nodes costs one message, and nothing else."""
+"""Forged reports on an open mesh cost one message and have no effect."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CONTROL = "mast/x/@control"
 
 
 class Quiet(Child):
-    """A node's process that has ended with 0."""
+    """A node's process that has exited with 0."""
 
     exit = 0
 
@@ -35,7 +35,7 @@ class Quiet(Child):
 
 
 class Mesh(NamedTuple):
-    """A launcher that collects reports, and a stranger: `ask` hands in results in the name of a node."""
+    """A launcher that collects reports, and a client that forges them."""
 
     children: dict[str, Child]
     invalid: InvalidMessages
@@ -43,7 +43,7 @@ class Mesh(NamedTuple):
     stranger: zenoh.Session
 
     def ask(self, node: str, payload: bytes) -> list[bool]:
-        """Whether each answer is one that takes it."""
+        """Whether each answer is an acceptance."""
         replies = self.stranger.get(f"{CONTROL}/result/{node}", payload=payload, timeout=5.0)
         return [reply.ok is not None for reply in replies]
 
@@ -61,14 +61,14 @@ def mesh() -> Iterator[Mesh]:
         reports.close()
 
 
-def test_malformed_reports_and_those_of_nobody_are_counted_and_ignored(mesh: Mesh) -> None:
+def test_malformed_reports_and_those_of_unknown_nodes_are_counted_and_ignored(mesh: Mesh) -> None:
     sound = msgpack.packb(["a", FAILURE])
     for payload in (b"", b"\xc1", b"\x93", msgpack.packb(7), msgpack.packb(["a", {}]), msgpack.packb(["a", [1]])):
         mesh.stranger.put(f"{CONTROL}/failed/ego", payload)
     mesh.stranger.put(f"{CONTROL}/failed/nobody", sound)
     mesh.stranger.put(f"{CONTROL}/failed/ego", sound)
     taken: list[Report] = []
-    eventually(lambda: taken.extend(mesh.reports.take()) or taken, "the sound one")
+    eventually(lambda: taken.extend(mesh.reports.take()) or taken, "the valid report arrives")
     assert taken == [Report("ego", FAILURE)]
     assert mesh.children["ego"].ended == "exit code 0, but it handed in no results"
     forged = [
@@ -91,11 +91,11 @@ def test_malformed_reports_and_those_of_nobody_are_counted_and_ignored(mesh: Mes
     assert mesh.ask("ego", results.pack(OUTCOME | {"failures": []})) == [True]
     assert list(mesh.reports.take()) == [Report("ego")]
     assert mesh.children["ego"].ended == "ok"
-    assert mesh.reports.by_node()["ego"]["failures"] == [FAILURE], "of the process before"
+    assert mesh.reports.by_node()["ego"]["failures"] == [FAILURE], "of the previous process"
 
 
-def test_malformed_reports_take_no_room_of_sound_ones(mesh: Mesh) -> None:
-    """Before the launcher's loop looks at any of them."""
+def test_malformed_reports_leave_room_for_valid_ones(mesh: Mesh) -> None:
+    """Before the launcher's loop handles any of them."""
     assert [mesh.ask("ego", b"\xc1") for _ in range(5)] == [[False]] * 5
     for _ in range(1500):
         mesh.stranger.put(f"{CONTROL}/failed/ego", b"\xc1", congestion_control=zenoh.CongestionControl.BLOCK)
@@ -105,29 +105,29 @@ def test_malformed_reports_take_no_room_of_sound_ones(mesh: Mesh) -> None:
     assert mesh.invalid.counts == {"failed/ego": 1500, "result/ego": 5}
 
 
-def test_what_a_process_hands_in_stands_for_what_it_has_reported_before(mesh: Mesh) -> None:
+def test_results_of_a_process_replace_its_earlier_reports(mesh: Mesh) -> None:
     for count in (1, 2):
         mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb([OUTCOME["process"], FAILURE | {"count": count}]))
     mesh.ask("ego", results.pack(OUTCOME | {"failures": [FAILURE | {"count": 5, "frames": 4}]}))
     taken: list[Report] = []
-    eventually(lambda: taken.extend(mesh.reports.take()) or len(taken) >= 2, "both")
+    eventually(lambda: taken.extend(mesh.reports.take()) or len(taken) >= 2, "both reports arrive")
     assert mesh.reports.by_node()["ego"]["failures"][0]["count"] == 5
 
 
-def test_a_node_hands_in_results_once_in_its_life(mesh: Mesh) -> None:
+def test_a_node_can_send_results_only_once(mesh: Mesh) -> None:
     first, second = (results.pack(OUTCOME | {"results": {"n": n}}) for n in (1, 2))
     for payload in (first, first, second):
         mesh.ask("ego", payload)
         list(mesh.reports.take())
     assert mesh.reports.outcomes["ego"]["results"] == {"n": 1}
-    assert mesh.invalid.counts == {"result/ego": 1}, "the same again is a question whose answer got lost"
-    mesh.children["ego"].handed_in = False  # as the supervisor does when it starts the node again
+    assert mesh.invalid.counts == {"result/ego": 1}, "a repeated query means that its answer was lost"
+    mesh.children["ego"].handed_in = False  # like the supervisor when it restarts the node
     mesh.ask("ego", second)
     list(mesh.reports.take())
     assert mesh.reports.outcomes["ego"]["results"] == {"n": 2}
 
 
-def test_results_that_are_too_long_are_refused_with_the_reason(mesh: Mesh) -> None:
+def test_oversized_results_are_refused_with_the_reason(mesh: Mesh) -> None:
     payload = bytes(MAX_RESULT + 1)
     (reply,) = mesh.stranger.get(f"{CONTROL}/result/ego", payload=payload, timeout=20.0)
     assert reply.err is not None
@@ -136,18 +136,19 @@ def test_results_that_are_too_long_are_refused_with_the_reason(mesh: Mesh) -> No
     assert list(mesh.reports.take()) == []
 
 
-def test_only_the_node_that_drives_the_scene_says_why_the_run_stops(mesh: Mesh) -> None:
+def test_only_the_driver_can_report_why_the_run_stops(mesh: Mesh) -> None:
     mesh.ask("sim", results.pack(DRIVEN))
     assert list(mesh.reports.take()) == [Report("sim")]
     assert mesh.reports.outcomes["sim"]["stop_reason"] == "end"
 
 
-def test_a_node_whose_handlers_and_processes_never_end_is_stopped_counting(mesh: Mesh) -> None:
+def test_failure_counts_of_a_node_are_limited(mesh: Mesh) -> None:
     for i in range(300):
         mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["b", FAILURE | {"handler": f"on_{i}"}]))
     taken: list[Report] = []
     refused = 300 - MAX_HANDLERS
     eventually(
-        lambda: taken.extend(mesh.reports.take()) or mesh.invalid.counts["failed/ego"] == refused, "all have come"
+        lambda: taken.extend(mesh.reports.take()) or mesh.invalid.counts["failed/ego"] == refused,
+        "all reports have arrived",
     )
     assert len(taken) == MAX_HANDLERS

@@ -1,4 +1,4 @@
-"""A scenario on the mesh: every role its own process, and the same result as in one process."""
+"""A scenario on the mesh: one process per role, same result as in one."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def metrics(folder: Path) -> bytes:
 
 def in_process(out: Path, name: str, *settings: str, frames: int = 30, seed: int | None = None) -> Path:
     path, loaded = scenario.load(name, settings)
-    ended = launcher.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
-def test_every_role_is_a_process_of_its_own(launch) -> None:
+def test_every_role_runs_in_its_own_process(launch) -> None:
     run: Launched = launch("uncoordinated", "--set", "n_adversaries=2", *SHORT)
     code, output = run.end()
     assert code == 0, output
@@ -54,7 +54,7 @@ def test_every_role_is_a_process_of_its_own(launch) -> None:
 
 
 @pytest.mark.parametrize("name", ["baseline", "uncoordinated", "coordinated"])
-def test_the_mesh_and_one_process_give_the_same_metrics_to_the_last_digit(launch, tmp_path: Path, name: str) -> None:
+def test_metrics_on_the_mesh_equal_those_in_one_process_exactly(launch, tmp_path: Path, name: str) -> None:
     run: Launched = launch(name, "--frames", "60", "--seed", "3")
     code, output = run.end()
     assert code == 0, output
@@ -62,7 +62,7 @@ def test_the_mesh_and_one_process_give_the_same_metrics_to_the_last_digit(launch
 
 
 def test_interposers_that_change_nothing_leave_no_trace(launch, tmp_path: Path) -> None:
-    """Key, encoding, attachment, payload (header and number within), order and QoS, as any subscriber sees them."""
+    """Key, encoding, attachment, payload (header and number), order and QoS."""
     seen = []
     for name in ("baseline", "passthrough"):
         run: Launched = launch(name, *SHORT)
@@ -87,20 +87,20 @@ def test_interposers_that_change_nothing_leave_no_trace(launch, tmp_path: Path) 
                     s.source_info,
                 )
             )
-        assert len(by_key["clock"]) == 30, "the observer was there from the first frame on"
+        assert len(by_key["clock"]) == 30, "the observer was connected from the first frame"
         seen.append((by_key, metrics(run.out)))
     (plain, plain_metrics), (tapped, tapped_metrics) = seen
     assert plain.keys() == tapped.keys()
     for key in plain:
         assert plain[key] == tapped[key], key
-    told, expected = json.loads(tapped_metrics), json.loads(plain_metrics)
-    assert all(interposer["effects"] == {} for interposer in told.pop("interposers").values())
-    assert not any(each["success_centre"] or each["success_ego"] for each in told.pop("achieved").values())
+    measured, expected = json.loads(tapped_metrics), json.loads(plain_metrics)
+    assert all(interposer["effects"] == {} for interposer in measured.pop("interposers").values())
+    assert not any(each["success_centre"] or each["success_ego"] for each in measured.pop("achieved").values())
     assert (expected.pop("interposers"), expected.pop("achieved")) == ({}, {})
-    assert told == expected
+    assert measured == expected
 
 
-def test_two_runs_at_the_same_time_never_meet(launch, tmp_path: Path) -> None:
+def test_simultaneous_runs_do_not_interfere(launch, tmp_path: Path) -> None:
     runs = [launch("baseline", *SHORT, "--seed", "1") for _ in range(2)]
     for run in runs:
         code, output = run.end()
@@ -110,22 +110,22 @@ def test_two_runs_at_the_same_time_never_meet(launch, tmp_path: Path) -> None:
     assert runs[0].record()["id"] != runs[1].record()["id"]
 
 
-def test_real_time_keeps_its_pace_and_measures_its_latency(launch) -> None:
+def test_a_real_time_run_keeps_pace_and_measures_its_latency(launch) -> None:
     run: Launched = launch("baseline", "--frames", "40", "--mode", "realtime", "--rate", "2")
     code, output = run.end()
     assert code == 0, output
-    found = json.loads(metrics(run.out))
-    assert found["frames"] == 40
-    assert found["frames_per_second"] == pytest.approx(20, rel=0.2), "twice 10 Hz"
-    assert 0 < found["latency_ms"]["sim_to_picture"]["p50"] <= found["latency_ms"]["sim_to_picture"]["p99"]
-    wires = found["latency_ms"]["by_wire"]
+    scores = json.loads(metrics(run.out))
+    assert scores["frames"] == 40
+    assert scores["frames_per_second"] == pytest.approx(20, rel=0.2), "twice 10 Hz"
+    assert 0 < scores["latency_ms"]["sim_to_picture"]["p50"] <= scores["latency_ms"]["sim_to_picture"]["p99"]
+    wires = scores["latency_ms"]["by_wire"]
     assert {"clock", "agent/ego/detections", "agent/infra_1/tracks", "cc/picture"} <= wires.keys()
     assert all(0 < wire["p50"] <= wire["p95"] <= wire["p99"] and 0 < wire["n"] <= 40 for wire in wires.values())
     assert wires["agent/ego/pose"]["p50"] < wires["agent/ego/tracks"]["p50"] < wires["cc/picture"]["p50"]
-    assert found["agents"]["ego"]["picture"]["tp"]["mean"] > 5
+    assert scores["agents"]["ego"]["picture"]["tp"]["mean"] > 5
 
 
-def test_a_router_that_runs_already_can_be_used(launch, tmp_path: Path) -> None:
+def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
     from mast_zenoh.runtime.mesh.session import open_router
 
     router, endpoint = open_router()
@@ -136,7 +136,7 @@ def test_a_router_that_runs_already_can_be_used(launch, tmp_path: Path) -> None:
     assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", "baseline"))
 
 
-def test_a_users_own_node_beside_the_scenario_takes_part(launch, tmp_path: Path) -> None:
+def test_a_user_defined_node_beside_the_scenario_takes_part(launch, tmp_path: Path) -> None:
     (tmp_path / "deaf.py").write_text(
         "from mast_zenoh.node import Node\n"
         "from mast_zenoh.runtime.mesh.main import main\n"
@@ -172,9 +172,7 @@ def test_a_users_own_node_beside_the_scenario_takes_part(launch, tmp_path: Path)
     assert agents["infra_1"]["local"]["tp"]["mean"] > 0
 
 
-def test_a_node_that_dies_after_the_last_recorded_frame_of_a_longer_simulator_is_named_with_its_frame(
-    launch, tmp_path: Path
-) -> None:
+def test_a_node_that_dies_beyond_the_last_recorded_frame_is_named_with_its_frame(launch, tmp_path: Path) -> None:
     shutil.copy(Path(__file__).parents[1] / "support" / "live" / "simulator.py", tmp_path)
     (tmp_path / "mortal.py").write_text(
         "import os\n"
@@ -207,14 +205,14 @@ def test_a_node_that_dies_after_the_last_recorded_frame_of_a_longer_simulator_is
     assert died, output
     assert int(died[1]) >= 25
     frames = [int(frame) for frame in re.findall(r"frame (\d+) of 10", output)]
-    assert max(frames) <= 10, "beyond the recording the length is not known"
+    assert max(frames) <= 10, "beyond the recording the length is unknown"
 
 
-def test_the_terminal_display_is_plain_lines_when_nobody_watches(launch) -> None:
+def test_the_terminal_display_is_plain_lines_without_a_terminal(launch) -> None:
     run: Launched = launch("baseline", *SHORT)
     code, output = run.end()
     assert code == 0
     assert "\x1b[" not in output
     assert "FN" in output
     assert str(run.out) in output.replace("\n", "")
-    eventually(lambda: run.process.poll() is not None, "it has ended")
+    eventually(lambda: run.process.poll() is not None, "the run has ended")

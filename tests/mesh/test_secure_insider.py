@@ -1,4 +1,4 @@
-"""A compromised node stops an open run, and nothing of a run with rights from the wiring; both is seen from outside."""
+"""A compromised node can stop an open run, but not a secure one."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from mast_zenoh.study.rogue.insiders import ForgeControls
 pytestmark = pytest.mark.mesh
 
 
-def test_an_insider_who_forges_what_others_say_stops_an_open_run_and_no_other(tmp_path: Path) -> None:
+def test_forged_reports_of_an_insider_stop_an_open_run_but_no_secure_one(tmp_path: Path) -> None:
     path, loaded = scenario.load("rogue")
     recorded = loaded | {"run": {"mode": "lockstep", "record": True}}
     resolved = scenario.resolve(path, recorded, frames=60, record=True)
     twin = run.run(resolved, tmp_path / "twin", runtime="inproc")
     assert twin.error is None
     insider = ForgeControls("link", "link_ego")
-    admitted, sent, found = infiltrate(resolved, tmp_path / "acl", "acl", insider, twin.folder)
-    assert (admitted, sent, found.verdict) == (True, 30, "no effect")
-    admitted, sent, found = infiltrate(resolved, tmp_path / "open", "open", insider, twin.folder)
+    admitted, sent, findings = infiltrate(resolved, tmp_path / "acl", "acl", insider, twin.folder)
+    assert (admitted, sent, findings.verdict) == (True, 30, "no effect")
+    admitted, sent, findings = infiltrate(resolved, tmp_path / "open", "open", insider, twin.folder)
     assert admitted
-    assert found.succeeded, found
+    assert findings.succeeded, findings

@@ -1,4 +1,4 @@
-"""Who gets onto a secure mesh: real routers and clients, in this process."""
+"""Admission to a secure mesh: real routers and clients, in this process."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ WIRING = Wiring((Wire("w", "", "clock", (Leg("w", Endpoint("a", "out"), (Endpoin
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A client that is refused asks why sooner than in a run."""
+    """Refused clients ask for the reason sooner than in a run."""
     monkeypatch.setattr(sessions, "_DIAGNOSE_MS", 500)
 
 
 @contextmanager
 def meshed(level: str) -> Iterator[tuple[Deployment, str]]:
-    """A router of a deployment of its own, and its endpoint."""
+    """The router of a separate deployment, and its endpoint."""
     with Deployment(level, "r", WIRING, ["a", "b"], prefix="mast/r", driver="a", hosts=["127.0.0.1"]) as deployment:
         router, endpoint = open_router("tls/127.0.0.1:0", security=deployment.router)
         with router:
@@ -47,14 +47,14 @@ def own(deployment: Deployment, name: str = "a") -> Credentials:
 
 
 def refused(endpoint: str, credentials: Credentials) -> str:
-    """Why they are refused."""
+    """The reasons for which clients are refused."""
     with pytest.raises(CredentialsError) as error:
         open_client(endpoint, credentials)
     return str(error.value)
 
 
 @pytest.mark.parametrize("level", ["tls", "mtls", "acl"])
-def test_a_node_of_the_deployment_gets_in_and_nothing_is_wrong_with_it(level: str) -> None:
+def test_a_node_with_valid_credentials_is_admitted_without_complaints(level: str) -> None:
     with meshed(level) as (deployment, endpoint):
         assert explain(own(deployment), endpoint) == []
         with open_client(endpoint, own(deployment)) as session:
@@ -62,37 +62,37 @@ def test_a_node_of_the_deployment_gets_in_and_nothing_is_wrong_with_it(level: st
 
 
 @pytest.mark.parametrize("level", ["mtls", "acl"])
-def test_certificates_of_one_deployment_are_useless_in_another(level: str) -> None:
+def test_certificates_of_one_deployment_are_invalid_in_another(level: str) -> None:
     with meshed(level) as (_, endpoint), meshed(level) as (other, _):
         assert "it may be a rogue" in refused(endpoint, own(other))
 
 
 @pytest.mark.parametrize("level", ["mtls", "acl"])
-def test_a_stranger_who_knows_whom_to_trust_is_refused_and_told_why(level: str) -> None:
+def test_a_client_without_a_certificate_is_refused_with_the_reason(level: str) -> None:
     with meshed(level) as (deployment, endpoint):
         assert deployment.authority is not None
         authority, now = deployment.authority, datetime.now(UTC)
-        theirs = Authority("r").issue("a")
-        assert "another authority" in refused(endpoint, Credentials(authority.pem, theirs.certificate, theirs.key))
+        foreign = Authority("r").issue("a")
+        assert "another authority" in refused(endpoint, Credentials(authority.pem, foreign.certificate, foreign.key))
         expired = authority.issue("a", begins=now - timedelta(hours=2), ends=now - timedelta(hours=1))
         assert "has expired" in refused(endpoint, expired)
         assert "none was presented" in refused(endpoint, Credentials(authority.pem))
 
 
-def test_the_router_itself_is_asked_for_the_name_that_it_is_reached_by() -> None:
+def test_the_routers_certificate_must_match_its_host_name() -> None:
     with meshed("acl") as (deployment, endpoint):
         by_name = endpoint.replace("127.0.0.1", "localhost")
         assert "not for 'localhost', but for 127.0.0.1" in refused(by_name, own(deployment))
 
 
-def test_a_node_that_turns_cannot_pass_itself_off_as_the_router() -> None:
+def test_a_compromised_node_cannot_impersonate_the_router() -> None:
     authority = Authority("r")
     router, endpoint = open_router("tls/127.0.0.1:0", security=router_settings("mtls", authority.issue("a")))
     with router:
         assert "not for '127.0.0.1'" in refused(endpoint, authority.issue("b"))
 
 
-def test_who_has_credentials_is_never_led_onto_a_link_in_the_clear() -> None:
+def test_a_client_with_credentials_never_connects_in_the_clear() -> None:
     router, endpoint = open_router()
     with router:
         credentials = Authority("r").issue("a")
@@ -103,10 +103,10 @@ def test_who_has_credentials_is_never_led_onto_a_link_in_the_clear() -> None:
 
 
 @pytest.mark.parametrize("sent", [b"GET / HTTP/1.0\r\n\r\n", bytes.fromhex("1603010200010001fc0303"), b""])
-def test_a_client_gets_in_though_others_open_connections_with_rubbish(
+def test_a_client_is_admitted_while_others_send_rubbish(
     sent: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The router turns to each for a moment: for longer than a client waits before it asks why it does not get in."""
+    """The router serves slow clients for longer than this client's timeout."""
     monkeypatch.setattr(diagnosis, "_CONNECT_S", 0.2)
     with meshed("acl") as (deployment, endpoint), ExitStack() as stack:
         host, _, port = endpoint.partition("/")[2].rpartition(":")
@@ -114,31 +114,31 @@ def test_a_client_gets_in_though_others_open_connections_with_rubbish(
             stack.enter_context(socket.create_connection((host, int(port)))).sendall(sent)
         with open_client(endpoint, own(deployment)) as session:
             assert list(session.info.routers_zid())
-        assert bool(caplog.records) == sent.startswith(b"GET"), "a handshake that is only slow holds up nobody"
+        assert bool(caplog.records) == sent.startswith(b"GET"), "a slow handshake blocks no other"
         if caplog.records:
             first = caplog.records[0].message
             assert "cannot be reached: it has accepted a connection, but no TLS handshake within 0.2 s" in first
             assert first.endswith("it is busy or does not speak TLS; trying again")
 
 
-def test_a_router_that_is_not_there_yet_is_no_fault_of_the_credentials() -> None:
+def test_a_missing_router_is_not_blamed_on_credentials() -> None:
     router, endpoint = open_router()
     router.close()
     (reason,) = explain(Authority("r").issue("a"), endpoint.replace("tcp", "tls"))
     assert "cannot be reached" in reason
 
 
-def test_the_router_shows_nobody_a_key() -> None:
+def test_the_router_reveals_no_key() -> None:
     credentials = Authority("r").issue(ROUTER, ["127.0.0.1"])
     router, _ = open_router("tls/127.0.0.1:0", security=router_settings("mtls", credentials))
     secret = credentials.key.splitlines()[1]
     with router:
-        shown = [reply.ok.payload.to_bytes() for reply in router.get("@/**", timeout=2.0) if reply.ok is not None]
-    assert shown
-    assert not any(secret in content or b"PRIVATE" in content for content in shown)
+        answers = [reply.ok.payload.to_bytes() for reply in router.get("@/**", timeout=2.0) if reply.ok is not None]
+    assert answers
+    assert not any(secret in content or b"PRIVATE" in content for content in answers)
 
 
-def test_the_router_passes_on_what_the_wiring_gives_and_refuses_the_rest() -> None:
+def test_the_router_forwards_what_the_wiring_permits_and_refuses_anything_else() -> None:
     heard: list[tuple[str, bytes]] = []
     take = zenoh.handlers.Callback(lambda s: heard.append((str(s.key_expr), s.payload.to_bytes())), indirect=False)
     with meshed("acl") as (deployment, endpoint):
@@ -152,14 +152,14 @@ def test_the_router_passes_on_what_the_wiring_gives_and_refuses_the_rest() -> No
             a.put("mast/r/*", b"to all")
             a.delete("mast/r/w")
             publisher.put(b"true")  # behind the others, on the same link
-            eventually(lambda: heard, "what is allowed has come", 5.0)
+            eventually(lambda: heard, "all permitted messages have arrived", 5.0)
             for subscriber in subscribers:
                 subscriber.undeclare()
-    # One subscriber of four is known to the router; the others of the same session hear what is sent to it.
+    # The router knows one subscriber of four; the others in the same session hear what is sent to it.
     assert set(heard) == {("mast/r/w", b"true")}
 
 
-def test_a_launcher_elsewhere_steers_a_run_as_a_client_of_its_router() -> None:
+def test_a_remote_launcher_controls_a_run_as_a_client_of_its_router() -> None:
     heard: list[str] = []
     take = zenoh.handlers.Callback(lambda sample: heard.append(str(sample.key_expr)), indirect=False)
     come: list[str] = []
@@ -187,8 +187,8 @@ def test_a_launcher_elsewhere_steers_a_run_as_a_client_of_its_router() -> None:
                 eventually(lambda p=publisher: p.matching_status.matching, f"{publisher.key_expr} is heard", 5.0)
                 publisher.put(b"")
             alive = b.liveliness().declare_token("mast/r/alive/b")
-            eventually(lambda: len(come) == 2, "driver and launcher see who is there", 5.0)
-            eventually(lambda: len(heard) == len(pairs), "all of it has come", 5.0)
+            eventually(lambda: len(come) == 2, "driver and launcher see all nodes", 5.0)
+            eventually(lambda: len(heard) == len(pairs), "all messages have arrived", 5.0)
             for session, whose, taken in ((b, "b", [b"taken"]), (b, "a", [])):
                 replies = session.get(f"mast/r/@control/result/{whose}", payload=b"x", timeout=2.0)
                 assert [r.ok.payload.to_bytes() for r in replies if r.ok is not None] == taken, whose

@@ -1,4 +1,4 @@
-"""An outsider gets at an open run in every way that physics allows, and at a secure one in none."""
+"""Every attempt of an outsider succeeds on an open run and fails otherwise."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from mast_zenoh.study.rogue import comparison
 
 pytestmark = pytest.mark.mesh
 
-#: Zenoh itself refuses a second session of an id that is there already, whatever the mesh.
+#: On any mesh, Zenoh itself refuses a second session with an id already in use.
 NOWHERE = {"duplicate session id"}
 
 
 @pytest.mark.parametrize("level", ["open", "acl"])
-def test_the_outsider(tmp_path: Path, level: str) -> None:
+def test_an_outsider_succeeds_in_an_open_run_and_fails_in_a_secure_one(tmp_path: Path, level: str) -> None:
     path, loaded = scenario.load("rogue")
     attempts = comparison.load("rogue")
     resolved = scenario.resolve(path, loaded)
@@ -24,7 +24,7 @@ def test_the_outsider(tmp_path: Path, level: str) -> None:
     assert outcomes.keys() == {attempt.name for attempt in attempts}
     succeeded = {name for name, outcome in outcomes.items() if outcome.succeeded}
     assert succeeded == (outcomes.keys() - NOWHERE if level == "open" else set()), outcomes
-    assert stray == 0, "no message of a stranger that no attempt accounts for has reached a node"
+    assert stray == 0, "no foreign message beyond the attempts has reached a node"
     if level == "open":
         sent = [outcome for outcome in outcomes.values() if outcome.sent]
         assert len(sent) >= 5
@@ -32,5 +32,5 @@ def test_the_outsider(tmp_path: Path, level: str) -> None:
     else:
         admitted = {name for name, outcome in outcomes.items() if outcome.admitted}
         tried = {a.name for a in attempts if a.shows.startswith("infra_")} - NOWHERE
-        assert admitted == tried, "who has a node's certificate is let in, and gets nothing by it"
+        assert admitted == tried, "a client with a node's certificate is admitted, but gains nothing"
         assert any(outcome.sent and not outcome.reached for outcome in outcomes.values())

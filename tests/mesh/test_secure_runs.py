@@ -1,4 +1,4 @@
-"""A secure run is the same run: the same bytes, and nothing of its keys anywhere."""
+"""A secure run has the same bytes as an open one, and leaks no keys."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WHAT = ("coordinated", "n_infrastructure=2", "n_adversaries=1", "attack_start_s=
 
 
 def credentials(record: dict) -> list[Path]:
-    """The folders that a run's processes were told of."""
+    """The credential folders of a run's processes."""
     folders = []
     for node in record["nodes"].values():
         command = psutil.Process(node["pid"]).cmdline()
@@ -34,7 +34,7 @@ def credentials(record: dict) -> list[Path]:
 
 
 @pytest.mark.parametrize("level", ["tls", "acl"])
-def test_a_secure_run_equals_the_open_one_to_the_last_digit(launch, tmp_path: Path, level: str) -> None:
+def test_a_secure_run_equals_the_open_one_exactly(launch, tmp_path: Path, level: str) -> None:
     path, loaded = scenario.load(WHAT[0], WHAT[1:])
     resolved = scenario.resolve(path, loaded, frames=int(FRAMES), record=True)
     plain = launcher.run(resolved, tmp_path / "plain", runtime="inproc")
@@ -44,9 +44,9 @@ def test_a_secure_run_equals_the_open_one_to_the_last_digit(launch, tmp_path: Pa
     folders = credentials(run.started())
     code, output = run.end()
     assert code == 0, output
-    found = compare(plain.folder, run.out, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
+    difference = compare(plain.folder, run.out, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
     assert json.loads((run.out / "metrics.json").read_text()) == json.loads((plain.folder / "metrics.json").read_text())
     assert run.record()["security"] == level
     assert run.record()["endpoint"].startswith("tls/")
@@ -56,7 +56,7 @@ def test_a_secure_run_equals_the_open_one_to_the_last_digit(launch, tmp_path: Pa
     assert not [path for path in run.out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
 
 
-def test_a_killed_launcher_leaves_no_keys_behind_even_if_its_nodes_are_still_starting(launch) -> None:
+def test_a_killed_launcher_leaves_no_keys_even_while_nodes_start(launch) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--secure", "--set", "n_infrastructure=1", "--no-record")
     folders = credentials(run.started())
     assert all((folder / "key.pem").is_file() for folder in folders)
@@ -64,7 +64,7 @@ def test_a_killed_launcher_leaves_no_keys_behind_even_if_its_nodes_are_still_sta
     eventually(lambda: not folders[0].parent.exists(), "the nodes have deleted their keys")
 
 
-def test_a_node_says_what_is_wrong_with_its_credentials_and_leaves(tmp_path: Path) -> None:
+def test_a_node_with_invalid_credentials_reports_the_fault_and_exits(tmp_path: Path) -> None:
     path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
     resolved = scenario.resolve(path, loaded, frames=2)
     resolved.write(tmp_path)

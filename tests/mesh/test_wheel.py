@@ -1,4 +1,4 @@
-"""An installed wheel, outside the checkout, does what the checkout does."""
+"""An installed wheel works outside the checkout."""
 
 from __future__ import annotations
 
@@ -24,16 +24,18 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
         capture_output=True,
     )
     (wheel,) = (tmp_path / "dist").glob("*.whl")
-    assert wheel.name.endswith("-py3-none-any.whl") == (not kernels.COMPILED), "of one platform only with machine code"
+    assert wheel.name.endswith("-py3-none-any.whl") == (not kernels.COMPILED), (
+        "platform-specific only with machine code"
+    )
     site, work = tmp_path / "site", tmp_path / "work"
     work.mkdir()
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
         tops = {name.split("/")[0] for name in archive.namelist()}
-    assert {top for top in tops if not top.endswith(".dist-info")} == {"mast_zenoh"}, "nothing generically named"
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"mast_zenoh"}, "no generic names"
 
     def mast(*words: str) -> str:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", "from mast_zenoh.cli.app import main; main()", *words],
             cwd=work,
             env=os.environ | {"PYTHONPATH": str(site)},
@@ -41,12 +43,12 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
             text=True,
             check=False,
         )
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
+        assert process.returncode == 0, process.stdout + process.stderr
+        return process.stdout
 
     mast("run", "coordinated", "--frames", "20", "--out", "run")
     scenario = (work / "run" / "scenario.json").read_text()
-    assert str(site) in scenario, "the nodes are those of the wheel"
+    assert str(site) in scenario, "the wheel's nodes are used"
     assert str(ROOT) not in scenario
     assert json.loads((work / "run" / "run.json").read_text())["versions"]["kernels"] == kernels.USED
     assert (work / "run" / "report.html").is_file()
@@ -55,14 +57,14 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
 
 
 def test_without_a_compiler_the_wheel_is_pure_python_and_runs(tmp_path: Path) -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)],
         env=os.environ | {"CC": "/bin/false"},
         check=True,
         capture_output=True,
         text=True,
     )
-    assert "kernels not compiled, NumPy will do" in done.stdout + done.stderr
+    assert "kernels not compiled, NumPy will do" in process.stdout + process.stderr
     (wheel,) = tmp_path.glob("*-py3-none-any.whl")
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:

@@ -1,4 +1,4 @@
-"""Recordings to read: of a run in one process, and of messages that a test makes up."""
+"""Recordings of runs in one process and of synthetic messages."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def body_of(schema: str, frame: int) -> dict[str, np.ndarray]:
 
 
 def payload(key: str, frame: int, body: dict[str, Any] | None = None, **header: Any) -> bytes:
-    """A message on a key as its publisher sends it."""
+    """A message on a key, as its publisher would send it."""
     hears = HEARS[key]
     fields = dict(source=hears.source, frame=frame, time_ns=frame * PERIOD_NS, seq=frame) | header
     sent = body_of(hears.message, frame) if body is None else body
@@ -64,7 +64,7 @@ def small_run(frames: int = 6) -> list[tuple[str, bytes]]:
 
 
 def write(path: Path, messages: list[tuple[str, bytes]]) -> Path:
-    """A recording of messages, some of which may be no messages at all."""
+    """A recording of messages, some of which may be malformed."""
     log = MessageLog(path)
     log.begin(HEARS)
     for key, data in messages:
@@ -81,6 +81,6 @@ def run(folder: Path, name: str, *settings: str, frames: int = 6, seed: int = 0)
     """The folder of a recorded run in one process."""
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded, frames=frames, seed=seed, record=True)
-    ended = launcher.run(resolved, folder, runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(resolved, folder, runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder

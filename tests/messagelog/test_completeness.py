@@ -24,12 +24,12 @@ def without(path: Path, *missing: tuple[str, int]) -> Path:
         ((("clock", 3),), 3),
         ((("clock", 0),), 0),
         ((("clock", 4), ("agent/b/detections", 2), (TAP, 2)), 2),
-        ((("agent/b/detections", 2),), None),  # an interposer has dropped it: it was heard in front of that
-        ((("clock", 5),), None),  # nothing says that there was one more
-        ((("agent/a/status", 3),), None),  # another publisher's
+        ((("agent/b/detections", 2),), None),  # an interposer dropped it: it was heard before the interposer
+        ((("clock", 5),), None),  # nothing indicates that there was one more
+        ((("agent/a/status", 3),), None),  # of another publisher
     ],
 )
-def test_a_gap_in_the_numbers_of_a_publisher_is_found(
+def test_a_gap_in_a_publishers_sequence_is_found(
     tmp_path: Path, missing: tuple[tuple[str, int], ...], first: int | None
 ) -> None:
     assert first_missing_frame(without(tmp_path / "run.mcap", *missing), "simulator") == first

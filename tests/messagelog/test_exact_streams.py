@@ -1,4 +1,4 @@
-"""Runs in one process are byte-identical under irrelevant changes. On a mesh: tests/mesh/test_exactness.py."""
+"""Runs in one process are byte-identical under irrelevant changes."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" 
 
 
 def equal(a: Path, b: Path, **options: bool) -> int:
-    """How many messages two runs have, which must be equal."""
-    found = compare(a, b, **options)
-    assert found.first is None, "\n".join(explain(found))
-    return found.equal
+    """Assert that two runs are equal; returns the number of messages."""
+    difference = compare(a, b, **options)
+    assert difference.first is None, "\n".join(explain(difference))
+    return difference.equal
 
 
 @pytest.fixture(scope="session")
@@ -47,7 +47,7 @@ def av2_log() -> Path:
 def test_a_thousand_delivery_orders_give_the_same_bytes() -> None:
     resolved = tiny("coordinated", "n_adversaries=1", "attack_start_s=0.1", frames=3)
     plain = Run(resolved, encode=False)
-    assert plain.messages["attack/adversary_1/report"], "the attack has begun"
+    assert plain.messages["attack/adversary_1/report"], "the attack has started"
     for shuffle in range(1000):
         assert Run(resolved, encode=False, shuffle=shuffle).messages == plain.messages, f"order {shuffle}"
 
@@ -69,17 +69,17 @@ def test_interposers_that_change_nothing_leave_no_trace(tmp_path: Path, infrastr
     assert compare(plain, tapped, taps=True).only_b.total() == 6 * 2 * (infrastructure + 1)
 
 
-def test_more_agents_change_nothing_for_the_others(tmp_path: Path) -> None:
+def test_additional_agents_change_nothing_for_the_others(tmp_path: Path) -> None:
     runs = {n: run(tmp_path / str(n), "baseline", f"n_infrastructure={n}") for n in (1, 2, 5)}
-    said = {
+    payloads = {
         n: {(m.key, m.frame): m.payload for m in read(folder) if m.message == "pose" or m.message == "clock"}
         for n, folder in runs.items()
     }
-    assert said[1].items() <= said[2].items() <= said[5].items()
+    assert payloads[1].items() <= payloads[2].items() <= payloads[5].items()
 
 
 @pytest.mark.parametrize("scene", ["scene_a", "av2_log"])
-def test_a_recorded_scene_gives_the_same_run_from_a_copy_in_another_folder(
+def test_a_recorded_scene_gives_the_same_run_from_a_copied_folder(
     tmp_path: Path, request: pytest.FixtureRequest, scene: str
 ) -> None:
     original: Path = request.getfixturevalue(scene)

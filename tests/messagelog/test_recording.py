@@ -1,4 +1,4 @@
-"""A recording holds every byte that was sent, in one order, up to its last whole chunk."""
+"""A recording holds every byte sent, in order, up to its last whole chunk."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def test_messages_are_read_in_the_order_of_frame_wire_publisher_and_sequence(
     sent = small_run()
     for shuffle in range(5):
         shuffled = random.Random(shuffle).sample(sent, len(sent))
-        found = list(read(write(tmp_path / f"{shuffle}.mcap", shuffled)))
-        assert [(message.frame, message.wire, message.tap) for message in found] == [
+        messages = list(read(write(tmp_path / f"{shuffle}.mcap", shuffled)))
+        assert [(message.frame, message.wire, message.tap) for message in messages] == [
             (frame, key.split("/@")[0], "@" in key) for frame in range(6) for key in sorted(HEARS)
         ]
-        assert [(message.key, message.payload) for message in found] == sent
+        assert [(message.key, message.payload) for message in messages] == sent
 
 
-def test_many_messages_of_a_frame_on_a_wire_keep_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_messages_of_one_frame_on_one_wire_keep_their_sequence_order(tmp_path: Path) -> None:
     sent = [("agent/a/status", payload("agent/a/status", 3, seq=seq)) for seq in (2**40, 0, 7, 2)]
     assert [message.seq for message in read(write(tmp_path / "run.mcap", sent))] == [0, 2, 7, 2**40]
 
 
-def test_a_key_that_is_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
+def test_a_key_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
     hears = {key: heard for key, heard in HEARS.items() if key == "clock"}
     log = MessageLog(tmp_path / "run.mcap")
     log.begin(hears)
@@ -60,9 +60,9 @@ def test_a_key_that_is_added_later_is_recorded_like_the_others(tmp_path: Path) -
         log.add(key, sound, header, header.frame)
     log.add_malformed(TAP, b"nonsense", 0, 0, 0)
     log.close()
-    found = list(read(tmp_path / "run.mcap"))
-    assert [(message.key, message.payload) for message in found if not message.malformed] == sent
-    assert sum(message.malformed for message in found) == 1
+    messages = list(read(tmp_path / "run.mcap"))
+    assert [(message.key, message.payload) for message in messages if not message.malformed] == sent
+    assert sum(message.malformed for message in messages) == 1
 
 
 def test_the_step_in_which_a_message_was_sent_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,15 +136,15 @@ def test_invalid_metadata_is_refused_with_its_fault(tmp_path: Path, name: str, m
 def test_duplicates_are_kept_in_their_order_of_arrival(tmp_path: Path) -> None:
     sent = [("clock", payload("clock", 0)), ("agent/a/status", payload("agent/a/status", 0))]
     twice = payload("agent/a/status", 0, {name: [9] for name in ("mobile", "detections", "tracks")})
-    found = list(read(write(tmp_path / "run.mcap", [*sent, ("agent/a/status", twice)])))
-    assert [message.payload for message in found] == [sent[1][1], twice, sent[0][1]]
+    messages = list(read(write(tmp_path / "run.mcap", [*sent, ("agent/a/status", twice)])))
+    assert [message.payload for message in messages] == [sent[1][1], twice, sent[0][1]]
 
 
-def test_other_readers_find_channels_with_metadata_and_schemas(tmp_path: Path) -> None:
+def test_other_readers_understand_channels_metadata_and_schemas(tmp_path: Path) -> None:
     with write(tmp_path / "run.mcap", small_run()).open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
-        found = list(reader.iter_messages())
+        messages = list(reader.iter_messages())
     assert summary is not None
     channels = {channel.topic: channel for channel in summary.channels.values()}
     assert channels.keys() == HEARS.keys()
@@ -164,8 +164,10 @@ def test_other_readers_find_channels_with_metadata_and_schemas(tmp_path: Path) -
         "<f8",
         "n, 3",
     )
-    assert [message.data for _, _, message in found] == [data for _, data in small_run()], "in our order, for them too"
-    for _, channel, message in found:
+    assert [message.data for _, _, message in messages] == [data for _, data in small_run()], (
+        "in the same order for other readers"
+    )
+    for _, channel, message in messages:
         header = codec.decode_header(message.data, channel.metadata["message"])
         assert message.publish_time == header.time_ns
         assert 0 <= message.log_time - header.time_ns < len(HEARS)
@@ -175,19 +177,19 @@ def test_other_readers_find_channels_with_metadata_and_schemas(tmp_path: Path) -
 def test_malformed_messages_are_kept_unchanged_and_marked(tmp_path: Path) -> None:
     rubbish = [b"", b"\xc1", payload("agent/a/status", 1)[:-3], payload("clock", 1)]
     sent = [*small_run(3), *(("agent/a/status", data) for data in rubbish)]
-    found = list(read(write(tmp_path / "run.mcap", sent)))
-    marked = [message for message in found if message.malformed]
+    messages = list(read(write(tmp_path / "run.mcap", sent)))
+    marked = [message for message in messages if message.malformed]
     assert [message.payload for message in marked] == rubbish
     assert {(m.key, m.wire, m.frame, m.time_ns) for m in marked} == {
         ("agent/a/status/@malformed", "agent/a/status", -1, 2 * PERIOD_NS)
     }
-    assert len(found) - len(marked) == len(small_run(3))
+    assert len(messages) - len(marked) == len(small_run(3))
 
 
-def test_a_file_that_is_cut_off_anywhere_is_read_up_to_its_last_whole_chunk(
+def test_a_truncated_file_is_readable_up_to_its_last_whole_chunk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends: list[tuple[int, int]] = []  # (bytes in the file, messages in them) after each chunk
+    ends: list[tuple[int, int]] = []  # (bytes, messages) of the file after each chunk
     monkeypatch.setattr(writer, "CHUNK_BYTES", 4000)
     flush = Writer.flush
 
@@ -204,17 +206,17 @@ def test_a_file_that_is_cut_off_anywhere_is_read_up_to_its_last_whole_chunk(
     before = 0
     for size in range(8, len(data), 7):
         cut.write_bytes(data[:size])
-        found = [message.payload for message in read(cut)]
-        assert found == whole[: len(found)]
-        assert len(found) >= before, "what was whole stays whole"
-        before = len(found)
+        payloads = [message.payload for message in read(cut)]
+        assert payloads == whole[: len(payloads)]
+        assert len(payloads) >= before, "whole chunks stay intact"
+        before = len(payloads)
     assert before == len(whole)
     for end, chunks in ends:
         cut.write_bytes(data[:end])
-        assert len(list(read(cut))) >= min(chunks, 1), "a chunk that has been written can be read"
+        assert len(list(read(cut))) >= min(chunks, 1), "a written chunk can be read"
 
 
-def test_a_process_that_is_killed_leaves_all_its_whole_chunks(tmp_path: Path) -> None:
+def test_a_killed_process_leaves_all_whole_chunks(tmp_path: Path) -> None:
     program = (
         "import os, signal\n"
         "from pathlib import Path\n"
@@ -231,9 +233,9 @@ def test_a_process_that_is_killed_leaves_all_its_whole_chunks(tmp_path: Path) ->
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
     ended = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=False)
     assert ended.returncode == -signal.SIGKILL
-    found = [(message.key, message.payload) for message in read(tmp_path / "run.mcap")]
-    assert found == small_run(60)[: len(found)]
-    assert {frame for frame in range(60) if ("clock", payload("clock", frame)) in found} >= set(range(50))
+    messages = [(message.key, message.payload) for message in read(tmp_path / "run.mcap")]
+    assert messages == small_run(60)[: len(messages)]
+    assert {frame for frame in range(60) if ("clock", payload("clock", frame)) in messages} >= set(range(50))
 
 
 def test_a_recording_without_messages_is_readable(tmp_path: Path) -> None:
@@ -256,7 +258,7 @@ def test_a_chunk_with_an_impossible_size_is_refused_before_it_is_unpacked(
     unpacked.assert_not_called()
 
 
-def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_named(tmp_path: Path) -> None:
     path = write(tmp_path / "run.mcap", small_run())
     data = bytearray(path.read_bytes())
     data[200] ^= 0xFF
@@ -266,7 +268,7 @@ def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "reason"),
     [
         (lambda folder: folder / "nowhere", "no such folder"),
         (lambda folder: folder, "is not the folder of a run"),
@@ -278,8 +280,8 @@ def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
         (lambda folder: (folder / "x.mcap").write_text("") == 0 and folder / "x.mcap", "does not begin as an MCAP"),
     ],
 )
-def test_a_file_that_is_not_a_recording_is_refused(tmp_path: Path, make, said: str) -> None:
-    with pytest.raises(RunFolderError, match=said):
+def test_a_file_that_is_not_a_recording_is_refused(tmp_path: Path, make, reason: str) -> None:
+    with pytest.raises(RunFolderError, match=reason):
         list(read(make(tmp_path)))
 
 
@@ -318,8 +320,8 @@ def test_the_program_in_the_documentation_reads_a_recording(tmp_path: Path) -> N
     (program,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), flags=re.S | re.M)
     assert len(program.splitlines()) <= 14
     write(tmp_path / "messages.mcap", small_run(3))
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
     )
-    assert done.returncode == 0, done.stderr
-    assert "agent/b/detections 2 (2, 3)" in done.stdout
+    assert process.returncode == 0, process.stderr
+    assert "agent/b/detections 2 (2, 3)" in process.stdout

@@ -63,7 +63,7 @@ def test_headers_are_checked_as_in_full_decoding(
 
 @given(cut=st.integers(0, 400), flip=st.integers(0, 399), bit=st.integers(0, 7))
 @settings(max_examples=150)
-def test_broken_bytes_are_refused_at_once_or_on_access(cut: int, flip: int, bit: int) -> None:
+def test_malformed_bytes_are_refused_at_once_or_on_access(cut: int, flip: int, bit: int) -> None:
     payload = bytearray(encoded())
     payload[flip % len(payload)] ^= 1 << bit
     broken = bytes(payload[: max(cut, len(payload) // 2)])
@@ -73,13 +73,13 @@ def test_broken_bytes_are_refused_at_once_or_on_access(cut: int, flip: int, bit:
         with pytest.raises(MessageError):
             len(codec.decode_lazily(broken, "status").body)
     else:
-        found = codec.decode_lazily(broken, "status")
-        assert found.header == expected.header
-        assert {name: column.tobytes() for name, column in found.body.items()} == {
+        message = codec.decode_lazily(broken, "status")
+        assert message.header == expected.header
+        assert {name: column.tobytes() for name, column in message.body.items()} == {
             name: column.tobytes() for name, column in expected.body.items()
         }
 
 
-def test_a_message_of_more_bytes_than_allowed_is_refused_at_once() -> None:
+def test_an_oversized_message_is_refused_at_once() -> None:
     with pytest.raises(MessageError, match="at most"):
         codec.decode_lazily(encoded() + bytes(codec.MAX_BYTES), "status")

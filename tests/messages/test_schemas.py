@@ -39,7 +39,7 @@ def test_indices_are_limited_to_what_they_index() -> None:
         assert column.below == len(known), column.name
 
 
-def test_every_rotation_must_have_a_length() -> None:
+def test_every_quaternion_must_have_a_non_zero_norm() -> None:
     for column in (column for schema in SCHEMAS.values() for column in schema.columns):
         assert (column.least_length > 0.0) == column.name.endswith("rotation"), column.name
 
@@ -62,7 +62,7 @@ def test_every_message_type_is_used() -> None:
     assert used == SCHEMAS.keys() | {ANY}
 
 
-def test_text_is_a_column_of_any_length() -> None:
+def test_text_columns_may_have_any_length() -> None:
     for values in ([], ["ego"], ["ego", "infra_1", "é" * 300]):
         column = text(values)
         assert column.dtype == object

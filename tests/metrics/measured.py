@@ -1,4 +1,4 @@
-"""Measured effects from a few words, and the causes of errors that follow from them."""
+"""Synthetic measured effects, and the causes of errors that follow."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from mast_zenoh.metrics import Attribution, Record, Scorer, Scores, cause_names
 from mast_zenoh.wiring.model import Passage
 
 PERIOD_S = 0.1
-#: Interposer, frame, effect, id of the object in the message, where it was (removed) or is (inserted, moved), and its
-#: velocity; of a moved one where it was.
+#: Interposer, frame, effect, id of the object in the message, its position (removed: original; inserted, moved: new)
+#: and its velocity; of a moved object instead its original position.
 Row = tuple[str, int, str, int, tuple[float, float], tuple[float, float]]
 
 
 def passage(node: str, port: str = "tracks", subject: str = "infra_9", before: str = "") -> Passage:
-    """An interposer's way through a wire."""
+    """The position of an interposer on a wire."""
     return Passage(node, f"agent/{subject}/{port}", subject, port, port, f"{port}/in", f"{port}/out", before)
 
 
 def effects(*rows: Row, passages: Sequence[Passage] = (), of: Sequence[int] | None = None) -> Effects:
-    """Effects on objects; passages, of: where they happened, by default a wire of tracks for each interposer."""
+    """Effects on objects. passages, of: their wires, by default of tracks."""
     nodes = sorted({row[0] for row in rows})
     ways = tuple(passages) or tuple(passage(node) for node in nodes)
     n = len(rows)
@@ -57,17 +57,17 @@ def effects(*rows: Row, passages: Sequence[Passage] = (), of: Sequence[int] | No
     )
 
 
-def explained(record: Record, found: Effects, roles: dict[str, str] | None = None, **more) -> dict[str, np.ndarray]:
-    """The table of objects of a record, with the cause of every error; more: see `Attribution.label`."""
-    return labelled(record, found, roles, **more)[1]
+def explained(record: Record, measured: Effects, roles: dict[str, str] | None = None, **more) -> dict[str, np.ndarray]:
+    """The table of objects of a record with causes; more: see `Attribution.label`."""
+    return labelled(record, measured, roles, **more)[1]
 
 
-def labelled(record: Record, found: Effects, roles: dict[str, str] | None = None, **more):
+def labelled(record: Record, measured: Effects, roles: dict[str, str] | None = None, **more):
     """(scores, table of objects with causes, labels, manipulations) of a record."""
     scores: Scores = Scorer().score(record)
     truth = record.truth(scores.frames)
     boxes = truth.boxes.in_group(scores.frames[truth.boxes.group])
-    known = {way.node: "adversary" for way in found.passages} | (roles or {})
-    done = manipulations(found, known, scores.series, boxes, PERIOD_S, np.zeros(len(found), bool), Attribution())
+    known = {way.node: "adversary" for way in measured.passages} | (roles or {})
+    done = manipulations(measured, known, scores.series, boxes, PERIOD_S, np.zeros(len(measured), bool), Attribution())
     labels = Attribution().label(scores, done, truth, record.agents, PERIOD_S, **more)
     return scores, scores.objects() | {"cause": cause_names(labels.cause), "by": labels.by}, labels, done

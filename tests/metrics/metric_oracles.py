@@ -1,4 +1,4 @@
-"""Slow, plain ways to the same figures, and small builders; nothing here is shared with the code under test."""
+"""Slow reference implementations of metrics, and small builders."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mast_zenoh.metrics import Boxes
 
 
 def boxes(position, size=(4.0, 2.0, 1.5), yaw=0.0, group=0, id=None) -> Boxes:
-    """Boxes at (n, 2) or (n, 3) positions; the rest is broadcast."""
+    """Boxes at (n, 2) or (n, 3) positions; the remaining values are broadcast."""
     position = np.asarray(position, float)
     position = position.reshape(-1, position.shape[-1] if position.size else 3)
     n = len(position)
@@ -55,7 +55,7 @@ def iou(a: Boxes, i: int, b: Boxes, j: int) -> float:
 
 
 def best_pairs(distance: np.ndarray, gate: float) -> tuple[int, float]:
-    """Number of pairs and total distance of the best matching, by trying every one."""
+    """Number of pairs and total distance of the best matching, by brute force."""
     rows, columns = distance.shape
     for count in range(min(rows, columns), 0, -1):
         totals = [

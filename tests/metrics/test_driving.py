@@ -1,4 +1,4 @@
-"""Objects in a vehicle's corridor, time to collision and braking, against shapely and simulated motion."""
+"""Corridor, time to collision and braking, against shapely and simulation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PERIOD_S = 0.1
 
 
 def vehicle(radius_m: float = math.inf, speed: float = 10.0, frames: int = 100, heading: float = 0.3) -> Vehicle:
-    """A vehicle that drives a circle to the left, or straight on."""
+    """A vehicle that drives a circle to the left, or straight ahead."""
     way = np.arange(frames) * PERIOD_S * speed
     turn = heading + way / radius_m
     if math.isinf(radius_m):
@@ -54,7 +54,7 @@ def outline(x: float, y: float, yaw: float, length: float, width: float):
 
 
 def path_from(where: Vehicle, frame: int, horizon_m: float) -> LineString:
-    """The path of a vehicle from a frame on, and straight on after its end."""
+    """The path of a vehicle from a frame on, extended straight ahead."""
     last = where.heading[-1]
     end = where.position[-1, :2] + (horizon_m + LENGTH) * np.array([math.cos(last), math.sin(last)])
     return LineString([*where.position[frame:, :2], end])
@@ -65,14 +65,14 @@ def path_from(where: Vehicle, frame: int, horizon_m: float) -> LineString:
     radius=st.sampled_from([math.inf, 12.0, 30.0, -15.0]),
     frame=st.integers(0, 60),
     forward=st.floats(-20.0, 60.0),
-    aside=st.floats(-7.0, 7.0),
+    lateral=st.floats(-7.0, 7.0),
     turn=st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2]),
     size=st.sampled_from([(4.5, 1.8), (8.0, 2.5), (0.6, 0.6)]),
 )
 def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(
-    radius: float, frame: int, forward: float, aside: float, turn: float, size: tuple[float, float]
+    radius: float, frame: int, forward: float, lateral: float, turn: float, size: tuple[float, float]
 ) -> None:
-    """Objects along or across the path, placed by arc length and offset; those within a hand's breadth are left out."""
+    """Objects by arc length and offset from the path, without borderline cases."""
     speed = 5.0  # 50 m in 100 frames: less than a circle
     where = vehicle(radius, speed)
     margin, horizon = 0.3, 40.0
@@ -81,42 +81,42 @@ def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(
     if forward >= 0.0:
         at, beyond = way.interpolate(forward), way.interpolate(forward + 0.01)
         direction = math.atan2(beyond.y - at.y, beyond.x - at.x)
-        x, y = at.x - aside * math.sin(direction), at.y + aside * math.cos(direction)
+        x, y = at.x - lateral * math.sin(direction), at.y + lateral * math.cos(direction)
     else:
         direction = where.heading[frame]
-        x = where.position[frame, 0] + forward * math.cos(direction) - aside * math.sin(direction)
-        y = where.position[frame, 1] + forward * math.sin(direction) + aside * math.cos(direction)
+        x = where.position[frame, 0] + forward * math.cos(direction) - lateral * math.sin(direction)
+        y = where.position[frame, 1] + forward * math.sin(direction) + lateral * math.cos(direction)
     body = outline(x, y, direction + turn, *size)
     corridor = way.buffer(WIDTH / 2 + margin, cap_style="flat")
     doubt = corridor.boundary.distance(body) if not corridor.intersects(body) else corridor.intersection(body).area
     gap = forward - (size[0] if turn in (0.0, math.pi) else size[1]) / 2 - LENGTH / 2
-    # A bend of the path beside a long object is not what its tangent is.
+    # A bend of the path beside a long object differs from its tangent.
     assume(doubt > (0.05 if math.isinf(radius) else 1.0))
     assume(abs(gap - horizon) > 1.0)
     assume(abs(forward) > 3.0)
     assume(math.hypot(x - where.position[frame, 0], y - where.position[frame, 1]) > 2.5)
-    found = ahead_of(where, objects((frame, x, y, direction + turn, *size)), horizon_m=horizon, margin_m=margin)
+    obstacles = ahead_of(where, objects((frame, x, y, direction + turn, *size)), horizon_m=horizon, margin_m=margin)
     itself = outline(*where.position[frame, :2], where.heading[frame], LENGTH, WIDTH)
     overlaps = itself.intersection(body).area > 1e-6
     assume(overlaps or itself.distance(body) > 0.01)
     expected = corridor.intersects(body) and forward > 0.0 and gap <= horizon and not overlaps
-    assert len(found.row) == expected
-    assert len(found.overlapping) == overlaps
+    assert len(obstacles.row) == expected
+    assert len(obstacles.overlapping) == overlaps
     if expected:
-        assert found.gap_m[0] == pytest.approx(max(gap, 0.0), abs=0.05 if math.isinf(radius) else 0.6)
+        assert obstacles.gap_m[0] == pytest.approx(max(gap, 0.0), abs=0.05 if math.isinf(radius) else 0.6)
 
 
-def test_an_object_straight_on_where_the_path_bends_away_is_not_in_the_corridor() -> None:
+def test_an_object_ahead_where_the_path_bends_is_not_in_the_corridor() -> None:
     where = vehicle(radius_m=12.0, speed=5.0, heading=0.0)
-    found = ahead_of(where, objects((0, 9.0, 0.0, 0.0, 0.6, 0.6), (0, 9.0, 4.0, 0.0, 0.6, 0.6)))
-    assert found.row.tolist() == [1]
+    obstacles = ahead_of(where, objects((0, 9.0, 0.0, 0.0, 0.6, 0.6), (0, 9.0, 4.0, 0.0, 0.6, 0.6)))
+    assert obstacles.row.tolist() == [1]
 
 
-def test_an_object_beside_an_earlier_part_of_a_path_that_crosses_itself_is_met_when_the_path_returns() -> None:
-    """A full circle of 12 m radius: 75 m. From frame 100 on (50 m) the object at the start is 25 m ahead."""
+def test_an_object_beside_a_self_crossing_path_is_reached_on_the_return() -> None:
+    """A circle of 75 m: from frame 100 (50 m) the object at the start is 25 m ahead."""
     where = vehicle(radius_m=12.0, speed=5.0, frames=200, heading=0.0)
-    found = ahead_of(where, objects((100, 0.0, 0.0, 0.0, 4.5, 1.8)))
-    assert found.gap_m == pytest.approx([2 * math.pi * 12.0 - 50.0 - 4.5], abs=0.6)
+    obstacles = ahead_of(where, objects((100, 0.0, 0.0, 0.0, 4.5, 1.8)))
+    assert obstacles.gap_m == pytest.approx([2 * math.pi * 12.0 - 50.0 - 4.5], abs=0.6)
 
 
 def test_the_vehicle_itself_and_objects_behind_it_are_not_in_its_corridor() -> None:
@@ -125,16 +125,16 @@ def test_the_vehicle_itself_and_objects_behind_it_are_not_in_its_corridor() -> N
     assert ahead_of(where, objects(*rows)).row.tolist() == [3]
 
 
-def test_a_vehicle_that_stands_has_the_corridor_straight_ahead_and_need_not_brake() -> None:
+def test_a_stationary_vehicle_has_a_straight_corridor_and_need_not_brake() -> None:
     where = vehicle(speed=0.0, heading=math.pi / 2)
-    found = ahead_of(where, objects((50, 0.0, 5.0, 0.0, 4.5, 1.8), (50, 5.0, 0.0, 0.0, 4.5, 1.8)))
-    assert found.row.tolist() == [0]
-    assert found.gap_m == pytest.approx([5.0 - 0.9 - LENGTH / 2])
-    assert not found.brake.any()
-    assert np.isinf(found.ttc_s).all()
+    obstacles = ahead_of(where, objects((50, 0.0, 5.0, 0.0, 4.5, 1.8), (50, 5.0, 0.0, 0.0, 4.5, 1.8)))
+    assert obstacles.row.tolist() == [0]
+    assert obstacles.gap_m == pytest.approx([5.0 - 0.9 - LENGTH / 2])
+    assert not obstacles.brake.any()
+    assert np.isinf(obstacles.ttc_s).all()
 
 
-def test_closing_speed_is_along_the_path() -> None:
+def test_closing_speed_is_measured_along_the_path() -> None:
     where = vehicle(speed=10.0, heading=0.0)
     still, same, across, towards = (
         ahead_of(where, objects((0, 30.0, 0.0, 0.0, 4.5, 1.8), velocity=each)).ttc_s[0]
@@ -149,7 +149,7 @@ SPEED = st.floats(0.0, 40.0)
 
 
 @given(gap=st.floats(0.0, 200.0), own=SPEED, other=st.floats(-20.0, 40.0))
-def test_after_the_time_to_collision_the_gap_is_closed(gap: float, own: float, other: float) -> None:
+def test_the_gap_closes_after_the_time_to_collision(gap: float, own: float, other: float) -> None:
     assume(abs(own - other) > 1e-6)
     seconds = time_to_collision(*(np.array([value]) for value in (gap, own, other)))[0]
     assert math.isinf(seconds) == (other > own)
@@ -160,16 +160,16 @@ def test_after_the_time_to_collision_the_gap_is_closed(gap: float, own: float, o
 
 
 def stopping_gap(own: float, other: float, rule: SafeDistance, step_s: float = 2e-4) -> float:
-    """How much of a gap is used up, m, in the worst case of Responsibility-Sensitive Safety, step by step."""
-    used = most = time_s = 0.0
+    """The used gap, m, in the worst case of Responsibility-Sensitive Safety."""
+    used = max_used = time_s = 0.0
     while own > 0.0 or time_s < rule.response_s:
         rate = rule.acceleration if time_s < rule.response_s else -rule.braking
         faster = max(0.0, own + rate * step_s)
         slower = max(0.0, other - rule.braking_ahead * step_s)
         used += ((own + faster) - (other + slower)) / 2.0 * step_s
         own, other, time_s = faster, slower, time_s + step_s
-        most = max(most, used)
-    return most
+        max_used = max(max_used, used)
+    return max_used
 
 
 @settings(max_examples=40)
@@ -191,7 +191,7 @@ def test_the_safe_distance_is_that_of_the_worst_case(
 
 
 @given(gap=st.floats(0.0, 100.0), own=SPEED, other=st.floats(-20.0, 0.0))
-def test_an_object_that_approaches_counts_as_one_that_stands(gap: float, own: float, other: float) -> None:
+def test_an_approaching_object_is_treated_as_stationary(gap: float, own: float, other: float) -> None:
     near, standing = (
         SafeDistance().brakes(np.array([gap]), np.array([own]), np.array([each])) for each in (other, 0.0)
     )

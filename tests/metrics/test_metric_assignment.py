@@ -1,4 +1,4 @@
-"""Matching tracks with truth: against brute force, shapely and the Hungarian method."""
+"""Matching against brute force, shapely and the Hungarian method."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def total(truth: Boxes, tracks: Boxes, pairs: np.ndarray) -> float:
 
 @settings(max_examples=150)
 @given(st.integers(0, 4), st.integers(0, 4), st.sampled_from([3.0, 6.0, 20.0]), st.integers(0, 10**6))
-def test_no_matching_has_more_pairs_or_less_distance(n, m, spread, seed):
+def test_matching_has_the_most_pairs_and_then_the_least_distance(n, m, spread, seed):
     rng = np.random.default_rng(seed)
     truth, tracks = scattered(n, rng, spread), scattered(m, rng, spread)
     distance = np.linalg.norm(truth.position[:, None, :2] - tracks.position[None, :, :2], axis=2)
@@ -39,7 +39,7 @@ def test_no_matching_has_more_pairs_or_less_distance(n, m, spread, seed):
 
 @settings(max_examples=25)
 @given(st.integers(0, 10**6))
-def test_many_frames_at_once_give_what_the_hungarian_method_gives_for_each(seed):
+def test_batched_matching_equals_the_hungarian_method_per_frame(seed):
     rng = np.random.default_rng(seed)
     frames, gate = 8, 2.0
     truth = Boxes.join([scattered(int(rng.integers(0, 25)), rng, 15.0, frame) for frame in range(frames)])
@@ -60,12 +60,12 @@ def test_the_gate_is_inclusive():
     assert len(CenterDistanceAssigner(gate_m=2.0).assign(truth, boxes([[2.0 + 1e-9, 0.0]]))) == 0
 
 
-def test_two_pairs_win_over_one_nearer_pair():
+def test_two_pairs_are_preferred_to_one_nearer_pair():
     truth, tracks = boxes([[0.0, 0.0], [1.9, 0.0]]), boxes([[0.1, 0.0], [-1.8, 0.0]])
     assert CenterDistanceAssigner(gate_m=2.0).assign(truth, tracks).tolist() == [[0, 1], [1, 0]]
 
 
-def test_height_plays_no_part_in_the_distance():
+def test_height_does_not_affect_the_distance():
     assert len(CenterDistanceAssigner().assign(boxes([[0.0, 0.0, 0.0]]), boxes([[0.0, 0.0, 50.0]]))) == 1
 
 
@@ -112,7 +112,7 @@ def test_overlap_agrees_with_shapely(seed, far):
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, np.pi / 2, np.pi, -2.0])
-def test_boxes_that_coincide_overlap_in_full(yaw):
+def test_identical_boxes_overlap_fully(yaw):
     a = boxes([[3.0, -2.0]], yaw=yaw)
     assert iou_3d(a, a) == pytest.approx([1.0])
     assert iou_3d(a, boxes([[3.0, -2.0]], yaw=yaw + np.pi)) == pytest.approx([1.0])
@@ -126,14 +126,14 @@ def test_overlap_of_shifted_contained_touching_and_separate_boxes():
     assert iou_3d(a, b) == pytest.approx([1 / 3, 0.25, 0.0, 0.0, 1 / 3])
 
 
-def test_boxes_without_a_volume_overlap_with_nothing():
+def test_boxes_without_volume_overlap_nothing():
     flat = boxes([[0.0, 0.0]], size=(0.0, 0.0, 0.0))
     assert iou_3d(flat, flat).tolist() == [0.0]
 
 
 @settings(max_examples=60)
 @given(st.integers(0, 7), st.integers(0, 7), st.integers(0, 10**6))
-def test_the_greedy_assigner_always_takes_the_best_overlap_that_is_left(n, m, seed):
+def test_the_greedy_assigner_takes_the_best_remaining_overlap(n, m, seed):
     rng = np.random.default_rng(seed)
     truth, tracks = scattered(n, rng, 5.0), scattered(m, rng, 5.0)
     left = {(i, j): iou(truth, i, tracks, j) for i in range(n) for j in range(m)}
@@ -162,7 +162,7 @@ def test_invalid_limits_are_refused(cls, arguments):
     spread=st.sampled_from([1.0, 50.0, 1e6]),
     far=st.booleans(),
 )
-def test_near_pairs_are_all_pairs_of_a_group_within_the_radius_and_in_order(seed, radius, spread, far) -> None:
+def test_near_pairs_are_all_ordered_pairs_of_a_group_within_the_radius(seed, radius, spread, far) -> None:
     rng = np.random.default_rng(seed)
     sides = [boxes(rng.uniform(-spread, spread, (n, 2)), group=rng.integers(0, 4, n)) for n in rng.integers(0, 15, 2)]
     if far and len(sides[0]):

@@ -1,4 +1,4 @@
-"""Each false and each missed object of the picture has a cause, and lies have an author."""
+"""Each false and each missed object has a cause, and each lie an author."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ NOTHING = ObjectStates.empty()
 
 
 def recorded(truth, picture, local=None, points=None) -> Record:
-    """A run in which the ego alone is there.
+    """A run of the ego alone.
 
-    truth, picture: what there is and what is believed, a set of cars for each frame; local: the ego's own tracks
+    truth, picture: a set of cars for each frame; local: the ego's own tracks
     """
     record = Record(["ego"])
     for frame, (objects, believed) in enumerate(zip(truth, picture, strict=True)):
@@ -36,16 +36,16 @@ def seen(truth, picture, lies: tuple[Row, ...] | list[Row] = (), local=None, poi
 
 
 def causes(table, estimator: str = "picture") -> list[tuple[int, str, str, str]]:
-    """Frame, kind, cause and author of every row of an estimate that has a cause."""
-    mine = {name: column[table["estimator"] == estimator] for name, column in table.items()}
+    """Frame, kind, cause and author of every row of an estimate with a cause."""
+    selected = {name: column[table["estimator"] == estimator] for name, column in table.items()}
     names = ("frame", "kind", "cause", "by")
-    return [tuple(row) for row in zip(*(mine[name].tolist() for name in names), strict=True) if row[2]]
+    return [tuple(row) for row in zip(*(selected[name].tolist() for name in names), strict=True) if row[2]]
 
 
 CAR = cars((0.0, 0.0), id=[1])
 
 
-def test_every_error_of_an_estimate_has_a_cause_and_nothing_else_does() -> None:
+def test_every_error_of_an_estimate_and_nothing_else_has_a_cause() -> None:
     table = seen([CAR], [cars((0.1, 0.0), (40.0, 0.0), id=[5, 6])], local=[cars((0.1, 0.0), id=[5])])
     assert causes(table) == [(0, "track", "clutter", "")]
     assert causes(table, "local") == []
@@ -73,7 +73,7 @@ def test_an_object_inserted_by_two_adversaries_is_attributed_to_both() -> None:
 
 
 def test_a_coasting_false_track_is_still_attributed_to_its_adversary() -> None:
-    """The lie ends at 69 m; the track goes on, and bends away from where the lie would have gone."""
+    """The false object ends at 69 m; its track goes on and bends away."""
     lies = [("eve", frame, "inserted", 3, (60.0 + frame, 0.0), (10.0, 0.0)) for frame in range(10)]
     picture = [cars((0.0, 0.0), (60.0 + frame, 0.5 * max(frame - 9, 0)), id=[5, 6]) for frame in range(30)]
     table = seen([CAR] * 30, picture, lies)
@@ -81,11 +81,11 @@ def test_a_coasting_false_track_is_still_attributed_to_its_adversary() -> None:
 
 
 def test_a_false_track_before_the_first_insertion_is_natural() -> None:
-    """A track of clutter stands at 40 m; from frame 5 on the adversary shows an object there."""
+    """A clutter track is at 40 m; from frame 5 an object is inserted there."""
     lies = [("eve", frame, "inserted", 3, (40.0, 0.0), (0.0, 0.0)) for frame in range(5, 10)]
     picture = [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])] * 10
-    found = causes(seen([CAR] * 10, picture, lies))
-    assert found == [
+    rows = causes(seen([CAR] * 10, picture, lies))
+    assert rows == [
         *((frame, "track", "clutter", "") for frame in range(5)),
         *((frame, "track", "inserted", "eve") for frame in range(5, 10)),
     ]
@@ -119,8 +119,8 @@ def test_a_displaced_object_causes_a_false_track_and_a_missed_object() -> None:
 def test_an_object_with_a_displaced_track_is_attributed_to_the_adversary() -> None:
     lies = [("eve", frame, "inserted", 0, (2.0 * (frame - 11), 0.0), (20.0, 0.0)) for frame in range(12, 16)]
     picture = [cars((0.0 if frame < 12 else 2.0 * (frame - 10), 0.0), id=[5]) for frame in range(16)]
-    found = [row for row in causes(seen([CAR] * 16, picture, lies)) if row[1] == "truth"]
-    assert found == [(frame, "truth", "inserted", "eve") for frame in range(12, 16)]
+    rows = [row for row in causes(seen([CAR] * 16, picture, lies)) if row[1] == "truth"]
+    assert rows == [(frame, "truth", "inserted", "eve") for frame in range(12, 16)]
 
 
 def test_the_causes_of_one_agent_do_not_depend_on_another_without_estimates() -> None:
@@ -132,8 +132,10 @@ def test_the_causes_of_one_agent_do_not_depend_on_another_without_estimates() ->
         believed = cars((0.0 if frame < 12 else 2.0 * (frame - 10), 0.0), id=[5])
         record.add(frame, [Series("", "picture")], Snapshot.of(believed))
     table = explained(record, effects(*lies))
-    mine = (table["agent"] == "ego") & (table["kind"] == "truth") & (table["cause"] != "")
-    assert set(zip(table["cause"][mine].tolist(), table["by"][mine].tolist(), strict=True)) == {("inserted", "eve")}
+    selected = (table["agent"] == "ego") & (table["kind"] == "truth") & (table["cause"] != "")
+    assert set(zip(table["cause"][selected].tolist(), table["by"][selected].tolist(), strict=True)) == {
+        ("inserted", "eve")
+    }
 
 
 def test_a_second_track_of_an_object_is_a_duplicate() -> None:
@@ -151,9 +153,9 @@ def test_new_objects_have_no_track_yet_and_departed_ones_still_have_one() -> Non
     ]
 
 
-def test_a_track_too_far_from_its_object_lags_and_so_the_object_is_missed() -> None:
-    found = causes(seen([CAR] * 12, [*[CAR] * 11, cars((4.0, 0.0), id=[1])]))
-    assert found == [(11, "truth", "lag", ""), (11, "track", "lag", "")]
+def test_a_track_too_far_from_its_object_lags_and_the_object_is_missed() -> None:
+    rows = causes(seen([CAR] * 12, [*[CAR] * 11, cars((4.0, 0.0), id=[1])]))
+    assert rows == [(11, "truth", "lag", ""), (11, "track", "lag", "")]
 
 
 def test_a_track_of_an_unseen_object_is_due_to_occlusion_or_range() -> None:
@@ -163,8 +165,8 @@ def test_a_track_of_an_unseen_object_is_due_to_occlusion_or_range() -> None:
 
 @pytest.mark.parametrize(("local", "cause"), [(NOTHING, "occlusion or range"), (CAR, "fusion")])
 def test_an_object_tracked_by_no_agent_is_out_of_sight_otherwise_it_was_lost_in_fusion(local, cause: str) -> None:
-    found = causes(seen([CAR] * 12, [*[CAR] * 11, NOTHING], local=[*[CAR] * 11, local]))
-    assert found == [(11, "truth", cause, "")]
+    rows = causes(seen([CAR] * 12, [*[CAR] * 11, NOTHING], local=[*[CAR] * 11, local]))
+    assert rows == [(11, "truth", cause, "")]
 
 
 def test_the_order_of_the_effects_does_not_matter() -> None:
@@ -200,8 +202,8 @@ def test_an_attack_on_one_agents_detections_does_not_affect_another_agents_own_t
         for series in (Series("", "picture"), Series("ego", "local"), Series("infra_1", "local")):
             record.add(frame, [series], Snapshot.of(wrong))
     lies = [("eve", frame, "inserted", -1, (40.0, 0.0), (0.0, 0.0)) for frame in range(3)]
-    found = effects(*lies, passages=[passage("eve", "detections", "infra_1")], of=[0, 0, 0])
-    table = explained(record, found)
+    measured_effects = effects(*lies, passages=[passage("eve", "detections", "infra_1")], of=[0, 0, 0])
+    table = explained(record, measured_effects)
 
     def cause(agent: str, estimator: str) -> set[str]:
         return set(table["cause"][(table["agent"] == agent) & (table["estimator"] == estimator)])

@@ -1,4 +1,4 @@
-"""How much of the time each object is tracked."""
+"""The share of time in which each object is tracked."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ FIRST = cars((0.0, 0.0), id=[1])
 NONE = ObjectStates.empty()
 
 
-def test_completeness_is_the_matched_part_of_each_objects_frames_mean_over_objects() -> None:
+def test_completeness_is_the_mean_over_objects_of_their_matched_share() -> None:
     assert summary([BOTH] * 4, [BOTH, FIRST, FIRST, NONE])["completeness"] == pytest.approx((3 / 4 + 1 / 4) / 2)
 
 
-def test_an_object_counts_alike_however_long_it_is_seen() -> None:
+def test_objects_have_equal_weight_however_long_they_are_seen() -> None:
     assert summary([BOTH, FIRST, FIRST, FIRST], [FIRST] * 4)["completeness"] == pytest.approx((1.0 + 0.0) / 2)
 
 
@@ -38,13 +38,13 @@ def test_only_scored_frames_count() -> None:
     assert summary([BOTH] * 4, [NONE, BOTH, BOTH, NONE], slice(1, 3))["completeness"] == 1.0
 
 
-def test_without_objects_it_is_not_defined_and_json_holds_null() -> None:
-    found = summary([NONE, NONE], [FIRST, FIRST])
-    assert found["completeness"] is None
-    json.dumps(found, allow_nan=False)
+def test_without_objects_completeness_is_null_in_json() -> None:
+    scores = summary([NONE, NONE], [FIRST, FIRST])
+    assert scores["completeness"] is None
+    json.dumps(scores, allow_nan=False)
 
 
-def test_set_distances_are_of_every_frame_and_summed_up_like_counts() -> None:
-    found = summary([BOTH, BOTH], [BOTH, FIRST])
-    assert found["ospa_m"] == {"mean": pytest.approx(np.sqrt(25 / 2) / 2), "std": pytest.approx(np.sqrt(25 / 2) / 2)}
-    assert found["gospa_m"]["mean"] == pytest.approx(np.sqrt(25 / 2) / 2)
+def test_set_distances_are_computed_per_frame_and_summarised_like_counts() -> None:
+    scores = summary([BOTH, BOTH], [BOTH, FIRST])
+    assert scores["ospa_m"] == {"mean": pytest.approx(np.sqrt(25 / 2) / 2), "std": pytest.approx(np.sqrt(25 / 2) / 2)}
+    assert scores["gospa_m"]["mean"] == pytest.approx(np.sqrt(25 / 2) / 2)

@@ -1,4 +1,4 @@
-"""What links and faults are to blame for: objects that only agents could have told of that were cut off or down."""
+"""Blame of links and faults: objects known only to disconnected agents."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PERIOD_S = 0.1
 FRAMES = 60
 CUT = slice(20, 40)
 NOTHING = ObjectStates.empty()
-#: An object that infra_1 alone sees, and one that ego and infra_1 see.
+#: An object visible to infra_1 alone, and one visible to ego and infra_1.
 FAR, BOTH = 1, 2
 POINTS = {FAR: (0, 50, 0), BOTH: (50, 50, 0)}
 PLACE = {FAR: (40.0, 0.0), BOTH: (0.0, 0.0)}
@@ -30,7 +30,7 @@ def some(*ids: int) -> ObjectStates:
 
 
 def hidden(frames: range, at: tuple[float, float]) -> list[Row]:
-    """Eve takes away the object at a place."""
+    """Eve removes the object at a position."""
     return [("eve", frame, "removed", 0, at, (0.0, 0.0)) for frame in frames]
 
 
@@ -48,7 +48,7 @@ def recorded(*, local, picture, truth=lambda f: some(FAR, BOTH), points=POINTS) 
 
 
 def judged(*, silent, attacks=(), unheard=None, **world):
-    """The ego's table of objects of the picture, with causes."""
+    """The objects of the ego's picture, with causes."""
     record = recorded(**world)
     table = explained(record, effects(*attacks), cut_off_objects=severed(record, silent, unheard))
     rows = (table["agent"] == "ego") & (table["estimator"] == "picture")
@@ -68,22 +68,22 @@ def cut(agent: str = "infra_1", when: slice = CUT) -> np.ndarray:
 
 
 def holds(agent: str, frame: int) -> ObjectStates:
-    """Everyone tracks what it sees."""
+    """All agents track what they see."""
     return some(*(id_ for id_ in (FAR, BOTH) if POINTS[id_][AGENTS.index(agent)]))
 
 
 def missed(table, id_: int) -> dict[int, str]:
-    """By frame, why an object is missed."""
+    """By frame, the cause of a missed object."""
     rows = (table["kind"] == "truth") & (table["outcome"] == "missed") & (table["id"] == id_)
     return dict(zip(table["frame"][rows].tolist(), table["cause"][rows].tolist(), strict=True))
 
 
 def without(id_: int):
-    """A picture that loses an object while the cut lasts."""
+    """A picture that loses an object for the duration of the cut."""
     return lambda frame: some(*{FAR, BOTH} - {id_}) if CUT.start <= frame < CUT.stop else some(FAR, BOTH)
 
 
-def test_an_object_that_only_the_cut_agent_tracks_is_missed_because_of_the_fault() -> None:
+def test_an_object_tracked_only_by_a_disconnected_agent_is_missed_due_to_the_fault() -> None:
     table = judged(local=holds, picture=without(FAR), silent=cut())
     assert missed(table, FAR) == dict.fromkeys(range(20, 40), "link or fault")
 
@@ -93,7 +93,7 @@ def test_an_object_tracked_by_a_connected_agent_is_not_due_to_the_fault() -> Non
     assert set(missed(table, BOTH).values()) == {"fusion"}
 
 
-def test_an_object_that_another_agent_sees_but_does_not_track_is_due_to_the_fault() -> None:
+def test_an_object_seen_but_not_tracked_by_another_agent_is_missed_due_to_the_fault() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return NOTHING if agent == "ego" else holds(agent, frame)
 
@@ -110,7 +110,7 @@ def test_an_object_barely_seen_by_a_killed_agent_is_a_natural_miss() -> None:
     assert set(missed(table, FAR).values()) == {"occlusion or range"}
 
 
-def test_a_killed_agent_has_no_tracks_but_its_sensor_would_have_seen_the_object() -> None:
+def test_a_killed_agent_is_judged_by_what_its_sensor_would_have_seen() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return NOTHING if agent == "infra_1" and CUT.start <= frame < CUT.stop else holds(agent, frame)
 
@@ -125,17 +125,17 @@ def test_a_restarted_agent_needs_a_second_to_track_objects() -> None:
     def picture(frame: int) -> ObjectStates:
         return some(FAR, BOTH) if frame < CUT.start else some(BOTH)
 
-    found = missed(judged(local=local, picture=picture, silent=cut(), unheard=cut()), FAR)
-    assert {found[frame] for frame in range(20, 50)} == {"link or fault"}
-    assert {found[frame] for frame in range(50, FRAMES)} == {"occlusion or range"}
+    misses = missed(judged(local=local, picture=picture, silent=cut(), unheard=cut()), FAR)
+    assert {misses[frame] for frame in range(20, 50)} == {"link or fault"}
+    assert {misses[frame] for frame in range(50, FRAMES)} == {"occlusion or range"}
 
 
 def test_a_running_disconnected_agent_knows_only_the_objects_it_tracks() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return NOTHING if agent == "infra_1" else holds(agent, frame)
 
-    found = missed(judged(local=local, picture=without(FAR), silent=cut()), FAR)
-    assert set(found.values()) == {"occlusion or range"}
+    misses = missed(judged(local=local, picture=without(FAR), silent=cut()), FAR)
+    assert set(misses.values()) == {"occlusion or range"}
 
 
 def test_an_object_new_in_the_view_of_a_killed_agent_is_at_first_missed_because_of_lag() -> None:
@@ -157,7 +157,7 @@ def test_an_object_already_tracked_by_a_disconnected_agent_is_missed_because_of_
 
 
 @pytest.mark.parametrize(("taken", "cause"), [(FAR, "removed"), (BOTH, "link or fault")])
-def test_hiding_is_attributed_to_the_adversary_even_during_a_disconnection(taken: int, cause: str) -> None:
+def test_hiding_during_a_disconnection_is_attributed_to_the_adversary(taken: int, cause: str) -> None:
     attacks = hidden(range(15, 45), PLACE[taken])
     table = judged(local=holds, picture=without(FAR), silent=cut(), attacks=attacks)
     assert set(missed(table, FAR).values()) == {cause}
@@ -181,29 +181,29 @@ def test_simultaneous_attack_partition_and_natural_errors_are_distinguished() ->
         silent=cut(),
         attacks=hidden(range(20, 40), places[2]),
     )
-    found = {id_: set(missed(table, id_).values()) for id_ in places}
-    assert found == {1: {"link or fault"}, 2: {"removed"}, 3: {"occlusion or range"}, 4: set()}
+    causes_by_id = {id_: set(missed(table, id_).values()) for id_ in places}
+    assert causes_by_id == {1: {"link or fault"}, 2: {"removed"}, 3: {"occlusion or range"}, 4: set()}
     missing = (table["kind"] == "truth") & (table["outcome"] == "missed")
     counted = dict(zip(*np.unique(table["cause"][missing], return_counts=True), strict=True))
     assert split(counted, FRAMES) == {"fault": 20 / FRAMES, "attack": 20 / FRAMES, "natural": 20 / FRAMES}
 
 
-def test_an_agents_own_tracks_are_never_cut_off() -> None:
-    """What the ego misses by itself is not the network's fault, whatever is cut off."""
+def test_own_tracks_of_an_agent_are_never_blamed_on_a_disconnection() -> None:
+    """The ego's own misses are never due to the network."""
     record = recorded(local=holds, picture=without(FAR))
     _, table, _, _ = labelled(record, effects(), cut_off_objects=severed(record, cut()))
     own = (table["estimator"] == "local") & (table["cause"] != "")
     assert set(table["cause"][own]) == {"occlusion or range", "lag"}
 
 
-def test_without_a_disconnection_there_is_no_fault() -> None:
+def test_without_a_disconnection_nothing_is_due_to_a_fault() -> None:
     table = judged(local=holds, picture=without(FAR), silent=cut(when=slice(0, 0)))
     assert "link or fault" not in table["cause"]
     assert set(missed(table, FAR).values()) == {"fusion"}
 
 
 def drifting(id_: int):
-    """A picture whose track of an object goes on straight while the object stands still."""
+    """The picture's track of an object goes straight on while the object stands."""
 
     def picture(frame: int) -> ObjectStates:
         away = 0.5 * (min(frame, 45) - CUT.start) if frame >= CUT.start else 0.0
@@ -219,27 +219,27 @@ def false(table) -> dict[int, str]:
     return dict(zip(table["frame"][rows].tolist(), table["cause"][rows].tolist(), strict=True))
 
 
-def test_a_track_that_goes_astray_because_its_only_source_is_cut_off_is_false_because_of_the_fault() -> None:
-    """It leaves its object at frame 25; the agent is back at 40, and 1 s later its tracks ought to be in."""
-    found = false(judged(local=holds, picture=drifting(FAR), silent=cut()))
-    assert {found[frame] for frame in range(25, 50)} == {"link or fault"}
-    assert found[50] == "lag"
+def test_a_drifting_track_whose_only_source_is_disconnected_is_due_to_the_fault() -> None:
+    """It leaves its object at frame 25; the agent returns at 40, effective 1 s later."""
+    false_tracks = false(judged(local=holds, picture=drifting(FAR), silent=cut()))
+    assert {false_tracks[frame] for frame in range(25, 50)} == {"link or fault"}
+    assert false_tracks[50] == "lag"
 
 
-def test_a_track_of_an_object_that_another_agent_reports_is_not_due_to_the_fault() -> None:
-    found = false(judged(local=holds, picture=drifting(BOTH), silent=cut()))
-    assert {found[frame] for frame in range(25, 40)} == {"lag"}
+def test_a_drifting_track_of_an_object_reported_by_another_agent_is_not_due_to_the_fault() -> None:
+    false_tracks = false(judged(local=holds, picture=drifting(BOTH), silent=cut()))
+    assert {false_tracks[frame] for frame in range(25, 40)} == {"lag"}
 
 
-def test_a_track_of_an_object_that_has_gone_would_have_stayed_a_while_anyway() -> None:
+def test_a_track_that_outlives_its_object_is_not_due_to_the_fault_for_a_while() -> None:
     def truth(frame: int) -> ObjectStates:
         return some(FAR, BOTH) if frame < 30 else some(BOTH)
 
-    found = false(judged(local=holds, truth=truth, picture=lambda f: some(FAR, BOTH), silent=cut()))
-    assert {found[frame] for frame in range(30, 40)} == {"lag"}
+    false_tracks = false(judged(local=holds, truth=truth, picture=lambda f: some(FAR, BOTH), silent=cut()))
+    assert {false_tracks[frame] for frame in range(30, 40)} == {"lag"}
 
 
-# -- who is missing, and when -----------------------------------------------------------------------------------------
+# -- absent agents, by frame ------------------------------------------------------------------------------------------
 
 
 def missing(silent_frames=(), unheard=(), frames: int = 40, **how) -> list[int]:
@@ -247,11 +247,11 @@ def missing(silent_frames=(), unheard=(), frames: int = 40, **how) -> list[int]:
     return np.flatnonzero(CutOff(**how).missing(*masks, PERIOD_S)[:, 0]).tolist()
 
 
-def test_an_agent_that_misses_a_frame_is_missing_in_that_frame_only() -> None:
+def test_an_agent_that_misses_a_frame_is_absent_only_then() -> None:
     assert missing([10, 20, 21]) == [10, 20, 21]
 
 
-def test_an_agent_missing_for_long_needs_a_second_to_return_to_the_picture() -> None:
+def test_an_agent_absent_for_long_needs_a_second_to_return_to_the_picture() -> None:
     assert missing([10, 11, 12]) == list(range(10, 23))
     assert missing([10, 11, 12], max_age_s=0.3) == [10, 11, 12]
     assert missing([10, 11, 12], recovery_s=0.0) == [10, 11, 12]
@@ -270,7 +270,7 @@ def gone(*rows: tuple[str, str, int, bool]) -> list[list[int]]:
     return [np.flatnonzero(column).tolist() for column in presence.absent(AGENTS, np.arange(10)).T]
 
 
-def test_an_agent_is_down_from_when_it_left_until_it_joined() -> None:
+def test_an_agent_is_down_from_leaving_until_joining() -> None:
     assert gone() == [[], [], []]
     up = [(agent, "agent", 0, True) for agent in AGENTS]
     assert gone(*up) == [[], [], []]
@@ -279,7 +279,7 @@ def test_an_agent_is_down_from_when_it_left_until_it_joined() -> None:
     assert gone(*up, ("infra_2", "agent", 8, False)) == [[], [], [8, 9]]
 
 
-def test_an_agent_that_came_later_was_not_there_before() -> None:
+def test_an_agent_that_joins_later_was_absent_before() -> None:
     assert gone(("infra_1", "agent", 4, True)) == [[], [0, 1, 2, 3], []]
 
 
@@ -290,7 +290,7 @@ def test_without_a_command_centre_no_agent_is_connected(role: str) -> None:
 
 
 def on_links(*rows: tuple[str, str, int, str]) -> Effects:
-    """What links did to messages: agent, port, frame, effect."""
+    """Effects of links on messages: agent, port, frame, effect."""
     ways = list(dict.fromkeys((agent, port) for agent, port, _, _ in rows))
     return effects(
         *((f"link_{agent}", frame, effect, -1, (0.0, 0.0), (0.0, 0.0)) for agent, _, frame, effect in rows),
@@ -299,8 +299,8 @@ def on_links(*rows: tuple[str, str, int, str]) -> Effects:
     )
 
 
-def test_a_link_stops_tracks_that_it_drops_damages_or_delays_and_batches_of_all_tracks() -> None:
-    found = on_links(
+def test_dropped_damaged_or_late_tracks_and_batches_count_as_disconnected() -> None:
+    disconnected = on_links(
         ("infra_1", "tracks", 1, "dropped"),
         ("infra_1", "tracks", 2, "delayed"),
         ("infra_1", "tracks", 3, "corrupted"),
@@ -312,10 +312,10 @@ def test_a_link_stops_tracks_that_it_drops_damages_or_delays_and_batches_of_all_
         ("nobody", "tracks", 9, "dropped"),
         ("centre", "collated", 10, "dropped"),
     )
-    roles = {way.node: "link" for way in found.passages}
-    mask = stopped_by_links(found, roles, AGENTS, np.arange(12))
+    roles = {way.node: "link" for way in disconnected.passages}
+    mask = stopped_by_links(disconnected, roles, AGENTS, np.arange(12))
     assert [np.flatnonzero(column).tolist() for column in mask.T] == [[10], [1, 2, 3, 10], [8, 10]]
-    assert not stopped_by_links(found, {}, AGENTS, np.arange(12)).any(), "an adversary's doing is no fault"
+    assert not stopped_by_links(disconnected, {}, AGENTS, np.arange(12)).any(), "an adversary's drop is no fault"
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:
@@ -326,5 +326,5 @@ def test_objects_are_looked_up_by_frame_and_id() -> None:
     assert not CutOffObjects.nothing().contains(ids, frames, tracked=np.array([True] * 4)).any()
 
 
-def test_no_frames_have_no_split() -> None:
+def test_without_frames_there_is_no_split_by_cause() -> None:
     assert split({}, 0) == {"fault": None, "attack": None, "natural": None}

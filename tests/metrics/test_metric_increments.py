@@ -1,4 +1,4 @@
-"""What an attack adds, from two tables per frame."""
+"""Increments by an attack, from two tables per frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mast_zenoh.metrics import increments
 
 
 def table(**series):
-    """A table per frame; each series is agent__estimator=[(fn, fp, tp), …], or {frame: (fn, fp, tp)}."""
+    """A table per frame; each series is agent__estimator=[(fn, fp, tp), …]."""
     rows = []
     for name, values in series.items():
         agent, estimator = name.split("__")
@@ -33,7 +33,7 @@ ATTACKED = table(
 )
 
 
-def test_increments_over_the_baseline_and_over_the_ego_alone():
+def test_increments_are_computed_over_the_baseline_and_over_the_ego_alone():
     result = increments(BASELINE, ATTACKED)
     assert result["frames"] == 2
     assert result["fp"] == {"iob": {"mean": 3.5, "std": 0.5}, "ioe": {"mean": 4.0, "std": 1.0}}
@@ -48,7 +48,7 @@ def test_compromised_agents_are_judged_by_their_own_tracks():
     assert result["compromised"]["infra_1"]["fp"] == {"mean": 4.0, "std": 1.0}
 
 
-def test_only_frames_of_both_runs_are_compared_whatever_their_order():
+def test_only_common_frames_are_compared_in_any_order():
     some = {name: column[::-1] for name, column in ATTACKED.items()}
     longer = table(
         ego__picture={1: (1, 1, 9), 0: (1, 0, 9), 2: (9, 9, 9)}, ego__local={0: (0, 0, 0), 1: (0, 0, 0), 2: (9, 9, 9)}

@@ -1,4 +1,4 @@
-"""The reference scene: the truth that counts is the one others counted, and labelled detections are found again."""
+"""The reference scene: truth and labelled detections match published counts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def scene(tmp_path_factory):
     return json.loads(truth), agents, detections
 
 
-def test_the_egos_detections_score_as_their_labels_say(scene):
+def test_the_egos_detections_score_as_labelled(scene):
     truth, agents, detections = scene
     run, labelled, clutter = Record(AGENTS), {}, {}
     for key, rows in truth.items():
@@ -47,24 +47,24 @@ def test_the_egos_detections_score_as_their_labels_say(scene):
         points = np.array([[5 if a in row[8] else 0 for a in range(5)] for row in rows])
         places = np.array([agents[frame, a]["x"] for a in range(5)])
         run.add_truth(frame, objects, points, places, np.array([EGO, -1, -1, -1, -1]))
-        ego, found = agents[frame, 0], detections[frame, 0]["detections"]
-        local = np.array([[d["x"], d["y"], d["z"]] for d in found]).reshape(-1, 3)
+        ego, detected = agents[frame, 0], detections[frame, 0]["detections"]
+        local = np.array([[d["x"], d["y"], d["z"]] for d in detected]).reshape(-1, 3)
         # The scene's quaternions are passive: its transpose turns the lidar's components into the world's.
         seen = to_world(local, np.array(ego["lidar_x"]), rotation_from_quaternion(np.array(ego["q"])).T)
         run.add(frame, [Series("ego", "local")], Snapshot.of(ObjectStates.of(seen)))
         near = np.hypot(*(objects.position[:, :2] - places[0, :2]).T) <= 100.0
         heard = np.hypot(*(seen[:, :2] - places[0, :2]).T) <= 100.0
-        true = np.isin([d["gt"] for d in found], ids[near])
+        true = np.isin([d["gt"] for d in detected], ids[near])
         labelled[frame], clutter[frame] = int(np.sum(true & heard)), int(np.sum(~true & heard))
     scores = Scorer().score(run)
     scored = slice(6, -10)
     frames = scores.frames[scored]
     assert frames.tolist() == list(range(7, 141))
-    # 1.93 FN + 11.93 TP, and 1.44 + 12.42, are what other evaluations of this scene add up to.
+    # Other evaluations of this scene report sums of 1.93 FN + 11.93 TP, and 1.44 + 12.42.
     assert (scores.fn + scores.tp)[:, scored].mean() == pytest.approx(13.86, abs=0.005)
     table = {name: column[np.isin(scores.per_frame()["frame"], frames)] for name, column in scores.per_frame().items()}
     for k, frame in enumerate(table["frame"]):
-        # Clutter that happens to lie at an object which was not detected passes for it.
+        # Clutter at the position of an undetected object counts as its detection.
         assert labelled[frame] <= table["tp"][k] <= labelled[frame] + clutter[frame]
         assert table["fp"][k] <= clutter[frame]
     assert sum(table["tp"]) - sum(labelled[frame] for frame in table["frame"]) <= 3

@@ -1,4 +1,4 @@
-"""Scores of a run: by hand on small ones, against plain loops on random ones."""
+"""Scores of runs: small ones by hand, random ones against plain loops."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mast_zenoh.metrics.record import Snapshot
 
 
 def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=None, own=-1, position=(0.0, 0.0, 0.0)):
-    """A run of one agent, the ego; everything is seen unless `points` (one list a frame) says otherwise."""
+    """A run of one agent, the ego; `points` (a list per frame) sets visibility."""
     result = Record(["ego"])
     for frame, (objects, states) in enumerate(zip(truth, picture, strict=True)):
         seen = np.full(len(objects), 10) if points is None else np.array(points[frame])
@@ -27,8 +27,8 @@ def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=Non
 
 def counts(scores, agent="ego", estimator="picture"):
     table = scores.per_frame()
-    mine = (table["agent"] == agent) & (table["estimator"] == estimator)
-    return [tuple(int(table[name][k]) for name in ("fn", "fp", "tp")) for k in np.flatnonzero(mine)]
+    selected = (table["agent"] == agent) & (table["estimator"] == estimator)
+    return [tuple(int(table[name][k]) for name in ("fn", "fp", "tp")) for k in np.flatnonzero(selected)]
 
 
 def outcomes(scores) -> set[tuple[str, str, int, int]]:
@@ -36,7 +36,7 @@ def outcomes(scores) -> set[tuple[str, str, int, int]]:
     return set(zip(t["kind"].tolist(), t["outcome"].tolist(), t["id"].tolist(), t["match_id"].tolist(), strict=True))
 
 
-def test_a_small_frame_by_hand():
+def test_scores_of_a_small_frame_computed_by_hand():
     truth = cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0), id=[1, 2, 3])
     tracks = cars((0.0, 0.6), (10.8, 0.0), (30.0, 0.0), id=[7, 8, 9])
     scores = Scorer().score(record([truth], [tracks]))
@@ -88,7 +88,7 @@ def test_a_track_of_an_unseen_object_is_false_by_default(ignore_unseen, expected
     assert {o for kind, o, _, _ in outcomes(scores) if kind == "track"} == {outcome}
 
 
-def test_an_unseen_object_takes_no_track_from_a_seen_one():
+def test_an_unseen_object_takes_no_track_from_a_visible_one():
     truth = cars((0.0, 0.0), (1.0, 0.0), id=[1, 2])
     run = record([truth], [cars((0.9, 0.0))], points=[[9, 0]])
     assert counts(Scorer(ignore_unseen=True).score(run)) == [(0, 0, 1)]
@@ -99,7 +99,7 @@ def test_an_unseen_object_excuses_one_track_only():
     assert counts(Scorer(ignore_unseen=True).score(run)) == [(0, 1, 0)]
 
 
-def test_the_agent_is_in_its_own_truth_unless_left_out():
+def test_the_agent_is_in_its_own_truth_by_default():
     def run():
         return record([cars((0.0, 0.0), (9.0, 0.0), id=[42, 1])], [cars((0.1, 0.0), (9.0, 0.0))], own=42)
 
@@ -109,12 +109,12 @@ def test_the_agent_is_in_its_own_truth_unless_left_out():
 
 def test_a_switch_is_counted_against_the_last_match_even_after_a_gap():
     truth = [cars((0.0, 0.0), id=[1])] * 6
-    there, gone = (0.0, 0.0), (50.0, 0.0)
-    tracks = [cars(p, id=[i]) for p, i in ((there, 7), (there, 7), (gone, 7), (there, 8), (there, 8), (there, 7))]
+    there, absent = (0.0, 0.0), (50.0, 0.0)
+    tracks = [cars(p, id=[i]) for p, i in ((there, 7), (there, 7), (absent, 7), (there, 8), (there, 8), (there, 7))]
     assert Scorer().score(record(truth, tracks)).id_switches.tolist() == [[0, 0, 0, 1, 0, 1]]
 
 
-def test_switches_of_one_agent_are_not_those_of_another():
+def test_identity_switches_are_counted_per_agent():
     run = Record(["ego", "infra_1"])
     for frame in range(2):
         run.add_truth(frame, cars((0.0, 0.0)), np.array([[9, 9]]), np.zeros((2, 3)), np.array([-1, -1]))
@@ -126,14 +126,14 @@ def test_switches_of_one_agent_are_not_those_of_another():
 
 
 @pytest.mark.parametrize("scored", [slice(9, 5), slice(0, 0), slice(3, 3)])
-def test_without_scored_frames_the_summary_has_no_figures(scored):
+def test_without_scored_frames_the_summary_is_empty(scored):
     truth = [cars((0.0, 0.0))] * 5
     summary = Scorer().score(record(truth, truth)).summary(scored)
     assert summary["ego"]["picture"]["fn"] == {"mean": None, "std": None}
     json.dumps(summary, allow_nan=False)
 
 
-def test_of_several_messages_about_one_frame_the_first_counts_as_it_does_for_the_broker():
+def test_the_first_of_several_messages_about_a_frame_counts_as_in_the_broker():
     run = record([cars((0.0, 0.0))], [cars((0.0, 0.0))])
     run.add(0, [Series("", "picture")], Snapshot.of(ObjectStates.empty()))
     assert counts(Scorer().score(run)) == [(0, 0, 1)]
@@ -167,7 +167,7 @@ def test_the_picture_on_arrival_is_the_newest_received_one_until_it_is_too_old()
     run = Record(["ego"])
     for frame in range(12):
         run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
-    for frame, step in ((0, 1), (1, 3), (2, 2), (3, 4)):  # that of frame 1 is overtaken by that of frame 2
+    for frame, step in ((0, 1), (1, 3), (2, 2), (3, 4)):  # the picture of frame 1 is overtaken by that of frame 2
         run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), step, frame * 100)
     run.hold_pictures({"ego": 400}, {frame: 100 * frame for frame in range(12)})
     frames = np.arange(12)
@@ -196,13 +196,13 @@ def test_an_estimate_without_messages_misses_everything():
         assert counts(scores, estimator=estimator) == [(1, 0, 0)] * 3
 
 
-def test_a_frame_without_a_message_counts_as_one_without_tracks():
+def test_a_frame_without_a_message_has_no_tracks():
     run = record([cars((0.0, 0.0))] * 3, [cars((0.0, 0.0))] * 3)
     run.add(0, [Series("ego", "local")], Snapshot.of(cars((0.0, 0.0))))
     assert counts(Scorer().score(run), estimator="local") == [(0, 0, 1), (1, 0, 0), (1, 0, 0)]
 
 
-def test_rmse_is_over_all_pairs_of_the_run_and_null_without_any():
+def test_rmse_covers_all_pairs_of_the_run_and_is_null_without_any():
     truth = [cars((0.0, 0.0), (9.0, 0.0)), cars((0.0, 0.0))]
     scores = Scorer().score(record(truth, [cars((0.3, 0.0), (9.0, 0.4)), cars((0.0, 1.2))]))
     assert scores.summary()["ego"]["picture"]["rmse_m"] == pytest.approx(np.sqrt((0.09 + 0.16 + 1.44) / 3))
@@ -219,20 +219,20 @@ def test_the_summary_has_mean_and_deviation_over_frames():
     assert summary["ego"]["picture"]["tp"] == {"mean": 0.5, "std": 0.5}
 
 
-def test_the_summary_can_be_of_some_frames_while_the_tables_hold_all():
+def test_the_summary_can_cover_some_frames_while_tables_have_all():
     scores = Scorer().score(record([cars((0.0, 0.0))] * 4, [ObjectStates.empty(), *[cars((0.0, 0.6))] * 3]))
     summary = scores.summary(slice(1, 4))["ego"]["picture"]
     assert (summary["fn"]["mean"], summary["tp"]["mean"], summary["rmse_m"]) == (0.0, 1.0, pytest.approx(0.6))
     assert len(scores.per_frame()["frame"]) == 4
 
 
-def test_the_assigner_can_be_overlap():
+def test_matching_by_overlap_can_be_configured():
     truth, tracks = [cars((0.0, 0.0))], [cars((0.0, 1.5))]
     assert counts(Scorer().score(record(truth, tracks))) == [(0, 0, 1)]
     assert counts(Scorer(assigner=IoU3DGreedyAssigner()).score(record(truth, tracks))) == [(1, 1, 0)]
 
 
-def test_truth_that_does_not_fit_the_agents_is_refused():
+def test_truth_that_does_not_match_the_agents_is_refused():
     run = Record(["ego", "infra_1"])
     with pytest.raises(ValueError, match=r"truth of frame 3, points: found shape \(1, 1\), expected \(1, 2\)"):
         run.add_truth(3, cars((0.0, 0.0)), np.array([[9]]), np.zeros((2, 3)), np.array([-1, -1]))
@@ -248,7 +248,7 @@ def test_a_record_without_truth_has_no_frames():
 
 
 def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
-    """A run of three agents, two estimators each and the picture, in a crowded place."""
+    """A run of three agents with two estimators each and a picture, in clutter."""
     rng = np.random.default_rng(seed)
     shuffle = np.random.default_rng(seed + 1)
     agents, frames = ["ego", "infra_1", "infra_2"], []
@@ -280,7 +280,7 @@ def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
 
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
-def test_counts_are_those_of_plain_loops(seed, include_self, ignore_unseen):
+def test_counts_equal_those_of_plain_loops(seed, include_self, ignore_unseen):
     run, frames = random_run(seed)
     scorer = Scorer(range_m=7.0, min_points=5, include_self=include_self, ignore_unseen=ignore_unseen)
     table = scorer.score(run).per_frame()
@@ -328,14 +328,14 @@ def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
 
 @settings(max_examples=30)
 @given(st.integers(0, 10**6))
-def test_every_box_has_one_outcome_and_the_counts_are_those_of_the_outcomes(seed):
+def test_every_box_has_one_outcome_and_outcomes_add_up_to_the_counts(seed):
     scores = Scorer(range_m=7.0).score(random_run(seed)[0])
     t, counted = scores.objects(), scores.per_frame()
     for k in range(len(counted["frame"])):
-        mine = np.all([t[name] == counted[name][k] for name in ("frame", "agent", "estimator")], axis=0)
+        selected = np.all([t[name] == counted[name][k] for name in ("frame", "agent", "estimator")], axis=0)
 
-        def number(kind, outcome, mine=mine):
-            return int(np.sum(mine & (t["kind"] == kind) & (t["outcome"] == outcome)))
+        def number(kind, outcome, selected=selected):
+            return int(np.sum(selected & (t["kind"] == kind) & (t["outcome"] == outcome)))
 
         assert number("truth", "missed") == counted["fn"][k]
         assert number("track", "false") == counted["fp"][k]

@@ -1,4 +1,4 @@
-"""OSPA and GOSPA: by hand, against every assignment tried, and against Stone Soup."""
+"""OSPA and GOSPA: by hand, by brute force, and against Stone Soup."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from metric_oracles import boxes
 from mast_zenoh.metrics import SetDistance
 
 
-def by_trying(x: np.ndarray, y: np.ndarray, how: SetDistance) -> tuple[float, float]:
+def by_brute_force(x: np.ndarray, y: np.ndarray, how: SetDistance) -> tuple[float, float]:
     """OSPA and GOSPA of (n, 2) and (m, 2), from the definitions."""
     x, y = sorted((x, y), key=len)
     m, n = len(x), len(y)
@@ -31,11 +31,11 @@ def test_set_distances_of_one_object_a_metre_off_and_one_missed_object() -> None
     assert ospa == pytest.approx([(1.0 + 5.0) / 2])
     assert gospa == pytest.approx([1.0 + 5.0 / 2])
     ospa, gospa = SetDistance(c=5.0, p=2.0, alpha=1.0).of(truth, tracks, 1)
-    assert ospa == pytest.approx([np.sqrt((1.0 + 25.0) / 2)]), "the mean is under the root"
+    assert ospa == pytest.approx([np.sqrt((1.0 + 25.0) / 2)]), "the mean is inside the root"
     assert gospa == pytest.approx([np.sqrt(1.0 + 25.0)])
 
 
-def test_two_empty_sets_have_distance_zero_and_one_empty_set_c() -> None:
+def test_two_empty_sets_have_distance_zero_and_an_empty_and_a_full_one_c() -> None:
     ospa, gospa = SetDistance(c=5.0, p=2.0).of(boxes([(0.0, 0.0)] * 2, group=[1, 1]), boxes(np.zeros((0, 3))), 2)
     assert ospa.tolist() == [0.0, 5.0]
     assert gospa == pytest.approx([0.0, np.sqrt(2 * 25.0 / 2)])
@@ -51,22 +51,22 @@ places = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6)), max_size=5)
     c=st.sampled_from([1.5, 3.0, 8.0]),
     alpha=st.sampled_from([0.5, 1.0, 2.0]),
 )
-def test_it_is_the_least_over_all_assignments_in_every_frame(frames, p: float, c: float, alpha: float) -> None:
+def test_the_distance_is_minimal_over_all_assignments(frames, p: float, c: float, alpha: float) -> None:
     how = SetDistance(c=c, p=p, alpha=alpha)
-    sets = [[np.array(found, float).reshape(-1, 2) for found in frame] for frame in frames]
+    sets = [[np.array(estimate, float).reshape(-1, 2) for estimate in frame] for frame in frames]
     sides = [
         boxes(
             np.concatenate([frame[k] for frame in sets]), group=np.repeat(range(len(sets)), [len(f[k]) for f in sets])
         )
         for k in (0, 1)
     ]
-    found = np.column_stack(how.of(*sides, len(sets)))
-    assert found == pytest.approx(np.array([by_trying(x, y, how) for x, y in sets]), abs=1e-6)
+    estimate = np.column_stack(how.of(*sides, len(sets)))
+    assert estimate == pytest.approx(np.array([by_brute_force(x, y, how) for x, y in sets]), abs=1e-6)
 
 
 @pytest.mark.parametrize("p", [1.0, 2.0])
-def test_stone_soup_agrees(p: float) -> None:
-    """Stone Soup's OSPA assigns by d and not by d^p, so it is asked for p = 1 only."""
+def test_distances_equal_those_of_stone_soup(p: float) -> None:
+    """Stone Soup's OSPA assigns by d, not by d^p, so only p = 1 is compared."""
     ospa = pytest.importorskip("stonesoup.metricgenerator.ospametric", reason="Stone Soup is not installed")
     from stonesoup.types.state import State
 
@@ -74,12 +74,12 @@ def test_stone_soup_agrees(p: float) -> None:
     for _ in range(20):
         sets = [rng.uniform(0.0, 15.0, (rng.integers(1, 9), 2)) for _ in range(2)]
         states = [[State(place.reshape(2, 1), timestamp=0) for place in places] for places in sets]
-        mine = SetDistance(c=4.0, p=p).of(boxes(sets[0]), boxes(sets[1]), 1)
+        ours = SetDistance(c=4.0, p=p).of(boxes(sets[0]), boxes(sets[1]), 1)
         if p == 1.0:
-            theirs = ospa.OSPAMetric(p=p, c=4.0).compute_OSPA_distance(*states[::-1])
-            assert mine[0] == pytest.approx([theirs.value])
-        theirs, _ = ospa.GOSPAMetric(p=p, c=4.0).compute_gospa_metric(*states[::-1])
-        assert mine[1] == pytest.approx([theirs.value["distance"]])
+            stone_soup = ospa.OSPAMetric(p=p, c=4.0).compute_OSPA_distance(*states[::-1])
+            assert ours[0] == pytest.approx([stone_soup.value])
+        stone_soup, _ = ospa.GOSPAMetric(p=p, c=4.0).compute_gospa_metric(*states[::-1])
+        assert ours[1] == pytest.approx([stone_soup.value["distance"]])
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Metrics that users define: what they are given, what they may return, and how their values are summed up."""
+"""User-defined metrics: their inputs, valid results and summaries."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mast_zenoh.metrics.user_metrics import ErrorsNearby, LongestMiss
 
 
 class Told(FrameMetric):
-    """Returns what it was told to; remembers what it was given."""
+    """A metric that returns preset values and records its inputs."""
 
     def __init__(self, value: Any) -> None:
         self.what = value
@@ -31,7 +31,7 @@ class Told(FrameMetric):
 
 
 class ToldForRun(RunMetric):
-    """The same, of a run."""
+    """The same for a metric per run."""
 
     def __init__(self, value: Any) -> None:
         self.what = value
@@ -41,7 +41,7 @@ class ToldForRun(RunMetric):
 
 
 def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] | None = None):
-    """(summary, table) of a run in which objects at 10 m, 20 m, … of the ego are tracked, or not, in each frame."""
+    """(summary, table) of a run; the ego's objects are at 10 m, 20 m, …"""
     record = Record(["ego"])
     n = len(tracked[0])
     for frame, which in enumerate(tracked):
@@ -67,7 +67,7 @@ TRACKED = st.integers(1, 4).flatmap(
 
 
 @given(TRACKED, st.data())
-def test_the_longest_miss_is_the_longest_run_of_missed_scored_frames_of_one_object(tracked, data) -> None:
+def test_the_longest_miss_is_the_longest_series_of_missed_scored_frames_of_an_object(tracked, data) -> None:
     scored = data.draw(st.lists(st.booleans(), min_size=len(tracked), max_size=len(tracked)))
     longest = 0
     for column in zip(*tracked, strict=True):
@@ -77,11 +77,11 @@ def test_the_longest_miss_is_the_longest_run_of_missed_scored_frames_of_one_obje
             longest = max(longest, run)
     summary, table = computed([LongestMiss()], tracked, scored)
     assert summary["longest_miss"] == pytest.approx(0.1 * longest)
-    assert "longest_miss" not in table, "a number for the run is no column of frames"
+    assert "longest_miss" not in table, "a value per run has no column in the table of frames"
 
 
 @given(TRACKED, st.floats(1.0, 60.0))
-def test_errors_nearby_are_the_missed_objects_within_a_distance(tracked, distance: float) -> None:
+def test_nearby_errors_are_missed_objects_within_a_distance(tracked, distance: float) -> None:
     near = [k for k in range(len(tracked[0])) if 10.0 * (k + 1) <= distance]
     values = [sum(not which[k] for k in near) for which in tracked]
     summary, table = computed([ErrorsNearby(distance_m=distance)], tracked)
@@ -90,7 +90,7 @@ def test_errors_nearby_are_the_missed_objects_within_a_distance(tracked, distanc
 
 
 @given(st.lists(st.tuples(st.one_of(st.floats(-1e3, 1e3), st.just(math.nan)), st.booleans()), min_size=1, max_size=10))
-def test_frames_that_are_not_scored_or_in_which_it_is_not_defined_do_not_count(rows) -> None:
+def test_unscored_and_undefined_frames_do_not_count(rows) -> None:
     values, scored = (list(column) for column in zip(*rows, strict=True))
     summary, table = computed([Told(np.array(values))], [[True]] * len(rows), scored)
     np.testing.assert_array_equal(table["told"], values)
@@ -101,11 +101,11 @@ def test_frames_that_are_not_scored_or_in_which_it_is_not_defined_do_not_count(r
 def test_an_estimate_has_the_judged_boxes_and_their_causes() -> None:
     metric = Told(np.zeros(2))
     computed([metric], [[True, False], [False, False]], [False, True])
-    (given,) = metric.given
-    assert (given.agent, given.estimator, given.period_s) == ("ego", "local", 0.1)
-    assert given.frames.tolist() == [0, 1]
-    assert given.scored.tolist() == [False, True]
-    boxes = zip(given.frame, given.is_track, given.outcome, given.range_m, given.cause, strict=True)
+    (estimate,) = metric.given
+    assert (estimate.agent, estimate.estimator, estimate.period_s) == ("ego", "local", 0.1)
+    assert estimate.frames.tolist() == [0, 1]
+    assert estimate.scored.tolist() == [False, True]
+    boxes = zip(estimate.frame, estimate.is_track, estimate.outcome, estimate.range_m, estimate.cause, strict=True)
     assert [(int(f), bool(t), str(o), float(r), str(c)) for f, t, o, r, c in boxes] == [
         (0, False, "matched", 10.0, ""),
         (0, False, "missed", 20.0, "lag"),
@@ -130,13 +130,13 @@ def test_invalid_metric_values_are_refused(metric: Any, message: str) -> None:
 
 
 @pytest.mark.parametrize("value", [None, 3, 2.5, np.float64(2.5), np.int64(3)])
-def test_a_metric_of_the_run_is_a_number_or_null(value: Any) -> None:
+def test_a_metric_per_run_is_a_number_or_null(value: Any) -> None:
     summary, _ = computed([ToldForRun(value)], [[True]])
     assert summary["told_for_run"] == value
     assert value is None or type(summary["told_for_run"]) is float
 
 
-def test_names_come_from_classes_or_are_given_and_are_unique() -> None:
+def test_metric_names_come_from_classes_or_parameters_and_are_unique() -> None:
     class FPNear30m(FrameMetric):
         def per_frame(self, estimate: Estimate) -> Any: ...
 
@@ -152,15 +152,15 @@ def test_names_come_from_classes_or_are_given_and_are_unique() -> None:
 
 
 @pytest.mark.parametrize("value", [["a"] * 2, [None, "b"], np.zeros(3)], ids=["text", "None and text", "too many"])
-def test_an_error_about_what_a_metric_returned_is_located_in_the_users_file(value: Any) -> None:
+def test_an_error_about_a_returned_value_is_located_in_the_users_file(value: Any) -> None:
     with pytest.raises(ValueError, match=r"Told\.per_frame: found ") as caught:
         computed([Told(value)], [[True], [True]])
     assert location(caught.value, type) == f"{__file__}:{Told.per_frame.__code__.co_firstlineno}"
 
 
-def test_a_metric_with_the_name_of_a_built_in_one_is_refused() -> None:
+def test_a_metric_named_like_a_built_in_one_is_refused() -> None:
     class FN(Told):
-        """A metric whose name in tables is `fn`."""
+        """A metric whose column name is `fn`."""
 
     with pytest.raises(ValueError, match=r"FN is called 'fn', which is the name of a built-in metric"):
         user_metrics.check([FN(0.0)], ["fn"])

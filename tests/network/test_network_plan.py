@@ -1,4 +1,4 @@
-"""What a scenario says of hosts, and what becomes of their links when."""
+"""Hosts of a scenario, and the states of their links over time."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_without_hosts_there_is_no_network() -> None:
     assert resolved({}) == {}
 
 
-def test_a_link_lives_with_its_agent_and_what_no_host_claims_at_the_centre() -> None:
+def test_a_link_runs_with_its_agent_and_unassigned_nodes_run_at_the_centre() -> None:
     hosts = resolved()["hosts"]
     assert {name: host["nodes"] for name, host in hosts.items()} == {
         "west": ["infra_1", "link_infra_1"],
@@ -37,14 +37,14 @@ def test_a_link_lives_with_its_agent_and_what_no_host_claims_at_the_centre() -> 
     }
 
 
-def test_a_host_may_claim_a_link_apart_from_its_agent() -> None:
+def test_a_host_may_have_a_link_without_its_agent() -> None:
     hosts = resolved({"west": {"nodes": ["infra_*"]}, "edge": {"nodes": ["link_infra_1"]}})["hosts"]
     assert hosts["west"]["nodes"] == ["infra_1", "infra_2"]
     assert hosts["edge"]["nodes"] == ["link_infra_1"]
 
 
 @pytest.mark.parametrize(
-    ("hosts", "said"),
+    ("hosts", "reason"),
     [
         ([], "hosts: found [], expected a dict"),
         ({"../x": {"nodes": ["ego"]}}, "hosts: found the name '../x', expected letters, digits, _ and -"),
@@ -60,15 +60,15 @@ def test_a_host_may_claim_a_link_apart_from_its_agent() -> None:
         ({"west": {"nodes": []}}, "hosts.west: no node runs on this host"),
     ],
 )
-def test_a_host_that_cannot_be_is_refused_with_the_path_to_it(hosts: object, said: str) -> None:
+def test_an_invalid_host_is_refused_with_its_path(hosts: object, reason: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         resolved(hosts)
-    assert said in str(refused.value)
+    assert reason in str(refused.value)
     assert str(refused.value).startswith("s.py: hosts")
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "reason"),
     [
         ({"type": "HostPartition", "hosts": "*"}, "HostPartition needs at"),
         ({"type": "HostLoss", "at": 1, "hosts": "*"}, "HostLoss needs probability"),
@@ -80,25 +80,25 @@ def test_a_host_that_cannot_be_is_refused_with_the_path_to_it(hosts: object, sai
         ({"type": "HostDelay", "at": 1, "hosts": "*", "delay_ms": "20"}, "delay_ms: found '20', expected a number"),
     ],
 )
-def test_a_fault_that_cannot_be_is_refused_with_the_path_to_it(fault: dict, said: str) -> None:
+def test_an_invalid_host_fault_is_refused_with_its_path(fault: dict, reason: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         resolved(TWO, fault)
     assert str(refused.value).startswith("s.py: faults[0]")
-    assert said in str(refused.value)
+    assert reason in str(refused.value)
 
 
-def test_a_fault_of_hosts_is_refused_in_lockstep_and_the_reason_given() -> None:
+def test_host_faults_are_refused_in_lock_step_with_the_reason() -> None:
     with pytest.raises(ConfigurationError, match=r"faults\[0\]: HostPartition acts on the host's network.*realtime"):
         resolved(TWO, partition(1.0), mode="lockstep")
 
 
-def test_hosts_alone_may_be_in_lockstep() -> None:
+def test_hosts_without_faults_are_allowed_in_lock_step() -> None:
     assert resolved(TWO, mode="lockstep")["faults"] == []
 
 
-def test_overlapping_faults_add_up_and_each_heals_alone() -> None:
+def test_overlapping_faults_add_up_and_heal_separately() -> None:
     hosts = {"west": {"nodes": ["infra_1"], "delay_ms": 10.0, "loss": 0.5, "bits_per_s": 1e6}}
-    found = network.steps(
+    steps = network.steps(
         resolved(
             hosts,
             {"type": "HostDelay", "at": 1, "until": 4, "hosts": ["west"], "delay_ms": 20, "jitter_ms": 2},
@@ -109,7 +109,7 @@ def test_overlapping_faults_add_up_and_each_heals_alone() -> None:
         )
     )
     own = LinkState(False, 0.5, 10.0, 0.0, 1e6)
-    assert [(at_s, states["west"]) for at_s, states in found] == [
+    assert [(at_s, states["west"]) for at_s, states in steps] == [
         (1.0, LinkState(False, 0.5, 30.0, 2.0, 1e6)),
         (2.0, LinkState(False, 0.75, 30.0, 2.0, 1e5)),
         (3.0, LinkState(False, 0.5, 30.0, 2.0, 1e5)),
@@ -117,7 +117,7 @@ def test_overlapping_faults_add_up_and_each_heals_alone() -> None:
         (4.0, LinkState(True, 0.5, 10.0, 0.0, 1e5)),
         (4.5, LinkState(False, 0.5, 10.0, 0.0, 1e5)),
         (5.0, own),
-    ], "at 6.0 nothing changes any more: the host's own bandwidth is narrower"
+    ], "nothing changes at 6.0: the host's own bandwidth is narrower"
 
 
 times = st.integers(0, 20).map(float)
@@ -138,23 +138,23 @@ def healed_faults(draw: st.DrawFn) -> dict:
 
 
 @given(st.lists(healed_faults(), max_size=6))
-def test_when_the_last_fault_is_over_every_link_is_as_it_was(faults: list[dict]) -> None:
-    made = resolved(TWO, *faults)
-    states = network.own_states(made)
-    for step in network.steps(made):
+def test_links_return_to_their_initial_state_after_the_last_fault(faults: list[dict]) -> None:
+    resolved_scenario = resolved(TWO, *faults)
+    states = network.own_states(resolved_scenario)
+    for step in network.steps(resolved_scenario):
         states |= step.states
         on = [f for f in faults if f["at"] <= step.at_s < f["until"]]
         for name, state in states.items():
             cut = any(f["type"] == "HostPartition" and (f["hosts"] == "*" or name in f["hosts"]) for f in on)
             assert state.cut == cut
-    assert states == network.own_states(made)
+    assert states == network.own_states(resolved_scenario)
 
 
 @given(st.lists(healed_faults(), max_size=3))
 def test_a_resolved_network_is_plain_json(faults: list[dict]) -> None:
-    made = resolved(TWO, *faults)
-    assert json.loads(json.dumps(made)) == made
-    assert [band["at_s"] for band in network.bands(made)] == [fault["at"] for fault in faults]
+    resolved_scenario = resolved(TWO, *faults)
+    assert json.loads(json.dumps(resolved_scenario)) == resolved_scenario
+    assert [band["at_s"] for band in network.bands(resolved_scenario)] == [fault["at"] for fault in faults]
 
 
 junk = st.recursive(
@@ -170,7 +170,7 @@ fault = st.fixed_dictionaries(
 
 
 @given(st.dictionaries(junk.filter(lambda k: not isinstance(k, (list, dict))), junk | spec, max_size=2) | junk, fault)
-def test_whatever_is_written_it_is_understood_or_refused(hosts: object, fault: dict) -> None:
+def test_any_network_description_is_accepted_or_refused(hosts: object, fault: dict) -> None:
     refusal = "s.py: none"
     try:
         network.steps(resolved(hosts, fault))
@@ -179,7 +179,7 @@ def test_whatever_is_written_it_is_understood_or_refused(hosts: object, fault: d
     assert refusal.startswith("s.py: ")
 
 
-def test_the_timeline_shows_who_lives_on_the_hosts_that_a_fault_hits() -> None:
+def test_the_timeline_shows_nodes_on_hosts_hit_by_a_fault() -> None:
     (band,) = network.bands(resolved(TWO, partition(1.0, 2.0, ["west"])))
     assert band == {
         "label": "partition of west",
@@ -192,7 +192,7 @@ def test_the_timeline_shows_who_lives_on_the_hosts_that_a_fault_hits() -> None:
     }
 
 
-def test_what_a_network_needs_of_the_machine_is_said_with_who_needs_it() -> None:
+def test_requirements_of_a_network_are_listed_with_their_reason() -> None:
     assert network.needs(resolved()) == {}
     hosts = {
         "west": {"nodes": ["infra_1"], "loss": 0.1, "delay_ms": 5},

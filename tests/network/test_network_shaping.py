@@ -1,4 +1,4 @@
-"""A link's state as `nft` and `tc` are told it, and packets that wait in a relay."""
+"""Commands for `nft` and `tc`, and packets that wait in a relay."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mast_zenoh.launch.netns.relay import Direction
 from mast_zenoh.launch.netns.shaping import bandwidth, netem, rules
 
 
-def test_rules_replace_those_before_and_stand_on_the_input_hook() -> None:
+def test_new_rules_replace_old_ones_on_the_input_hook() -> None:
     text = rules({"host1": LinkState(cut=True), "host2": LinkState(loss=0.25), "host3": LinkState()})
     assert text.splitlines() == [
         "add table inet mast",
@@ -26,7 +26,7 @@ def test_rules_replace_those_before_and_stand_on_the_input_hook() -> None:
     ]
 
 
-def test_a_cut_link_needs_no_loss_beside() -> None:
+def test_a_cut_link_needs_no_loss_rule() -> None:
     assert rules({"host1": LinkState(cut=True, loss=0.5)}).count("host1") == 1
 
 
@@ -42,7 +42,7 @@ def test_a_bandwidth_is_a_token_bucket(bits_per_s: float, burst: str) -> None:
     assert bandwidth("host1", None) == ["qdisc", "del", "dev", "host1", "root"]
 
 
-def test_netem_delays_and_limits_in_one_discipline() -> None:
+def test_netem_combines_delay_and_bandwidth_in_one_discipline() -> None:
     state = LinkState(delay_ms=20.0, jitter_ms=1.5, bits_per_s=1e6)
     words = "qdisc replace dev host1 root netem limit 100000 delay 20000us 1500us rate 1000000bit"
     assert netem("host1", state) == words.split()
@@ -51,7 +51,7 @@ def test_netem_delays_and_limits_in_one_discipline() -> None:
 
 @pytest.fixture
 def path(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[socket.socket, Direction, socket.socket]]:
-    """Where packets come from, the direction under test on a clock that stands still, and where they go."""
+    """Source, direction under test on a stopped clock, and destination."""
     monkeypatch.setattr(relay, "time", SimpleNamespace(monotonic=lambda: path_time[0]))
     path_time[0] = 0.0
     (near, near_end), (far_end, far) = (socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in range(2))
@@ -74,7 +74,7 @@ def arrived(far: socket.socket) -> list[bytes]:
             return got
 
 
-def test_a_packet_leaves_when_its_delay_is_over_and_not_before(path) -> None:
+def test_a_packet_leaves_exactly_when_its_delay_has_passed(path) -> None:
     near, direction, far = path
     near.send(b"one")
     direction.receive(0.02, 0.0)
@@ -86,7 +86,7 @@ def test_a_packet_leaves_when_its_delay_is_over_and_not_before(path) -> None:
     assert arrived(far) == [b"one"]
 
 
-def test_packets_do_not_overtake_each_other_whatever_the_jitter(path) -> None:
+def test_packets_do_not_overtake_each_other_despite_jitter(path) -> None:
     near, direction, far = path
     sent = []
     for number in range(200):
@@ -95,7 +95,7 @@ def test_packets_do_not_overtake_each_other_whatever_the_jitter(path) -> None:
         near.send(sent[-1])
         direction.receive(0.005, 0.005)
     waits = [due - number * 0.001 for number, (due, _) in enumerate(direction.waiting)]
-    assert len(set(waits)) > 1, "there is jitter"
+    assert len(set(waits)) > 1, "the delays vary"
     assert max(waits) <= 0.0101
     got = []
     while direction.waiting:
@@ -105,7 +105,7 @@ def test_packets_do_not_overtake_each_other_whatever_the_jitter(path) -> None:
     assert got == sent
 
 
-def test_a_delay_that_shrinks_does_not_let_the_later_packet_go_first(path) -> None:
+def test_a_decreasing_delay_does_not_reorder_packets(path) -> None:
     near, direction, far = path
     for packet, delay_s in ((b"slow", 1.0), (b"quick", 0.0)):
         near.send(packet)
@@ -117,7 +117,7 @@ def test_a_delay_that_shrinks_does_not_let_the_later_packet_go_first(path) -> No
     assert arrived(far) == [b"slow", b"quick"]
 
 
-def test_more_than_fits_under_way_is_dropped(path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_packets_beyond_the_queue_limit_are_dropped(path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(relay, "_MAX_QUEUED", 3)
     near, direction, far = path
     for number in range(5):

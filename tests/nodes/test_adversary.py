@@ -1,4 +1,4 @@
-"""An adversary makes its intended changes, and leaves no other trace on its wire."""
+"""An adversary makes its intended changes and has no other effect."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ def worlds():
 
 
 def bench(worlds, wire: str, **attack: Any) -> Bench:
-    """The adversary on a wire of infra_1, with an attack of its own on either."""
+    """The adversary of the world for this wire, with changed attack parameters."""
     return Bench(worlds[wire], "adversary_1", attack=ATTACK | attack)
 
 
@@ -43,15 +43,15 @@ def out_key(wire: str) -> str:
 
 
 def play(adversary: Bench, wire: str, frames: int, places=PLACES) -> list[tuple[Message, list[Message]]]:
-    """(what came, what went out on the wire in the same frame) of some frames."""
+    """(input, output on the wire in the same frame) of some frames."""
     pairs = []
     for frame in range(frames):
         adversary.clock(frame)
         adversary.send("pose", pose(), frame)
         key = adversary.key(wire)
         message = adversary.message(key, body_on(wire, *places), frame)
-        said = adversary.deliver(key, message)
-        pairs.append((message, [sent for out, sent in said if out == out_key(wire)]))
+        published = adversary.deliver(key, message)
+        pairs.append((message, [sent for out, sent in published if out == out_key(wire)]))
     return pairs
 
 
@@ -76,7 +76,7 @@ def test_untouched_rows_keep_their_bytes(worlds, wire: str) -> None:
         before, after = rows(message, columns), rows(sent, columns)
         kept = [row for row in after if row in before]
         assert kept == [row for row in before if row in after], "in their order"
-        assert after[: len(kept)] == kept, "what is added comes last"
+        assert after[: len(kept)] == kept, "inserted rows come last"
         added += len(after) - len(kept)
         removed += len(before) - len(kept)
     assert added > 0
@@ -92,12 +92,12 @@ def test_columns_of_the_whole_message_are_not_changed(worlds, wire: str) -> None
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_before_the_attack_begins_the_payload_is_the_same(worlds, wire: str) -> None:
+def test_before_the_attack_the_payload_is_unchanged(worlds, wire: str) -> None:
     adversary = bench(worlds, wire, start_s=0.3)
     pairs = play(adversary, wire, 5)
     same = [codec.encode(message) == codec.encode(sent[0]) for message, sent in pairs]
     assert same == [True, True, True, False, False]
-    assert len(adversary.heard("attack/adversary_1/report")) == 2, "and there is nothing to report"
+    assert len(adversary.heard("attack/adversary_1/report")) == 2, "and nothing is reported"
 
 
 @pytest.mark.parametrize("wire", WIRES)
@@ -127,18 +127,18 @@ def test_a_message_without_a_pose_is_forwarded_unchanged_at_the_next_clock(world
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_a_message_that_is_late_is_not_lost(worlds, wire: str) -> None:
+def test_a_late_message_is_not_lost(worlds, wire: str) -> None:
     adversary = bench(worlds, wire)
     play(adversary, wire, 3)
     adversary.clock(3)
     adversary.send("pose", pose(), 3)
     adversary.clock(4)
-    said = adversary.send(wire, body_on(wire, *PLACES), 3, step=4)
-    assert [message.header.frame for key, message in said if key == out_key(wire)] == [3]
+    published = adversary.send(wire, body_on(wire, *PLACES), 3, step=4)
+    assert [message.header.frame for key, message in published if key == out_key(wire)] == [3]
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_two_messages_of_one_frame_stay_two(worlds, wire: str) -> None:
+def test_two_messages_of_one_frame_stay_separate(worlds, wire: str) -> None:
     adversary = bench(worlds, wire)
     adversary.clock(0)
     adversary.send("pose", pose(), 0)
@@ -149,7 +149,7 @@ def test_two_messages_of_one_frame_stay_two(worlds, wire: str) -> None:
 
 @pytest.mark.parametrize("wire", WIRES)
 def test_messages_do_not_overtake_each_other(worlds, wire: str) -> None:
-    """A message without a pose waits, and those behind it wait with it."""
+    """Messages behind one without a pose wait as well."""
     adversary = bench(worlds, wire)
     adversary.clock(0)
     adversary.clock(1)
@@ -163,8 +163,8 @@ def test_messages_do_not_overtake_each_other(worlds, wire: str) -> None:
 @given(st.data())
 @settings(max_examples=40)
 @pytest.mark.parametrize("wire", WIRES)
-def test_the_order_of_pose_and_message_changes_nothing(worlds, wire: str, data: st.DataObject) -> None:
-    """Whatever is lost or late: what goes out on each key is a function of what came in each frame."""
+def test_the_order_of_pose_and_message_does_not_matter(worlds, wire: str, data: st.DataObject) -> None:
+    """The output on each key is a function of the input of each frame."""
     fates = st.sampled_from(["in time", "in time", "late", "lost"])
     fate = {(port, frame): data.draw(fates) for frame in range(5) for port in ("pose", wire)}
 
@@ -187,13 +187,13 @@ def test_the_order_of_pose_and_message_changes_nothing(worlds, wire: str, data: 
 
     plain = run(list)
     assert run(lambda order: data.draw(st.permutations(order))) == plain
-    came = [frame for frame in range(5) if fate[wire, frame] != "lost"]
+    arrived = [frame for frame in range(5) if fate[wire, frame] != "lost"]
     sent = [codec.decode(payload, wire).header.frame for payload in plain.get(out_key(wire), [])]
-    assert sorted(sent) == came, "nothing is held back"
+    assert sorted(sent) == arrived, "nothing is held back"
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_it_reports_what_it_changed_before_and_after(worlds, wire: str) -> None:
+def test_reports_give_objects_before_and_after_each_change(worlds, wire: str) -> None:
     adversary = bench(worlds, wire)
     for message, (sent,) in play(adversary, wire, 6):
         reports = [r for r in adversary.heard("attack/adversary_1/report") if r.header.frame == message.header.frame]
@@ -204,8 +204,8 @@ def test_it_reports_what_it_changed_before_and_after(worlds, wire: str) -> None:
         ) == len(after) - len(before)
         if reports:
             assert reports[0].header.time_ns == message.header.time_ns
-            gone = reports[0].body["before_position"][actions == ACTIONS.index("removed"), :2]
-            for place in gone:
+            removed = reports[0].body["before_position"][actions == ACTIONS.index("removed"), :2]
+            for place in removed:
                 assert np.abs(before - place).sum(axis=1).min() < 1e-6, "on a pole at the origin: world = sensor"
                 assert np.abs(after - place).sum(axis=1).min() > 1e-6
 
@@ -230,7 +230,7 @@ def test_an_adversary_on_both_wires_of_its_agent_delays_neither() -> None:
 
 
 def on_picture(attack: dict[str, Any]) -> Any:
-    """A change of a scenario: one adversary on the picture's downlink to the ego."""
+    """A scenario change: one adversary on the picture's downlink to the ego."""
 
     def change(scenario: dict) -> None:
         scenario["adversaries"] = {"adversary_1": dict(agent="ego", attack=attack)}
@@ -297,11 +297,11 @@ def test_two_adversaries_on_one_wire_make_a_chain() -> None:
 
 
 def directive(*add: tuple[float, float]) -> dict[str, np.ndarray]:
-    """Columns of a directive that asks for cars at these places."""
+    """Columns of a directive for cars at these positions."""
     columns: dict[str, np.ndarray] = {"move_offset": np.zeros((0, 3))}
-    for prefix, wanted in (("add_", states(*add)), ("remove_", states()), ("move_", states())):
+    for prefix, objects in (("add_", states(*add)), ("remove_", states()), ("move_", states())):
         for name in ("id", "position", "velocity", "size", "yaw", "class_id"):
-            columns[prefix + name] = getattr(wanted, name)
+            columns[prefix + name] = getattr(objects, name)
     return columns
 
 
@@ -314,7 +314,7 @@ def coordinated(worlds) -> Bench:
 
 
 @pytest.mark.parametrize("directive_first", [True, False])
-def test_a_directive_is_followed_from_the_next_frame_on(worlds, directive_first: bool) -> None:
+def test_a_directive_is_followed_from_the_next_frame(worlds, directive_first: bool) -> None:
     adversary = coordinated(worlds)
     counts = []
     for frame in range(4):

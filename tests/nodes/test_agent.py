@@ -1,4 +1,4 @@
-"""An agent says what its own sensors tell it, whatever others say, and what the picture adds, one frame later."""
+"""An agent publishes its own sensors' estimates, then merges the picture."""
 
 from typing import Any
 
@@ -26,17 +26,17 @@ def resolved():
 
 
 def bench(resolved, **config: Any) -> Bench:
-    """The ego of the tiny world; `config` changes its configuration."""
+    """The ego of the tiny world with a changed configuration."""
     return Bench(resolved, "ego", **config)
 
 
 def frame_of(bench: Bench, frame: int, *ports: str) -> list[tuple[str, Message]]:
-    """A frame in which only some of clock, pose and detections come; a car drives 10 m ahead of the agent."""
-    said = []
+    """A frame with only some of clock, pose and detections; a car is 10 m ahead."""
+    published = []
     for port in ports or ("clock", "pose", "detections"):
         body = {"clock": {}, "pose": pose(x=0.5 * frame), "detections": detections((10.0, 2.0))}[port]
-        said += bench.send(port, body, frame)
-    return said
+        published += bench.send(port, body, frame)
+    return published
 
 
 def frames_of(messages: list[Message]) -> list[int]:
@@ -63,7 +63,7 @@ def test_a_frame_without_sensor_data_is_published_at_the_next_clock(resolved, lo
     late = ego.clock(7)
     assert [(key, message.header.frame) for key, message in late] == [(TRACKS, 6), (MISSION, 6)]
     assert late[0][1].header.time_ns == 6 * PERIOD_NS
-    assert len(late[0][1].body["id"]) == 1, "it goes on with its tracks"
+    assert len(late[0][1].body["id"]) == 1, "it keeps its tracks"
     frame_of(ego, 7, "pose", "detections")
     assert frames_of(ego.heard(TRACKS)) == list(range(8))
 
@@ -77,7 +77,7 @@ def test_an_agent_without_a_pose_publishes_nothing(resolved) -> None:
     assert frames_of(ego.heard(TRACKS)) == [2]
 
 
-def test_sensor_data_after_the_next_clock_are_ignored(resolved) -> None:
+def test_sensor_data_that_arrive_after_the_next_clock_are_ignored(resolved) -> None:
     ego = bench(resolved)
     for frame in range(4):
         frame_of(ego, frame)
@@ -96,7 +96,7 @@ def test_duplicate_sensor_data_count_once(resolved) -> None:
 
 @given(st.data())
 @settings(max_examples=40)
-def test_the_order_within_a_frame_changes_nothing(resolved, data: st.DataObject) -> None:
+def test_the_order_within_a_frame_does_not_matter(resolved, data: st.DataObject) -> None:
     def play(order: list[list[str]]) -> list[bytes]:
         ego = bench(resolved)
         bodies = {"pose": pose(x=1.0), "detections": detections((10.0, 2.0)), "picture": picture(FAR)}
@@ -142,7 +142,7 @@ def test_tracks_in_the_body_frame_include_its_origin_and_rotation(resolved) -> N
 
 
 def test_in_the_body_frame_of_a_turning_agent_a_parked_car_appears_to_move(resolved) -> None:
-    """What it costs to do as the original MAST did."""
+    """The cost of the original MAST's behaviour."""
     speed = {}
     for frame_of_reference in ("world", "body"):
         config = {**resolved.nodes["ego"].config["pipeline"], "frame": frame_of_reference}
@@ -172,7 +172,7 @@ def test_the_mission_uses_only_pictures_from_earlier_frames(resolved) -> None:
 
 
 def test_a_late_picture_is_used_from_the_frame_after_its_arrival(resolved) -> None:
-    """Else the mission would depend on whether it came before or after this frame's detections."""
+    """Otherwise the order of picture and detections would affect the mission."""
     outcomes = []
     for picture_first in (True, False):
         ego = bench(resolved)
@@ -200,7 +200,7 @@ def test_the_picture_is_propagated_to_the_frame_and_dropped_when_too_old(resolve
     assert places == [[], [], pytest.approx([51.0]), pytest.approx([52.0]), pytest.approx([53.0]), [], []]
 
 
-def test_a_picture_of_the_future_is_not_used(resolved) -> None:
+def test_a_picture_from_the_future_is_not_used(resolved) -> None:
     ego = bench(resolved)
     for frame in range(3):
         if frame == 1:
@@ -249,8 +249,8 @@ def estimator(name: str) -> MissionEstimator:
 
 
 def states(body: dict[str, np.ndarray], first_id: int = 0) -> ObjectStates:
-    found = ObjectStates.from_columns(body)
-    return found.with_(id=found.id + first_id)
+    objects = ObjectStates.from_columns(body)
+    return objects.with_(id=objects.id + first_id)
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -286,7 +286,7 @@ def test_a_scenario_can_choose_either_estimator(name: str) -> None:
     assert len(run.decoded(MISSION, "tracks")[-1].body["id"]) >= 4, "it sees itself through the picture"
 
 
-# -- the promise ---------------------------------------------------------------------------------------------------
+# -- safety ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -297,7 +297,7 @@ def recorded(resolved) -> Run:
 
 
 def replayed(resolved, recorded: Run, agent: str, pictures: Any) -> tuple[list[bytes], Bench]:
-    """The tracks payloads of an agent that gets its sensor data as recorded and `pictures(frame)` from outside."""
+    """Tracks payloads of an agent with recorded sensor data and foreign pictures."""
     alone = Bench(resolved, agent)
     own = [("clock", "clock"), (f"agent/{agent}/pose", "pose"), (f"agent/{agent}/detections", "detections")]
     payloads = []
@@ -317,7 +317,7 @@ def replayed(resolved, recorded: Run, agent: str, pictures: Any) -> tuple[list[b
 
 
 def hostile(kind: str, seed: int) -> Any:
-    """Pictures that an attacker might send: (place in the frame, bytes)."""
+    """Pictures that an attacker might send: (position in the frame, bytes)."""
     rng = np.random.default_rng(seed)
 
     def sound(frame: int, n: int, scale: float, at: int | None = None, definite: bool = True) -> bytes:
@@ -369,16 +369,16 @@ def hostile(kind: str, seed: int) -> Any:
     ],
 )
 @pytest.mark.parametrize("seed", [0, 1])
-def test_nothing_from_outside_changes_the_safety_critical_estimate(resolved, recorded, agent, kind, seed) -> None:
+def test_messages_from_outside_never_change_the_safety_critical_estimate(resolved, recorded, agent, kind, seed) -> None:
     payloads, alone = replayed(resolved, recorded, agent, hostile(kind, seed))
     assert payloads == recorded.messages[f"agent/{agent}/tracks"]
-    assert not alone.host.failures, "and costs it nothing else either"
+    assert not alone.host.failures, "and has no other effect on it"
 
 
 def test_attacks_on_other_agents_do_not_change_an_agents_own_tracks(resolved, recorded) -> None:
     for name in ("uncoordinated", "coordinated"):
         attacked = Run(tiny(name, "n_adversaries=1", "attack_start_s=0.2"))
-        assert attacked.messages["attack/adversary_1/report"], "there was an attack"
-        assert attacked.messages["cc/picture"] != recorded.messages["cc/picture"], "and it told"
+        assert attacked.messages["attack/adversary_1/report"], "an attack took place"
+        assert attacked.messages["cc/picture"] != recorded.messages["cc/picture"], "and it had an effect"
         for key in ("agent/ego/tracks", "agent/infra_2/tracks"):
             assert attacked.messages[key] == recorded.messages[key]

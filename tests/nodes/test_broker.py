@@ -1,4 +1,4 @@
-"""The broker collates the tracks of all agents at one time, and waits no longer than necessary."""
+"""The broker collates tracks of all agents without needless waiting."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ def bench(resolved, **config: Any) -> Bench:
     return Bench(resolved, "broker", **config)
 
 
-def say(broker: Bench, agent: str, frame: int, *, step: int | None = None, x: float = 0.0, **more: Any):
+def send_track(broker: Bench, agent: str, frame: int, *, step: int | None = None, x: float = 0.0, **more: Any):
     """Send one track of an agent, at its own position."""
     place = (x, 10.0 * AGENTS.index(agent))
     return broker.send("tracks", tracks(place, **more), frame, subject=agent, step=step)
@@ -33,19 +33,19 @@ def say(broker: Bench, agent: str, frame: int, *, step: int | None = None, x: fl
 
 def summary(messages: Any) -> list[tuple[int, dict[str, float]]]:
     """(frame, age in ms of each agent in the batch)."""
-    found = []
+    batches = []
     for _, message in messages:
         ages = message.body["age_ns"] * 1e-6
-        found.append((message.header.frame, dict(zip(message.body["agents"], ages.tolist(), strict=True))))
-    return found
+        batches.append((message.header.frame, dict(zip(message.body["agents"], ages.tolist(), strict=True))))
+    return batches
 
 
 def test_a_batch_is_emitted_when_all_agents_have_sent_their_tracks(resolved) -> None:
     broker = bench(resolved)
     assert broker.clock(0) == []
-    assert say(broker, "infra_2", 0) == []
-    assert say(broker, "ego", 0) == []
-    ((key, message),) = say(broker, "infra_1", 0)
+    assert send_track(broker, "infra_2", 0) == []
+    assert send_track(broker, "ego", 0) == []
+    ((key, message),) = send_track(broker, "infra_1", 0)
     assert key == COLLATED
     assert message.body["agents"].tolist() == sorted(AGENTS)
     assert message.body["agent"].tolist() == [0, 1, 2]
@@ -53,11 +53,11 @@ def test_a_batch_is_emitted_when_all_agents_have_sent_their_tracks(resolved) -> 
     assert message.body["age_ns"].tolist() == [0, 0, 0]
 
 
-def test_tracks_come_out_in_the_world_frame(resolved) -> None:
+def test_collated_tracks_are_in_the_world_frame(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     turned = {"origin": np.array([100.0, 0.0, 0.0]), "rotation": quaternion_from_rotation(rotation_from_yaw(np.pi / 2))}
     body = tracks((10.0, 0.0), velocity=(5.0, 0.0)) | turned
     ((_, message),) = broker.send("tracks", body, 0, subject="infra_2")
@@ -70,18 +70,18 @@ def test_an_empty_message_counts(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
     for agent in AGENTS:
-        said = broker.send("tracks", tracks(), 0, subject=agent)
-    assert summary(said) == [(0, dict.fromkeys(sorted(AGENTS), 0.0))]
-    assert len(said[0][1].body["id"]) == 0
+        published = broker.send("tracks", tracks(), 0, subject=agent)
+    assert summary(published) == [(0, dict.fromkeys(sorted(AGENTS), 0.0))]
+    assert len(published[0][1].body["id"]) == 0
 
 
 def test_the_broker_waits_for_a_silent_agent_until_the_next_clock(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     assert summary(broker.clock(1)) == [(0, {"ego": 0.0, "infra_1": 0.0})]
-    assert say(broker, "infra_2", 0, step=1) == [], "too late"
+    assert send_track(broker, "infra_2", 0, step=1) == [], "too late"
     results = broker.host.finish()["collation"]
     assert (results["complete"], results["overdue"], results["late"]) == (0, 1, {"infra_2": 1})
 
@@ -90,13 +90,13 @@ def test_the_last_tracks_of_a_silent_agent_are_propagated_until_too_old(resolved
     broker = bench(resolved, max_age_s=0.25)
     for agent in AGENTS:
         broker.clock(0) if agent == "ego" else None
-        say(broker, agent, 0, velocity=(10.0, 0.0))
+        send_track(broker, agent, 0, velocity=(10.0, 0.0))
     batches = []
     for frame in range(1, 6):
         batches += broker.clock(frame)
         for agent in ("ego", "infra_1"):
-            say(broker, agent, frame)
-    ages = [found.get("infra_2") for _, found in summary(batches)]
+            send_track(broker, agent, frame)
+    ages = [ages_by_agent.get("infra_2") for _, ages_by_agent in summary(batches)]
     assert ages == [100.0, 200.0, None, None]
     carried = [message.body["position"][message.body["agent"] == 2, 0] for _, message in batches[:2]]
     np.testing.assert_allclose(carried, [[1.0], [2.0]], err_msg="moved at 10 m/s")
@@ -107,12 +107,12 @@ def test_the_last_tracks_of_a_silent_agent_are_propagated_until_too_old(resolved
 def test_the_broker_does_not_wait_for_an_agent_that_has_left(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     assert summary(broker.left("infra_2", "agent")) == [(0, {"ego": 0.0, "infra_1": 0.0})]
     broker.clock(1)
-    say(broker, "ego", 1)
-    assert summary(say(broker, "infra_1", 1)) == [(1, {"ego": 0.0, "infra_1": 0.0})]
+    send_track(broker, "ego", 1)
+    assert summary(send_track(broker, "infra_1", 1)) == [(1, {"ego": 0.0, "infra_1": 0.0})]
 
 
 def test_other_nodes_may_join_and_leave(resolved) -> None:
@@ -120,8 +120,8 @@ def test_other_nodes_may_join_and_leave(resolved) -> None:
     broker.host.joined("recorder", "recorder")
     broker.clock(0)
     for agent in AGENTS:
-        said = say(broker, agent, 0)
-    assert len(said) == 1
+        published = send_track(broker, agent, 0)
+    assert len(published) == 1
     assert broker.left("recorder", "recorder") == []
 
 
@@ -130,34 +130,34 @@ def test_the_broker_waits_again_for_an_agent_that_returns(resolved) -> None:
     broker.left("infra_2", "agent")
     broker.host.joined("infra_2", "agent")
     broker.clock(0)
-    say(broker, "ego", 0)
-    assert say(broker, "infra_1", 0) == []
-    assert len(say(broker, "infra_2", 0)) == 1
+    send_track(broker, "ego", 0)
+    assert send_track(broker, "infra_1", 0) == []
+    assert len(send_track(broker, "infra_2", 0)) == 1
 
 
 def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(resolved) -> None:
     broker = bench(resolved)
-    broker.node.agents.discard("infra_2")  # as if it were not yet seen on the mesh
+    broker.node.agents.discard("infra_2")  # not yet visible on the mesh
     for frame in (0, 1):
         broker.clock(frame)
-        say(broker, "ego", frame)
+        send_track(broker, "ego", frame)
         if frame == 0:
             broker.send("status", STATUS, frame, subject="infra_2")
-        said = say(broker, "infra_1", frame)
-        assert len(said) == (1 if frame == 0 else 0)
-    assert summary(say(broker, "infra_2", 1)) == [(1, dict.fromkeys(AGENTS, 0.0))]
+        published = send_track(broker, "infra_1", frame)
+        assert len(published) == (1 if frame == 0 else 0)
+    assert summary(send_track(broker, "infra_2", 1)) == [(1, dict.fromkeys(AGENTS, 0.0))]
 
 
 def test_the_tracks_of_a_new_agent_count_from_the_frame_after_its_first_ones(resolved) -> None:
     for newcomer_first in (True, False):
         broker = bench(resolved)
         broker.node.agents.discard("infra_2")
-        said = []
+        published = []
         for frame in (0, 1):
             broker.clock(frame)
             for agent in ("infra_2", "ego", "infra_1") if newcomer_first else ("ego", "infra_1", "infra_2"):
-                said += say(broker, agent, frame)
-        assert summary(said) == [(0, dict.fromkeys(("ego", "infra_1"), 0.0)), (1, dict.fromkeys(AGENTS, 0.0))]
+                published += send_track(broker, agent, frame)
+        assert summary(published) == [(0, dict.fromkeys(("ego", "infra_1"), 0.0)), (1, dict.fromkeys(AGENTS, 0.0))]
 
 
 def test_a_late_status_does_not_bring_back_an_agent_that_has_left(resolved) -> None:
@@ -166,20 +166,20 @@ def test_a_late_status_does_not_bring_back_an_agent_that_has_left(resolved) -> N
     broker.send("status", STATUS, 0, subject="infra_2")
     broker.left("infra_2", "agent")
     broker.clock(1)
-    say(broker, "ego", 1)
-    assert len(say(broker, "infra_1", 1)) == 1
+    send_track(broker, "ego", 1)
+    assert len(send_track(broker, "infra_1", 1)) == 1
 
 
 def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
     broker = bench(resolved, latency_s=0.2)
-    said = []
+    published = []
     for frame in range(5):
         fresh = broker.clock(frame)
         for agent in AGENTS:
-            fresh += say(broker, agent, frame, x=float(frame))
-        said.append(summary(fresh))
+            fresh += send_track(broker, agent, frame, x=float(frame))
+        published.append(summary(fresh))
     whole = dict.fromkeys(sorted(AGENTS), 0.0)
-    assert said == [[], [], [(0, whole)], [(1, whole)], [(2, whole)]]
+    assert published == [[], [], [(0, whole)], [(1, whole)], [(2, whole)]]
     batch = broker.heard(COLLATED)[-1]
     assert batch.header.time_ns == 2 * PERIOD_NS
     np.testing.assert_array_equal(batch.body["position"][:, 0], [2.0, 2.0, 2.0])
@@ -188,17 +188,17 @@ def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
 def test_a_message_within_the_latency_is_in_time(resolved) -> None:
     broker = bench(resolved, latency_s=0.1)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
-    assert broker.clock(1) == [], "the frame is just old enough now"
-    assert summary(say(broker, "infra_2", 0, step=1)) == [(0, dict.fromkeys(AGENTS, 0.0))]
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
+    assert broker.clock(1) == [], "the frame is just old enough"
+    assert summary(send_track(broker, "infra_2", 0, step=1)) == [(0, dict.fromkeys(AGENTS, 0.0))]
 
 
 def test_patience_waits_for_more_clocks(resolved) -> None:
     broker = bench(resolved, patience=2)
     broker.clock(0)
-    say(broker, "ego", 0)
-    say(broker, "infra_1", 0)
+    send_track(broker, "ego", 0)
+    send_track(broker, "infra_1", 0)
     assert broker.clock(1) == []
     assert broker.clock(2) == []
     assert summary(broker.clock(3)) == [(0, {"ego": 0.0, "infra_1": 0.0})]
@@ -208,12 +208,12 @@ def test_frames_are_emitted_in_order_even_if_a_later_one_is_complete_first(resol
     broker = bench(resolved, patience=3)
     broker.clock(0)
     for agent in ("ego", "infra_1"):
-        say(broker, agent, 0)
+        send_track(broker, agent, 0)
     broker.clock(1)
     for agent in AGENTS[:2]:
-        say(broker, agent, 1)
-    assert say(broker, "infra_2", 1) == [], "frame 0 still waits"
-    assert [frame for frame, _ in summary(say(broker, "infra_2", 0, step=1))] == [0, 1]
+        send_track(broker, agent, 1)
+    assert send_track(broker, "infra_2", 1) == [], "frame 0 still waits"
+    assert [frame for frame, _ in summary(send_track(broker, "infra_2", 0, step=1))] == [0, 1]
 
 
 def test_without_agents_there_is_an_empty_batch_every_frame(resolved) -> None:
@@ -228,7 +228,7 @@ def test_overflowing_and_late_messages_are_counted(resolved) -> None:
     broker = bench(resolved, latency_s=0.5, capacity=2)
     for frame in range(4):
         broker.clock(frame)
-        say(broker, "ego", frame)
+        send_track(broker, "ego", frame)
     assert broker.host.finish()["collation"] == {"complete": 0, "overdue": 0, "late": {}, "overflowed": 2, "absurd": 0}
 
 
@@ -237,16 +237,16 @@ def test_an_implausible_track_is_rejected_without_affecting_the_batch(resolved, 
     broker = bench(resolved, max_age_s=1.0)
     for frame in range(4):
         broker.clock(frame)
-        say(broker, "ego", frame)
+        send_track(broker, "ego", frame)
         if frame < 2:
             body = tracks((1.0, 0.0), (2.0, 0.0), (3.0, 0.0))
             body[column] = body[column].copy()
             body[column][0] = 9.9e8
             broker.send("tracks", body, frame, subject="infra_1")
-        say(broker, "infra_2", frame)
+        send_track(broker, "infra_2", frame)
     broker.clock(4)
     batches = broker.heard(COLLATED)
-    assert [message.header.frame for message in batches] == [0, 1, 2, 3], "each is a sound message"
+    assert [message.header.frame for message in batches] == [0, 1, 2, 3], "each is a valid message"
     kept = 0 if column == "origin" else 2
     assert [np.count_nonzero(message.body["agent"] == 1) for message in batches] == [kept] * 4
     assert broker.host.finish()["collation"]["absurd"] == 2 * (3 - kept)
@@ -264,8 +264,8 @@ def test_an_agent_with_a_wrong_clock_completes_its_batch_at_the_time_it_reports(
     broker = bench(resolved, max_age_s=0.25)
     for frame in range(4, 8):
         broker.clock(frame)
-        say(broker, "ego", frame)
-        say(broker, "infra_1", frame)
+        send_track(broker, "ego", frame)
+        send_track(broker, "infra_1", frame)
         ((_, batch),) = say_at(broker, "infra_2", frame, offset_s, velocity=(10.0, 0.0))
         assert batch.header.frame == frame
         assert batch.body["age_ns"].tolist() == [0, 0, round(-offset_s * 1e9)]
@@ -279,13 +279,13 @@ def test_a_clock_error_beyond_max_age_excludes_only_that_agent(resolved, offset_
     broker = bench(resolved, max_age_s=0.25)
     for frame in range(4, 7):
         broker.clock(frame)
-        say(broker, "ego", frame)
-        say(broker, "infra_1", frame)
+        send_track(broker, "ego", frame)
+        send_track(broker, "infra_1", frame)
         assert summary(say_at(broker, "infra_2", frame, offset_s)) == [(frame, {"ego": 0.0, "infra_1": 0.0})]
     broker.clock(7)
     for agent in AGENTS:
-        said = say(broker, agent, 7)
-    assert summary(said) == [(7, dict.fromkeys(AGENTS, 0.0))], "when it is right again, it is heard again"
+        published = send_track(broker, agent, 7)
+    assert summary(published) == [(7, dict.fromkeys(AGENTS, 0.0))], "a corrected clock is accepted again"
 
 
 def test_a_duplicate_message_changes_nothing(resolved) -> None:
@@ -302,7 +302,7 @@ def test_a_duplicate_message_changes_nothing(resolved) -> None:
                 if agent == "infra_1" and copies > 1 and frame:
                     broker.deliver(key, broker.message(key, tracks((9.0, 0.0)), frame - 1), step=frame)
         outcomes.append((broker.payloads, broker.host.finish()))
-    assert outcomes[0] == outcomes[1], "nor is any of them late"
+    assert outcomes[0] == outcomes[1], "and none of them is late"
 
 
 def test_the_last_tracks_of_a_dead_agent_expire_by_age(resolved) -> None:
@@ -313,16 +313,16 @@ def test_the_last_tracks_of_a_dead_agent_expire_by_age(resolved) -> None:
             broker.left("infra_2", "agent")
         broker.clock(frame)
         for agent in AGENTS if frame < 2 else AGENTS[:2]:
-            said = say(broker, agent, frame)
-        ((_, found),) = summary(said)
-        ages.append(found.get("infra_2"))
+            published = send_track(broker, agent, frame)
+        ((_, ages_by_agent),) = summary(published)
+        ages.append(ages_by_agent.get("infra_2"))
     assert ages == [0.0, 0.0, 100.0, 200.0, None, None]
 
 
 @given(st.data())
 @settings(max_examples=60)
 def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObject) -> None:
-    """Messages of a frame in any order, some lost, some a frame late, through the host as on a mesh."""
+    """Random order, loss and lateness within frames, delivered as on a mesh."""
     configs = [{}, {"latency_s": 0.1}, {"latency_s": 0.2, "patience": 1}, {"patience": 1}, {"max_age_s": 0.1}]
     config = data.draw(st.sampled_from(configs))
     fates = st.sampled_from(["in time", "in time", "in time", "late", "lost"])
@@ -338,7 +338,7 @@ def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObje
             if presents_itself == frame:
                 due.append(("status", frame))
             queues: dict[str, list] = {}
-            for agent in AGENTS:  # on one key the order stays
+            for agent in AGENTS:  # the order on one key is kept
                 queues[agent] = [(agent, frame - 1)] if frame and fate[agent, frame - 1] == "late" else []
             for agent, about in due:
                 queues.setdefault(agent, []).append((agent, about))
@@ -348,7 +348,7 @@ def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObje
                 if agent == "status":
                     broker.send("status", STATUS, about, subject="infra_2")
                 else:
-                    say(broker, agent, about, step=frame, x=float(about), velocity=(about, 0.0))
+                    send_track(broker, agent, about, step=frame, x=float(about), velocity=(about, 0.0))
         assert not broker.host.failures
         return broker.payloads
 

@@ -15,15 +15,15 @@ def resolved():
 def batch(*places_by_agent: tuple[tuple[float, float], ...]) -> dict[str, np.ndarray]:
     """Columns of a batch: the tracks of each agent in turn."""
     n = [len(places) for places in places_by_agent]
-    found = states(*(place for places in places_by_agent for place in places))
-    return found.columns() | {
+    tracks = states(*(place for places in places_by_agent for place in places))
+    return tracks.columns() | {
         "agent": np.repeat(np.arange(len(n)), n),
         "agents": text([f"agent_{i}" for i in range(len(n))]),
         "age_ns": np.zeros(len(n), np.int64),
     }
 
 
-def test_there_is_one_picture_for_each_batch_about_the_same_frame(resolved) -> None:
+def test_each_batch_gives_one_picture_about_the_same_frame(resolved) -> None:
     centre = Bench(resolved, "command_center")
     for frame in range(3):
         assert centre.clock(frame) == []
@@ -42,7 +42,7 @@ def test_tracks_of_one_object_by_two_agents_become_one_object_with_support_two(r
     np.testing.assert_allclose(picture["position"][by_x, 0], [0.2, 30.0], atol=0.05)
     assert picture["support"][by_x].tolist() == [2, 1]
     ids = [message.body["id"].tolist() for message in centre.heard("cc/picture")[-2:]]
-    assert ids[0] == ids[1], "they keep their ids"
+    assert ids[0] == ids[1], "ids persist"
 
 
 def test_an_empty_batch_gives_an_empty_picture(resolved) -> None:
@@ -65,7 +65,7 @@ def test_a_second_batch_of_a_frame_is_a_duplicate(resolved) -> None:
 @pytest.mark.parametrize("scale", [1.0, 100.0, 1e6, 1e8])
 @pytest.mark.parametrize("seed", range(3))
 def test_implausible_tracks_still_give_a_picture(resolved, seed: int, scale: float) -> None:
-    """Invalid covariances, negative sizes and scores, absurd speeds, as a compromised agent may send them."""
+    """Invalid covariances, sizes, scores and speeds from a compromised agent."""
     rng = np.random.default_rng(seed)
     centre = Bench(resolved, "command_center")
     for frame in range(8):
@@ -91,10 +91,10 @@ def test_implausible_tracks_still_give_a_picture(resolved, seed: int, scale: flo
     assert len(pictures) == 8
     if scale <= 100.0:
         places = pictures[-1].body["position"][:, :2]
-        assert np.hypot(*(places - [0.05, 0.0]).T).min() < 1.0, "and the honest agents' car is in it"
+        assert np.hypot(*(places - [0.05, 0.0]).T).min() < 1.0, "and it contains the honest agents' car"
 
 
-def test_the_picture_of_a_late_batch_is_about_its_own_frame(resolved) -> None:
+def test_the_picture_of_a_late_batch_belongs_to_the_batchs_frame(resolved) -> None:
     centre = Bench(resolved, "command_center")
     centre.clock(0)
     centre.clock(1)

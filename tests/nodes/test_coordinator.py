@@ -1,4 +1,4 @@
-"""The coordinator sends all its adversaries one plan, and does not wait for those that have left."""
+"""The coordinator sends one plan to all its live adversaries."""
 
 from dataclasses import replace
 
@@ -36,9 +36,9 @@ def test_all_adversaries_get_the_same_plan_when_all_have_reported(resolved) -> N
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)
     assert observe(coordinator, 2, 0) == []
-    said = observe(coordinator, 1, 0)
-    assert [key for key, _ in said] == list(DIRECTIVES)
-    first, second = (message for _, message in said)
+    published = observe(coordinator, 1, 0)
+    assert [key for key, _ in published] == list(DIRECTIVES)
+    first, second = (message for _, message in published)
     assert first.header.frame == second.header.frame == 0
     assert len(first.body["add_id"]) > 0
     for name, column in first.body.items():
@@ -62,10 +62,10 @@ def test_the_coordinator_waits_for_a_silent_adversary_until_the_next_clock(resol
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)
     assert observe(coordinator, 1, 0) == []
-    said = coordinator.clock(1)
-    assert [(key, message.header.frame) for key, message in said] == [(DIRECTIVES[0], 0)]
+    published = coordinator.clock(1)
+    assert [(key, message.header.frame) for key, message in published] == [(DIRECTIVES[0], 0)]
     observe(coordinator, 1, 1)
-    assert [key for key, _ in observe(coordinator, 2, 1)] == list(DIRECTIVES), "it may speak again"
+    assert [key for key, _ in observe(coordinator, 2, 1)] == list(DIRECTIVES), "it may send again"
 
 
 def test_the_coordinator_does_not_wait_for_a_dead_adversary_until_it_returns(resolved) -> None:
@@ -91,15 +91,15 @@ def test_the_coordinator_does_not_wait_for_an_adversary_that_has_not_joined(reso
     assert len(observe(coordinator, 2, 1)) == 2
 
 
-def test_the_coordinator_does_not_wait_for_adversaries_of_others(resolved) -> None:
-    """A pass-through or an uncoordinated adversary in the same run sends no observations."""
+def test_the_coordinator_waits_only_for_its_own_adversaries(resolved) -> None:
+    """Uncoordinated and pass-through adversaries send no observations."""
     coordinator = Bench(resolved, "coordinator", adversaries=["adversary_1"])
     coordinator.clock(0)
-    assert observe(coordinator, 2, 0) == [], "nor listened to"
+    assert observe(coordinator, 2, 0) == [], "and is not subscribed"
     assert [key for key, _ in observe(coordinator, 1, 0)] == [DIRECTIVES[0]]
 
 
-def test_a_run_in_which_one_adversary_is_not_directed_is_not_delayed() -> None:
+def test_an_undirected_adversary_does_not_delay_the_run() -> None:
     def leave_out(scenario: dict) -> None:
         scenario["coordinator"]["adversaries"] = ["adversary_1"]
         scenario["adversaries"]["adversary_2"]["attack"] = dict(type="PassThrough")

@@ -1,4 +1,4 @@
-"""The evaluator receives all messages and publishes none; its results are the metrics of the run."""
+"""The evaluator hears all messages, publishes none, and returns metrics."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mast_zenoh.wiring.model import Wiring
 
 AGENTS = ("ego", "infra_1", "infra_2")
 PLACES = ((10.0, 0.0), (20.0, 5.0))
-#: What is done in a frame besides: (frame, evaluator).
+#: An additional action in a frame: (frame, evaluator).
 More = Callable[[int, Bench], Any]
 
 
@@ -38,7 +38,7 @@ def truth(*places: tuple[float, float]) -> dict[str, np.ndarray]:
 
 
 def heard(resolved, frames: int, *, at: More | None = None, **config: Any) -> Bench:
-    """An evaluator that has heard some frames, in which all estimates are right, after what `at` adds to each."""
+    """An evaluator after some correct frames, changed by `at` in each."""
     evaluator = Bench(resolved, "evaluator", **config)
     for frame in range(frames):
         evaluator.hear("clock", {}, frame)
@@ -60,7 +60,7 @@ def metrics(evaluator: Bench) -> dict[str, Any]:
     ("frames", "expected"),
     [(1, [0, 0]), (2, [0, 1]), (31, [0, 30]), (32, [6, 21]), (33, [6, 22]), (150, [6, 139])],
 )
-def test_the_first_six_and_last_ten_frames_are_not_scored_unless_that_is_more_than_half(
+def test_the_first_six_and_last_ten_frames_are_unscored_unless_more_than_half(
     resolved, frames: int, expected: list[int]
 ) -> None:
     evaluator = Bench(resolved, "evaluator")
@@ -71,10 +71,10 @@ def test_the_first_six_and_last_ten_frames_are_not_scored_unless_that_is_more_th
     assert metrics(evaluator)["frames"] == frames
 
 
-def test_a_run_that_never_began_has_empty_metrics(resolved) -> None:
-    found = metrics(Bench(resolved, "evaluator"))
-    assert (found["frames"], found["scored_frames"], found["frames_per_second"]) == (0, [], None)
-    assert found["latency_ms"]["sim_to_picture"] == {"p50": None, "p95": None, "p99": None}
+def test_a_run_without_frames_has_empty_metrics(resolved) -> None:
+    scores = metrics(Bench(resolved, "evaluator"))
+    assert (scores["frames"], scores["scored_frames"], scores["frames_per_second"]) == (0, [], None)
+    assert scores["latency_ms"]["sim_to_picture"] == {"p50": None, "p95": None, "p99": None}
 
 
 def test_frames_that_are_not_scored_do_not_count(resolved) -> None:
@@ -82,21 +82,21 @@ def test_frames_that_are_not_scored_do_not_count(resolved) -> None:
         if frame < 6 or frame >= 30:
             evaluator.hear("cc/picture", picture((60.0, 60.0)), frame)
 
-    found = metrics(heard(resolved, 40, at=wrong_at_the_ends))["agents"]["ego"]["picture"]
-    assert (found["fp"]["mean"], found["fn"]["mean"]) == (0.0, 0.0)
-    found = metrics(heard(resolved, 40, at=wrong_at_the_ends, skip_first=0, skip_last=0))["agents"]["ego"]["picture"]
-    assert (found["fp"]["mean"], found["fn"]["mean"]) == (16 / 40, 32 / 40)
+    scores = metrics(heard(resolved, 40, at=wrong_at_the_ends))["agents"]["ego"]["picture"]
+    assert (scores["fp"]["mean"], scores["fn"]["mean"]) == (0.0, 0.0)
+    scores = metrics(heard(resolved, 40, at=wrong_at_the_ends, skip_first=0, skip_last=0))["agents"]["ego"]["picture"]
+    assert (scores["fp"]["mean"], scores["fn"]["mean"]) == (16 / 40, 32 / 40)
 
 
 def test_every_estimate_of_every_agent_is_scored(resolved) -> None:
-    found = metrics(heard(resolved, 3))
-    assert found["agents"].keys() == set(AGENTS)
-    for of_agent in found["agents"].values():
+    scores = metrics(heard(resolved, 3))
+    assert scores["agents"].keys() == set(AGENTS)
+    for of_agent in scores["agents"].values():
         assert tuple(of_agent) == ESTIMATORS
         for estimator in of_agent.values():
             assert (estimator["tp"]["mean"], estimator["fp"]["mean"], estimator["rmse_m"]) == (2.0, 0.0, 0.0)
     same = {"received": "local", "picture_received": "picture", "picture_on_arrival": "picture"}
-    assert found["same_as"] == dict.fromkeys(AGENTS, same)
+    assert scores["same_as"] == dict.fromkeys(AGENTS, same)
 
 
 def test_tracks_in_another_frame_of_reference_are_converted_to_the_world_frame(resolved) -> None:
@@ -107,9 +107,9 @@ def test_tracks_in_another_frame_of_reference_are_converted_to_the_world_frame(r
         }
         evaluator.hear("agent/ego/tracks", tracks((10.0, 0.0), (15.0, -10.0)) | reference, frame)
 
-    found = metrics(heard(resolved, 3, at=turned))["agents"]["ego"]["local"]
-    assert found["tp"]["mean"] == 2.0
-    assert found["rmse_m"] == pytest.approx(0.0, abs=1e-9)
+    scores = metrics(heard(resolved, 3, at=turned))["agents"]["ego"]["local"]
+    assert scores["tp"]["mean"] == 2.0
+    assert scores["rmse_m"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_latency_is_the_scene_time_between_a_frame_and_its_picture(resolved) -> None:
@@ -122,17 +122,17 @@ def test_latency_is_the_scene_time_between_a_frame_and_its_picture(resolved) -> 
 
 
 def test_a_late_picture_is_scored_for_its_own_frame_and_for_the_frame_of_its_arrival(resolved) -> None:
-    """Everything moves 1.5 m a frame; the picture is right about its frame, and comes three frames later."""
+    """Everything moves 1.5 m per frame; the picture is three frames late."""
     evaluator = Bench(resolved, "evaluator", skip_first=0, skip_last=0)
     for frame in range(20):
         evaluator.hear("clock", {}, frame)
         evaluator.hear("scene/truth", truth((1.5 * frame, 0.0)), frame)
         if frame >= 3:
             evaluator.hear("cc/picture", picture((1.5 * (frame - 3), 0.0)), frame - 3, step=frame)
-    found = metrics(evaluator)["agents"]["ego"]
-    assert found["picture"]["tp"]["mean"] == found["picture_received"]["tp"]["mean"] == 17 / 20
-    assert found["picture_on_arrival"]["tp"]["mean"] == 0.0
-    assert found["picture_on_arrival"]["fp"]["mean"] == 17 / 20
+    scores = metrics(evaluator)["agents"]["ego"]
+    assert scores["picture"]["tp"]["mean"] == scores["picture_received"]["tp"]["mean"] == 17 / 20
+    assert scores["picture_on_arrival"]["tp"]["mean"] == 0.0
+    assert scores["picture_on_arrival"]["fp"]["mean"] == 17 / 20
 
 
 def test_a_malformed_estimate_is_ignored(resolved) -> None:
@@ -140,8 +140,8 @@ def test_a_malformed_estimate_is_ignored(resolved) -> None:
         evaluator.host.deliver("cc/picture", b"rubbish", frame)
         evaluator.host.deliver("agent/ego/tracks", b"\x80", frame)
 
-    found = metrics(heard(resolved, 3, at=broken))["agents"]["ego"]
-    assert found["picture"]["tp"]["mean"] == found["local"]["tp"]["mean"] == 2.0
+    scores = metrics(heard(resolved, 3, at=broken))["agents"]["ego"]
+    assert scores["picture"]["tp"]["mean"] == scores["local"]["tp"]["mean"] == 2.0
 
 
 # -- estimates where they are sent and where they are received ------------------------------------------------------
@@ -149,7 +149,7 @@ def test_a_malformed_estimate_is_ignored(resolved) -> None:
 
 @pytest.fixture(scope="module")
 def intercepted():
-    """Adversaries on the tracks of infra_1, on their way to the broker."""
+    """Adversaries on infra_1's tracks on their way to the broker."""
     return tiny("coordinated", "n_adversaries=1")
 
 
@@ -160,8 +160,8 @@ def test_own_tracks_are_scored_as_they_were_computed_and_as_the_broker_received_
         evaluator.hear("scene/truth", truth(*PLACES), frame)
         evaluator.hear("agent/infra_1/tracks/@tap/0", tracks(*PLACES), frame)
         evaluator.hear("agent/infra_1/tracks", tracks(PLACES[0], (-30.0, 0.0)), frame)
-    found = metrics(evaluator)["agents"]["infra_1"]
-    assert [found[name][what]["mean"] for name in ("local", "received") for what in ("fn", "fp", "tp")] == [
+    scores = metrics(evaluator)["agents"]["infra_1"]
+    assert [scores[name][what]["mean"] for name in ("local", "received") for what in ("fn", "fp", "tp")] == [
         *(0.0, 0.0, 2.0),
         *(1.0, 1.0, 1.0),
     ]
@@ -180,19 +180,19 @@ def test_a_message_that_is_forwarded_unchanged_is_the_same_estimate(intercepted)
 
 def test_attacks_on_others_do_not_change_an_agents_own_metrics() -> None:
     plain, attacked = Run(tiny()), Run(tiny("uncoordinated", "n_adversaries=1", "attack_start_s=0.2"))
-    found = [run.results["evaluator"]["metrics"]["agents"] for run in (plain, attacked)]
-    assert found[0]["ego"]["local"] == found[1]["ego"]["local"]
-    assert found[0]["infra_1"]["local"] != found[1]["infra_1"]["local"]
+    agents_by_run = [run.results["evaluator"]["metrics"]["agents"] for run in (plain, attacked)]
+    assert agents_by_run[0]["ego"]["local"] == agents_by_run[1]["ego"]["local"]
+    assert agents_by_run[0]["infra_1"]["local"] != agents_by_run[1]["infra_1"]["local"]
 
 
 def test_an_attack_on_an_agents_output_does_not_change_its_own_estimate() -> None:
     plain, attacked = Run(tiny()), Run(tiny("coordinated", "n_adversaries=1", "attack_start_s=0.2"))
-    found = [run.results["evaluator"]["metrics"]["agents"]["infra_1"] for run in (plain, attacked)]
-    assert found[0]["local"] == found[1]["local"]
-    assert found[0]["received"] != found[1]["received"]
+    agents_by_run = [run.results["evaluator"]["metrics"]["agents"]["infra_1"] for run in (plain, attacked)]
+    assert agents_by_run[0]["local"] == agents_by_run[1]["local"]
+    assert agents_by_run[0]["received"] != agents_by_run[1]["received"]
 
 
-# -- what interposers did ----------------------------------------------------------------------------------------------
+# -- effects of interposers --------------------------------------------------------------------------------------------
 
 
 def moved(frame: int, evaluator: Bench) -> None:
@@ -221,8 +221,8 @@ def test_unreported_changes_of_an_adversary_are_measured_in_the_world_frame(reso
     assert after == pytest.approx(np.array([[100.0, 8.0, 1.0]] * 2))
     assert table["columns"].tolist() == ["position"] * 2
     assert not table["reported"].any()
-    found = outcome["metrics"]["interposers"]["adversary_1"]
-    assert (found["agreement"], found["effects"], found["reports"]) == ("silent", {"moved": 2}, 0)
+    verdict = outcome["metrics"]["interposers"]["adversary_1"]
+    assert (verdict["agreement"], verdict["effects"], verdict["reports"]) == ("silent", {"moved": 2}, 0)
 
 
 def report(*changes: tuple[int, int, tuple[float, float, float], tuple[float, float, float]]) -> dict[str, np.ndarray]:
@@ -244,7 +244,7 @@ LIE = (0, 8, (0.0, 0.0, 0.0), (-40.0, 8.0, 1.0))
     ("changes", "verdict", "unreported", "unfounded"),
     [((TRUE,), "agrees", 0, 0), ((TRUE, LIE), "disagrees", 0, 2), ((LIE,), "disagrees", 1, 2)],
 )
-def test_true_reports_are_labels_and_false_ones_are_contradictions(
+def test_true_reports_become_labels_and_false_ones_contradictions(
     resolved, changes, verdict: str, unreported: int, unfounded: int
 ) -> None:
     def told(frame: int, evaluator: Bench) -> None:
@@ -252,10 +252,10 @@ def test_true_reports_are_labels_and_false_ones_are_contradictions(
         evaluator.hear("attack/adversary_1/report", report(*changes), frame)
 
     outcome = heard(resolved, 2, at=told).host.finish()
-    found = outcome["metrics"]["interposers"]["adversary_1"]
-    assert (found["agreement"], found["unreported"], found["unfounded"]) == (verdict, unreported, unfounded)
+    measured = outcome["metrics"]["interposers"]["adversary_1"]
+    assert (measured["agreement"], measured["unreported"], measured["unfounded"]) == (verdict, unreported, unfounded)
     table = outcome["tables"]["attacks"]
-    assert table["effect"].tolist() == ["moved"] * 2, "a report adds no effect"
+    assert table["effect"].tolist() == ["moved"] * 2, "reporting adds no effect"
     assert table["label"].tolist() == ([7, 7] if TRUE in changes else [-1, -1])
 
 
@@ -279,7 +279,7 @@ def linked():
 
 
 def blamed(linked, *, at: Any = None, passes: Any = None, frames: int = 30, **config: Any) -> dict[str, Any]:
-    """The ego's picture of a run in which infra_1 alone sees a car that the picture has from frame 15 to 19 not."""
+    """The ego's picture, without a car seen only by infra_1 in frames 15 to 19."""
     evaluator = Bench(linked, "evaluator", **config)
     link_out = next(way.sent for way in Wiring.from_json(linked.wiring).passages() if way.port == "tracks")
     for frame in range(frames):
@@ -297,18 +297,18 @@ def blamed(linked, *, at: Any = None, passes: Any = None, frames: int = 30, **co
     return metrics(evaluator)["agents"]["ego"]["picture"]
 
 
-def test_a_miss_without_any_loss_is_natural(linked) -> None:
-    found = blamed(linked)
-    assert found["causes"]["fn"] == {"fusion": 5}
-    assert found["fn_split"] == {"fault": 0.0, "attack": 0.0, "natural": pytest.approx(5 / 30)}
-    assert found["fp_split"] == {"fault": 0.0, "attack": 0.0, "natural": 0.0}
+def test_a_missed_object_without_any_loss_is_natural(linked) -> None:
+    causes = blamed(linked)
+    assert causes["causes"]["fn"] == {"fusion": 5}
+    assert causes["fn_split"] == {"fault": 0.0, "attack": 0.0, "natural": pytest.approx(5 / 30)}
+    assert causes["fp_split"] == {"fault": 0.0, "attack": 0.0, "natural": 0.0}
 
 
-def test_a_miss_after_a_dropped_message_is_due_to_the_fault_even_if_unreported(linked) -> None:
+def test_a_missed_object_after_a_dropped_message_is_due_to_the_fault_even_if_unreported(linked) -> None:
     assert blamed(linked, passes=lambda frame: not 15 <= frame < 18)["causes"]["fn"] == {"link or fault": 5}
 
 
-def test_misses_while_an_agent_is_killed_are_due_to_the_fault(linked) -> None:
+def test_objects_missed_while_an_agent_is_killed_are_due_to_the_fault(linked) -> None:
     def killed(frame: int, agent: str, evaluator: Bench) -> bool | None:
         if agent == "ego" and frame == 12:
             evaluator.left("infra_1", "agent")
@@ -319,7 +319,7 @@ def test_misses_while_an_agent_is_killed_are_due_to_the_fault(linked) -> None:
     assert blamed(linked, at=killed)["causes"]["fn"] == {"link or fault": 5}
 
 
-def test_a_long_silence_counts_as_cut_off_and_a_short_one_as_late(linked) -> None:
+def test_a_long_silence_counts_as_disconnected_and_a_short_one_as_late(linked) -> None:
     def unheard(first: int, last: int) -> Any:
         return lambda frame, agent, evaluator: agent != "infra_1" or not first <= frame <= last
 
@@ -327,7 +327,7 @@ def test_a_long_silence_counts_as_cut_off_and_a_short_one_as_late(linked) -> Non
     assert blamed(linked, at=unheard(16, 17))["causes"]["fn"]["occlusion or range"] == 2
 
 
-def test_an_agent_is_cut_off_only_when_its_tracks_are_too_old_for_the_broker(linked) -> None:
+def test_an_agent_is_disconnected_only_when_its_tracks_are_too_old_for_the_broker(linked) -> None:
     def unheard(frame: int, agent: str, evaluator: Bench) -> bool:
         return agent != "infra_1" or not 16 <= frame <= 19
 
@@ -336,15 +336,15 @@ def test_an_agent_is_cut_off_only_when_its_tracks_are_too_old_for_the_broker(lin
     assert blamed(linked, at=unheard, cut_off=dict(max_age_s=0.3))["causes"]["fn"]["link or fault"] == 4
 
 
-def test_the_parameters_of_attribution_change_what_is_blamed(linked) -> None:
+def test_attribution_parameters_change_the_blame(linked) -> None:
     assert blamed(linked)["causes"]["fn"] == {"fusion": 5}
     assert blamed(linked, attribution=dict(begin_s=3.0))["causes"]["fn"] == {"lag": 5}
 
 
 def test_a_run_without_links_attributes_nothing_to_faults() -> None:
-    found = Run(tiny()).results["evaluator"]
-    assert "link or fault" not in found["tables"]["objects"]["cause"]
-    for of_agent in found["metrics"]["agents"].values():
+    results = Run(tiny()).results["evaluator"]
+    assert "link or fault" not in results["tables"]["objects"]["cause"]
+    for of_agent in results["metrics"]["agents"].values():
         split = of_agent["picture"]["fn_split"]
         assert split["fault"] == split["attack"] == 0.0
         assert split["natural"] == pytest.approx(of_agent["picture"]["fn"]["mean"])
@@ -353,12 +353,12 @@ def test_a_run_without_links_attributes_nothing_to_faults() -> None:
 # -- the node ----------------------------------------------------------------------------------------------------------
 
 
-def test_it_publishes_nothing() -> None:
+def test_the_evaluator_publishes_nothing() -> None:
     for name in ("baseline", "uncoordinated", "coordinated"):
         assert not Wiring.from_json(tiny(name).wiring).ports("evaluator").outputs
 
 
-def test_it_subscribes_to_no_more_than_it_needs() -> None:
+def test_the_evaluator_subscribes_only_to_what_it_needs() -> None:
     evaluator = Bench(tiny(), "evaluator")
     evaluator.node.on_everything = lambda message, context: pytest.fail(message.key)
     for key in ("agent/ego/pose", "agent/ego/detections", "agent/ego/status", "cc/collated"):
@@ -367,12 +367,12 @@ def test_it_subscribes_to_no_more_than_it_needs() -> None:
 
 
 @pytest.mark.parametrize("order", range(5))
-def test_its_results_do_not_depend_on_the_delivery_order(order: int) -> None:
+def test_results_do_not_depend_on_the_delivery_order(order: int) -> None:
     attacked = tiny("uncoordinated", "n_adversaries=2", "attack_start_s=0.2", "fraction_translations=0.5")
     assert Run(attacked, shuffle=order).packed == Run(attacked).packed
 
 
-def test_its_results_are_the_same_whether_messages_are_bytes_or_not() -> None:
+def test_results_are_the_same_for_encoded_and_decoded_messages() -> None:
     attacked = tiny("coordinated", "n_adversaries=2", "attack_start_s=0.2")
     assert Run(attacked, encode=False).packed == Run(attacked, encode=True).packed
 

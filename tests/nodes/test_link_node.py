@@ -1,4 +1,4 @@
-"""The link node: applies its rules to messages, and reports their fates to the evaluator only."""
+"""The link node applies its rules and reports message fates."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def world(up: list[dict[str, Any]], down: list[dict[str, Any]] | None = None, **
 
 def bench(*up: dict[str, Any], down: list[dict[str, Any]] | None = None, encode: bool = True) -> Bench:
     """The ego's link by itself, at the first frame."""
-    found = Bench(world(list(up), down), "link_ego", encode=encode)
-    found.clock(0)
-    return found
+    link = Bench(world(list(up), down), "link_ego", encode=encode)
+    link.clock(0)
+    return link
 
 
 def status() -> dict[str, np.ndarray]:
@@ -54,11 +54,11 @@ def status() -> dict[str, np.ndarray]:
 
 
 def rows(link: Bench) -> list[tuple[Any, ...]]:
-    """All that the link has reported: (step after it, port, frame, seq, fate, rule)."""
+    """All reports of the link: (step after it, port, frame, seq, fate, rule)."""
     return [
-        (message.header.frame, WIRES[port], *found, FATES[fate], rule)
+        (message.header.frame, WIRES[port], *columns, FATES[fate], rule)
         for message in link.heard(REPORT)
-        for port, *found, fate, rule in zip(
+        for port, *columns, fate, rule in zip(
             *(message.body[name].tolist() for name in ("port", "frame", "seq", "fate", "rule")), strict=True
         )
     ]
@@ -73,7 +73,7 @@ def test_a_link_without_rules_forwards_everything_unchanged(encode: bool) -> Non
         (PICTURE, "picture", picture((3.0, 4.0))),
     ):
         message = link.message(link.key(port), body, 0)
-        assert [said for said, _ in link.deliver(link.key(port), message)] == [key]
+        assert [out_key for out_key, _ in link.deliver(link.key(port), message)] == [key]
         assert link.payloads[-1] == codec.encode(message)
     link.clock(1)
     assert rows(link) == []
@@ -102,7 +102,7 @@ def test_a_delay_within_a_frame_has_no_effect_in_lock_step() -> None:
     assert link.clock(1) == []
 
 
-def test_every_report_is_about_the_previous_step_and_sorted() -> None:
+def test_reports_cover_the_previous_step_and_are_sorted() -> None:
     link = bench(dict(type="Cut"), down=[dict(type="Cut")])
     for frame in range(3):
         link.send("picture", picture(), frame)
@@ -113,7 +113,7 @@ def test_every_report_is_about_the_previous_step_and_sorted() -> None:
     ]
 
 
-def test_the_agents_position_takes_effect_in_the_next_frame_in_any_order() -> None:
+def test_a_new_agent_position_takes_effect_in_the_next_frame_in_any_order() -> None:
     limit = dict(type="RangeLimit", range_m=50.0, gateways=[[0.0, 0.0, 0.0]])
     for pose_first in (True, False):
         link, passed = bench(limit), []
@@ -131,13 +131,13 @@ def test_the_agents_position_takes_effect_in_the_next_frame_in_any_order() -> No
 def test_a_wrong_clock_and_pose_change_only_the_header_time_and_the_frame_of_reference() -> None:
     link = bench(dict(type="ClockSkew", offset_s=0.03), dict(type="PoseError", bias_m=[2.0, -1.0]))
     body = tracks((1.0, 2.0))
-    ((_, found),) = link.send("tracks", body, 0)
-    assert found.header == Header("tracks", "ego", 0, 30_000_000, 0)
-    assert found.body["origin"].tolist() == [2.0, -1.0, 0.0]
+    ((_, message),) = link.send("tracks", body, 0)
+    assert message.header == Header("tracks", "ego", 0, 30_000_000, 0)
+    assert message.body["origin"].tolist() == [2.0, -1.0, 0.0]
     for name in body.keys() - {"origin"}:
-        assert np.array_equal(found.body[name], body[name])
-    ((_, found),) = link.send("status", status(), 0)
-    assert found.header.time_ns == 30_000_000
+        assert np.array_equal(message.body[name], body[name])
+    ((_, message),) = link.send("status", status(), 0)
+    assert message.header.time_ns == 30_000_000
     link.clock(1)
     assert rows(link) == [
         (1, "tracks", 0, 0, "altered", 0),
@@ -145,15 +145,17 @@ def test_a_wrong_clock_and_pose_change_only_the_header_time_and_the_frame_of_ref
     ]
 
 
-def test_time_does_not_go_below_zero() -> None:
+def test_time_does_not_become_negative() -> None:
     link = bench(dict(type="ClockSkew", offset_s=-5.0))
-    ((_, found),) = link.send("tracks", tracks(), 0)
-    assert found.header.time_ns == 0
+    ((_, message),) = link.send("tracks", tracks(), 0)
+    assert message.header.time_ns == 0
 
 
 @pytest.mark.parametrize("encode", [True, False])
 @pytest.mark.parametrize("skew", [[], [dict(type="ClockSkew", offset_s=1.0)]])
-def test_a_corrupted_message_is_the_altered_one_with_some_bits_flipped(encode: bool, skew: list[dict]) -> None:
+def test_a_corrupted_message_differs_from_the_otherwise_altered_one_in_some_bits(
+    encode: bool, skew: list[dict]
+) -> None:
     link = bench(*skew, dict(type="Corrupt", probability=1.0, flips=1), encode=encode)
     key = link.key("tracks")
     message = link.message(key, tracks((1.0, 2.0)), 0)
@@ -185,7 +187,7 @@ rules = st.lists(st.sampled_from(sorted(ANY_RULE)), max_size=5).map(
 )
 
 
-def test_the_tests_below_cover_every_shipped_rule() -> None:
+def test_the_following_tests_cover_every_shipped_rule() -> None:
     ours = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
     assert ours == ANY_RULE.keys()
 
@@ -212,7 +214,7 @@ def test_a_link_with_all_rules_gives_the_same_run_in_any_order() -> None:
         assert Run(resolved, shuffle=shuffle, encode=bool(shuffle % 2)).messages == plain.messages
 
 
-def test_links_without_rules_leave_no_trace_but_on_their_own_legs() -> None:
+def test_links_without_rules_change_only_their_own_legs() -> None:
     def edit(content: dict[str, Any]) -> None:
         content["links"] = {"*": "perfect"}
 
@@ -220,8 +222,8 @@ def test_links_without_rules_leave_no_trace_but_on_their_own_legs() -> None:
     seen = {key: payloads for key, payloads in linked.messages.items() if "@tap/broker" not in key}
     seen = {key: payloads for key, payloads in seen.items() if not key.startswith("cc/picture/@tap")}
     assert seen == plain.messages
-    told = {key: linked.messages[key.split("/@tap/broker")[0]] for key in linked.messages if "@tap/broker" in key}
-    assert told == {key: linked.messages[key] for key in told}
+    by_key = {key: linked.messages[key.split("/@tap/broker")[0]] for key in linked.messages if "@tap/broker" in key}
+    assert by_key == {key: linked.messages[key] for key in by_key}
 
 
 @given(payload=st.binary(max_size=200))
@@ -230,7 +232,7 @@ def test_malformed_bytes_are_forwarded_unchanged(payload: bytes) -> None:
     link = _broken_link()
     for port in ("tracks", "picture", "pose"):
         link.host.deliver(link.key(port), payload, 0)
-    assert [out.payload for out in link.outbox] == [payload, payload], "who they are for will refuse them"
+    assert [out.payload for out in link.outbox] == [payload, payload], "their subscribers will refuse them"
     assert not link.host.failures
     link.outbox.clear()
     assert [key for key, _ in link.send("tracks", tracks(), 0)] == [TRACKS]
@@ -247,7 +249,7 @@ def _broken_link() -> Bench:
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_malformed_body_passes_a_link_that_does_not_decode_it(encode: bool) -> None:
+def test_a_malformed_body_passes_an_undecoding_link(encode: bool) -> None:
     link = bench(dict(type="ClockSkew", offset_s=1.0), dict(type="PoseError", bias_m=[1.0, 0.0]), encode=encode)
     key, body = link.key("tracks"), tracks((1.0, 2.0))
     body["position"] = np.full((1, 3), np.nan)
@@ -274,7 +276,7 @@ def test_the_results_count_the_fates_of_messages() -> None:
 def test_in_a_realistic_network_static_agents_are_wired_and_mobile_ones_wireless(attack: str) -> None:
     resolved = tiny("realistic_network", f"attack={attack}")
     rules = {name: spec.config["rules_up"] for name, spec in resolved.nodes.items() if spec.role == "link"}
-    ranged = {name: any(rule["type"] == "RangeLimit" for rule in its) for name, its in rules.items()}
+    ranged = {name: any(rule["type"] == "RangeLimit" for rule in directions) for name, directions in rules.items()}
     assert ranged == {"link_ego": True, "link_infra_1": False, "link_infra_2": False}
     assert any(spec.role == "adversary" for spec in resolved.nodes.values()) is (attack != "none")
     plain, other = Run(resolved), Run(resolved, shuffle=1, encode=False)
@@ -299,16 +301,16 @@ OWN_MAP = {
 }
 
 
-def test_a_users_map_can_insert_a_link_into_another_wire() -> None:
+def test_a_user_map_can_insert_a_link_into_another_wire() -> None:
     def edit(content: dict[str, Any]) -> None:
         content["nodes"] = {"loose": dict(role="link", agent="ego", rules_up=[dict(type="Cut", at=0.3, until=0.6)])}
         content["keyexpr"] = dict(map="testbed.toml", rewrites=[OWN_MAP])
 
     run = Run(tiny("baseline", edit=edit))
     sent = [message.header.frame for message in run.decoded("agent/ego/detections/@tap/0", "detections")]
-    came = [message.header.frame for message in run.decoded("agent/ego/detections", "detections")]
+    frames = [message.header.frame for message in run.decoded("agent/ego/detections", "detections")]
     assert sent == list(range(12))
-    assert came == [frame for frame in sent if not 3 <= frame < 6]
+    assert frames == [frame for frame in sent if not 3 <= frame < 6]
 
 
 def test_a_user_defined_link_can_have_other_ports(tmp_path: Path) -> None:
@@ -355,7 +357,7 @@ def test_in_real_time_messages_leave_in_order(delays_ms: list[float], gaps_us: l
     for number in range(len(delays_ms)):
         built.now += 1000 * gaps_us[number]
         built.clock(number, time_ns=number * 1_000_000)
-        built.now += 7  # time goes on while things are handled
+        built.now += 7  # time advances during handlers
         built.send(number)
     built.now += 10**9
     built.host.release()
@@ -375,7 +377,7 @@ def test_in_real_time_a_message_leaves_when_its_delay_is_over() -> None:
 
 
 class _RealTime:
-    """The ego's link on a test clock, which advances by 1 ns at every reading."""
+    """The ego's link on a test clock that advances by 1 ns per reading."""
 
     def __init__(self, rules: list[dict[str, Any]]) -> None:
         resolved = world(rules)
@@ -403,7 +405,7 @@ class _RealTime:
         return [codec.decode(payload, "tracks").header.seq for payload in out if isinstance(payload, bytes)]
 
 
-def test_the_length_of_a_frame_is_that_of_the_clock() -> None:
+def test_the_frame_length_equals_that_of_the_clock() -> None:
     link = bench(dict(type="Delay", mean_s=0.15, distribution="constant"))
     link.send("tracks", tracks(), 0)
     clock = link.message(link.key("clock"), {}, 1, time_ns=2 * PERIOD_NS)  # frames of 0.2 s

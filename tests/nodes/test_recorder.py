@@ -1,4 +1,4 @@
-"""The recorder records all messages, and does not influence the run."""
+"""The recorder records all messages without influencing the run."""
 
 from __future__ import annotations
 
@@ -29,32 +29,32 @@ def resolved(record: bool = True, **run: Any) -> Resolved:
 
 
 def recorded(folder: Path, *, encode: bool) -> dict[str, list[bytes]]:
-    """The bytes by key that are in the recording."""
+    """The recorded bytes by key."""
     process = InProcess(resolved().in_folder(folder), encode=encode)
     outcome = process.run()
-    found: dict[str, list[bytes]] = defaultdict(list)
+    by_key: dict[str, list[bytes]] = defaultdict(list)
     for message in read(folder / "messages.mcap"):
-        found[message.key].append(message.payload)
-    assert outcome["recorder"]["recorded"] == {"messages": sum(map(len, found.values())), "malformed": 0, "lost": 0}
-    return found
+        by_key[message.key].append(message.payload)
+    assert outcome["recorder"]["recorded"] == {"messages": sum(map(len, by_key.values())), "malformed": 0, "lost": 0}
+    return by_key
 
 
 @pytest.mark.parametrize("encode", [True, False], ids=["bytes are passed", "messages are passed"])
-def test_it_has_every_byte_that_was_sent_on_every_key(tmp_path: Path, encode: bool) -> None:
-    said = Run(resolved(record=False))
-    found = recorded(tmp_path, encode=encode)
-    assert any("@tap" in key for key in found)
-    assert found == {key: payloads for key, payloads in said.messages.items() if payloads}
+def test_a_recording_has_every_byte_sent_on_every_key(tmp_path: Path, encode: bool) -> None:
+    run = Run(resolved(record=False))
+    recorded_bytes = recorded(tmp_path, encode=encode)
+    assert any("@tap" in key for key in recorded_bytes)
+    assert recorded_bytes == {key: payloads for key, payloads in run.messages.items() if payloads}
 
 
-def test_it_changes_no_message_and_no_result_of_other_nodes(tmp_path: Path) -> None:
+def test_recording_changes_no_message_and_no_result_of_other_nodes(tmp_path: Path) -> None:
     plain = Run(resolved(record=False))
     outcome = InProcess(resolved().in_folder(tmp_path)).run()
     for name, result in plain.results.items():
         assert results.pack(outcome[name]) == results.pack(result)
 
 
-def test_it_is_added_on_request_unless_the_scenario_disables_it() -> None:
+def test_a_recorder_is_added_on_request_unless_the_scenario_disables_it() -> None:
     assert "recorder" in resolved().nodes
     assert "recorder" not in resolved(record=False).nodes
     path, content = scenario.load("baseline")
@@ -66,24 +66,24 @@ def test_it_is_added_on_request_unless_the_scenario_disables_it() -> None:
 
 
 def test_run_json_has_the_number_of_recorded_messages(tmp_path: Path) -> None:
-    ended = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
-    record = json.loads((ended.folder / "run.json").read_text())
-    assert record["recorded"] == {"messages": len(list(read(ended.folder))), "malformed": 0, "lost": 0}
+    outcome = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
+    record = json.loads((outcome.folder / "run.json").read_text())
+    assert record["recorded"] == {"messages": len(list(read(outcome.folder))), "malformed": 0, "lost": 0}
     without = launcher.run(resolved(record=False), tmp_path / "without", runtime="inproc")
     assert "recorded" not in without.record
     assert not (without.folder / "messages.mcap").exists()
 
 
-def test_lost_messages_are_noted_in_run_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_messages_are_reported_in_run_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from mcap.writer import Writer
 
     def full(self: Writer) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Writer, "flush", full)
-    ended = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, DiskFull)
-    assert (tmp_path / "run" / "metrics.json").is_file(), "the run goes on to its end"
-    recorded = ended.record["recorded"]
+    outcome = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, DiskFull)
+    assert (tmp_path / "run" / "metrics.json").is_file(), "the run continues to its end"
+    recorded = outcome.record["recorded"]
     assert recorded["messages"] == 0 < recorded["lost"]
-    assert f"{recorded['lost']} messages are not in the recording" in ended.record["message"]
+    assert f"{recorded['lost']} messages are not in the recording" in outcome.record["message"]

@@ -1,4 +1,4 @@
-"""The simulator replays a scene frame by frame, and sends the truth to the evaluator only."""
+"""The simulator replays a scene frame by frame; truth goes to the evaluator."""
 
 import numpy as np
 import pytest
@@ -18,24 +18,24 @@ def resolved():
     return tiny(frames=5)
 
 
-def test_a_frame_is_a_clock_and_then_the_truth_and_every_agents_pose_and_detections(resolved) -> None:
+def test_a_frame_is_a_clock_then_the_truth_and_all_poses_and_detections(resolved) -> None:
     simulator = Bench(resolved, "simulator")
     for frame in range(5):
-        more, said = advance(simulator)
+        more, published = advance(simulator)
         assert more
-        keys = [key for key, _ in said]
+        keys = [key for key, _ in published]
         assert keys[0] == "clock"
         assert sorted(keys[1:]) == [
             *(f"agent/{agent}/{what}" for agent in ("ego", "infra_1", "infra_2") for what in ("detections", "pose")),
             "scene/truth",
         ]
-        assert {message.header.frame for _, message in said} == {frame}
-        assert {message.header.time_ns for _, message in said} == {frame * PERIOD_NS}
-        assert {message.header.seq for _, message in said} == {frame}
-        assert {message.header.source for _, message in said} == {"simulator"}
+        assert {message.header.frame for _, message in published} == {frame}
+        assert {message.header.time_ns for _, message in published} == {frame * PERIOD_NS}
+        assert {message.header.seq for _, message in published} == {frame}
+        assert {message.header.source for _, message in published} == {"simulator"}
 
 
-def test_it_ends_with_the_scene_or_after_the_requested_frames(resolved) -> None:
+def test_the_simulator_ends_with_the_scene_or_after_the_requested_frames(resolved) -> None:
     for limit, expected in ((None, 5), (3, 3), (5, 5), (9, 5)):
         simulator = Bench(resolved, "simulator", frames=limit)
         frames = 0
@@ -45,18 +45,18 @@ def test_it_ends_with_the_scene_or_after_the_requested_frames(resolved) -> None:
         assert advance(simulator) == (False, [])
 
 
-def test_it_publishes_the_recorded_data(resolved) -> None:
+def test_the_simulator_publishes_the_recorded_data(resolved) -> None:
     recording = TinyScene(n_infrastructure=2).record(0, 5)
     simulator = Bench(resolved, "simulator")
     for frame in range(5):
-        said = dict(advance(simulator)[1])
-        truth = said["scene/truth"].body
+        published = dict(advance(simulator)[1])
+        truth = published["scene/truth"].body
         np.testing.assert_array_equal(truth["position"], recording.truth_at(frame).position)
         np.testing.assert_array_equal(truth["points"], recording.points_at(frame))
         assert truth["agents"].tolist() == list(recording.agent_names)
         assert truth["agent_object"].tolist() == [0, -1, -1]
         for i, agent in enumerate(recording.agent_names):
-            pose, detections = said[f"agent/{agent}/pose"].body, said[f"agent/{agent}/detections"].body
+            pose, detections = published[f"agent/{agent}/pose"].body, published[f"agent/{agent}/detections"].body
             np.testing.assert_array_equal(pose["position"], recording.agent_position[frame, i])
             np.testing.assert_allclose(
                 geometry.rotation_from_quaternion(pose["rotation"]), recording.agent_rotation[frame, i], atol=1e-12
@@ -65,7 +65,7 @@ def test_it_publishes_the_recorded_data(resolved) -> None:
                 np.testing.assert_array_equal(detections[name], column)
 
 
-def test_a_scene_that_begins_late_begins_at_time_zero(resolved) -> None:
+def test_a_scene_with_a_late_start_begins_at_time_zero(resolved) -> None:
     recording = TinyScene().record(0, 5)
     recording.times_ns[:] += 7_000_000_000
     simulator = Bench(resolved, "simulator", recording=recording)
@@ -82,7 +82,7 @@ def test_the_truth_is_on_one_key_that_only_the_evaluator_receives() -> None:
 
 
 def test_messages_to_agents_do_not_depend_on_the_truth(resolved) -> None:
-    """What agents get is made of the recording's detections alone: without truth, it is the same."""
+    """Messages to agents depend on recorded detections, not on the truth."""
     recording = TinyScene(n_infrastructure=2).record(0, 5)
     blank = type(recording)(
         **{
@@ -97,8 +97,10 @@ def test_messages_to_agents_do_not_depend_on_the_truth(resolved) -> None:
         payloads = []
         for simulator in simulators:
             simulator.payloads.clear()
-            said = advance(simulator)[1]
-            payloads.append([p for p, (key, _) in zip(simulator.payloads, said, strict=True) if key != "scene/truth"])
+            published = advance(simulator)[1]
+            payloads.append(
+                [p for p, (key, _) in zip(simulator.payloads, published, strict=True) if key != "scene/truth"]
+            )
         assert payloads[0] == payloads[1]
 
 

@@ -1,4 +1,4 @@
-"""A small run folder of made-up but consistent data: a crossing of two roads, an ego, four poles, two adversaries."""
+"""A small, consistent synthetic run: crossing, ego, poles, two adversaries."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ VICTIMS = {"adversary_1": "infra_1", "adversary_2": "infra_3"}
 
 
 def crossing(frames: int = FRAMES) -> Recording:
-    """Fourteen cars on two roads that cross at the origin; the ego comes from the west."""
+    """Fourteen cars on two crossing roads; the ego comes from the west."""
     n = 14
     lane = np.arange(n) % 4
     yaw = np.array([0.0, np.pi / 2, np.pi, -np.pi / 2])[lane]
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-    aside = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
+    lateral = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
     speed = np.where(lane % 2 == 0, 8.0, 3.0)
-    start = ahead * (-70.0 + 22.0 * (np.arange(n) // 4))[:, None] + 3.0 * aside
+    start = ahead * (-70.0 + 22.0 * (np.arange(n) // 4))[:, None] + 3.0 * lateral
     times = np.arange(frames) * 100_000_000
     offset = ahead * speed[:, None]
     position = np.concatenate([np.column_stack([start + offset * t * 1e-9, np.full(n, 0.75)]) for t in times])
@@ -72,13 +72,13 @@ def crossing(frames: int = FRAMES) -> Recording:
 
 
 def save_table(path: Path, rows: list[tuple[Any, ...]], names: str) -> None:
-    """A table of `rows`, columns named by the words of `names`, written as the launcher writes them."""
+    """Write a table of `rows` with columns named by `names`, like the launcher."""
     columns = list(zip(*rows, strict=True)) if rows else [[] for _ in names.split()]
     write_table(path, dict(zip(names.split(), columns, strict=True)))
 
 
 def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[list, list, list]:
-    """Rows of objects, counts and attacks: the ego alone sees 45 m far, the picture all; adversaries insert."""
+    """Rows of objects, counts and attacks; the ego alone sees 45 m far."""
     objects: list[tuple[Any, ...]] = []
     counts: list[tuple[Any, ...]] = []
     attacks: list[tuple[Any, ...]] = []
@@ -131,7 +131,7 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
 
 
 def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> dict[str, Any]:
-    """metrics.json of the counts and the effects: every false object is an adversary's; `mission` is the picture."""
+    """metrics.json of counts and effects; all false objects are adversaries'."""
     ego: dict[str, Any] = {}
     for estimator in ("local", "picture"):
         counts_of_estimator = np.array([row[3:6] for row in counts if row[2] == estimator], np.float64)
@@ -164,7 +164,7 @@ def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> 
 
 
 def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
-    """wiring.json of five agents; each adversary sits on its victim's `message` wire."""
+    """wiring.json of five agents with adversaries on `message` wires."""
     records: list[dict[str, Any]] = []
 
     def wire(key: str, kind: str, publisher: str, subscribers: list[str]) -> None:
@@ -200,7 +200,7 @@ def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
 
 
 def write_run(folder: Path, attack: str = "", *, nodes: dict[str, Any] | None = None) -> Path:
-    """Write a run folder: `attack` is "", "uncoordinated" (ten inserted objects) or "coordinated" (three)."""
+    """Write a run folder; `attack` is "", "uncoordinated" or "coordinated"."""
     folder.mkdir(parents=True)
     (folder / "figures").mkdir()
     (folder / "logs").mkdir()
@@ -247,7 +247,7 @@ def write_run(folder: Path, attack: str = "", *, nodes: dict[str, Any] | None = 
 
 @pytest.fixture
 def run_folder(tmp_path: Path) -> Callable[..., Path]:
-    """`run_folder("uncoordinated")` writes a run folder under tmp_path and returns its path."""
+    """Writes a run folder of an attack below tmp_path and returns its path."""
 
     def write(attack: str = "", **options: Any) -> Path:
         return write_run(tmp_path / (attack or "baseline"), attack, **options)

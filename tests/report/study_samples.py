@@ -1,4 +1,4 @@
-"""Rows of studies made up by hand: grids of configurations with estimates of every kind."""
+"""Synthetic study rows: grids of configurations with all estimates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def estimate(mean: float, half: float = 0.5, p: float = 1e-9, seeds: int = 20) -
 
 
 def row(run: str, point: dict[str, Any], fp: float) -> StudyRow:
-    """A configuration that adds `fp` false objects to picture and mission, surely, and missed ones perhaps."""
+    """A configuration that adds `fp` false objects to picture and mission."""
     estimates = {
         Series("ego", "picture", "fp"): estimate(1.0 + fp, p=float("nan")),
         Series("ego", "picture", "fp inserted"): Estimate(mean=2.0),
@@ -37,7 +37,7 @@ def row(run: str, point: dict[str, Any], fp: float) -> StudyRow:
 
 
 def grid(run: str, factor: float = 3.0, **values: Sequence[Any]) -> list[StudyRow]:
-    """A row for each point of a grid; the first parameter decides how many false objects it adds."""
+    """A row per grid point; the first parameter sets the false objects."""
     first = next(iter(values.values()))
     return [
         row(run, dict(zip(values, point, strict=True)), factor * (first.index(point[0]) + 1))

@@ -1,4 +1,4 @@
-"""Achievements of attacks, reasons for limited effects, and consequences for driving."""
+"""Achievements of attacks, reasons for limited effects, and driving."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def achieving(run: RunFolder, **achieved: Any) -> RunFolder:
 
 
 def targets(kind: str, n: int = 10, **columns: Any) -> dict[str, np.ndarray]:
-    """What adversary_1 did to one object in n frames, from frame 20 on."""
+    """adversary_1's effect on one object in n frames, from frame 20 on."""
     defaults = {"object": 7, "x": 0.0, "y": 0.0, "seen_by_others": False, "error_m_centre": np.nan}
     defaults |= {"judged_centre": True, "judged_ego": True, "believed_centre": False, "believed_ego": False}
     table = {name: np.full(n, value) for name, value in (defaults | {"error_m_ego": np.nan} | columns).items()}
@@ -52,7 +52,7 @@ def targets(kind: str, n: int = 10, **columns: Any) -> dict[str, np.ndarray]:
 
 
 def why(run: RunFolder, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> str:
-    """The reasons of adversary_1; blamed_for: the only score that attacks changed, by its key in metrics.json."""
+    """The reasons of adversary_1; blamed_for: the only score changed by attacks."""
     achieving(run, **achieved)
     for summary in run.metrics["agents"]["ego"].values():
         for key in ("fn", "fp"):
@@ -191,8 +191,8 @@ NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
 def test_dropped_messages_have_reasons_of_their_own(attacked: RunFolder, first_dropped: int) -> None:
     effects = attacked.effects
     assert effects is not None
-    mine = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
-    dropped = mine & (effects["frame"] >= first_dropped)
+    selected = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
+    dropped = selected & (effects["frame"] >= first_dropped)
     effects["effect"] = np.where(dropped, "dropped", effects["effect"])
     reason = "other agents still saw the objects in the messages that it dropped, all the time"
     removed = "removed: other agents still saw what it removed, all the time; " if first_dropped > 15 else ""
@@ -215,7 +215,7 @@ def test_unreachable_estimates_show_dashes(attacked: RunFolder) -> None:
 
 
 def seen_by(run: RunFolder, *agents: str) -> None:
-    """Have these agents alone see the objects of the scene."""
+    """Let only these agents see the objects of the scene."""
     scene = run.recording
     assert scene is not None
     columns = np.isin(scene.agent_names, agents)
@@ -223,7 +223,7 @@ def seen_by(run: RunFolder, *agents: str) -> None:
 
 
 def by_both(kind: str) -> dict[str, np.ndarray]:
-    """What adversary_1 did, and adversary_2 to the same object in the same frames."""
+    """Effects of adversary_1, and of adversary_2 on the same object and frames."""
     first = targets(kind, seen_by_others=True)
     second = first | {"adversary": np.full(10, "adversary_2", object)}
     return {name: np.concatenate([first[name], second[name]]) for name in first}
@@ -270,8 +270,8 @@ def test_reason_for_moved_objects_without_displacement(attacked: RunFolder) -> N
         table = targets(kind, error_m_centre=0.4)
         nothing |= {f"{kind}_share_centre": 0.0, f"{kind}_error_m_centre": 0.4}
         assert why(attacked, table, **nothing) == f"{kind}: {reason.format(done)}"
-        for who in ("centre", "ego"):
-            assert why(attacked, table, **nothing, **{f"id_switches_{who}": 2}) == "", "they are an effect, too"
+        for judge in ("centre", "ego"):
+            assert why(attacked, table, **nothing, **{f"id_switches_{judge}": 2}) == "", "they are also an effect"
 
 
 def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: RunFolder) -> None:
@@ -280,12 +280,10 @@ def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attack
     attacked.objects["by"] = by.astype(object)
     hidden = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
     assert why(attacked, targets("removed"), "fn", **hidden) == ""
-    assert why(attacked, targets("removed"), "fp", **hidden).startswith("removed: "), (
-        "it is blamed for what it inserted"
-    )
+    assert why(attacked, targets("removed"), "fp", **hidden).startswith("removed: "), "it is blamed for its insertions"
     assert why(attacked, targets("inserted", x=30.0, y=40.0), "fp", **NOT_ACCEPTED) == ""
     attacked.metrics["interposers"]["adversary_1"]["effects"] = {"removed": 25}
-    assert why(attacked, targets("removed"), "fp", **hidden) == "", "all that it did was to remove objects"
+    assert why(attacked, targets("removed"), "fp", **hidden) == "", "it only removed objects"
 
 
 def on_the_downlink(run: RunFolder) -> RunFolder:
@@ -339,7 +337,7 @@ def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunFolder) 
 def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], attacked: RunFolder) -> None:
     reference = RunFolder.load(run_folder())
     attacked.metrics["driving"] = {"ego": DRIVES}
-    assert len(driving_rows(attacked, reference, "unattacked")) == 2, "nothing is known of the other run"
+    assert len(driving_rows(attacked, reference, "unattacked")) == 2, "the other run's value is unknown"
     mission = DRIVES["mission"] | {"needless_brake_share": 0.125, "brake_share": 0.3, "min_ttc_s": None}
     reference.metrics["driving"] = {"ego": {"truth": DRIVES["truth"], "mission": mission}}
     rows = driving_rows(attacked, reference, "unattacked")
@@ -387,7 +385,7 @@ def test_objects_overlapping_the_ego_have_their_own_column(attacked: RunFolder) 
 
 
 def drive(needless: list[int]) -> dict[str, np.ndarray]:
-    """driving.parquet of 40 frames: the ego with the picture brakes needlessly in some."""
+    """driving.parquet of 40 frames: the ego sometimes brakes needlessly."""
     part: dict[str, list[Any]] = {name: [] for name in ("frame", "agent", "estimate", "false", "missed", "ttc_s")}
     part |= {name: [] for name in ("brake", "needless", "omitted")}
     for estimate in ("truth", "mission"):

@@ -1,4 +1,4 @@
-"""A cause over a reference run is named only if the runs differ in adversaries alone."""
+"""A cause is named only if two runs differ in adversaries alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def centre(radius: float, **more: Any) -> dict[str, Any]:
 
 @pytest.fixture
 def pair(run_folder: Callable[..., Path]) -> tuple[Path, Path]:
-    """The folders of an attacked run and of one without adversaries, with the same command centre."""
+    """The folders of an attacked run and of one without adversaries."""
     folders = run_folder("coordinated"), run_folder()
     for folder in folders:
         edit(folder / "scenario.json", lambda data: data.update(nodes={"command_center": centre(2.0)}))
@@ -44,7 +44,7 @@ def loaded(pair: tuple[Path, Path]) -> tuple[RunFolder, RunFolder]:
     return RunFolder.load(pair[0]), RunFolder.load(pair[1])
 
 
-def said(run: RunFolder, reference: RunFolder) -> str:
+def sentences_of(run: RunFolder, reference: RunFolder) -> str:
     other = Reference(reference, "other")
     return " ".join([headline(run, other), *reading(run, other)])
 
@@ -87,7 +87,7 @@ def test_no_cause_is_named_if_runs_differ_otherwise(
 ) -> None:
     edit(pair[place] / file, change)
     assert other_differences(*loaded(pair)) == (name,)
-    text = said(*loaded(pair))
+    text = sentences_of(*loaded(pair))
     assert f"than other; not attributed: the runs also differ in {name}" in text
     assert "due to" not in text
 
@@ -102,15 +102,17 @@ def test_the_same_adversaries_with_other_settings_are_a_difference(pair: tuple[P
     edit(pair[0] / "scenario.json", lambda data: data["nodes"]["adversary_1"]["config"].update(metres=1.5))
     edit(pair[0] / "metrics.json", lambda data: data["agents"]["ego"]["picture"]["fp"].update(mean=0.0))
     weaker = RunFolder.load(pair[0])
-    assert "not attributed: the runs differ in adversary_1.metres" in said(run, weaker)
-    assert "due to" not in said(run, weaker)
+    assert "not attributed: the runs differ in adversary_1.metres" in sentences_of(run, weaker)
+    assert "due to" not in sentences_of(run, weaker)
 
 
 def test_increase_without_adversaries_is_not_attributed(pair: tuple[Path, Path]) -> None:
     edit(pair[1] / "metrics.json", lambda data: data["agents"]["ego"]["picture"]["fp"].update(mean=30.0))
     attacked, clean = loaded(pair)
-    assert "not attributed: the runs differ in adversary_1, adversary_2 and coordinator" in said(clean, attacked)
-    assert "due to" not in said(clean, attacked)
+    assert "not attributed: the runs differ in adversary_1, adversary_2 and coordinator" in sentences_of(
+        clean, attacked
+    )
+    assert "due to" not in sentences_of(clean, attacked)
 
 
 def test_a_decrease_has_no_cause(pair: tuple[Path, Path]) -> None:

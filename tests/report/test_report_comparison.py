@@ -1,4 +1,4 @@
-"""Two runs are compared only if their differences mean something."""
+"""Only comparable runs are compared."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_runs_of_equal_name_are_distinguished_by_folder(pair: Pair) -> None:
 
 
 def score_with(folder: Path, **options: Any) -> None:
-    """Write an evaluator with its default scorer, and other options, to scenario.json."""
+    """Write an evaluator with other options to scenario.json."""
     config = {"agents": ["ego"], "scorer": {"type": "Scorer", "range_m": 100.0}} | options
     edit(folder / "scenario.json", lambda data: data.update(nodes={"evaluator": {"config": config}}))
 
@@ -141,6 +141,6 @@ def test_runs_with_different_unscored_agents_are_rejected(pair: Pair) -> None:
         write_report(run, against=other)
 
 
-def test_a_folder_that_is_no_run_is_refused(pair: Pair, tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_refused(pair: Pair, tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="no such folder"):
         write_report(pair[0], against=tmp_path / "nosuch")

@@ -1,4 +1,4 @@
-"""A run with links and faults shows when they were on, who is to blame, what was checked; other runs look as before."""
+"""Reports of faulted runs show faults, causes and checks; others none."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def edit(path: Path, **more: Any) -> None:
 
 
 def faulted(folder: Path, *timeline: dict[str, Any], checks: dict[str, Any] | None = None) -> Path:
-    """Make the run one with faults: its timeline, its causes, its split, what was measured and checked."""
+    """Add faults to a run: timeline, causes, split, latency and checks."""
     edit(folder / "scenario.json", timeline=list(timeline), period_ns=100_000_000)
     metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
     metrics["agents"]["ego"]["picture"] |= {
@@ -189,7 +189,7 @@ def test_simultaneous_faults_use_separate_lanes_and_surplus_is_counted() -> None
 @pytest.mark.parametrize(
     ("start", "end", "x", "align"), [(1.0, 9.0, 1.07, "left"), (1.0, 1.2, 1.27, "left"), (9.5, 9.7, 9.43, "right")]
 )
-def test_a_name_stands_inside_its_band_or_beside_it(start: float, end: float, x: float, align: str) -> None:
+def test_a_name_is_inside_its_band_or_beside_it(start: float, end: float, x: float, align: str) -> None:
     ((only,), _) = place_bands([Band("Kill infra_1", False, start, end)], 0.0, 10.0, 10.0)
     assert (only.x, only.align) == (pytest.approx(x), align)
 

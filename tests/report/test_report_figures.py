@@ -1,4 +1,4 @@
-"""The figures show what they should, in the colours of the key, and nothing of what is behind the camera."""
+"""Figures show the right content, colours and clipping."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def pixels(image: np.ndarray, colour: str) -> int:
 
 
 def panels(view: FrameView) -> Mapping[str, np.ndarray]:
-    """The insides of the three panels of the bird's-eye figure, without titles and key."""
+    """The insides of the bird's-eye figure's panels, without titles and key."""
     image = image_of(png(birdseye_figure(view)))
     third = image.shape[1] // 3
     return {
@@ -116,7 +116,7 @@ def test_runs_side_by_side_have_a_panel_each(attacked: FrameView, clean: FrameVi
     assert pixels(plots[:, width // 2 :], "track false") > 300
 
 
-def test_four_runs_and_more_go_into_further_lines(clean: FrameView) -> None:
+def test_four_or_more_runs_use_further_rows(clean: FrameView) -> None:
     table = score_table({"a": clean.run.metrics})
     three = side_by_side_figure(dict.fromkeys("abc", clean), table)
     seven = side_by_side_figure(dict.fromkeys("abcdefg", clean), table)
@@ -134,7 +134,7 @@ def test_counts_are_drawn_from_any_number_of_frames(run_folder: Callable[..., Pa
     assert len(png(figure)) > 5000
 
 
-def test_bold_lines_do_not_rise_before_the_attack(run_folder: Callable[..., Path]) -> None:
+def test_smoothed_lines_do_not_rise_before_the_attack(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
     figure = counts_over_time({"run": run}, None)
     assert figure is not None
@@ -166,7 +166,7 @@ def test_faces_are_clipped_at_the_near_plane() -> None:
     assert eye().face(wall - [30, 0, 0]) is None
 
 
-def test_a_picture_is_a_data_uri_and_knows_its_size(clean: FrameView) -> None:
+def test_an_image_is_a_data_uri_with_its_size(clean: FrameView) -> None:
     rendered = picture("x", birdseye_figure(clean), "alt", "caption")
     assert rendered.source.startswith("data:image/png;base64,iVBOR")
     assert rendered.pixels == image_of(rendered.png).shape[1::-1]

@@ -1,4 +1,4 @@
-"""The pages: complete, self-contained, honest about what is missing, and safe against hostile names."""
+"""Report pages are complete, self-contained, escaped and honest."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RunFolderFixture = Callable[..., Path]
 
 
 class Page(HTMLParser):
-    """What a test wants to know of a page: tags, attributes that load or link, images, and the visible text."""
+    """Tags, loading or linking attributes, images and visible text of a page."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -88,7 +88,7 @@ def test_every_figure_is_in_the_page_and_saved_as_png(run_folder: RunFolderFixtu
     assert all(len(image["alt"] or "") > 30 for image in page.images)
 
 
-def test_a_run_report_says_the_result_and_how_every_node_ended(run_folder: RunFolderFixture) -> None:
+def test_a_run_report_states_the_result_and_how_every_node_ended(run_folder: RunFolderFixture) -> None:
     killed = {"role": "agent", "pid": 77, "exit": -9, "ended": "killed by signal 9", "restarts": 2}
     killed |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": {}, "failures": []}
     page = Page(write_report(run_folder("uncoordinated", nodes={"infra_2": killed})))
@@ -115,7 +115,7 @@ def test_the_speed_is_that_of_the_run_not_the_rate_of_the_scene(run_folder: RunF
     assert "87 frames/s" in Page(write_report(folder)).text
 
 
-def test_a_handler_that_failed_once_is_said_to_have_failed_once(run_folder: RunFolderFixture) -> None:
+def test_a_single_failure_is_worded_in_the_singular(run_folder: RunFolderFixture) -> None:
     failed = {"role": "agent", "pid": 77, "exit": 0, "ended": "ok", "restarts": 0, "failures": {"on_pose": 1}}
     page = Page(write_report(run_folder(nodes={"infra_2": failed})))
     assert "infra_2.on_pose failed once: " in page.text
@@ -187,7 +187,7 @@ def test_an_interrupted_run_still_has_a_report(run_folder: RunFolderFixture) -> 
     assert page.images == []
 
 
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match=r"holds neither run\.json nor scenario\.json"):
         write_report(tmp_path)
     with pytest.raises(RunFolderError, match="no such folder"):

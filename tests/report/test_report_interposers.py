@@ -122,7 +122,7 @@ FREQUENCIES = [
 
 
 @pytest.mark.parametrize(("node", "words"), FREQUENCIES)
-def test_a_crash_says_how_often_a_handler_failed(node: dict[str, Any], words: str) -> None:
+def test_a_crash_states_how_often_a_handler_failed(node: dict[str, Any], words: str) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
     assert only(run).failures == words
 

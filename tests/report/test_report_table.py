@@ -1,4 +1,4 @@
-"""The table of scores: a row per metric and run, a column per estimate, the same numbers everywhere."""
+"""The table of scores: a row per metric and run, a column per estimate."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_every_estimate_has_its_change_over_the_reference_and_the_picture_over_t
     assert row.over_alone.mean == pytest.approx(9.15)
 
 
-def test_the_reference_is_the_baseline_or_the_first_run_or_the_one_asked_for() -> None:
+def test_the_reference_is_the_requested_run_or_the_baseline_or_the_first_run() -> None:
     assert score_table(dict(reversed(RUNS.items()))).reference == "baseline"
     assert score_table({"x": RUNS["baseline"], "y": RUNS["baseline"]}).reference == "x"
     assert score_table(RUNS, reference="uncoordinated").reference == "uncoordinated"
@@ -79,13 +79,13 @@ def test_counts_per_frame_give_the_spread_of_changes() -> None:
     assert row.over_alone.std == pytest.approx(np.std([0, 4, 6]))
 
 
-def test_changes_spread_over_the_scored_frames_that_both_runs_have() -> None:
+def test_changes_cover_the_scored_frames_of_both_runs() -> None:
     runs = {label: summary | {"scored_frames": [1, 3]} for label, summary in RUNS.items()}
     table = score_table(runs, counts={"baseline": counts([9, 0, 1, 0]), "uncoordinated": counts([4, 6, 9], first=2)})
     assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([3, 6]))
 
 
-def test_the_picture_on_its_way_has_a_column_where_something_changed_it() -> None:
+def test_the_picture_in_transit_has_a_column_if_something_changed_it() -> None:
     late = scores((1.2, 0.25, 12.0), rmse_m=0.9)
     run = metrics((1.2, 0.25, 12.0), picture_received=scores((1.2, 0.25, 12.0)), picture_on_arrival=late)
     same = {"ego": {"picture_received": "picture"}}
@@ -99,7 +99,7 @@ def test_the_picture_on_its_way_has_a_column_where_something_changed_it() -> Non
     assert score_table({"run": run | {"same_as": both}}).estimates == ALWAYS
 
 
-def test_a_picture_that_was_changed_but_not_late_is_shown_as_received() -> None:
+def test_a_picture_changed_without_delay_is_shown_as_received() -> None:
     forged = scores((1.2, 5.25, 12.0))
     run = metrics((1.2, 0.25, 12.0), picture_received=forged, picture_on_arrival=forged)
     same = {"ego": {"picture_received": "picture_on_arrival"}}

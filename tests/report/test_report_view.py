@@ -20,7 +20,7 @@ def a_run(
     attack: Any = None,
     scored: tuple[int, int] | None = None,
 ) -> RunFolder:
-    """A run of which only the (FN, FP) of each frame and the attacked frames are known; frames count from 10."""
+    """A run with known (FN, FP) and attacked frames only; frames start at 10."""
     rows = [("picture", k, *counts) for k, counts in enumerate(picture)]
     rows += [("local", k, *counts) for k, counts in enumerate(local or picture)]
     estimator, frame, fn, fp = (np.array(column) for column in zip(*rows, strict=True))
@@ -79,7 +79,7 @@ def test_errors_of_all_kinds_count() -> None:
     assert choose_frame(run) == 13
 
 
-def test_a_run_without_counts_has_no_frame_to_show() -> None:
+def test_a_run_without_counts_has_no_frame_to_display() -> None:
     run = a_run([(1, 0)])
     assert run.counts is not None
     empty = {name: column[:0] for name, column in run.counts.items()}
@@ -112,7 +112,7 @@ def test_distant_manipulations_are_not_in_the_view(run_folder: Callable[..., Pat
     assert len(clipped(view, (float(x), float(y), 0.5)).before.added) == 1
 
 
-def test_the_estimate_that_a_frame_is_chosen_by_is_shown(run_folder: Callable[..., Path]) -> None:
+def test_the_estimate_used_to_choose_a_frame_is_shown(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
     assert run.objects is not None
     touched = run.objects["estimator"] == "picture"

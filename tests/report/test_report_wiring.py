@@ -1,4 +1,4 @@
-"""The wiring diagram and table: who sat on which wire."""
+"""The wiring diagram and table: interposers by wire."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def a_wire(
 
 
 def mesh(agents: int, chain: int, message: str) -> RunFolder:
-    """A mesh of `agents`, with `chain` nodes on every agent's wires of `message` (or `both`)."""
+    """A mesh of `agents`, with `chain` nodes on all `message` (or `both`) wires."""
     wires, roles = [], {"simulator": "simulator", "broker": "broker", "command_center": "command_center"}
     for name in ["ego", *(f"infra_{k}" for k in range(1, agents))]:
         sitting = tuple(f"{name}_link_{k}" for k in range(chain))
@@ -47,7 +47,7 @@ def mesh(agents: int, chain: int, message: str) -> RunFolder:
 
 @pytest.mark.parametrize("message", ["detections", "tracks", "both"])
 @pytest.mark.parametrize(("agents", "chain"), [(1, 0), (5, 1), (12, 3)])
-def test_nodes_do_not_cover_each_other(agents: int, chain: int, message: str) -> None:
+def test_nodes_do_not_overlap(agents: int, chain: int, message: str) -> None:
     plan = layout(mesh(agents, chain, message))
     assert plan is not None
     assert len(plan.places) == 3 + agents * (1 + (2 if message == "both" else 1) * chain)
@@ -55,7 +55,7 @@ def test_nodes_do_not_cover_each_other(agents: int, chain: int, message: str) ->
         assert abs(ax - bx) >= WIDE or abs(ay - by) >= HIGH
 
 
-def test_nodes_on_a_wire_stand_between_its_ends_in_order() -> None:
+def test_nodes_on_a_wire_are_between_its_ends_in_order() -> None:
     plan = layout(mesh(3, 2, "tracks"))
     assert plan is not None
     infra, links = Spot("infra_1"), [Spot(f"infra_1_link_{k}", after=1) for k in (0, 1)]
@@ -65,7 +65,7 @@ def test_nodes_on_a_wire_stand_between_its_ends_in_order() -> None:
     assert (infra, Spot("broker")) not in plan.lines
 
 
-def test_a_listener_is_drawn_on_the_leg_that_it_hears_and_named_in_the_table() -> None:
+def test_a_listener_is_drawn_on_its_leg_and_named_in_the_table() -> None:
     wire = a_wire("agent/ego/tracks", "tracks", "ego", ["broker"], ("mallory",))
     wire["listeners"] = [
         {"node": "guard", "port": "tracks", "source": False, "key": "agent/ego/tracks"},
@@ -82,7 +82,7 @@ def test_a_listener_is_drawn_on_the_leg_that_it_hears_and_named_in_the_table() -
 
 
 def branched(trunk: tuple[str, ...] = ()) -> RunFolder:
-    """The picture, on which each of two agents has a link of its own, and who sits on the trunk before them."""
+    """The picture's wire with a link per agent and interposers on the trunk."""
     agents = ["ego", "infra_1", "infra_2"]
     wire = a_wire("cc/picture", "picture", "command_center", [*agents, "evaluator"], trunk)
     wire["legs"][-1]["to"] = ["ego", "link_infra_1", "link_infra_2", "evaluator"]
@@ -94,7 +94,7 @@ def branched(trunk: tuple[str, ...] = ()) -> RunFolder:
     return a_run([wire], roles | {"command_center": "command_center", "evaluator": "evaluator"})
 
 
-def test_a_link_before_one_subscriber_stands_beside_it_and_leaves_the_others_alone() -> None:
+def test_a_link_before_one_subscriber_is_beside_it_and_does_not_affect_the_others() -> None:
     plan = layout(branched())
     assert plan is not None
     link, agent, centre = Spot("link_infra_2", after=1), Spot("infra_2"), Spot("command_center")
@@ -121,7 +121,7 @@ def test_interposer_on_the_trunk_intercepts_all_branches() -> None:
     assert wire_rows(branched())[0].intercepted is False
 
 
-def test_a_coordinator_stands_above_its_adversaries(run_folder: Callable[..., Path]) -> None:
+def test_a_coordinator_is_above_its_adversaries(run_folder: Callable[..., Path]) -> None:
     plan = layout(RunFolder.load(run_folder("coordinated")))
     assert plan is not None
     coordinator = Spot("coordinator")
@@ -149,7 +149,7 @@ def test_adversaries_are_grouped_by_the_agent_of_their_wire(run_folder: Callable
     run = RunFolder.load(run_folder("uncoordinated"))
     assert adversaries_by_agent(interposers(run)) == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
     assert adversaries_by_agent(interposers(mesh(2, 1, "tracks"))) == {}
-    nameless = replace(run, run={}, metrics={})  # run.json is lost: the name has to tell
+    nameless = replace(run, run={}, metrics={})  # run.json is lost: only the name remains
     assert adversaries_by_agent(interposers(nameless)) == adversaries_by_agent(interposers(run))
     assert {nameless.role(node) for node in ("ego", "infra_2")} == {"agent"}
 

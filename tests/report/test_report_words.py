@@ -1,4 +1,4 @@
-"""The result in words says what the numbers say."""
+"""Sentences of the report agree with the numbers."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_an_attack_in_a_single_frame_has_one_time(run_folder: Callable[..., Path
     assert "adversary_1 changed messages in frame 20; while it did" in " ".join(reading(run))
 
 
-def test_against_another_run_the_headline_names_the_difference(run_folder: Callable[..., Path]) -> None:
+def test_a_comparison_headline_names_the_difference(run_folder: Callable[..., Path]) -> None:
     run, reference = RunFolder.load(run_folder("uncoordinated")), RunFolder.load(run_folder())
     assert "6.2 more false objects a frame in the common picture than unattacked, due to adversary_1 and" in headline(
         run, Reference(reference, "unattacked")
@@ -208,9 +208,7 @@ def test_headline_of_a_failed_run_begins_with_the_failure(run_folder: Callable[.
     ("state", "ended"),
     [("handler_failures", "failed"), ("failed", "failed"), ("running", "has not ended"), ("killed", "was cut off")],
 )
-def test_a_reference_that_did_not_end_well_is_named_first(
-    run_folder: Callable[..., Path], state: str, ended: str
-) -> None:
+def test_a_reference_that_ended_badly_is_named_first(run_folder: Callable[..., Path], state: str, ended: str) -> None:
     run, other = RunFolder.load(run_folder("uncoordinated")), run_folder()
     edit(other / "run.json", lambda record: record.update(status=state))
     text = headline(run, Reference(RunFolder.load(other), "unattacked"))
@@ -258,14 +256,14 @@ def test_silent_and_lying_adversaries_are_named(run_folder: Callable[..., Path])
     assert "What adversary_2 reported is not what was measured." in sentences
 
 
-def test_false_objects_are_also_counted_while_the_attack_lasts(run_folder: Callable[..., Path]) -> None:
+def test_false_objects_during_the_attack_are_also_counted(run_folder: Callable[..., Path]) -> None:
     base, run = RunFolder.load(run_folder()), RunFolder.load(run_folder("uncoordinated"))
     assert while_attacked(run, "fp") == pytest.approx(10.0)
     assert while_attacked(run, "fn", base) == pytest.approx(0.0)
     assert while_attacked(base, "fp") is None
 
 
-def test_only_scored_frames_count_while_the_attack_lasts(run_folder: Callable[..., Path]) -> None:
+def test_only_scored_frames_count_during_the_attack(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
     edit(folder / "metrics.json", lambda metrics: metrics.update(scored_frames=[0, 29]))
     run = RunFolder.load(folder)
@@ -286,7 +284,7 @@ def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(
 
 
 @pytest.mark.parametrize(("last", "counted"), [(39, ""), (29, ""), (28, "14 of the 29 scored frames are attacked.")])
-def test_attacked_frames_are_counted_where_they_are_less_than_half(
+def test_attacked_frames_are_counted_if_fewer_than_half(
     run_folder: Callable[..., Path], last: int, counted: str
 ) -> None:
     folder = run_folder("uncoordinated")
@@ -295,7 +293,7 @@ def test_attacked_frames_are_counted_where_they_are_less_than_half(
     assert sentences == [counted] * bool(counted)
 
 
-def test_braking_because_of_attacks_is_mentioned_where_there_is_any(run_folder: Callable[..., Path]) -> None:
+def test_braking_caused_by_attacks_is_mentioned(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
     mission = {"needless_brake_share_attack": 0.125, "missed_brake_share_attack": 0.0}
     run.metrics["driving"] = {"ego": {"mission": mission}}
@@ -316,7 +314,7 @@ def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, 
     assert "(+4.0 while the attack lasts), due to adversary_1 and adversary_2" in text
 
 
-def test_join_names() -> None:
+def test_names_are_joined_with_commas_and_and() -> None:
     assert [join_names(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == [
         "",
         "a",

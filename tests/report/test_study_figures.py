@@ -1,4 +1,4 @@
-"""The figures of a study: every configuration is shown once, and only neighbours in one parameter are joined."""
+"""Study figures show each configuration once and connect neighbours only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_runs_that_sweep_one_parameter_share_a_panel_with_a_curve_each() -> None
 def test_two_parameters_make_a_curve_for_each_value_of_the_second() -> None:
     rows = [BASELINE, *grid("a", n_adversaries=(1, 2), false_positives=(1.0, 5.0, 20.0))]
     (panel,) = panels(rows, "baseline")
-    assert panel.x == "false_positives", "the one with most values"
+    assert panel.x == "false_positives", "the one with the most values"
     assert labels(panel) == {
         "number of adversaries = 1": ["a-1-1.0", "a-1-5.0", "a-1-20.0"],
         "number of adversaries = 2": ["a-2-1.0", "a-2-5.0", "a-2-20.0"],
@@ -39,7 +39,7 @@ def test_two_numeric_parameters_of_four_values_make_a_heat_map() -> None:
     assert panel.y == "", "categories have no order"
 
 
-def test_a_numeric_parameter_goes_along_x_before_a_category_and_categories_are_not_joined() -> None:
+def test_a_numeric_parameter_is_on_the_x_axis_and_categories_are_not_connected() -> None:
     (panel,) = panels([BASELINE, *grid("a", kind=("far", "near", "all"), n=(1, 2))], "baseline")
     assert (panel.x, panel.numeric) == ("n", True)
     (panel,) = panels([BASELINE, *grid("a", kind=("far", "near"))], "baseline")
@@ -101,7 +101,7 @@ def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.Mon
     footer = drawn[0].get_supxlabel()
     assert "mean over 20 seeds \u00d7 3 scenes; 95 % interval over seeds of these scenes" in footer
     curves = [line for line in drawn[0].subfigs[0].axes[0].lines if len(line.get_xdata()) == 3]
-    assert all((line.get_xdata()[1:] > line.get_xdata()[:-1]).all() for line in curves), "no line runs back"
+    assert all((line.get_xdata()[1:] > line.get_xdata()[:-1]).all() for line in curves), "no line runs backwards"
     assert drawn[0].subfigs[1].axes[0].images, "four values of both: a heat map"
 
 

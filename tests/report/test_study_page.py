@@ -1,4 +1,4 @@
-"""The page of a study with trials: self-contained, failures first, text escaped."""
+"""The study page is self-contained and escaped, with failures first."""
 
 from __future__ import annotations
 
@@ -85,5 +85,5 @@ def test_failed_trials_are_listed_first_with_seed_error_and_command(page) -> Non
         assert f"seed {trial.seed}: " in parsed.text
     assert parsed.text.count("RunError: <b>bold</b> failure") == 12
     assert "b" not in parsed.tags
-    assert "2 more" in parsed.text, "the first ten are listed openly"
+    assert "2 more" in parsed.text, "the first ten are listed uncollapsed"
     assert "48 of 60" in parsed.text

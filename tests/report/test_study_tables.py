@@ -1,4 +1,4 @@
-"""The tables of a study: the same numbers on the terminal, as Markdown, CSV and LaTeX."""
+"""Study tables have the same numbers in terminal, Markdown, CSV and LaTeX."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_markdown_has_failed_trials_first_and_as_many_cells_in_every_line_of_a_t
     assert any(line.startswith("| mission my_metric |") and "7.50 [7.00, 8.00]" in line for line in lines)
 
 
-def test_csv_has_all_digits_a_column_per_parameter_and_leaves_the_unknown_empty() -> None:
+def test_csv_has_full_precision_a_column_per_parameter_and_blanks_for_unknown_values() -> None:
     lines = list(csv.DictReader(io.StringIO(study_export.as_csv(ROWS, facts(ROWS)))))
     assert len(lines) == 1 + 6 * len(ROWS[1].estimates)
     one = next(
@@ -122,7 +122,7 @@ def test_csv_has_all_digits_a_column_per_parameter_and_leaves_the_unknown_empty(
     assert lines[0]["n"] == ""
 
 
-def test_latex_has_as_many_cells_in_every_row_and_no_character_of_its_own() -> None:
+def test_latex_has_equal_cells_in_every_row_and_escapes_special_characters() -> None:
     text = study_export.as_latex(ROWS, facts(ROWS))
     body = [line for line in text.splitlines() if line.endswith(r"\\")][2:]
     assert len(body) == 2 * 6
@@ -187,7 +187,7 @@ def test_result_without_a_significant_change_is_stated(estimates: Estimate | Non
 
 
 def words(**increments: Estimate) -> tuple[str, list[str]]:
-    """The result and the other changes of a study in which `a` changes these metrics of the picture."""
+    """The result and other changes of a study in which `a` changes the picture."""
     rows = [
         BASELINE,
         StudyRow("a", "a", {}, {Series("ego", "picture", name): each for name, each in increments.items()}),
@@ -225,7 +225,7 @@ def test_equal_values_in_all_trials_are_reported_as_unchanged() -> None:
     assert "Unchanged in all trials: identity switches." in others
     assert "Not distinguishable from the baseline: missed objects." in others
     _, others = words(fp_iob=estimate(2.0), id_switches_iob=replace(equal, seeds=4))
-    assert not any("identity switches" in sentence for sentence in others), "too few to say anything"
+    assert not any("identity switches" in sentence for sentence in others), "too few for a statement"
 
 
 @pytest.mark.parametrize("same", [replace(SAME, seeds=4), replace(SAME, trial_mean=0.0), replace(SAME, low=0.5)])

@@ -1,10 +1,10 @@
-"""A user's own node: a link to one agent that loses some messages and delays others, always the same ones."""
+"""A user-defined link to one agent with deterministic loss and delay."""
 
 from mast_zenoh.node import Context, Node, Received
 
 
 class LossyLink(Node):
-    """agent: whose poses and detections it carries; doubles: whether some detections come twice as well."""
+    """agent: whose poses and detections it carries; doubles: duplicate some."""
 
     role = "lossy"
     inputs = {"pose": "pose", "detections": "detections"}
@@ -16,12 +16,12 @@ class LossyLink(Node):
         self.kept: Received | None = None
 
     def on_pose(self, received: Received, context: Context) -> None:
-        """Every third is lost."""
+        """Drop every third message."""
         if received.frame % 3 != 2:
             context.relay("pose_out", received)
 
     def on_detections(self, received: Received, context: Context) -> None:
-        """Of every five one is lost, and one comes a frame late."""
+        """Of every five messages drop one and delay one by a frame."""
         if self.kept is not None:
             context.relay("detections_out", self.kept)
             self.kept = None

@@ -1,4 +1,4 @@
-"""Bytes that are not a message, made of some that are: random, truncated, damaged, forged."""
+"""Malformed messages made from valid ones: random, cut, damaged, forged."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _columns(rng: Rng, sound: bytes, fields: Fields) -> bytes:
 
 
 def _column(change: Callable[[Rng, list[Any]], Any]) -> Callable[[Rng, bytes, Fields], bytes]:
-    """A message one of whose columns is changed."""
+    """A message with one column changed."""
 
     def make(rng: Rng, sound: bytes, fields: Fields) -> bytes:
         body = dict(fields["body"])
@@ -146,7 +146,7 @@ _KINDS = (
 
 
 def malformed(schema: str, sound: Sequence[bytes], count: int, seed: Sequence[int]) -> Iterator[bytes]:
-    """`count` payloads, no two the same, that are no messages of `schema`, made of `sound` ones."""
+    """`count` distinct payloads that are not valid messages of `schema`."""
     rng = np.random.default_rng(seed)
     unpacked = [msgpack.unpackb(payload) for payload in sound]
     seen: set[bytes] = set()

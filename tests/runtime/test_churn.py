@@ -1,4 +1,4 @@
-"""Nodes that die, leave, come and come back while a run goes on, in one process."""
+"""Nodes that die, leave, join and return during a run in one process."""
 
 from __future__ import annotations
 
@@ -56,18 +56,18 @@ def test_a_killed_agent_publishes_nothing_and_a_restarted_one_numbers_from_zero(
     messages = run.decoded("agent/infra_1/tracks", "tracks")
     assert [message.header.frame for message in messages] == [*range(4), *range(9, FRAMES)]
     assert [message.header.seq for message in messages] == [*range(4), *range(FRAMES - 9)]
-    assert messages[4].body["id"].size == 0, "a fresh tracker has confirmed nothing yet"
-    assert frames_of(run, "agent/ego/tracks", "tracks") == list(range(FRAMES)), "nobody else is stalled"
+    assert messages[4].body["id"].size == 0, "a fresh tracker has not confirmed any track yet"
+    assert frames_of(run, "agent/ego/tracks", "tracks") == list(range(FRAMES)), "no other node is delayed"
 
 
 def test_before_a_kill_the_run_equals_one_without_it() -> None:
     plain, faulted = played(), played((6, "kill", "infra_1"), (6, "kill", "broker"))
     for wire in world().wiring["wires"]:
-        for ours, theirs in zip(
+        for ours, changed in zip(
             plain.decoded(wire["key"], wire["message"]), faulted.decoded(wire["key"], wire["message"]), strict=False
         ):
             if ours.header.frame < 6:
-                assert ours.header == theirs.header
+                assert ours.header == changed.header
 
 
 def test_a_node_that_a_step_starts_is_absent_at_the_beginning() -> None:
@@ -76,7 +76,7 @@ def test_a_node_that_a_step_starts_is_absent_at_the_beginning() -> None:
     batches = run.decoded("cc/collated", "collated")
     assert [b.body["agents"].tolist() for b in batches[:5]] == [["ego", "infra_1"]] * 5
     assert batches[5].body["agents"].tolist() == ["ego", "infra_1", "infra_2"]
-    assert run.results["broker"]["collation"]["overdue"] == 0, "nobody waits for who is not there"
+    assert run.results["broker"]["collation"]["overdue"] == 0, "absent nodes are not waited for"
 
 
 def test_a_restarted_broker_waits_for_all_agents_immediately() -> None:
@@ -89,7 +89,7 @@ def test_a_restarted_broker_waits_for_all_agents_immediately() -> None:
 
 def test_an_interposers_wire_is_silent_while_it_is_dead() -> None:
     run = played((5, "kill", "adversary_1"), (8, "start", "adversary_1"))
-    assert frames_of(run, "agent/infra_1/tracks/@tap/0", "tracks") == list(range(FRAMES)), "the agent goes on"
+    assert frames_of(run, "agent/infra_1/tracks/@tap/0", "tracks") == list(range(FRAMES)), "the agent continues"
     assert frames_of(run, "agent/infra_1/tracks", "tracks") == [*range(5), *range(8, FRAMES)]
 
 
@@ -104,11 +104,13 @@ def test_a_killed_node_returns_no_results_and_one_that_leaves_does() -> None:
 def test_at_one_boundary_nodes_leave_before_others_start() -> None:
     run = played((5, "start", "infra_1"), (5, "kill", "infra_2"), name="baseline")
     batches = run.decoded("cc/collated", "collated")
-    assert batches[5].body["agents"].tolist() == ["ego", "infra_1", "infra_2"], "what the dead one said last stays"
+    assert batches[5].body["agents"].tolist() == ["ego", "infra_1", "infra_2"], (
+        "the last picture of the dead node is kept"
+    )
     assert batches[5].body["age_ns"].tolist() == [0, 0, 10**8]
 
 
-def test_a_node_can_be_ended_and_started_at_the_same_boundary() -> None:
+def test_a_node_can_be_stopped_and_started_at_the_same_boundary() -> None:
     run = played((5, "kill", "ego"), (5, "start", "ego"), name="baseline")
     assert [m.header.seq for m in run.decoded("agent/ego/tracks", "tracks")] == [*range(5), *range(FRAMES - 5)]
 
@@ -145,8 +147,8 @@ def test_a_killed_evaluator_or_recorder_does_not_block_the_run() -> None:
     assert process.run()["evaluator"]["metrics"]["frames"] > 0
 
 
-def test_the_picture_keeps_a_dead_agents_objects_for_a_while_and_then_loses_them() -> None:
-    """The ego is alone: nobody else sees what it saw."""
+def test_the_picture_keeps_a_dead_agents_objects_for_a_while() -> None:
+    """The ego is alone: no other agent sees its objects."""
     alone = replace(tiny(infrastructure=0, frames=40), steps=(ProcessStep(10, "kill", "ego"),))
     run = Run(alone)
     assert not run.failures
@@ -155,4 +157,4 @@ def test_the_picture_keeps_a_dead_agents_objects_for_a_while_and_then_loses_them
     objects = {m.header.frame: len(m.body["id"]) for m in run.decoded("cc/picture", "picture")}
     assert objects[9] == objects[10] == objects[11] == 3, "not at once"
     lost = [frame for frame, n in objects.items() if frame > 11 and n < 3]
-    assert objects[39] == 0 < len(lost), "and not never"
+    assert objects[39] == 0 < len(lost), "but eventually"

@@ -1,4 +1,4 @@
-"""A failure of a handler is counted by frame, and says where in the code of the node it happened."""
+"""Handler failures are counted by frame and located in the node's code."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def raised(call: Callable[[], Any]) -> BaseException:
     return caught.value
 
 
-def test_the_line_is_the_innermost_in_the_code_of_a_node_or_an_algorithm(tmp_path: Path) -> None:
+def test_a_failure_is_located_at_the_innermost_line_of_a_node_or_an_algorithm(tmp_path: Path) -> None:
     path = failing.write("attack", tmp_path)
     file, loaded = scenario.load(str(path), [])
     process = InProcess(scenario.resolve(file, loaded, frames=7))
@@ -128,7 +128,7 @@ def test_a_node_without_a_clock_fails_in_the_frame_of_its_message() -> None:
     host = Host("f", Fails(), Ports({"s": Input("status", "a", "status", "a")}, {}), 0, encode=False, emit=print)
     for frame, step in ((3, 3), (4, 6), (5, -1)):
         host.deliver("s", Message(Header("status", "a", frame, 0, 0), body), step)
-    assert host.failures["on_status"].frames == {3, 6, -1}, "held up: the frame in which it was sent on"
+    assert host.failures["on_status"].frames == {3, 6, -1}, "delayed: the frame in which it was forwarded"
 
 
 def test_a_node_that_receives_every_key_fails_in_the_frame_of_its_message() -> None:
@@ -150,7 +150,7 @@ def test_a_node_that_receives_every_key_fails_in_the_frame_of_its_message() -> N
 @pytest.mark.parametrize(
     "returned", [[1, 2], {"names": {"ego"}}, {(1, 2): 3}, {"x": 1 << 70}, {"a": np.zeros(2, "M8[s]")}]
 )
-def test_results_that_cannot_be_handed_in_are_a_failure_of_finish(returned: Any) -> None:
+def test_unserialisable_results_are_a_failure_of_finish(returned: Any) -> None:
     class Returns(Node):
         def finish(self, context: Context) -> Any:
             return returned

@@ -1,4 +1,4 @@
-"""The host stands between a node and everything else: it holds back, checks, numbers and counts."""
+"""The host delays, checks, numbers and counts the messages of a node."""
 
 import logging
 from collections.abc import Callable
@@ -24,7 +24,7 @@ WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
 
 
 class Listener(Node):
-    """Writes down what it is given, and does what the test wants on tracks."""
+    """Records its messages, and runs the test's action on tracks."""
 
     inputs = {"clock": "clock", "tracks": "tracks", "truth": "truth", "collated": "collated"}
     outputs = {"tracks_out": "tracks", "status": "status", "nowhere": "status"}
@@ -84,16 +84,16 @@ def clock(frame: int, source: str = "simulator") -> bytes:
     return message("clock", source, frame, {})
 
 
-def said_by(name: str, frame: int, n: int = 1) -> bytes:
+def tracks_payload(name: str, frame: int, n: int = 1) -> bytes:
     return message("tracks", name, frame, tracks(n))
 
 
 def test_a_message_of_a_later_step_waits_for_its_clock() -> None:
     host = listening()
     host.deliver("clock", clock(0), 0)
-    host.deliver("agent/a/tracks", said_by("a", 1), 1)
+    host.deliver("agent/a/tracks", tracks_payload("a", 1), 1)
     assert host.node.got == [("clock", 0)]
-    assert host.handled["agent/a/tracks"] == 0, "lock-step goes on waiting for it"
+    assert host.handled["agent/a/tracks"] == 0, "lock-step continues to wait for it"
     host.deliver("clock", clock(1), 1)
     assert host.node.got == [("clock", 0), ("clock", 1), ("a", 1)]
     assert host.handled["agent/a/tracks"] == 1
@@ -101,22 +101,22 @@ def test_a_message_of_a_later_step_waits_for_its_clock() -> None:
 
 def test_a_later_clock_releases_messages_of_a_skipped_one() -> None:
     host = listening()
-    host.deliver("agent/a/tracks", said_by("a", 1), 1)
-    host.deliver("agent/b/tracks", said_by("b", 3), 3)
+    host.deliver("agent/a/tracks", tracks_payload("a", 1), 1)
+    host.deliver("agent/b/tracks", tracks_payload("b", 3), 3)
     host.deliver("clock", clock(2), 2)
     assert host.node.got == [("clock", 2), ("a", 1)]
 
 
 def test_a_message_of_unknown_step_is_handled_immediately() -> None:
     host = listening()
-    host.deliver("agent/a/tracks", said_by("a", 5), -1, counted=False)
+    host.deliver("agent/a/tracks", tracks_payload("a", 5), -1, counted=False)
     assert host.node.got == [("a", 5)]
     assert not host.handled
 
 
 def test_a_node_without_a_clock_handles_messages_immediately() -> None:
     host = listening(clocked=False)
-    host.deliver("agent/a/tracks", said_by("a", 4), 4)
+    host.deliver("agent/a/tracks", tracks_payload("a", 4), 4)
     assert host.node.got == [("a", 4)]
 
 
@@ -125,16 +125,16 @@ def test_a_node_without_a_clock_sends_in_the_step_of_the_received_message() -> N
     relay = Listener(lambda received, context: context.relay("tracks_out", received))
     host = listening(relay, clocked=False, emit=outbox.append)
     for step in (0, 1):
-        host.deliver("agent/a/tracks", said_by("a", step), step)
-    assert [out.step for out in outbox] == [0, 1], "else the next node would not wait for its clock"
+        host.deliver("agent/a/tracks", tracks_payload("a", step), step)
+    assert [out.step for out in outbox] == [0, 1], "otherwise the next node would not wait for its clock"
 
 
 @given(st.data())
 @settings(max_examples=60)
-def test_in_any_order_of_arrival_each_message_is_handled_once_and_not_before_its_clock(data: st.DataObject) -> None:
+def test_each_message_is_handled_once_after_its_clock_in_any_order_of_arrival(data: st.DataObject) -> None:
     queues: dict[str, list[tuple[str, bytes, int]]] = {
         "clock": [("clock", clock(k), k) for k in range(4)],
-        **{f"agent/{x}/tracks": [(f"agent/{x}/tracks", said_by(x, k), k) for k in range(4)] for x in "ab"},
+        **{f"agent/{x}/tracks": [(f"agent/{x}/tracks", tracks_payload(x, k), k) for k in range(4)] for x in "ab"},
     }
     host = listening()
     while queues:
@@ -143,18 +143,18 @@ def test_in_any_order_of_arrival_each_message_is_handled_once_and_not_before_its
         if not queues[key]:
             del queues[key]
     got = host.node.got
-    assert sorted(got) == sorted((who, k) for who in ("clock", "a", "b") for k in range(4))
-    for who, frame in got:
-        assert got.index((who, frame)) >= got.index(("clock", frame))
+    assert sorted(got) == sorted((source, k) for source in ("clock", "a", "b") for k in range(4))
+    for source, frame in got:
+        assert got.index((source, frame)) >= got.index(("clock", frame))
     assert set(host.handled.values()) == {4}
 
 
 @pytest.mark.parametrize(
     ("key", "payload", "kind"),
     [
-        ("agent/a/tracks", said_by("b", 0), "tracks"),
+        ("agent/a/tracks", tracks_payload("b", 0), "tracks"),
         ("agent/a/tracks", clock(0), "tracks"),
-        ("agent/a/tracks", said_by("a", 0)[:-3], "tracks"),
+        ("agent/a/tracks", tracks_payload("a", 0)[:-3], "tracks"),
         ("agent/a/tracks", b"", "tracks"),
         ("agent/a/tracks", message("tracks", "a", 0, tracks(id=np.zeros(1))).replace(b"tracks", b"trucks"), "tracks"),
         ("clock", clock(0, source="mallory"), "clock"),
@@ -168,14 +168,14 @@ def test_an_invalid_message_is_rejected_and_counted(key: str, payload: bytes, ki
     assert next(iter(host.rejected))[0] == key
     assert next(iter(host.rejected))[1].startswith(kind)
     assert host.handled[key] == 1, "lock-step does not wait for it"
-    host.deliver("agent/a/tracks", said_by("a", 0), -1)
+    host.deliver("agent/a/tracks", tracks_payload("a", 0), -1)
     assert host.node.got == [("a", 0)]
 
 
 def test_messages_from_outside_the_run_do_not_count_for_lock_step() -> None:
     host = listening()
     host.deliver("agent/a/tracks", b"rubbish", -1, counted=False)
-    host.deliver("agent/a/tracks", said_by("a", 0), -1, counted=False)
+    host.deliver("agent/a/tracks", tracks_payload("a", 0), -1, counted=False)
     assert sum(host.rejected.values()) == 1
     assert not host.handled
 
@@ -190,11 +190,11 @@ def test_a_clock_never_goes_backwards() -> None:
     assert (host.frame, host.time_ns) == (3, 3 * 10**8)
 
 
-def test_a_rejected_message_is_logged_once_for_each_key(caplog: pytest.LogCaptureFixture) -> None:
+def test_rejections_are_logged_once_per_key(caplog: pytest.LogCaptureFixture) -> None:
     host = listening()
     with caplog.at_level(logging.WARNING):
         for key in ("agent/a/tracks", "agent/b/tracks"):
-            for payload in (b"rubbish", b"", said_by("mallory", 0)):
+            for payload in (b"rubbish", b"", tracks_payload("mallory", 0)):
                 host.deliver(key, payload, -1)
     assert [key for record in caplog.records for key in TRACKS if key in record.getMessage()] == list(TRACKS)
     assert sum(host.rejected.values()) == 6
@@ -211,7 +211,7 @@ def test_a_handler_that_raises_loses_one_message_and_is_logged_once(caplog: pyte
     with caplog.at_level(logging.ERROR):
         for frame in range(6):
             host.deliver("clock", clock(frame), frame)
-            host.deliver("agent/a/tracks", said_by("a", frame), frame)
+            host.deliver("agent/a/tracks", tracks_payload("a", frame), frame)
     entry = host.failures["on_tracks"].entry()
     assert host.failures.keys() == {"on_tracks"}
     assert (entry["count"], entry["frames"], entry["first_frame"], entry["last_frame"]) == (3, 3, 0, 4)
@@ -230,19 +230,19 @@ def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("mast_zenoh.runtime.held.HELD", Limit(5, 10**6))
     host = listening()
     for frame in range(1, 9):
-        host.deliver("agent/a/tracks", said_by("a", frame), frame)
+        host.deliver("agent/a/tracks", tracks_payload("a", frame), frame)
     assert sum(host.rejected.values()) == 3
     host.deliver("clock", clock(8), 8)
-    assert [who for who, _ in host.node.got] == ["clock", *"aaaaa"]
-    host.deliver("agent/a/tracks", said_by("a", 9), 9)
+    assert [source for source, _ in host.node.got] == ["clock", *"aaaaa"]
+    host.deliver("agent/a/tracks", tracks_payload("a", 9), 9)
     host.deliver("clock", clock(9), 9)
-    assert host.node.got[-1] == ("a", 9), "there is room again"
+    assert host.node.got[-1] == ("a", 9), "there is space again"
 
 
-def test_a_relayed_message_is_the_same_bytes() -> None:
+def test_a_relayed_message_keeps_its_bytes() -> None:
     outbox: list[Outgoing] = []
     host = listening(Listener(lambda received, context: context.relay("tracks_out", received)), emit=outbox.append)
-    payload = said_by("a", 0)
+    payload = tracks_payload("a", 0)
     host.deliver("agent/a/tracks", payload, -1)
     assert outbox == [Outgoing("out/a", payload, -1)]
     assert host.sent == {"out/a": 1}
@@ -253,20 +253,20 @@ def test_a_message_relayed_in_a_later_frame_is_unchanged(encode: bool) -> None:
     kept: list[Received] = []
     outbox: list[Outgoing] = []
     host = listening(Listener(lambda received, context: kept.append(received)), encode=encode, emit=outbox.append)
-    payload = said_by("a", 0)
+    payload = tracks_payload("a", 0)
     host.deliver("clock", clock(0), 0)
     host.deliver("agent/a/tracks", payload if encode else codec.decode(payload, "tracks"), 0)
     host.deliver("clock", clock(1), 1)
     host.relay("tracks_out", kept[0])
     (out,) = outbox
     assert (out.payload if encode else codec.encode(out.payload)) == payload
-    assert out.step == 1, "it goes out in the step it is sent in"
+    assert out.step == 1, "it is sent with the current step"
 
 
 def test_a_relayed_message_with_another_body_keeps_its_header() -> None:
     outbox: list[Outgoing] = []
     host = listening(emit=outbox.append)
-    received = Received(codec.decode(said_by("b", 3), "tracks"), "b")
+    received = Received(codec.decode(tracks_payload("b", 3), "tracks"), "b")
     host.relay("tracks_out", received, tracks(4))
     (out,) = outbox
     changed = codec.decode(out.payload, "tracks")
@@ -278,7 +278,7 @@ def test_a_relayed_message_with_another_body_keeps_its_header() -> None:
 def test_a_message_cannot_be_relayed_on_a_port_of_another_type() -> None:
     host = listening()
     with pytest.raises(ConfigurationError, match="carries 'status' messages, not 'tracks'"):
-        host.relay("status", Received(codec.decode(said_by("b", 3), "tracks"), "b"))
+        host.relay("status", Received(codec.decode(tracks_payload("b", 3), "tracks"), "b"))
 
 
 def test_messages_are_numbered_for_each_key() -> None:
@@ -320,29 +320,29 @@ def test_messages_to_an_unconnected_port_are_discarded() -> None:
     host = listening(emit=outbox.append)
     host.publish("nowhere", status())
     host.publish("tracks_out", tracks(), subject="nobody")
-    host.relay("tracks_out", Received(codec.decode(said_by("c", 0), "tracks"), "c"))
+    host.relay("tracks_out", Received(codec.decode(tracks_payload("c", 0), "tracks"), "c"))
     assert outbox == []
     assert not host.sent
     assert not host.connected("nowhere")
     assert not host.connected("tracks_out", "nobody")
     assert host.connected("tracks_out", "a")
-    assert host.connected("tracks_out"), "some wire is"
+    assert host.connected("tracks_out"), "there is a wire"
 
 
 @pytest.mark.parametrize(
     "use",
     [
         lambda host: host.publish("tracks_ot", tracks()),
-        lambda host: host.relay("tracks_ot", Received(codec.decode(said_by("a", 0), "tracks"), "a")),
+        lambda host: host.relay("tracks_ot", Received(codec.decode(tracks_payload("a", 0), "tracks"), "a")),
         lambda host: host.connected("tracks_ot"),
     ],
 )
-def test_a_port_that_does_not_exist_is_named_with_the_nearest(use: Callable[[Host], None]) -> None:
+def test_an_unknown_port_is_refused_with_the_nearest(use: Callable[[Host], None]) -> None:
     with pytest.raises(ConfigurationError, match="no output port 'tracks_ot'; did you mean 'tracks_out'"):
         use(listening())
 
 
-def test_of_several_wires_on_a_port_one_must_be_chosen() -> None:
+def test_a_port_with_several_wires_requires_a_choice() -> None:
     with pytest.raises(ConfigurationError, match="has 2 wires: say which by subject"):
         listening().publish("tracks_out", tracks())
 
@@ -359,7 +359,7 @@ def collated(**columns: np.ndarray) -> dict[str, np.ndarray]:
     return states.columns() | batch | columns
 
 
-#: (message type, body, header fields): what a node may publish by mistake, and something sound at the end.
+#: (message type, body, header fields): mistakes in publishing, and a valid message at the end.
 SLIPS = {
     "not a number": ("tracks", tracks(position=np.full((1, 3), np.nan)), {}),
     "infinite": ("tracks", tracks(velocity=np.full((1, 3), -np.inf)), {}),
@@ -410,12 +410,12 @@ def test_received_messages_are_read_only(encode: bool) -> None:
     host.deliver("agent/a/tracks", outbox[0].payload, -1)
     with pytest.raises(ValueError, match="read-only"):
         host.node.received[0].body["position"][0] = 1.0
-    body["position"][0] = 0.0  # the publisher's own array is still its own
+    body["position"][0] = 0.0  # the publisher's own array is still writable
 
 
 def test_messages_on_other_keys_are_ignored() -> None:
     host = listening()
-    host.deliver("agent/c/tracks", said_by("c", 0), 0)
+    host.deliver("agent/c/tracks", tracks_payload("c", 0), 0)
     assert not host.node.got
     assert not host.rejected
 
@@ -424,19 +424,19 @@ def test_the_observer_gets_every_valid_message() -> None:
     host = listening()
     seen: list[tuple[str, int]] = []
     host.observe = lambda key, header: seen.append((key, header.frame))
-    host.deliver("agent/a/tracks", said_by("a", 3), 3)
+    host.deliver("agent/a/tracks", tracks_payload("a", 3), 3)
     host.deliver("agent/a/tracks", b"rubbish", 3)
-    assert seen == [("agent/a/tracks", 3)], "when it comes, though it waits for its clock"
+    assert seen == [("agent/a/tracks", 3)], "on arrival, though the message waits for its clock"
 
 
-def test_random_streams_are_named_by_seed_node_and_purpose() -> None:
+def test_random_streams_depend_on_seed_node_and_purpose() -> None:
     host = listening()
     drawn = host.rng("noise", 3).random(4)
     np.testing.assert_array_equal(drawn, stream(7, "listener", "noise", 3).random(4))
     assert not np.array_equal(drawn, host.rng("noise", 4).random(4))
 
 
-def test_a_node_learns_of_the_others_before_the_first_frame_and_later() -> None:
+def test_a_node_is_informed_of_other_nodes_before_the_first_frame_and_later() -> None:
     class Watcher(Node):
         def __init__(self) -> None:
             self.saw: list[tuple[str, ...]] = []
@@ -463,7 +463,7 @@ def test_a_node_learns_of_the_others_before_the_first_frame_and_later() -> None:
     ]
 
 
-def test_a_node_that_fails_at_the_end_still_ends() -> None:
+def test_a_node_that_fails_in_finish_still_ends() -> None:
     class Failing(Node):
         def finish(self, context: Context) -> dict[str, Any]:
             raise RuntimeError("no results")
@@ -475,7 +475,7 @@ def test_a_node_that_fails_at_the_end_still_ends() -> None:
 
 def test_counts_are_reset_on_request_and_rejections_are_kept() -> None:
     host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
-    host.deliver("agent/a/tracks", said_by("a", 0), -1)
+    host.deliver("agent/a/tracks", tracks_payload("a", 0), -1)
     host.deliver("agent/a/tracks", b"rubbish", -1)
     host.reset_counts()
     assert not host.sent
@@ -497,7 +497,7 @@ def test_a_message_knows_its_frame_time_and_columns() -> None:
 
 
 class Ear(Node):
-    """Writes down everything."""
+    """Records all messages."""
 
     inputs = {"everything": ANY}
 
@@ -517,22 +517,27 @@ def ear(*, encode: bool = True) -> Host:
 
 def test_a_node_that_receives_every_key_gets_bytes_and_header_immediately() -> None:
     host = ear()
-    host.deliver("agent/a/tracks", said_by("a", 3), 3)
+    host.deliver("agent/a/tracks", tracks_payload("a", 3), 3)
     host.deliver("clock", clock(2), 2)
     assert [(o.key, o.payload, o.header.frame, o.step) for o in host.node.heard] == [
-        ("agent/a/tracks", said_by("a", 3), 3, 3),
+        ("agent/a/tracks", tracks_payload("a", 3), 3, 3),
         ("clock", clock(2), 2, 2),
     ]
     assert host.handled == {"agent/a/tracks": 1, "clock": 1}
-    assert (host.frame, host.time_ns) == (2, 2 * 10**8), "it knows how far the run is"
+    assert (host.frame, host.time_ns) == (2, 2 * 10**8), "it knows the current frame"
     assert set(host.subscriptions) == (CLOCK | TRACKS).keys()
 
 
 def test_it_gets_malformed_messages_whose_body_raises_the_error() -> None:
     host = ear()
-    for payload in (b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]):
+    for payload in (b"rubbish", tracks_payload("mallory", 0), clock(0), tracks_payload("a", 0)[:-1]):
         host.deliver("agent/a/tracks", payload, -1, counted=False)
-    assert [o.payload for o in host.node.heard] == [b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]]
+    assert [o.payload for o in host.node.heard] == [
+        b"rubbish",
+        tracks_payload("mallory", 0),
+        clock(0),
+        tracks_payload("a", 0)[:-1],
+    ]
     for overheard, words in zip(
         host.node.heard, ("not MessagePack", "expected 'a'", "found clock", "not MessagePack"), strict=True
     ):
@@ -542,7 +547,7 @@ def test_it_gets_malformed_messages_whose_body_raises_the_error() -> None:
     assert not host.handled
 
 
-def test_bodies_are_decoded_only_when_the_node_looks_at_them() -> None:
+def test_bodies_are_decoded_on_first_access() -> None:
     host = ear()
     broken = message("tracks", "a", 0, tracks(position=np.full((1, 3), np.nan)))
     host.deliver("agent/a/tracks", broken, 0)
@@ -552,8 +557,8 @@ def test_bodies_are_decoded_only_when_the_node_looks_at_them() -> None:
         _ = overheard.body
 
 
-def test_in_one_process_messages_are_encoded_only_for_a_node_that_asks_for_bytes() -> None:
-    host, payload = ear(encode=False), said_by("a", 1)
+def test_in_one_process_messages_are_encoded_only_on_demand() -> None:
+    host, payload = ear(encode=False), tracks_payload("a", 1)
     sent = codec.decode(payload, "tracks")
     host.deliver("agent/a/tracks", sent, 1)
     host.deliver("agent/a/tracks", sent, 1, flaw="a value is not finite")
@@ -568,18 +573,18 @@ def test_in_one_process_messages_are_encoded_only_for_a_node_that_asks_for_bytes
 def test_ignored_keys_are_not_delivered_but_count_as_handled() -> None:
     host = ear()
     host.ignore({"agent/a/tracks"})
-    host.deliver("agent/a/tracks", said_by("a", 0), 0)
+    host.deliver("agent/a/tracks", tracks_payload("a", 0), 0)
     host.deliver("clock", clock(0), 0)
     assert [o.key for o in host.node.heard] == ["clock"]
     assert host.handled == {"agent/a/tracks": 1, "clock": 1}
     host.ignore(())
-    host.deliver("agent/a/tracks", said_by("a", 1), 0)
+    host.deliver("agent/a/tracks", tracks_payload("a", 1), 0)
     assert len(host.node.heard) == 2
 
 
-def test_messages_of_two_legs_are_compared_by_their_bytes() -> None:
+def test_messages_on_two_legs_are_compared_by_their_bytes() -> None:
     host = ear()
-    for payload in (said_by("a", 0), bytes(bytearray(said_by("a", 0))), said_by("a", 1)):
+    for payload in (tracks_payload("a", 0), bytes(bytearray(tracks_payload("a", 0))), tracks_payload("a", 1)):
         host.deliver("agent/a/tracks", payload, 0)
     one, same, other = host.node.heard
     assert one.same_bytes(same)

@@ -1,4 +1,4 @@
-"""What a run says is a function of its scenario and seed, to the last byte."""
+"""All messages of a run are a function of its scenario and seed."""
 
 from functools import cache
 from pathlib import Path
@@ -17,7 +17,7 @@ ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
 
 
 def with_loss(scenario: dict[str, Any], doubles: bool = False) -> None:
-    """Put the lossy link before infra_1, and let the broker wait a little."""
+    """Insert the lossy link before infra_1 and let the broker wait a little."""
     scenario["nodes"] = {"link": dict(role="lossy", file=str(LINK), agent="infra_1", doubles=doubles)}
     insert = [
         dict(wire=f"agent/{{agent}}/{port}", role="lossy", input=port, output=f"{port}_out")
@@ -98,8 +98,8 @@ def test_interposers_that_change_nothing_leave_no_trace() -> None:
     assert measured[0] == measured[1]
     assert not interposers[0]
     assert not achieved[0]
-    assert all(told["effects"] == {} for told in interposers[1].values())
-    assert not any(told["success_centre"] or told["success_ego"] for told in achieved[1].values())
+    assert all(verdict["effects"] == {} for verdict in interposers[1].values())
+    assert not any(verdict["success_centre"] or verdict["success_ego"] for verdict in achieved[1].values())
     for name in ("metrics", "objects", "targets", "driving"):
         assert results.pack(tapped.results["evaluator"]["tables"][name]) == results.pack(
             plain.results["evaluator"]["tables"][name]
@@ -130,7 +130,7 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another_run() -> None
 
 @pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
 def test_one_more_adversary_does_not_change_the_random_streams_of_others(name: str) -> None:
-    """Common random numbers: what is not attacked is equal, and so is what the first adversary did."""
+    """Common random numbers: unattacked data and the first adversary are equal."""
     plain, one, two = (
         played("baseline", infrastructure=3),
         played(name, "n_adversaries=1", "attack_start_s=0.2", infrastructure=3),
@@ -165,13 +165,13 @@ def test_more_agents_change_nothing_for_the_others() -> None:
 
 
 def test_the_picture_is_better_than_local_perception() -> None:
-    """Not a figure to be proud of; but if the wires were crossed it would not hold."""
-    found = played("baseline", infrastructure=3).results["evaluator"]["metrics"]["agents"]["ego"]
-    assert found["picture"]["fn"]["mean"] < found["local"]["fn"]["mean"]
-    assert found["picture"]["rmse_m"] < 0.2
+    """A weak bound, but crossed wires would violate it."""
+    scores = played("baseline", infrastructure=3).results["evaluator"]["metrics"]["agents"]["ego"]
+    assert scores["picture"]["fn"]["mean"] < scores["local"]["fn"]["mean"]
+    assert scores["picture"]["rmse_m"] < 0.2
 
 
-def test_messages_are_numbered_on_every_key_as_their_publisher_sent_them() -> None:
+def test_messages_are_numbered_per_key_in_the_order_of_publication() -> None:
     run = played("coordinated", *ATTACKED)
     for wire in world("coordinated", *ATTACKED).wiring["wires"]:
         messages = run.decoded(wire["key"], wire["message"])
@@ -180,15 +180,15 @@ def test_messages_are_numbered_on_every_key_as_their_publisher_sent_them() -> No
 
 
 def test_progress_is_reported_frame_by_frame() -> None:
-    told: list[int] = []
-    outcome = InProcess(world("baseline"), progress=told.append).run()
-    assert told == list(range(1, 13))
+    progress: list[int] = []
+    outcome = InProcess(world("baseline"), progress=progress.append).run()
+    assert progress == list(range(1, 13))
     assert outcome[""]["frames"] == 12
     assert find_result(outcome, "metrics")["frames"] == 12
     assert find_result(outcome, "nothing of this name") is None
 
 
-def test_a_run_needs_one_node_that_drives_the_scene() -> None:
+def test_a_run_needs_exactly_one_driver() -> None:
     resolved = world("baseline")
     nodes = {name: spec for name, spec in resolved.nodes.items() if name != "simulator"}
     wires = [wire for wire in resolved.wiring["wires"] if wire["publisher"] != "simulator"]

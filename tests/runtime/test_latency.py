@@ -1,4 +1,4 @@
-"""What a run in real time says of its latency, by wire."""
+"""Latency of a real-time run, by wire."""
 
 import pytest
 
@@ -20,13 +20,13 @@ def ends(*nodes: str) -> tuple[Endpoint, ...]:
 
 
 def came(key: str, *ms: float) -> dict[str, dict[int, int]]:
-    """When the message of each frame came, ms after the frame was sent."""
+    """Arrival of each frame's message, ms after the frame was sent."""
     return {key: {frame: SENT[frame] + round(after * MS) for frame, after in enumerate(ms)}}
 
 
-def test_percentiles_are_of_the_frames_that_were_sent_and_came() -> None:
-    found = latency.percentiles(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
-    assert found == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
+def test_percentiles_cover_frames_that_were_sent_and_received() -> None:
+    percentiles = latency.percentiles(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
+    assert percentiles == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
     assert latency.percentiles(SENT, {}) == {}
 
 
@@ -35,16 +35,16 @@ def test_latency_is_that_of_the_first_subscriber_with_arrivals() -> None:
     arrived = {"evaluator": came("a/tracks", 90.0), "broker": came("a/tracks", 3.0), "cc": came("a/tracks", 40.0)}
     assert latency.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
     del arrived["broker"]
-    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and handed in nothing"
+    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and returned nothing"
 
 
 def test_a_wire_with_listeners_only_counts_at_the_first_and_one_without_arrivals_is_omitted() -> None:
     wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
     arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
-    assert {key: found["p50"] for key, found in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
+    assert {key: by_frame["p50"] for key, by_frame in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
 
 
-def test_it_counts_behind_interposers_on_the_trunk_and_on_a_branch() -> None:
+def test_latency_is_measured_behind_interposers_on_trunk_and_branch() -> None:
     trunk = (
         Leg("a/tracks/@tap/0", Endpoint("a", "out"), ends("adversary")),
         Leg("a/tracks", Endpoint("adversary", "out"), ends("link", "evaluator")),

@@ -1,4 +1,4 @@
-"""What waits in a node's process is limited by source, in messages and in bytes; legitimate runs stay far below."""
+"""Waiting messages are limited by source; legitimate runs stay far below."""
 
 import logging
 import queue
@@ -32,7 +32,7 @@ LATER = 5
 
 
 class Relay(Node):
-    """Passes on the tracks of two agents, later if it is told so."""
+    """Forwards the tracks of two agents, delayed on request."""
 
     inputs = {"clock": "clock", "tracks": "tracks"}
     outputs = {"tracks_out": "tracks"}
@@ -48,7 +48,7 @@ class Relay(Node):
         context.relay("tracks_out", received, after_s=self.after_s)
 
 
-#: Two agents' tracks reach the relay; `mallory` is on the way of the second one's.
+#: Tracks of two agents reach the relay; `mallory` intercepts the second agent's.
 WIRING = Wiring(
     (
         Wire("clock", "", "clock", (Leg("clock", Endpoint("simulator", "clock"), (Endpoint("relay", "clock"),)),)),
@@ -82,7 +82,7 @@ def hosting(node: Node, *, encode: bool = True) -> tuple[Host, list[Outgoing]]:
     return Host("relay", node, ports, 0, encode=encode, emit=outbox.append, wiring=WIRING), outbox
 
 
-def said(name: str, seq: int = 0, n: int = 1, frame: int = 0) -> Message:
+def tracks_of(name: str, seq: int = 0, n: int = 1, frame: int = 0) -> Message:
     states = ObjectStates.of(np.zeros((n, 3)), covariance=np.tile(np.eye(9), (n, 1, 1)))
     body = tracks() | states.columns() | {"id": np.arange(n)}
     return codec.conform(Header("tracks", name, frame, frame * 10**8, seq), body)
@@ -94,41 +94,41 @@ def clock(frame: int) -> bytes:
 
 def test_a_floods_held_messages_are_bounded_and_take_no_other_sources_room() -> None:
     host, _ = hosting(Relay())
-    big = codec.encode(said("b", n=20_000))
+    big = codec.encode(tracks_of("b", n=20_000))
     assert 14 * MIB < len(big) < 16 * MIB
     for _ in range(20):
         host.deliver(KEY_B, big, LATER)
-    host.deliver(KEY_A, codec.encode(said("a")), LATER)
-    assert host.waiting == 3, "two of 15 MB from one source, and that of the other"
+    host.deliver(KEY_A, codec.encode(tracks_of("a")), LATER)
+    assert host.waiting == 3, "two of 15 MB from one source, and the other source's"
     assert host.rejected == {(KEY_B, "held"): 18}
-    assert host.handled[KEY_B] == 18, "lock-step does not wait for what was dropped"
+    assert host.handled[KEY_B] == 18, "lock-step does not wait for dropped messages"
     frame, reason = host.first_rejected[KEY_B]
     assert (frame, reason) == (-1, "held: more than 10000 messages or 32 MiB of mallory wait for their clock")
     host.deliver("clock", clock(LATER), LATER)
     assert host.node.got == [("b", 0), ("b", 0), ("a", 0)]
     host.deliver(KEY_B, big, LATER + 1)
-    assert host.waiting == 1, "there is room again"
+    assert host.waiting == 1, "there is space again"
 
 
 @pytest.mark.parametrize("encode", [True, False])
 def test_a_flood_through_a_delaying_link_loses_only_its_own_messages(
     encode: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = len(codec.encode(said("b", n=10)))
+    one = len(codec.encode(tracks_of("b", n=10)))
     monkeypatch.setattr("mast_zenoh.runtime.context.DELAYED", Limit(100, 3 * one))
     host, outbox = hosting(Relay(after_s=0.1), encode=encode)
     host.deliver("clock", clock(0), 0)
     for seq in range(5):
-        content = said("b", seq, n=10)
+        content = tracks_of("b", seq, n=10)
         host.deliver(KEY_B, codec.encode(content) if encode else content, 0)
-    content = said("a")
+    content = tracks_of("a")
     host.deliver(KEY_A, codec.encode(content) if encode else content, 0)
     assert host.rejected == {(KEY_B, "delayed"): 2}
-    assert not host.failures, "what a node gets is not its own fault"
+    assert not host.failures, "receiving too much is not the node's own fault"
     host.deliver("clock", clock(1), 1)
     assert [out.key for out in outbox] == ["agent/b/tracks"] * 3 + ["agent/a/tracks"]
-    host.deliver(KEY_B, codec.encode(said("b", 9, n=30)) if encode else said("b", 9, n=28), 1)
-    assert host.rejected == {(KEY_B, "delayed"): 2}, "there is room again"
+    host.deliver(KEY_B, codec.encode(tracks_of("b", 9, n=30)) if encode else tracks_of("b", 9, n=28), 1)
+    assert host.rejected == {(KEY_B, "delayed"): 2}, "there is space again"
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 40), st.booleans())))
@@ -137,14 +137,14 @@ def test_each_source_has_exactly_its_room(steps: list[tuple[str, int, bool]]) ->
     room = Room(Limit(5, 100))
     waiting: dict[str, list[int]] = {source: [] for source in "abc"}
     for source, size, leaves in steps:
-        mine = waiting[source]
-        if leaves and mine:
-            room.free(source, mine.pop(0))
+        own = waiting[source]
+        if leaves and own:
+            room.free(source, own.pop(0))
             continue
-        fits = len(mine) < 5 and sum(mine) + size <= 100
+        fits = len(own) < 5 and sum(own) + size <= 100
         assert room.take(source, size) == fits
         if fits:
-            mine.append(size)
+            own.append(size)
 
 
 def test_the_inbox_drops_and_counts_excess_messages_of_a_source() -> None:
@@ -155,11 +155,11 @@ def test_the_inbox_drops_and_counts_excess_messages_of_a_source() -> None:
     inbox.put(("stop", "end"))
     assert [inbox.get()[0] for _ in range(5)] == ["sample", "sample", "dropped", "sample", "stop"]
     assert inbox.take_dropped() == {("bad", 7): 3}
-    assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), None), 7), "there is room again"
+    assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), None), 7), "there is space again"
 
 
 class Session:
-    """A session on no mesh: what is declared does nothing."""
+    """A session without a mesh: declarations have no effect."""
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         return lambda *arguments, **more: SimpleNamespace(put=lambda *a, **k: None)
@@ -173,7 +173,7 @@ def on_no_mesh(node: Node) -> MeshNode:
 
 
 def arrives(mesh: MeshNode, key: str, payload: bytes, epoch: int, step: int = -1) -> None:
-    """A sample comes in the way in which Zenoh brings it."""
+    """Deliver a sample like Zenoh does."""
     stamp = ATTACHMENT.pack(MARK, epoch, step)
     sample = {"payload": lambda: payload, "attachment": lambda: stamp}
     mesh.intake.callback(key)(SimpleNamespace(**{name: SimpleNamespace(to_bytes=get) for name, get in sample.items()}))
@@ -187,26 +187,26 @@ def handle_all(mesh: MeshNode) -> None:
 
 def test_messages_of_a_later_epoch_are_bounded_by_source(caplog: pytest.LogCaptureFixture) -> None:
     mesh = on_no_mesh(Relay())
-    big = codec.encode(said("b", n=20_000))
+    big = codec.encode(tracks_of("b", n=20_000))
     with caplog.at_level(logging.WARNING):
         for epoch in (2, 2, 2, 2, 9, 2**32 - 1):
             arrives(mesh, KEY_B, big, epoch)
             handle_all(mesh)
-    arrives(mesh, KEY_A, codec.encode(said("a")), 2)
+    arrives(mesh, KEY_A, codec.encode(tracks_of("a")), 2)
     handle_all(mesh)
     assert mesh.host.rejected == {(KEY_B, "early"): 4}
     assert len(caplog.records) == 1
     mesh._enter_epoch(2, {"relay": "link", "a": "agent"})
     assert mesh.host.node.got == [("b", 0), ("b", 0), ("a", 0)]
-    assert mesh.host.handled[KEY_B] == 4, "the driver does not wait for what was dropped of this epoch"
+    assert mesh.host.handled[KEY_B] == 4, "the driver does not wait for messages dropped in this epoch"
 
 
 def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_of_its_source() -> None:
     mesh = on_no_mesh(Relay())
-    big = codec.encode(said("b", n=20_000))
+    big = codec.encode(tracks_of("b", n=20_000))
     for _ in range(30):
         arrives(mesh, KEY_B, big, 1)
-    arrives(mesh, KEY_A, codec.encode(said("a")), 1)
+    arrives(mesh, KEY_A, codec.encode(tracks_of("a")), 1)
     handle_all(mesh)
     fits = INBOX.bytes // len(big)
     assert fits < 10
@@ -216,7 +216,7 @@ def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_of_its_source() -> 
 
 
 def test_forty_agents_in_a_large_scene_stay_far_below_every_limit() -> None:
-    """60 tracks of each of 40 agents, 300 road users, 10 Hz; listeners are as far behind as lock-step lets them."""
+    """60 tracks of each of 40 agents, 300 road users, 10 Hz; maximal lag."""
     agents, objects, seen = 40, 300, 60
     rows = {"collated": agents * seen, "picture": objects, "tracks": seen, "detections": seen, "truth": objects}
     size = {schema: _encoded(schema, n, agents) for schema, n in rows.items()} | {"pose": 300, "status": 300}

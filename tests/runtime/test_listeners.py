@@ -1,4 +1,4 @@
-"""A rewrite can add subscribers to a wire, and name one agent's wire; all other nodes hear and publish as before."""
+"""Rewrites can add listeners and select one agent's wire."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ def resolve(nodes: dict[str, NodeOptions], *rewrites: dict[str, Any]) -> Wiring:
 
 
 def heard(wiring: Wiring, name: str, port: str) -> dict[str, str]:
-    """Subject by key of what a node hears on one port."""
+    """Subject by key of the messages that a node hears on one port."""
     return {key: hears.subject for key, hears in wiring.ports(name).inputs.items() if hears.port == port}
 
 
 DEFENCE = node("defence", "tracks:tracks poses:pose")
 
 
-# -- which wires, and which nodes ------------------------------------------------------------------------------------
+# -- selection of wires and nodes --------------------------------------------------------------------------------------
 
 
 def test_an_adversary_receives_every_agents_pose_with_its_subject() -> None:
@@ -85,11 +85,11 @@ def test_every_adversary_receives_the_pose_of_a_named_agent() -> None:
     wiring = resolve(nodes, {"listen": [listen("agent/ego/pose", "poses")]})
     for name in ("adversary_1", "adversary_2"):
         assert heard(wiring, name, "poses") == {"agent/ego/pose": "ego"}
-    found = wiring.ports("adversary_1").inputs["agent/ego/pose"]
-    assert found == Input("poses", "ego", "pose", "simulator")
+    keys = wiring.ports("adversary_1").inputs["agent/ego/pose"]
+    assert keys == Input("poses", "ego", "pose", "simulator")
 
 
-def test_a_placeholder_means_the_agent_that_a_listener_is_bound_to() -> None:
+def test_a_placeholder_stands_for_the_agent_of_the_listener() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("infra_2"))
     wiring = resolve(nodes, {"listen": [listen("agent/{agent}/tracks", "tracks")]})
     assert heard(wiring, "adversary_1", "tracks") == {"agent/infra_1/tracks": "infra_1"}
@@ -115,7 +115,7 @@ def test_all_nodes_of_the_role_receive_a_wire_without_a_placeholder() -> None:
     assert heard(wiring, "guard", "seen") == {"cc/picture": ""}
 
 
-# -- on which leg ----------------------------------------------------------------------------------------------------
+# -- selection of the leg ----------------------------------------------------------------------------------------------
 
 
 def test_a_listener_receives_what_the_subscribers_receive_unless_it_requests_the_source() -> None:
@@ -124,17 +124,17 @@ def test_a_listener_receives_what_the_subscribers_receive_unless_it_requests_the
         listen("agent/infra_1/tracks", "tracks", "defence", node="guard"),
         listen("agent/infra_1/tracks", "tracks", "defence", node="source_guard", leg="source"),
     ]
-    # Listeners come after all inserts, whichever file or entry comes first.
+    # Listeners come after all inserts, in any order of files and entries.
     for rewrites in ([{"listen": entries}, {"insert": [ON_TRACKS]}], [{"listen": entries, "insert": [ON_TRACKS]}]):
         wiring = resolve(nodes, *rewrites)
         assert list(heard(wiring, "guard", "tracks")) == ["agent/infra_1/tracks"]
         assert list(heard(wiring, "source_guard", "tracks")) == ["agent/infra_1/tracks/@tap/0"]
         assert list(heard(wiring, "adversary_1", "tracks")) == ["agent/infra_1/tracks/@tap/0"]
     plain = resolve(nodes, {"listen": entries})
-    assert list(heard(plain, "source_guard", "tracks")) == ["agent/infra_1/tracks"], "nobody sits on the wire"
+    assert list(heard(plain, "source_guard", "tracks")) == ["agent/infra_1/tracks"], "no interposer is on the wire"
 
 
-def test_a_listener_stands_before_the_branches() -> None:
+def test_a_listener_is_placed_before_the_branches() -> None:
     link = node("link", "tracks:tracks", "tracks_out:tracks", agent="ego")
     before_broker = {**ON_TRACKS, "role": "link", "to": "broker"}
     nodes = world(link_ego=link, guard=DEFENCE)
@@ -143,7 +143,7 @@ def test_a_listener_stands_before_the_branches() -> None:
     assert "agent/ego/tracks/@tap/broker/0" in heard(wiring, "broker", "tracks")
 
 
-# -- what is refused -------------------------------------------------------------------------------------------------
+# -- refusals ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_an_impossible_listener_is_refused_with_file_entry_and_reason(entry: dic
         resolve(nodes, {"insert": [ON_TRACKS], "listen": [entry]})
 
 
-def test_a_listen_that_would_reach_no_node_of_its_role_is_refused() -> None:
+def test_a_listen_entry_without_matching_nodes_is_refused() -> None:
     nodes = world(guard=node("defence", "poses:pose", agent="mobile_7"))
     reason = r"no defence belongs to 'agent/\{agent\}/pose': expected one with agent='ego', found guard \(mobile_7\)"
     with pytest.raises(WiringError, match=reason):
@@ -194,7 +194,7 @@ def test_listening_on_a_port_that_has_the_wire_already_is_not_an_error() -> None
 # -- one named agent -------------------------------------------------------------------------------------------------
 
 
-def test_an_insert_that_names_an_agent_takes_the_nodes_bound_to_it_and_leaves_out_the_others() -> None:
+def test_an_insert_for_an_agent_takes_only_the_nodes_of_that_agent() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"), adversary_3=adversary("ego"))
     wiring = resolve(nodes, {"insert": [{**ON_TRACKS, "wire": "agent/ego/tracks"}]})
     chains = {wire.key: wire.interposers for wire in wiring.wires if wire.message == "tracks"}
@@ -215,7 +215,7 @@ def test_an_insert_on_all_wires_can_name_one_node() -> None:
     }
 
 
-def test_nodes_that_are_bound_to_no_agent_are_put_where_the_insert_says() -> None:
+def test_nodes_without_an_agent_are_inserted_as_specified() -> None:
     nodes = world(relay=node("relay", "tracks:tracks", "tracks_out:tracks"))
     wiring = resolve(nodes, {"insert": [{**ON_TRACKS, "role": "relay", "wire": "agent/infra_2/tracks"}]})
     assert {wire.key for wire in wiring.wires if wire.interposers} == {"agent/infra_2/tracks"}
@@ -235,10 +235,10 @@ def test_an_insert_with_an_unknown_name_is_refused(change: dict[str, str], reaso
         resolve(world(adversary_1=adversary("infra_1")), {"insert": [{**ON_TRACKS, **change}]})
 
 
-# -- what it looks like ----------------------------------------------------------------------------------------------
+# -- presentation ------------------------------------------------------------------------------------------------------
 
 
-def test_listeners_are_printed_drawn_and_written() -> None:
+def test_listeners_are_printed_drawn_and_serialised() -> None:
     nodes = world(adversary_1=adversary("infra_1"), guard=DEFENCE, source_guard=DEFENCE)
     entries = [
         listen("agent/infra_1/tracks", "tracks", "defence", node="guard"),
@@ -272,21 +272,21 @@ LISTENS = st.builds(
 def listening(
     nodes: dict[str, NodeOptions], plain: Wiring, entries: list[dict[str, Any]]
 ) -> set[tuple[str, str]] | None:
-    """(key, node) of what these listeners hear beside what the wiring has already; None: one of them is refused."""
+    """Additional (key, node) pairs of these listeners; None: one is refused."""
     heard = {(wire.key, end.node): (end.port, False) for wire in plain.wires for end in wire.subscribers}
-    found = set()
+    pairs = set()
     for entry in entries:
         for wire, name in product(plain.wires, nodes):
             if nodes[name].role != entry["role"] or not fnmatch(wire.key, entry["wire"]):
                 continue
-            wanted = entry["input"], "leg" in entry
+            request = entry["input"], "leg" in entry
             taking_part = name in (leg.publisher.node for leg in wire.legs)
-            if (taking_part or heard.get((wire.key, name), wanted) != wanted) and "*" not in entry["wire"]:
+            if (taking_part or heard.get((wire.key, name), request) != request) and "*" not in entry["wire"]:
                 return None
             if not taking_part and (wire.key, name) not in heard:
-                heard[wire.key, name] = wanted
-                found.add((wire.legs[0 if wanted[1] else -1].key, name))
-    return found
+                heard[wire.key, name] = request
+                pairs.add((wire.legs[0 if request[1] else -1].key, name))
+    return pairs
 
 
 @given(st.lists(LISTENS, max_size=4), st.booleans())
@@ -313,15 +313,15 @@ def test_listeners_receive_each_wire_once_but_not_their_own_and_change_nothing_f
         assert after.inputs.items() >= before.inputs.items()
         if name not in ("adversary_1", "adversary_2", "guard"):
             assert after.inputs == before.inputs
-    for found, known in zip(wiring.wires, plain.wires, strict=True):
-        ears = [end.node for leg in found.every_leg for end in found.receivers(leg)]
+    for current, known in zip(wiring.wires, plain.wires, strict=True):
+        ears = [end.node for leg in current.every_leg for end in current.receivers(leg)]
         assert len(ears) == len(set(ears)), "once"
-        assert {listener.end.node for listener in found.listeners}.isdisjoint(parties(known)), "nothing of its own"
-        assert (found.legs, found.branches, found.subscribers) == (known.legs, known.branches, known.subscribers)
+        assert {listener.end.node for listener in current.listeners}.isdisjoint(parties(known)), "not its own messages"
+        assert (current.legs, current.branches, current.subscribers) == (known.legs, known.branches, known.subscribers)
     assert Wiring.from_json(wiring.to_json()) == wiring
 
 
-# -- while a run goes on ---------------------------------------------------------------------------------------------
+# -- changes during a run ----------------------------------------------------------------------------------------------
 
 
 def test_a_node_inserted_during_a_run_is_before_the_wires_listeners() -> None:
@@ -351,4 +351,4 @@ def test_a_listener_at_the_source_keeps_its_key_during_a_run() -> None:
 def test_a_listener_that_leaves_receives_no_more() -> None:
     nodes = world(first=adversary("ego"))
     wiring = resolve(nodes, {"insert": [ON_TRACKS], "listen": [listen("agent/infra_1/tracks", "tracks")]})
-    assert not any(found.listeners for found in remove(wiring, "first").wires)
+    assert not any(current.listeners for current in remove(wiring, "first").wires)

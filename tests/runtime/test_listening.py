@@ -1,4 +1,4 @@
-"""Nodes that listen hear the wire as their rewrite says, and a run with them is as exact as one without."""
+"""Listeners hear the wires of their rewrite and leave a run exact."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ATTACK = dict(type="UncoordinatedAttack", start_s=0.2)
 
 
 def shadowed(scenario: dict[str, Any]) -> None:
-    """An adversary on infra_1's detections that hears the poses of all agents."""
+    """An adversary on infra_1's detections that hears all agents' poses."""
     heard = ["ego", "infra_1", "infra_2"]
     scenario["adversaries"] = {"shadow": dict(file=str(SUPPORT / "shadow.py"), agent="infra_1", heard=heard)}
     listen = dict(wire="agent/*/pose", role="adversary", input="poses")
@@ -21,7 +21,7 @@ def shadowed(scenario: dict[str, Any]) -> None:
 
 
 def guarded(scenario: dict[str, Any]) -> None:
-    """An adversary on infra_1's tracks, and two defences: one hears all tracks, one what the agents sent."""
+    """An adversary on infra_1's tracks, and two defences on different legs."""
     guard = dict(role="defence", file=str(SUPPORT / "guard.py"))
     scenario["nodes"] = {"guard": guard, "source_guard": guard}
     scenario["adversaries"] = {"eve": dict(agent="infra_1", attack=ATTACK)}
@@ -37,9 +37,9 @@ def test_an_adversary_that_listens_to_poses_is_deterministic_in_any_order_of_del
     for key in ("agent/ego/pose", "agent/infra_2/pose", "agent/infra_2/detections"):
         assert run.messages[key] == plain.messages[key]
     sent = run.decoded("agent/infra_1/detections/@tap/0", "detections")
-    shown = run.decoded("agent/infra_1/detections", "detections")
+    detections = run.decoded("agent/infra_1/detections", "detections")
     places = [run.decoded(f"agent/{agent}/pose", "pose") for agent in ("ego", "infra_1", "infra_2")]
-    for frame, (before, after) in enumerate(zip(sent, shown, strict=True)):
+    for frame, (before, after) in enumerate(zip(sent, detections, strict=True)):
         offset = sum(poses[frame].body["position"] for poses in places) * 0.01
         assert (after.body["position"] == before.body["position"] + offset).all()
     for shuffle in range(30):
@@ -70,7 +70,7 @@ def test_listening_leaves_no_trace() -> None:
     assert Run(tiny(edit=guarded)).messages == Run(tiny(edit=unguarded)).messages
 
 
-def test_an_adversary_that_is_put_on_one_named_agent_leaves_the_other_to_its_own() -> None:
+def test_an_adversary_on_one_named_agent_does_not_replace_the_others() -> None:
     def named(scenario: dict[str, Any]) -> None:
         scenario["adversaries"] = {f"eve_{agent}": dict(agent=agent, attack=ATTACK) for agent in ("infra_1", "infra_2")}
         insert = dict(role="adversary", input="tracks", output="tracks_out", wire="agent/infra_2/tracks")

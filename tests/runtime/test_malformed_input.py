@@ -1,4 +1,4 @@
-"""Whatever comes in on whatever wire costs one message, and nothing else."""
+"""A malformed input on any wire costs one message and nothing else."""
 
 import pickle
 from collections import Counter
@@ -18,7 +18,7 @@ from mast_zenoh.wiring.model import Wiring
 TOTAL, TOTAL_LONG = 4_000, 200_000
 SCENARIOS = {"baseline": (), "uncoordinated": ("attack_start_s=0.2",), "coordinated": ("attack_start_s=0.2",)}
 FRAMES = 6
-BEFORE = 3  # frames that a node has played when the rubbish comes
+BEFORE = 3  # frames played before malformed messages arrive
 
 
 @cache
@@ -34,36 +34,36 @@ def played(name: str) -> Run:
 @cache
 def inputs() -> tuple[tuple[str, str, str, str], ...]:
     """(scenario, node, key, schema) of every input of every node."""
-    found = []
+    entries = []
     for name in SCENARIOS:
         wiring = Wiring.from_json(world(name).wiring)
         for node in world(name).nodes:
-            found += [(name, node, key, hears.message) for key, hears in wiring.ports(node).inputs.items()]
-    return tuple(found)
+            entries += [(name, node, key, hears.message) for key, hears in wiring.ports(node).inputs.items()]
+    return tuple(entries)
 
 
 @cache
 def sound(schema: str) -> tuple[bytes, ...]:
-    """What runs have really said."""
-    said = [
+    """The recorded messages of runs."""
+    payloads = [
         payload
         for name in SCENARIOS
         for wire in world(name).wiring["wires"]
         if wire["message"] == schema
         for payload in played(name).messages[wire["key"]]
     ]
-    return tuple(said[:: 1 + len(said) // 40])
+    return tuple(payloads[:: 1 + len(payloads) // 40])
 
 
 def rubbish(place: int, total: int, seed: int) -> Iterator[bytes]:
-    """The malformed payloads for one of `inputs()`: its share of `total`, no two the same."""
+    """A share of `total` distinct malformed payloads for one of `inputs()`."""
     count = total // len(inputs()) + (place < total % len(inputs()))
     schema = inputs()[place][3]
     return malformed(schema, sound(schema), count, seed=(seed, place))
 
 
 def play(bench: Bench, run: Run, frames: range) -> None:
-    """Give a node what it got in a run: in each frame its clock, then the rest."""
+    """Replay a node's inputs: in each frame its clock, then the others."""
     for frame in frames:
         for key, hears in sorted(bench.ports.inputs.items(), key=lambda item: item[1].message != "clock"):
             for message, payload in zip(run.decoded(key, hears.message), run.messages[key], strict=True):
@@ -83,7 +83,7 @@ def test_malformed_messages_are_lost_without_ending_a_node(fuzzing: Fuzzing) -> 
         bench = Bench(world(name), node)
         hears_all = world(name).nodes[node].role == "evaluator"
         play(bench, played(name), range(BEFORE))
-        state, said, handled = pickle.dumps(bench.node), list(bench.outbox), bench.host.handled.copy()
+        state, published, handled = pickle.dumps(bench.node), list(bench.outbox), bench.host.handled.copy()
         if not hears_all:
             bench.host.observe = lambda key, header: pytest.fail(f"{key}: a malformed message was taken for sound")
         sent: Counter[str] = Counter()
@@ -97,14 +97,14 @@ def test_malformed_messages_are_lost_without_ending_a_node(fuzzing: Fuzzing) -> 
             rejected[key] += n
         assert rejected == ({key: sent[key] for key in bench.node.routes} if hears_all else sent)
         assert hears_all or pickle.dumps(bench.node) == state
-        assert (bench.outbox, bench.host.handled) == (said, handled)
+        assert (bench.outbox, bench.host.handled) == (published, handled)
         total += sent.total()
 
         bench.host.observe = None
         undisturbed = Bench(world(name), node)
         play(bench, played(name), range(BEFORE, FRAMES))
         play(undisturbed, played(name), range(FRAMES))
-        assert bench.outbox == undisturbed.outbox, "it goes on as if nothing had been"
+        assert bench.outbox == undisturbed.outbox, "it continues unaffected"
         if hears_all:
             scores, expected = (each.host.finish()["metrics"]["agents"] for each in (bench, undisturbed))
             assert scores == expected
@@ -113,8 +113,8 @@ def test_malformed_messages_are_lost_without_ending_a_node(fuzzing: Fuzzing) -> 
 
 
 @pytest.mark.parametrize("schema", ["clock", "status", "tracks", "collated", "directive", "truth"])
-def test_malformed_messages_are_of_many_kinds(schema: str) -> None:
-    """The test above would be worth little if all its payloads failed at the first byte."""
+def test_malformed_messages_cover_many_kinds_of_errors(schema: str) -> None:
+    """Guards the test above against payloads that all fail at the first byte."""
     reasons: set[str] = set()
     for payload in malformed(schema, sound(schema), 1_000, seed=(1,)):
         with pytest.raises(MessageError) as caught:

@@ -1,4 +1,4 @@
-"""What an interposer can do with a message: pass it on changed, damaged, twice, with another time, or later."""
+"""Relaying: unchanged, changed, damaged, twice, restamped or delayed."""
 
 import logging
 from collections.abc import Callable
@@ -25,7 +25,7 @@ Act = Callable[[Received, Context], None]
 
 
 class Interposer(Node):
-    """Does what the test wants with statuses."""
+    """Runs the test's action on statuses."""
 
     inputs = {"clock": "clock", "status": "status"}
     outputs = {"status_out": "status"}
@@ -40,7 +40,7 @@ class Interposer(Node):
 
 
 class Reporting(Interposer):
-    """One that publishes at every clock."""
+    """A relay that publishes at every clock."""
 
     outputs = {"status_out": "status", "report": "tracks"}
 
@@ -49,13 +49,13 @@ class Reporting(Interposer):
 
 
 class Deaf(Interposer):
-    """One that hears no clock."""
+    """A relay without a clock."""
 
     inputs = {"status": "status"}
 
 
 class Time:
-    """A clock of the machine that goes when the test says so."""
+    """A machine clock advanced by the test."""
 
     def __init__(self) -> None:
         self.ns = 5_000
@@ -67,7 +67,7 @@ class Time:
 def hosting(
     act: Act, *, encode: bool = True, now: Callable[[], int] | None = None, node: type = Interposer
 ) -> tuple[Host, list[Outgoing]]:
-    """A host, and what will have left it."""
+    """A host, and the messages that left it."""
     inputs = {"in": Input("status", "a", "status", "a")}
     if "clock" in node.inputs:
         inputs["clock"] = Input("clock", "", "clock", "simulator")
@@ -96,8 +96,8 @@ def content(out: Outgoing) -> Message:
     return codec.decode(out.payload, "status") if isinstance(out.payload, bytes) else out.payload
 
 
-def said(outbox: list[Outgoing]) -> list[tuple[int, int]]:
-    """(step, seq) of what has left so far."""
+def sent_messages(outbox: list[Outgoing]) -> list[tuple[int, int]]:
+    """(step, seq) of the messages that left."""
     return [(out.step, content(out).header.seq) for out in outbox if out.key == "out"]
 
 
@@ -127,7 +127,7 @@ def test_a_payload_is_sent_unchanged(encode: bool) -> None:
 
 
 def test_bytes_in_one_process_are_decoded_and_forwarded_unchanged() -> None:
-    """A damaged message that still is one may be packed otherwise than we would: the next node keeps it."""
+    """Valid bytes with another packing are kept by the next node."""
     sound = status(0, n_tracks=3)
     odd = codec.encode(sound).replace(b"\xa5frame\x00", b"\xa5frame\xcc\x00")
     assert odd != codec.encode(sound)
@@ -146,7 +146,7 @@ def test_bytes_in_one_process_are_decoded_and_forwarded_unchanged() -> None:
     assert seen[0].encoded == odd
 
 
-def test_damaged_bytes_in_one_process_cost_their_receiver_one_message() -> None:
+def test_damaged_bytes_in_one_process_cost_the_receiver_one_message() -> None:
     host, outbox = hosting(relaying(), encode=False)
     clock(host, 0)
     host.deliver("in", codec.encode(status(0))[:-3], 0)
@@ -171,7 +171,7 @@ def test_a_message_relayed_twice_is_sent_twice_unchanged() -> None:
 @pytest.mark.parametrize(
     ("after_s", "leaves"), [(0.0, 1), (1e-9, 1), (0.0999, 1), (0.1, 2), (0.19, 2), (0.3, 4), (0.1 + 0.2, 4)]
 )
-def test_in_lock_step_a_message_leaves_in_the_frame_into_which_its_delay_falls(
+def test_in_lock_step_a_message_leaves_in_the_frame_that_contains_its_due_time(
     encode: bool, after_s: float, leaves: int
 ) -> None:
     host, outbox = hosting(relaying(after_s=after_s), encode=encode)
@@ -179,7 +179,7 @@ def test_in_lock_step_a_message_leaves_in_the_frame_into_which_its_delay_falls(
         clock(host, frame)
         if frame == 1:
             send(host, status(1))
-    assert said(outbox) == [(leaves, 1)]
+    assert sent_messages(outbox) == [(leaves, 1)]
     assert host.sent["out"] == host.handled["in"] == 1
 
 
@@ -191,9 +191,9 @@ def test_delayed_messages_leave_by_due_time_then_arrival_before_those_of_the_fra
     clock(host, 1)
     send(host, status(1, seq=1))  # due at 0.2
     send(host, status(1, seq=2))  # due at 0.22
-    send(host, status(2, seq=3))  # of the next frame: it has to wait for that
+    send(host, status(2, seq=3))  # of the next frame: it has to wait
     clock(host, 2)
-    assert said(outbox) == [(2, 1), (2, 2), (2, 0), (2, 3)]
+    assert sent_messages(outbox) == [(2, 1), (2, 2), (2, 0), (2, 3)]
 
 
 def test_messages_due_at_the_same_time_leave_in_order_of_arrival() -> None:
@@ -202,7 +202,7 @@ def test_messages_due_at_the_same_time_leave_in_order_of_arrival() -> None:
     for seq in range(5):
         send(host, status(0, seq=seq))
     clock(host, 1)
-    assert said(outbox) == [(1, seq) for seq in range(5)]
+    assert sent_messages(outbox) == [(1, seq) for seq in range(5)]
 
 
 def test_a_missing_clock_does_not_block_delayed_messages() -> None:
@@ -210,7 +210,7 @@ def test_a_missing_clock_does_not_block_delayed_messages() -> None:
     clock(host, 0)
     send(host, status(0))
     clock(host, 3)
-    assert said(outbox) == [(3, 0)]
+    assert sent_messages(outbox) == [(3, 0)]
 
 
 def test_delayed_messages_leave_after_those_that_the_clock_handler_publishes() -> None:
@@ -231,7 +231,7 @@ def test_a_delayed_message_counts_as_sent_when_it_leaves() -> None:
     assert host.sent["out"] == 1, "it counts when it leaves"
 
 
-def test_in_lock_step_the_time_is_that_of_the_frame() -> None:
+def test_in_lock_step_time_is_that_of_the_frame() -> None:
     seen: list[int] = []
     host, _ = hosting(lambda received, context: seen.append(context.now_ns))
     clock(host, 3)
@@ -252,7 +252,7 @@ def test_in_real_time_a_delayed_message_leaves_when_it_is_due_not_at_a_clock() -
     assert not outbox
     now.ns += 20_000_000
     assert host.release() is None
-    assert said(outbox) == [(1, 0)]
+    assert sent_messages(outbox) == [(1, 0)]
 
 
 def test_in_real_time_the_time_advances_between_frames() -> None:
@@ -279,8 +279,8 @@ def test_each_delayed_message_leaves_once_and_not_early(plan: list[tuple[int, fl
             if arrives == frame:
                 send(host, status(frame, seq=seq))
     expected = sorted((arrives + round(after * 1e9) // PERIOD_NS, seq) for seq, (arrives, after) in enumerate(order))
-    assert sorted(said(outbox)) == expected
-    assert [step for step, _ in said(outbox)] == sorted(step for step, _ in expected)
+    assert sorted(sent_messages(outbox)) == expected
+    assert [step for step, _ in sent_messages(outbox)] == sorted(step for step, _ in expected)
 
 
 @pytest.mark.parametrize("after_s", [-0.1, float("nan"), float("inf"), -float("inf"), 3601.0, 1e300])
@@ -291,7 +291,7 @@ def test_an_invalid_delay_loses_one_message(after_s: float, caplog: pytest.LogCa
     with caplog.at_level(logging.ERROR):
         send(host, status(0, seq=0))
     send(host, status(0, seq=1))
-    assert said(outbox) == [(0, 1)]
+    assert sent_messages(outbox) == [(0, 1)]
     assert host.failures["on_status"].count == 1
     assert "after_s: found" in caplog.text
 
@@ -309,7 +309,7 @@ def test_contradictory_arguments_of_relay_are_refused(how: dict[str, Any], probl
         host.relay("status_out", Received(status(0), "a"), **how)
 
 
-def test_a_time_before_the_scene_is_refused_by_the_receiver() -> None:
+def test_a_negative_time_is_refused_by_the_receiver() -> None:
     for encode in (True, False):
         host, outbox = hosting(relaying(time_ns=-1), encode=encode)
         clock(host, 0)
@@ -335,6 +335,6 @@ def test_the_number_of_delayed_messages_is_limited(monkeypatch: pytest.MonkeyPat
     for seq in range(5):
         send(host, status(0, seq=seq))
     assert host.rejected == {("in", "delayed"): 2}
-    assert not host.failures, "what a node gets is not its own fault"
+    assert not host.failures, "receiving too much is not the node's own fault"
     clock(host, 1)
-    assert said(outbox) == [(1, 0), (1, 1), (1, 2)]
+    assert sent_messages(outbox) == [(1, 0), (1, 1), (1, 2)]

@@ -1,4 +1,4 @@
-"""On its recording a run is measured as it was measured while it went on."""
+"""Replaying a recording gives the metrics measured during the run."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from mast_zenoh.report import html, terminal
 from mast_zenoh.runtime.replaying import replay
 
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parents[2] / "scenarios").glob("*.py"))
-#: These act on hosts or in real time, which one process cannot.
+#: These affect hosts or need real time, which one process cannot provide.
 ELSEWHERE = {"rogue", "two_hosts"}
 
 
 def recorded(folder: Path, name: str, *settings: str, frames: int = 60) -> Path:
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded, frames=frames, seed=1, record=True)
-    ended = launcher.run(resolved, folder, runtime="inproc")
-    assert ended.error is None
-    return ended.folder
+    outcome = launcher.run(resolved, folder, runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
 
 
 def results_in(folder: Path) -> dict[str, Any]:
-    """Everything that the evaluator has left in a run folder."""
+    """All files of the evaluator in a run folder."""
     tables = {path.name: read_table(path) for path in folder.glob("*.parquet")}
     return {"metrics.json": json.loads((folder / "metrics.json").read_text()), **tables}
 
@@ -52,7 +52,7 @@ def assert_equal(once: dict[str, Any], again: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in SCENARIOS if name not in ELSEWHERE])
-def test_a_run_is_measured_the_same_from_its_recording(tmp_path: Path, name: str) -> None:
+def test_a_replayed_recording_gives_the_same_metrics(tmp_path: Path, name: str) -> None:
     folder = recorded(tmp_path / "run", name)
     once = results_in(folder)
     for file in (folder / measurement.METRICS, *folder.glob("*.parquet")):
@@ -88,7 +88,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def cut(run: Path, to: Path, part: float) -> Path:
-    """A copy of a run whose recording is only the first part of its bytes."""
+    """A copy of a run with a truncated recording."""
     shutil.copytree(run, to)
     data = (to / "messages.mcap").read_bytes()
     (to / "messages.mcap").write_bytes(data[: int(part * len(data))])
@@ -96,7 +96,7 @@ def cut(run: Path, to: Path, part: float) -> Path:
 
 
 @pytest.mark.parametrize("part", [0.6, 0.98, 0.001], ids=["60 %", "the last chunk", "all but its head"])
-def test_metrics_are_kept_where_the_recording_ends_before_the_run_did(tmp_path: Path, whole: Path, part: float) -> None:
+def test_metrics_are_kept_if_the_recording_ends_before_the_run(tmp_path: Path, whole: Path, part: float) -> None:
     folder = cut(whole, tmp_path / "run", part)
     once = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in (".json", ".parquet")}
     ends = r"ends (at frame \d+ of 60|before its first frame), .*metrics\.json is kept.*restore the recording"
@@ -105,7 +105,7 @@ def test_metrics_are_kept_where_the_recording_ends_before_the_run_did(tmp_path: 
     assert {name: (folder / name).read_bytes() for name in once} == once
 
 
-def test_a_recording_with_an_end_but_without_the_last_frames_does_not_replace_metrics(tmp_path: Path) -> None:
+def test_a_recording_without_its_last_frames_does_not_replace_metrics(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=20)
     run = json.loads((folder / "run.json").read_text())
     for node in run["nodes"].values():
@@ -129,12 +129,12 @@ def test_a_run_without_metrics_is_measured_to_the_end_of_its_recording_and_repor
     frames = metrics["frames"]
     assert 0 < frames < 60
     assert metrics["recording"] == {"frames": frames, "played_frames": 60}
-    said = f"ends at frame {frames - 1} of 60, so the numbers are of these frames alone"
-    assert said in terminal.failure(folder)
+    notice = f"ends at frame {frames - 1} of 60, so the numbers are of these frames alone"
+    assert notice in terminal.failure(folder)
     terminal.show_run(Console(width=300), folder)
-    assert said in capsys.readouterr().out
-    assert said in html.write_report(folder).read_text()
-    measurement.measure(folder)  # again: these metrics are of no more frames
+    assert notice in capsys.readouterr().out
+    assert notice in html.write_report(folder).read_text()
+    measurement.measure(folder)  # repeated: these metrics cover no more frames
     assert json.loads((folder / "metrics.json").read_text()) == metrics
 
 

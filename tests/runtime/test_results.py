@@ -1,4 +1,4 @@
-"""What nodes hand in at the end comes out as it went in."""
+"""Node results survive a round trip."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from mast_zenoh.errors import MessageError
         np.arange(6).reshape(2, 3).T,
     ],
 )
-def test_arrays_keep_their_numbers_dtype_and_shape(array: np.ndarray) -> None:
+def test_arrays_keep_values_dtype_and_shape(array: np.ndarray) -> None:
     back = results.unpack(results.pack({"table": array}))["table"]
     np.testing.assert_array_equal(back, array)
     assert back.dtype == array.dtype
@@ -27,7 +27,7 @@ def test_arrays_keep_their_numbers_dtype_and_shape(array: np.ndarray) -> None:
 @pytest.mark.parametrize(
     "array", [np.array(["ego", "é"], dtype=object), np.array(["ego", "infra_1"]), np.array([], str)]
 )
-def test_arrays_of_text_come_out_as_objects(array: np.ndarray) -> None:
+def test_text_arrays_become_object_arrays(array: np.ndarray) -> None:
     back = results.unpack(results.pack(array))
     assert back.dtype == object
     assert back.tolist() == array.tolist()
@@ -41,7 +41,7 @@ def test_nested_plain_values_are_unchanged() -> None:
     assert results.unpack(results.pack(value)) == value
 
 
-def test_numbers_of_numpy_become_plain_ones() -> None:
+def test_numpy_numbers_become_plain_ones() -> None:
     back = results.unpack(results.pack({"n": np.int64(3), "x": np.float64(0.5), "yes": np.bool_(True)}))
     assert back == {"n": 3, "x": 0.5, "yes": True}
     assert [type(value) for value in back.values()] == [int, float, bool]
@@ -61,7 +61,7 @@ def test_arrays_have_at_most_eight_dimensions() -> None:
 @pytest.mark.parametrize(
     "array", [np.zeros((1 << 24, 0)), np.zeros(1 << 21, bool), np.array(["x"] * (1 << 21), object)]
 )
-def test_arrays_that_would_be_lists_of_millions_are_for_tables_alone(array: np.ndarray) -> None:
+def test_large_arrays_are_allowed_only_in_tables(array: np.ndarray) -> None:
     results.checked({"tables": {"t": {"x": array}}})
     with pytest.raises(TypeError, match="beside those of tables"):
         results.checked({"x": [{"y": array}]})

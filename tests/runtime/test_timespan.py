@@ -1,4 +1,4 @@
-"""Messages whose frame or time the run cannot have are rejected on arrival; clock faults and delays are not."""
+"""Messages with impossible frames or times are rejected on arrival."""
 
 import numpy as np
 import pytest
@@ -61,10 +61,10 @@ def test_times_and_frames_outside_the_run_are_rejected_on_arrival(
     ("frame", "time_ns"),
     [
         (50, 5 * SECOND),
-        (0, 0),  # held up on the way since the scene began
-        (50, 5 * SECOND + SECOND),  # within the leeway: a wrong clock, or an adversary
+        (0, 0),  # delayed since the scene began
+        (50, 5 * SECOND + SECOND),  # within the tolerance: a wrong clock, or an adversary
         (50, 5 * SECOND - SECOND),
-        (20, 5 * SECOND),  # about an earlier frame, with the time of now
+        (20, 5 * SECOND),  # about an earlier frame, with the current time
     ],
 )
 def test_messages_with_possible_delays_and_clock_errors_are_accepted(frame: int, time_ns: int) -> None:
@@ -96,7 +96,7 @@ def test_a_node_that_starts_later_waits_for_its_first_clock_of_any_frame() -> No
     assert host.node.got == [("clock", 120), ("a", 120)]
 
 
-def test_in_real_time_a_node_may_be_behind_by_more_than_a_frame() -> None:
+def test_in_real_time_a_node_may_lag_by_more_than_a_frame() -> None:
     host = hosting(now=lambda: 0)
     host.deliver("clock", clock(50), 50)
     host.deliver(KEY, said_by("a", 53), 53)

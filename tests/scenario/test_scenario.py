@@ -1,4 +1,4 @@
-"""A scenario is a Python file of plain dicts; errors in it are reported before any process starts."""
+"""Scenarios are files of plain dicts; errors are reported before the start."""
 
 import inspect
 import json
@@ -23,7 +23,7 @@ TINY = dict(type="TinyScene", n_infrastructure=2)
 TRACKER = dict(type="KalmanBoxTracker3D")
 AGENT = dict(pipeline=dict(type="AgentPipeline", tracker=TRACKER, mission=dict(type="PictureFirst")))
 
-#: The configuration listing of the paper, as it is there.
+#: The configuration listing of the paper, unchanged.
 LISTING = """
 commandcenter = dict(type="CommandCenter", pipeline=dict(type="CommandCenterPipeline",
     clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
@@ -48,7 +48,7 @@ def written(folder: Path, text: str, name: str = "mine.py") -> str:
 
 
 def mine(folder: Path, key: str = "command_center") -> str:
-    """A scenario file of a user's own."""
+    """A user-defined scenario file."""
     return written(folder, LISTING + REST % key)
 
 
@@ -121,18 +121,20 @@ def at(content: Any, path: str) -> Any:
 def test_a_dotted_key_sets_a_value_in_the_scenario(tmp_path: Path, key: str, spelling: str) -> None:
     _, content = load(mine(tmp_path, key), [f"{spelling}.pipeline.clustering.assign_radius=3.5", "run.seed=4"])
     assert at(content, "command_center.pipeline.clustering.assign_radius") == 3.5
-    assert at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", "the rest stays"
-    assert content["run"] == {"seed": 4}, "a part that the file does not have is begun"
+    assert at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", (
+        "the other values are kept"
+    )
+    assert content["run"] == {"seed": 4}, "a missing section is created"
 
 
 def test_a_setting_changes_one_node_only(tmp_path: Path) -> None:
-    """Scenario files may use one dict in many places; our own do."""
+    """Scenario files may use one dict in many places; shipped ones do."""
     for _ in range(2):
         _, content = load("uncoordinated", ["adversaries.adversary_1.attack.start_s=1.0", "agents.*.status_every=3"])
         starts = [at(content, f"adversaries.adversary_{i}.attack.start_s") for i in (1, 2)]
         assert starts == [1.0, 4.0]
     _, content = load("uncoordinated")
-    assert at(content, "adversaries.adversary_1.attack.start_s") == 4.0, "nor for the next time"
+    assert at(content, "adversaries.adversary_1.attack.start_s") == 4.0, "also not for the next call"
     assert "status_every" not in content["agents"]["*"]
 
 
@@ -176,14 +178,16 @@ def test_an_unknown_last_part_of_a_dotted_key_is_refused_with_its_path(
 
 
 @pytest.mark.parametrize("key", ["commandcenter", "command_center"])
-def test_the_papers_configuration_listing_builds_as_it_is(tmp_path: Path, key: str) -> None:
-    found = resolved(mine(tmp_path, key))
-    assert found.nodes["command_center"].type == "CommandCenter"
-    assert isinstance(build_node(found.nodes["command_center"], "command_center").pipeline, CommandCenterPipeline)
-    assert len(Run(found).messages["cc/picture"]) == 2
+def test_the_configuration_listing_of_the_paper_builds_unchanged(tmp_path: Path, key: str) -> None:
+    resolved_scenario = resolved(mine(tmp_path, key))
+    assert resolved_scenario.nodes["command_center"].type == "CommandCenter"
+    assert isinstance(
+        build_node(resolved_scenario.nodes["command_center"], "command_center").pipeline, CommandCenterPipeline
+    )
+    assert len(Run(resolved_scenario).messages["cc/picture"]) == 2
 
 
-def test_both_spellings_at_once_are_refused(tmp_path: Path) -> None:
+def test_both_spellings_of_a_key_at_once_are_refused(tmp_path: Path) -> None:
     text = LISTING + "def scenario():\n    return dict(commandcenter=commandcenter, command_center=commandcenter)\n"
     with pytest.raises(ConfigurationError, match=r"mine\.py: commandcenter and command_center are the same"):
         load(written(tmp_path, text))
@@ -192,16 +196,18 @@ def test_both_spellings_at_once_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(Path(name).stem for name in bundle.names("scenarios")))
 def test_shipped_scenarios_resolve(name: str) -> None:
     _, function = loading.function("scenarios", name, "scenario")
-    wanted = {"n_infrastructure": 2, "n_mobile": 0}
-    path, content = load(name, [f"{k}={v}" for k, v in wanted.items() if k in inspect.signature(function).parameters])
-    found = resolve(path, content, frames=1)
-    roles = [spec.role for spec in found.nodes.values()]
+    numbers = {"n_infrastructure": 2, "n_mobile": 0}
+    path, content = load(name, [f"{k}={v}" for k, v in numbers.items() if k in inspect.signature(function).parameters])
+    resolved_scenario = resolve(path, content, frames=1)
+    roles = [spec.role for spec in resolved_scenario.nodes.values()]
     assert roles[0] == "simulator"
     assert roles.count("agent") == (3 if "n_infrastructure" in inspect.signature(function).parameters else 5)
     for role in ("broker", "command_center", "evaluator"):
         assert roles.count(role) == 1
-    wired = {name for wire in found.wiring["wires"] for name in touched(wire)}
-    assert found.nodes.keys() == wired | {end["node"] for end in found.wiring["overhearers"]}, "none left out"
+    wired = {name for wire in resolved_scenario.wiring["wires"] for name in touched(wire)}
+    assert resolved_scenario.nodes.keys() == wired | {end["node"] for end in resolved_scenario.wiring["overhearers"]}, (
+        "none is omitted"
+    )
 
 
 def touched(wire: dict[str, Any]) -> set[str]:
@@ -211,8 +217,8 @@ def touched(wire: dict[str, Any]) -> set[str]:
 @pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
 def test_the_number_of_adversaries_is_a_launch_time_parameter(name: str) -> None:
     for n in (0, 1, 3):
-        found = tiny(name, f"n_adversaries={n}", infrastructure=3, frames=1)
-        assert [spec.config["agent"] for spec in found.nodes.values() if spec.role == "adversary"] == [
+        resolved_scenario = tiny(name, f"n_adversaries={n}", infrastructure=3, frames=1)
+        assert [spec.config["agent"] for spec in resolved_scenario.nodes.values() if spec.role == "adversary"] == [
             f"infra_{i + 1}" for i in range(n)
         ]
 
@@ -228,10 +234,10 @@ def test_a_node_file_beside_the_scenario_overrides_the_shipped_one(tmp_path: Pat
     (tmp_path / "broker.py").write_text(
         ours.replace("class Broker(Node):", "class MyBroker(Node):").replace("main(Broker)", "main(MyBroker)")
     )
-    found = resolved(mine(tmp_path))
-    assert found.nodes["broker"].type == "MyBroker"
-    assert found.nodes["broker"].file == str(tmp_path / "broker.py")
-    assert found.nodes["command_center"].file == str(bundle.ROOT / "nodes" / "command_center.py")
+    resolved_scenario = resolved(mine(tmp_path))
+    assert resolved_scenario.nodes["broker"].type == "MyBroker"
+    assert resolved_scenario.nodes["broker"].file == str(tmp_path / "broker.py")
+    assert resolved_scenario.nodes["command_center"].file == str(bundle.ROOT / "nodes" / "command_center.py")
 
 
 OWN_ALGORITHMS = """
@@ -265,11 +271,13 @@ def test_user_defined_algorithms_can_be_named_by_type(tmp_path: Path) -> None:
             "        adversaries=dict(eve=dict(agent='infra_1', attack=dict(type='Shy', shyness=2))))\n"
         )
     )
-    found = resolved(written(tmp_path, text))
-    assert build_node(found.nodes["eve"], "eve").attack.shyness == 2.0
-    assert found.modules == (str(tmp_path / "mine.py"),), "for the processes of the nodes, which do not read scenarios"
+    resolved_scenario = resolved(written(tmp_path, text))
+    assert build_node(resolved_scenario.nodes["eve"], "eve").attack.shyness == 2.0
+    assert resolved_scenario.modules == (str(tmp_path / "mine.py"),), (
+        "for the nodes' processes, which do not read scenarios"
+    )
     assert tiny().modules == ()
-    run = Run(found)
+    run = Run(resolved_scenario)
     assert not run.failures
     assert type(run.nodes["command_center"].pipeline._group_tracking._tracker).__name__ == "MyTracker"
 
@@ -296,14 +304,14 @@ class OneAgent(Pipeline):
 @pytest.mark.parametrize("key", ["commandcenter", "command_center"])
 def test_the_command_centre_takes_a_user_defined_pipeline(tmp_path: Path, key: str) -> None:
     text = OWN_PIPELINE + REST.replace("=commandcenter", "=dict(pipeline=dict(type='OneAgent', believed='infra_2'))")
-    found = resolved(written(tmp_path, text % key), frames=6)
-    run = Run(found)
+    resolved_scenario = resolved(written(tmp_path, text % key), frames=6)
+    run = Run(resolved_scenario)
     assert not run.failures
     pictures = run.decoded("cc/picture", "picture")
     tracks = run.decoded("agent/infra_2/tracks", "tracks")
     assert sum(len(message.body["id"]) for message in tracks) > 0
-    for picture, told in zip(pictures, tracks, strict=True):
-        np.testing.assert_array_equal(picture.body["id"], np.sort(told.body["id"]))
+    for picture, collated in zip(pictures, tracks, strict=True):
+        np.testing.assert_array_equal(picture.body["id"], np.sort(collated.body["id"]))
 
 
 def test_a_user_defined_algorithm_may_be_in_the_file_of_a_user_defined_node(tmp_path: Path) -> None:
@@ -320,9 +328,9 @@ def test_a_user_defined_algorithm_may_be_in_the_file_of_a_user_defined_node(tmp_
         "        adversaries=dict(eve=dict(file='shy_adversary.py', type='Adversary', agent='infra_1',\n"
         "            attack=dict(type='Shy'))))\n"
     )
-    found = resolved(written(tmp_path, text))
-    assert not Run(found).failures
-    assert type(build_node(found.nodes["eve"], "eve").attack).__name__ == "Shy"
+    resolved_scenario = resolved(written(tmp_path, text))
+    assert not Run(resolved_scenario).failures
+    assert type(build_node(resolved_scenario.nodes["eve"], "eve").attack).__name__ == "Shy"
 
 
 # -- errors are refused ----------------------------------------------------------------------------------------
@@ -412,7 +420,7 @@ WRONG_NODES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "a type": (lambda s: s["broker"].update(type="Broke"), "defines no node 'Broke'; did you mean 'Broker'"),
     "a type that is a number": (lambda s: s["broker"].update(type=3), "type is 3, expected the name of a node"),
-    "a role that is nobody's": (lambda s: s.update(nodes=dict(x=dict(role="spy"))), r"x: no node file 'spy\.py'"),
+    "an unknown role": (lambda s: s.update(nodes=dict(x=dict(role="spy"))), r"x: no node file 'spy\.py'"),
     "no role": (lambda s: s.update(nodes=dict(x=dict())), "x: no node file"),
 }
 WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
@@ -497,8 +505,8 @@ def test_launch_options_override_the_scenario_file() -> None:
     path, content = load("baseline", ["run.seed=3", "run.mode=realtime"])
     content["scene"] = TINY
     assert (resolve(path, content, frames=2).seed, resolve(path, content, frames=2, seed=5).seed) == (3, 5)
-    found = resolve(path, content, frames=2, mode="lockstep", rate=2)
-    assert (found.mode, found.rate, found.frames) == ("lockstep", 2.0, 2)
+    resolved_scenario = resolve(path, content, frames=2, mode="lockstep", rate=2)
+    assert (resolved_scenario.mode, resolved_scenario.rate, resolved_scenario.frames) == ("lockstep", 2.0, 2)
     with pytest.raises(ConfigurationError, match=r"run\.spede: unknown key"):
         resolve(path, content, frames=2, spede=1)
 
@@ -545,19 +553,19 @@ def test_an_agents_name_overrides_a_pattern() -> None:
             name: AGENT | {"status_every": n} for name, n in (("*", 1), ("infra_*", 2), ("infra_2", 3))
         }
 
-    found = tiny(edit=choose)
-    assert [found.nodes[name].config["status_every"] for name in ("ego", "infra_1", "infra_2")] == [1, 2, 3]
+    resolved_scenario = tiny(edit=choose)
+    assert [resolved_scenario.nodes[name].config["status_every"] for name in ("ego", "infra_1", "infra_2")] == [1, 2, 3]
 
 
 def test_pictures_are_scored_for_as_long_as_agents_use_them() -> None:
     def hold(content: dict[str, Any]) -> None:
         content["agents"]["infra_*"] = AGENT | {"picture_age_s": 1.5}
 
-    def hold_and_say(content: dict[str, Any]) -> None:
+    def hold_longer_than_stated(content: dict[str, Any]) -> None:
         hold(content)
         content["evaluator"] = {**content["evaluator"], "picture_age_s": 0.2}
 
-    configs = [tiny(edit=edit).nodes["evaluator"].config for edit in (None, hold, hold_and_say)]
+    configs = [tiny(edit=edit).nodes["evaluator"].config for edit in (None, hold, hold_longer_than_stated)]
     names = ("picture_age_s", "picture_ages_s")
     assert [tuple(config.get(name) for name in names) for config in configs] == [
         (None, None),
@@ -566,7 +574,7 @@ def test_pictures_are_scored_for_as_long_as_agents_use_them() -> None:
     ]
 
 
-def test_agents_count_as_cut_off_when_their_tracks_are_too_old_for_the_broker() -> None:
+def test_agents_count_as_disconnected_when_their_tracks_are_too_old_for_the_broker() -> None:
     def patient(content: dict[str, Any]) -> None:
         content["broker"] = {**content["broker"], "max_age_s": 1.5}
 
@@ -588,46 +596,48 @@ def test_agents_count_as_cut_off_when_their_tracks_are_too_old_for_the_broker() 
 
 
 def test_an_agent_gets_its_sensor_and_mobility_from_the_scene() -> None:
-    found = tiny()
-    ego, pole = (build_node(found.nodes[name], name) for name in ("ego", "infra_1"))
+    resolved_scenario = tiny()
+    ego, pole = (build_node(resolved_scenario.nodes[name], name) for name in ("ego", "infra_1"))
     assert (ego.mobile, pole.mobile) == (True, False)
     assert (ego.lidar.azimuth_min_deg, pole.lidar.azimuth_min_deg) == (-180.0, -45.0)
 
 
-# -- written and read back --------------------------------------------------------------------------------------------
+# -- round trip -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["baseline", "uncoordinated", "coordinated", "passthrough"])
-def test_a_resolved_scenario_that_is_written_and_read_gives_the_same_run(
+def test_a_resolved_scenario_survives_a_round_trip_and_gives_the_same_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = tiny(name, *(() if name in ("baseline", "passthrough") else ("n_adversaries=1", "attack_start_s=0.2")))
-    found.write(tmp_path)
-    monkeypatch.chdir(tmp_path)  # as a node's process does: the scene lies there
+    resolved_scenario = tiny(
+        name, *(() if name in ("baseline", "passthrough") else ("n_adversaries=1", "attack_start_s=0.2"))
+    )
+    resolved_scenario.write(tmp_path)
+    monkeypatch.chdir(tmp_path)  # like a node's process: the scene is stored there
     back = Resolved.read(tmp_path)
-    assert json.loads(json.dumps(back.to_json())) == json.loads(json.dumps(found.to_json()))
-    assert Wiring.from_json(back.wiring) == Wiring.from_json(found.wiring)
-    first, second = Run(found), Run(back)
+    assert json.loads(json.dumps(back.to_json())) == json.loads(json.dumps(resolved_scenario.to_json()))
+    assert Wiring.from_json(back.wiring) == Wiring.from_json(resolved_scenario.wiring)
+    first, second = Run(resolved_scenario), Run(back)
     assert first.messages == second.messages
     assert first.packed == second.packed
 
 
 def test_the_scene_is_prepared_once_and_stored_with_the_run(tmp_path: Path) -> None:
-    found = tiny(frames=3)
-    found.write(tmp_path)
+    resolved_scenario = tiny(frames=3)
+    resolved_scenario.write(tmp_path)
     recording = scenes.Recording.load(tmp_path / RECORDING)
     np.testing.assert_array_equal(recording.detections.position, TinyScene().record(0, 3).detections.position)
-    assert found.to_json()["nodes"]["simulator"]["config"]["recording"] == RECORDING
+    assert resolved_scenario.to_json()["nodes"]["simulator"]["config"]["recording"] == RECORDING
 
 
 def test_every_run_builds_new_nodes() -> None:
-    found = tiny("passthrough")
-    first, second = (build_node(found.nodes["adversary_0"], "adversary_0") for _ in range(2))
+    resolved_scenario = tiny("passthrough")
+    first, second = (build_node(resolved_scenario.nodes["adversary_0"], "adversary_0") for _ in range(2))
     assert first is not second
     assert isinstance(first.attack, PassThrough)
     assert first.attack is not second.attack
-    pipelines = [build_node(found.nodes[name], name).pipeline for name in ("infra_1", "infra_2")]
-    assert pipelines[0].tracker is not pipelines[1].tracker, "agents of one configuration share nothing"
+    pipelines = [build_node(resolved_scenario.nodes[name], name).pipeline for name in ("infra_1", "infra_2")]
+    assert pipelines[0].tracker is not pipelines[1].tracker, "agents with one configuration share no objects"
 
 
 def test_a_node_without_any_wire_to_it_is_refused(tmp_path: Path) -> None:

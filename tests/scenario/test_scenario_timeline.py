@@ -1,4 +1,4 @@
-"""Links, faults and attacks of a scenario: which agents get links, with which rules, and the timeline."""
+"""Links, faults and attacks: links of agents, their rules, and the timeline."""
 
 import json
 import logging
@@ -29,7 +29,7 @@ ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
 
 
 def world(name: str = "baseline", *settings: str, **keys: Any) -> Resolved:
-    """A scenario in the tiny world, 12 frames, with more keys."""
+    """A scenario in the tiny world, 12 frames, with additional keys."""
     return tiny(name, *settings, edit=lambda scenario: scenario.update(keys))
 
 
@@ -40,7 +40,7 @@ def links(resolved: Resolved) -> dict[str, dict[str, Any]]:
 PARTITION = dict(type="Partition", at=0.3, until=0.6, nodes=["infra_1"])
 
 
-# -- which agents get a link ------------------------------------------------------------------------------------------
+# -- selection of links -----------------------------------------------------------------------------------------------
 
 
 def test_a_scenario_without_links_and_faults_has_no_link_nodes() -> None:
@@ -53,39 +53,39 @@ def test_a_scenario_without_links_and_faults_has_no_link_nodes() -> None:
 
 
 def test_only_the_target_of_a_fault_gets_a_link() -> None:
-    found = world(faults=[PARTITION])
+    scenario = world(faults=[PARTITION])
     cut = [dict(type="Cut", at=0.3, until=0.6)]
-    assert links(found) == {"link_infra_1": dict(agent="infra_1", rules_up=cut, rules_down=cut)}
-    wiring = Wiring.from_json(found.wiring)
+    assert links(scenario) == {"link_infra_1": dict(agent="infra_1", rules_up=cut, rules_down=cut)}
+    wiring = Wiring.from_json(scenario.wiring)
     assert {wire.key for wire in wiring.wires if "link_infra_1" in wire.interposers} == {
         *("agent/infra_1/tracks", "agent/infra_1/status", "cc/picture")
     }
 
 
 def test_a_process_fault_needs_no_link() -> None:
-    found = world(faults=[dict(type="Kill", at=0.3, node="infra_1", restart_after=0.2)])
-    assert links(found) == {}
-    assert found.steps == (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"))
+    scenario = world(faults=[dict(type="Kill", at=0.3, node="infra_1", restart_after=0.2)])
+    assert links(scenario) == {}
+    assert scenario.steps == (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"))
 
 
 def test_a_partition_keeps_an_agent_out_of_the_collation_until_it_is_healed() -> None:
-    found = world(faults=[PARTITION], broker=dict(max_age_s=0.0))
-    run = Run(found)
+    scenario = world(faults=[PARTITION], broker=dict(max_age_s=0.0))
+    run = Run(scenario)
     assert not run.failures
     named = {m.header.frame: list(m.body["agents"]) for m in run.decoded("cc/collated", "collated")}
     assert [frame for frame, agents in sorted(named.items()) if "infra_1" not in agents] == [3, 4, 5]
 
 
-def test_the_longest_pattern_decides_which_links_an_agent_has() -> None:
-    found = world(links={"*": dict(up=[dict(type="Delay", mean_s=0.1)]), "infra_*": "wired", "infra_2": "perfect"})
-    rules = {config["agent"]: config for config in links(found).values()}
+def test_the_longest_matching_pattern_selects_the_links_of_an_agent() -> None:
+    scenario = world(links={"*": dict(up=[dict(type="Delay", mean_s=0.1)]), "infra_*": "wired", "infra_2": "perfect"})
+    rules = {config["agent"]: config for config in links(scenario).values()}
     assert [rule["type"] for rule in rules["ego"]["rules_up"]] == ["Delay"]
     assert rules["ego"]["rules_down"] == []
     assert [rule["type"] for rule in rules["infra_1"]["rules_down"]] == ["Bandwidth", "Delay", "Loss"]
     assert rules["infra_2"]["rules_up"] == []
 
 
-def test_an_agent_that_no_pattern_matches_has_no_link() -> None:
+def test_an_agent_without_a_matching_pattern_has_no_link() -> None:
     assert list(links(world(links={"infra_*": "wired", "mobile_*": "wireless_v2x"}))) == [
         "link_infra_1",
         "link_infra_2",
@@ -94,19 +94,19 @@ def test_an_agent_that_no_pattern_matches_has_no_link() -> None:
 
 def test_faults_come_after_the_rules_of_a_profile_and_of_a_link() -> None:
     own = dict(type="perfect", up=[dict(type="Loss", probability=0.1)])
-    found = world(links={"infra_1": own}, faults=[PARTITION])
-    assert [rule["type"] for rule in links(found)["link_infra_1"]["rules_up"]] == ["Loss", "Cut"]
-    assert [rule["type"] for rule in links(found)["link_infra_1"]["rules_down"]] == ["Cut"]
+    scenario = world(links={"infra_1": own}, faults=[PARTITION])
+    assert [rule["type"] for rule in links(scenario)["link_infra_1"]["rules_up"]] == ["Loss", "Cut"]
+    assert [rule["type"] for rule in links(scenario)["link_infra_1"]["rules_down"]] == ["Cut"]
 
 
 def test_radio_range_is_measured_from_static_agents() -> None:
-    found = world(links={"ego": "wireless_v2x"})
-    (limit,) = (rule for rule in links(found)["link_ego"]["rules_up"] if rule["type"] == "RangeLimit")
+    scenario = world(links={"ego": "wireless_v2x"})
+    (limit,) = (rule for rule in links(scenario)["link_ego"]["rules_up"] if rule["type"] == "RangeLimit")
     assert len(limit["gateways"]) == 2
     assert all(gateway[2] == 15.0 for gateway in limit["gateways"]), "the poles"
 
 
-def test_the_rewrite_that_a_scenario_names_itself_keeps_its_place() -> None:
+def test_a_rewrite_named_by_the_scenario_keeps_its_position() -> None:
     def own(scenario: dict[str, Any]) -> None:
         scenario["faults"] = [PARTITION]
         scenario["keyexpr"]["rewrites"] = ["network.toml"]
@@ -115,8 +115,8 @@ def test_the_rewrite_that_a_scenario_names_itself_keeps_its_place() -> None:
 
 
 def test_adversaries_come_before_links() -> None:
-    found = world("coordinated", *ATTACKED, faults=[PARTITION])
-    (tracks,) = (wire for wire in Wiring.from_json(found.wiring).wires if wire.key == "agent/infra_1/tracks")
+    scenario = world("coordinated", *ATTACKED, faults=[PARTITION])
+    (tracks,) = (wire for wire in Wiring.from_json(scenario.wiring).wires if wire.key == "agent/infra_1/tracks")
     assert tracks.interposers == ("adversary_1", "link_infra_1")
 
 
@@ -125,9 +125,9 @@ def test_adversaries_come_before_links() -> None:
 
 def test_attacks_faults_and_links_are_on_one_timeline() -> None:
     kill = dict(type="Kill", at=0.7, node="infra_2", restart_after=0.2)
-    found = world("uncoordinated", *ATTACKED, links={"infra_*": "wired"}, faults=[kill, PARTITION])
-    told = [(b["kind"], b["type"], b["at_s"], b["until_s"], b["nodes"], b["backend"]) for b in found.timeline]
-    assert told == [
+    scenario = world("uncoordinated", *ATTACKED, links={"infra_*": "wired"}, faults=[kill, PARTITION])
+    entries = [(b["kind"], b["type"], b["at_s"], b["until_s"], b["nodes"], b["backend"]) for b in scenario.timeline]
+    assert entries == [
         ("link", "wired", 0.0, None, ["infra_1", "infra_2"], "links"),
         ("attack", "UncoordinatedAttack", 0.2, None, ["adversary_1"], "adversary"),
         ("fault", "Partition", 0.3, 0.6, ["infra_1"], "links"),
@@ -135,7 +135,7 @@ def test_attacks_faults_and_links_are_on_one_timeline() -> None:
     ]
 
 
-def test_adversaries_that_begin_together_share_a_band_and_idle_ones_have_none() -> None:
+def test_adversaries_with_equal_starts_share_a_band_and_idle_ones_have_none() -> None:
     (band,) = world("uncoordinated", "n_adversaries=2", "attack_start_s=0.5").timeline
     assert band["nodes"] == ["adversary_1", "adversary_2"]
     assert world("passthrough").timeline == ()
@@ -144,17 +144,17 @@ def test_adversaries_that_begin_together_share_a_band_and_idle_ones_have_none() 
 
 def test_a_fault_after_the_end_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "mast.scenario"):
-        found = world(faults=[dict(PARTITION, at=5.0, until=6.0)])
-    assert found.timeline == ()
+        scenario = world(faults=[dict(PARTITION, at=5.0, until=6.0)])
+    assert scenario.timeline == ()
     assert "faults[0]: begins after the last frame" in caplog.text
 
 
 def test_links_faults_and_timeline_are_in_scenario_json() -> None:
     faults = [PARTITION, dict(type="Kill", at=0.3, node="infra_2", restart_after=0.2)]
-    found = world(links={"*": "wired"}, faults=faults)
-    again = Resolved.from_json(json.loads(json.dumps(found.to_json())), found.wiring)
-    assert (again.steps, again.timeline, again.network) == (found.steps, found.timeline, found.network)
-    assert again.nodes["link_infra_1"].config == found.nodes["link_infra_1"].config
+    scenario = world(links={"*": "wired"}, faults=faults)
+    again = Resolved.from_json(json.loads(json.dumps(scenario.to_json())), scenario.wiring)
+    assert (again.steps, again.timeline, again.network) == (scenario.steps, scenario.timeline, scenario.network)
+    assert again.nodes["link_infra_1"].config == scenario.nodes["link_infra_1"].config
 
 
 def test_hosts_are_part_of_the_resolved_scenario() -> None:
@@ -163,9 +163,11 @@ def test_hosts_are_part_of_the_resolved_scenario() -> None:
         scenario["faults"] = [dict(type="HostPartition", at=0.5, until=0.7, hosts=["west"]), PARTITION]
         scenario["run"]["mode"] = "realtime"
 
-    found = tiny(edit=real)
-    assert found.network["hosts"]["west"]["nodes"] == ["infra_1", "infra_2", "link_infra_1"], "a link is at its agent's"
-    assert [band["backend"] for band in found.timeline] == ["links", "network"]
+    resolved_scenario = tiny(edit=real)
+    assert resolved_scenario.network["hosts"]["west"]["nodes"] == ["infra_1", "infra_2", "link_infra_1"], (
+        "a link is on its agent's host"
+    )
+    assert [band["backend"] for band in resolved_scenario.timeline] == ["links", "network"]
 
 
 def test_a_user_defined_fault_is_named_like_a_shipped_one(tmp_path: Path) -> None:
@@ -178,11 +180,11 @@ def test_a_user_defined_fault_is_named_like_a_shipped_one(tmp_path: Path) -> Non
         "        evaluator=dict(scorer=dict(type='Scorer')),\n"
         "        faults=[dict(type='Jam', at=0.2, until=0.4, nodes='majority', strength=0.5)])\n"
     )
-    found = resolve(*load(str(tmp_path / "mine.py")), frames=6)
-    rules = [config["rules_up"] for config in links(found).values()]
+    scenario = resolve(*load(str(tmp_path / "mine.py")), frames=6)
+    rules = [config["rules_up"] for config in links(scenario).values()]
     times = dict(at=0.2, until=0.4)
     assert rules == [[dict(type="Loss", probability=0.5, **times), dict(type="Delay", mean_s=0.1, **times)]] * 2
-    assert not Run(found).failures
+    assert not Run(scenario).failures
 
 
 # -- delivery order -----------------------------------------------------------------------------------------
@@ -198,15 +200,15 @@ EVERYTHING = [
 
 
 def test_delivery_order_does_not_change_the_effect_of_faults() -> None:
-    found = world("uncoordinated", *ATTACKED, faults=EVERYTHING)
-    plain = Run(found)
+    scenario = world("uncoordinated", *ATTACKED, faults=EVERYTHING)
+    plain = Run(scenario)
     for shuffle in range(10):
-        shuffled = Run(found, shuffle=shuffle)
+        shuffled = Run(scenario, shuffle=shuffle)
         assert shuffled.messages == plain.messages
         assert shuffled.packed == plain.packed
 
 
-# -- what is refused -------------------------------------------------------------------------------------------------
+# -- refusals -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

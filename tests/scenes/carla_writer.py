@@ -1,4 +1,4 @@
-"""Writes a small scene in the CARLA multi-agent layout, in which every nested object is a string of JSON again."""
+"""Writes a small scene in the CARLA multi-agent layout (nested JSON strings)."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ POLE = np.array([30.0, 10.0, 15.0])
 
 
 def passive(yaw: float, pitch_down: float = 0.0) -> tuple[float, list[float]]:
-    """Passive quaternion (w, [x, y, z]) of a heading and a pitch: the conjugate of yaw about z, then pitch about y."""
+    """Passive quaternion (w, [x, y, z]) of a heading and a pitch."""
     cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch_down / 2), np.sin(pitch_down / 2)
     return float(cy * cp), [float(sy * sp), float(-cy * sp), float(-sy * cp)]
 
@@ -34,7 +34,7 @@ def attitude(qw: float, qv: list[float]) -> str:
 
 
 def state(kind: str, number: int, x: list[float], yaw: float = 0.0, pitch: float = 0.0, **more: Any) -> dict[str, Any]:
-    """An object state; `velocity`, `hwl`, `where`, `occlusion` and `visible_fraction` may be given."""
+    """An object state with optional velocity, size, position and visibility."""
     turned = passive(yaw, pitch)
     hwl = more.get("hwl", [1.5, 1.8, 4.2])
     box = {"position": vector("position", x), "attitude": attitude(*turned), "hwl": hwl}
@@ -75,7 +75,7 @@ def write_calibration(folder: Path, frame: int, agent: str, mount: list[float], 
 
 
 def actors_at(frame: int, second_car: bool = False) -> list[dict[str, Any]]:
-    """The ego, a pole, and perhaps another car with sensors, which drives before the ego."""
+    """The ego, a pole, and optionally another car with sensors ahead of the ego."""
     return [
         state("car", 0, [0.1 * frame, 0.0, 0.0]),
         state("static-actor", 1, POLE.tolist(), np.pi, np.radians(30), hwl=None, velocity=[0.0] * 3),
@@ -91,7 +91,7 @@ def npcs_at(frame: int) -> list[dict[str, Any]]:
 
 
 def write_run(run: Path, second_car: bool = False) -> Path:
-    """Frames 4 to 7 of an ego that passes a car and a truck, and of a pole that sees the car in part."""
+    """Frames 4 to 7: an ego passes a car and a truck; a pole partly sees the car."""
     for frame in FRAMES:
         write_objects(run / "objects", "actors", frame, actors_at(frame, second_car))
         write_objects(run / "objects", "npcs", frame, npcs_at(frame))

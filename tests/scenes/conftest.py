@@ -1,4 +1,4 @@
-"""Reference data for the tests of scenes, and a small recording made by hand."""
+"""Reference data for the tests of scenes, and a small synthetic recording."""
 
 import os
 import tarfile
@@ -14,7 +14,7 @@ from mast_zenoh.sensing import Camera, LidarSensor
 
 
 def reference(name: str) -> Path:
-    """A file or folder of the reference data, or a skip that says what is missing."""
+    """A file or folder of the reference data; skips if it is missing."""
     root = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
     if not (root / name).exists():
         pytest.skip(f"no reference data: {root / name} is missing (set MAST_DATA)")
@@ -46,7 +46,7 @@ def av2_logs() -> list[Path]:
 
 @pytest.fixture
 def recording() -> Recording:
-    """Two frames, an ego and a pole; two objects in the first frame, one in the second; three detections; a house."""
+    """Two frames, an ego and a pole, objects, three detections and a house."""
     agents = (
         SceneAgent("ego", "mobile", 7, LidarSensor(), Camera()),
         SceneAgent("infra_1", "static", -1, LidarSensor.infrastructure(), Camera(mount_position=np.zeros(3))),

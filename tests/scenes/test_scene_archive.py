@@ -1,4 +1,4 @@
-"""An archive of a scene is unpacked within limits, and never outside its folder."""
+"""Archives are unpacked within limits and never outside their folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MB = 1_000_000
 
 
 class Zeros(io.RawIOBase):
-    """As many zeros as are asked for, held nowhere."""
+    """A file of the requested number of zeros that uses no memory."""
 
     def readable(self) -> bool:
         return True

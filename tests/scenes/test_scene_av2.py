@@ -1,4 +1,4 @@
-"""Reading Argoverse 2 logs, and what is refused."""
+"""Reading Argoverse 2 logs, and refusal of damaged ones."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +19,7 @@ POSES, BOXES = "city_SE3_egovehicle.feather", "annotations.feather"
 
 
 def poses() -> dict[str, Any]:
-    """A car that drives north at 10 m/s, 60 m above sea level, with a pose every 50 ms."""
+    """A car that drives north at 10 m/s, 60 m above sea level; poses at 20 Hz."""
     n = 2 * FRAMES
     return {
         "timestamp_ns": 10**18 + 50_000_000 * np.arange(n),
@@ -34,7 +34,7 @@ def poses() -> dict[str, Any]:
 
 
 def boxes() -> dict[str, Any]:
-    """In every frame, seen from the car: a bus 20 m ahead, a cone, a pedestrian 10 m to the left."""
+    """In every frame a bus 20 m ahead, a cone, and a pedestrian 10 m to the left."""
     rows = [("bus-1", "BUS", 20.0, 0.0, 3.0, 90), ("cone", "CONSTRUCTION_CONE", 5.0, 2.0, 0.8, 30)]
     rows += [("a-person", "PEDESTRIAN", 0.0, 10.0, 1.8, 3), ("ego", "EGO_VEHICLE", 0.0, 0.0, 1.5, 1)]
     table = [(10**18 + 100_000_000 * frame, *row) for frame in range(FRAMES) for row in rows]
@@ -75,7 +75,7 @@ def read(path: Path, **parameters: Any) -> Recording:
     return AV2Log(path=str(path), **parameters).record(0, None)
 
 
-def test_objects_are_in_the_world_whose_origin_is_below_the_first_pose(log: Path) -> None:
+def test_objects_are_in_a_world_frame_with_its_origin_below_the_first_pose(log: Path) -> None:
     recording = read(log)
     truth = recording.truth_at(2)
     assert [CLASSES[k] for k in truth.class_id] == ["car", "pedestrian", "bus"]
@@ -97,7 +97,7 @@ def test_the_ego_has_the_lidar_returns_of_the_data_set(log: Path) -> None:
     np.testing.assert_allclose(recording.agent_velocity[2, 0], [0.0, 10.0, 0.0], atol=1e-6)
 
 
-def test_poles_are_beside_the_path_and_see_by_ray_casting(log: Path) -> None:
+def test_poles_are_beside_the_path_and_detect_by_ray_casting(log: Path) -> None:
     recording = read(log, n_infrastructure=6)
     assert recording.agent_names[1:] == tuple(f"infra_{k}" for k in range(1, 7))
     position = recording.agent_position[0, 1:]
@@ -112,7 +112,7 @@ def test_more_poles_do_not_move_the_others(log: Path) -> None:
     np.testing.assert_array_equal(few.detections_at(1, 2).position, many.detections_at(1, 2).position)
 
 
-def test_the_order_of_the_rows_makes_no_difference(log: Path, tmp_path: Path) -> None:
+def test_the_order_of_the_rows_does_not_matter(log: Path, tmp_path: Path) -> None:
     order = np.random.default_rng(0).permutation(4 * FRAMES)
     shuffled = {name: np.array(values)[order] for name, values in boxes().items()}
     write(tmp_path / "other", POSES, poses())
@@ -204,7 +204,7 @@ def test_a_missing_file_is_refused_by_name(log: Path) -> None:
         read(log.parent / "nowhere")
 
 
-def test_every_real_log_is_read_and_the_poles_see_what_the_ego_does_not(av2_logs: list[Path]) -> None:
+def test_every_real_log_is_readable_and_poles_see_objects_hidden_from_the_ego(av2_logs: list[Path]) -> None:
     for path in av2_logs:
         recording = AV2Log(path=str(path), detector=CleanDetector()).record(0, 40)
         assert len(recording) == 40
@@ -212,7 +212,7 @@ def test_every_real_log_is_read_and_the_poles_see_what_the_ego_does_not(av2_logs
         assert 25 < len(recording.truth) / 40 < 100
         seen = recording.points >= 5
         assert seen.any(axis=1).sum() > seen[:, 0].sum() + 40
-        # Nothing drives faster than a car in town, and what stands on the ground stands near the others.
+        # Town traffic is slow, and objects on the ground are near each other.
         assert np.linalg.norm(recording.truth.velocity, axis=1).max() < 40
         assert np.abs(recording.truth.position[:, 2]).max() < 20
         pole = recording.agent_position[0, 1:, 2]

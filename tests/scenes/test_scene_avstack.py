@@ -1,4 +1,4 @@
-"""Reading the CARLA multi-agent layout, and what it refuses."""
+"""Reading the CARLA multi-agent layout, and refusal of damaged scenes."""
 
 import json
 import tarfile
@@ -74,7 +74,7 @@ def test_objects_listed_by_a_lidar_have_returns_by_visible_fraction_and_others_n
     assert points[0, 1] == round(0.5 * cast[0]) >= 5
     assert points[1, 1] == 0
     assert (points[:2, 0] >= 5).all()
-    # No file lists the agents: whether the pole sees the ego is found by casting rays.
+    # No file lists the agents: ray casting decides whether the pole sees the ego.
     assert points[2].tolist() == [0, cast[2]]
 
 
@@ -109,7 +109,7 @@ def test_the_run_is_found_from_the_folder_above_and_in_an_archive(run: Path, tmp
         np.testing.assert_array_equal(read(path).truth.position, expected.truth.position)
 
 
-def test_an_archive_that_reaches_outside_is_refused(run: Path, tmp_path: Path) -> None:
+def test_an_archive_with_paths_outside_its_folder_is_refused(run: Path, tmp_path: Path) -> None:
     (tmp_path / "evil.txt").write_text("x")
     with tarfile.open(tmp_path / "scene.tar", "w") as archive:
         archive.add(tmp_path / "evil.txt", "../evil.txt")
@@ -119,8 +119,18 @@ def test_an_archive_that_reaches_outside_is_refused(run: Path, tmp_path: Path) -
 
 def test_detections_beside_the_scene_are_replayed(run: Path) -> None:
     lines = nothing("detections")
-    found = {"x": 10.0, "y": 3.0, "z": -1.0, "l": 4.0, "w": 2.0, "h": 1.5, "yaw": 1.5, "score": 0.75, "class": "car"}
-    lines[0]["detections"] = [found | {"gt": 0}, found | {"covariance": np.eye(3).tolist()}]
+    detection = {
+        "x": 10.0,
+        "y": 3.0,
+        "z": -1.0,
+        "l": 4.0,
+        "w": 2.0,
+        "h": 1.5,
+        "yaw": 1.5,
+        "score": 0.75,
+        "class": "car",
+    }
+    lines[0]["detections"] = [detection | {"gt": 0}, detection | {"covariance": np.eye(3).tolist()}]
     write_lines(run.parent / "detections.jsonl", lines)
     recording = read(run)
     detections = recording.detections_at(0, 0)
@@ -134,13 +144,13 @@ def test_detections_beside_the_scene_are_replayed(run: Path) -> None:
 
 def test_a_detection_may_give_an_attitude_instead_of_a_yaw(run: Path) -> None:
     lines = nothing("detections")
-    found = {"x": 10.0, "y": 3.0, "z": -1.0, "l": 4.0, "w": 2.0, "h": 1.5}
-    lines[0]["detections"] = [found | {"q": [np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]}]
+    detection = {"x": 10.0, "y": 3.0, "z": -1.0, "l": 4.0, "w": 2.0, "h": 1.5}
+    lines[0]["detections"] = [detection | {"q": [np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]}]
     write_lines(run / "detections.jsonl", lines)
     np.testing.assert_allclose(read(run).detections_at(0, 0).yaw, [0.4])
 
 
-def test_visibility_and_buildings_beside_the_scene_are_taken(run: Path) -> None:
+def test_visibility_and_building_files_beside_the_scene_are_used(run: Path) -> None:
     lines = nothing("objects")
     lines[1]["objects"] = [[0, 17, 20, 0.85], [EGO_ID, 3]]
     write_lines(run.parent / "visibility.jsonl", lines)
@@ -176,7 +186,7 @@ def test_more_agents_than_the_scene_has_are_refused(run: Path, parameters: dict,
 
 
 def played(*settings: str) -> dict[str, NodeSpec]:
-    """The nodes of the baseline under these settings."""
+    """The nodes of the baseline with these settings."""
     path, content = scenario.load("baseline", settings)
     return scenario.resolve(path, content).nodes
 
@@ -193,7 +203,7 @@ def test_all_agents_of_a_scene_with_two_cars_are_used_by_default(tmp_path: Path)
         played(f"scene=avstack:{run}", "n_infrastructure=1", "n_mobile=3")
 
 
-def test_scenarios_that_name_agents_find_those_of_the_data_set(tmp_path: Path) -> None:
+def test_scenarios_that_name_agents_match_those_of_the_data_set(tmp_path: Path) -> None:
     scene = f"scene=avstack:{write_run(tmp_path / 'run-0', second_car=True)}"
     _, passthrough = scenario.load("passthrough", [scene])
     agents = [adversary["agent"] for adversary in passthrough["adversaries"].values()]
@@ -207,7 +217,7 @@ def test_scenarios_that_name_agents_find_those_of_the_data_set(tmp_path: Path) -
 
 
 def damaged(run: Path, what: str) -> None:
-    """One fault in an otherwise sound scene."""
+    """A valid scene with one fault."""
     objects, seen, data = run / "objects", run / "objects_sensor" / "lidar-0-1", run / "data" / "lidar-0-0"
     actors, npcs = sorted(objects.glob("*actors*"))[1], sorted(objects.glob("*npcs*"))[1]
     calibration = sorted(data.iterdir())[1]
@@ -360,7 +370,7 @@ def test_damaged_buildings_are_refused(run: Path, text: str) -> None:
         read(run)
 
 
-def test_the_tiny_fixture_of_the_original_reader_is_read(carla_fixture: Path) -> None:
+def test_the_test_scene_of_the_original_reader_is_readable(carla_fixture: Path) -> None:
     recording = read(carla_fixture)
     assert recording.agent_names == ("ego", "infra_1")
     assert recording.times_ns.tolist() == [400_000_000, 500_000_000, 600_000_000]
@@ -370,7 +380,7 @@ def test_the_tiny_fixture_of_the_original_reader_is_read(carla_fixture: Path) ->
     assert np.isfinite(recording.detections.position).all()
 
 
-def test_scene_a_is_read_as_in_its_own_tables(scene_a: Path) -> None:
+def test_scene_a_is_read_as_listed_in_its_own_tables(scene_a: Path) -> None:
     recording = read(scene_a)
     assert recording.agent_names == ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
     assert len(recording) == 150
@@ -387,7 +397,7 @@ def test_scene_a_is_read_as_in_its_own_tables(scene_a: Path) -> None:
         assert seen == [rows[number][8] for number in truth.id]
 
 
-def test_the_detections_of_scene_a_lie_on_their_objects(scene_a: Path) -> None:
+def test_detections_of_scene_a_match_their_objects(scene_a: Path) -> None:
     recording = read(scene_a)
     errors = []
     for frame in range(0, 150, 5):
@@ -400,16 +410,16 @@ def test_the_detections_of_scene_a_lie_on_their_objects(scene_a: Path) -> None:
                 agent.sensor.mount_rotation,
             )
             ids = recording.detection_truth_id_at(frame, a)
-            found = to_world(recording.detections_at(frame, a), *pose).select(ids >= 0)
+            detections = to_world(recording.detections_at(frame, a), *pose).select(ids >= 0)
             rows = np.searchsorted(truth.id, ids[ids >= 0])
-            turned = wrap_angle(found.yaw - truth.yaw[rows])
-            errors.append(np.column_stack([found.position - truth.position[rows], turned]))
+            turned = wrap_angle(detections.yaw - truth.yaw[rows])
+            errors.append(np.column_stack([detections.position - truth.position[rows], turned]))
     # Its README: 0.3 m in x and y, 0.1 m in z, 3 degrees.
     spread = np.concatenate(errors).std(axis=0)
     np.testing.assert_allclose(spread, [0.3, 0.3, 0.1, np.radians(3)], rtol=0.1)
 
 
-def test_ray_casting_finds_exactly_the_returns_that_scene_a_lists(scene_a: Path) -> None:
+def test_ray_casting_reproduces_the_returns_listed_in_scene_a(scene_a: Path) -> None:
     recording = read(scene_a)
     walls = Walls.of_buildings(recording.buildings, recording.building_height)
     # Its ego's first beam points at -180 degrees; ours lie in the middle of their steps.

@@ -12,7 +12,7 @@ from mast_zenoh.scenes import Recording, Scene, cache, cache_folder, prepare
 
 
 class Counted(Scene):
-    """A scene that counts how often it is made."""
+    """A scene that counts how often it is recorded."""
 
     def __init__(self, recording: Recording, files: Sequence[Path] = ()) -> None:
         self.made = 0

@@ -1,4 +1,4 @@
-"""The generated junction: traffic that could be real, and randomness that stays where it belongs."""
+"""The generated junction: plausible traffic and independent randomness."""
 
 from functools import cache
 
@@ -19,7 +19,7 @@ def junction(scene_index: int, seed: int = 0) -> Recording:
 
 
 def by_object(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position (F, n, 3), velocity (F, n, 3) and yaw (F, n) without jumps of everything, for whom all stay."""
+    """Position (F, n, 3), velocity (F, n, 3) and yaw (F, n) of permanent objects."""
     frames, n = len(recording), len(recording.truth_at(0))
     truth = recording.truth
     yaw = np.unwrap(truth.yaw.reshape(frames, n), axis=0)
@@ -50,7 +50,7 @@ def test_motion_is_plausible(scene_index: int) -> None:
     assert np.abs(along).max() <= 8.0
     assert np.abs(across).max() <= 6.0
     assert speed.max() < 17.0
-    # Nothing moves but along its heading, and positions are what the velocities add up to.
+    # Everything moves along its heading, and positions integrate velocities.
     heading = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
     np.testing.assert_allclose(velocity, heading * speed[..., None], atol=1e-9)
     np.testing.assert_allclose(np.diff(position, axis=0), (velocity[1:] + velocity[:-1]) * 0.05, atol=0.03)
@@ -133,14 +133,14 @@ def test_poles_are_15_m_high_beside_the_road_and_face_the_centre() -> None:
     assert houses.query(shapely.points(position[:, :2]), predicate="intersects").size == 0
 
 
-def test_most_of_the_traffic_is_seen_and_the_poles_see_what_the_ego_does_not() -> None:
+def test_most_traffic_is_seen_and_poles_see_objects_hidden_from_the_ego() -> None:
     recording = junction(3)
     seen = recording.points >= 5
     assert seen.any(axis=1).mean() > 0.6
     assert seen.any(axis=1).sum() > 1.1 * seen[:, 0].sum()
 
 
-def test_the_detections_of_a_typical_junction_are_as_good_as_those_of_real_detectors() -> None:
+def test_detections_at_a_typical_junction_are_as_good_as_those_of_real_detectors() -> None:
     ids = np.concatenate([junction(scene_index).detection_truth_id for scene_index in range(3)])
     assert 0.75 <= (ids >= 0).mean() <= 0.9
 
@@ -150,7 +150,7 @@ def test_a_clean_detector_detects_every_seen_object() -> None:
     assert len(recording.detections) == (recording.points >= 5).sum()
 
 
-def test_a_scene_may_be_long_empty_slow_or_fast() -> None:
+def test_scenes_may_be_long_empty_slow_or_fast() -> None:
     assert len(Intersection(n_infrastructure=0, n_vehicles=1, n_bicycles=0, n_pedestrians=0).record(0, 400)) == 400
     fast = Intersection(n_infrastructure=0, rate_hz=20.0).record(0, 10)
     assert fast.period_ns == 50_000_000
@@ -173,6 +173,6 @@ def test_invalid_parameters_are_refused_by_name(parameters: dict, reason: str) -
         Intersection(**parameters)
 
 
-def test_more_vehicles_than_fit_are_refused() -> None:
+def test_too_many_vehicles_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="no room for 5000 x"):
         Intersection(n_vehicles=5000).record(0, 1)

@@ -1,4 +1,4 @@
-"""A prepared scene: slices, files, and what it refuses."""
+"""Prepared scenes: slices, files and refusals."""
 
 import tracemalloc
 import zipfile
@@ -23,7 +23,7 @@ def test_a_frame_is_a_slice(recording: Recording) -> None:
     assert np.shares_memory(recording.truth_at(0).position, recording.truth.position)
 
 
-def test_a_recording_is_loaded_as_it_was_saved(recording: Recording, tmp_path: Path) -> None:
+def test_a_recording_survives_a_round_trip(recording: Recording, tmp_path: Path) -> None:
     recording.save(tmp_path / "scene.npz")
     loaded = Recording.load(tmp_path / "scene.npz")
     assert (loaded.name, loaded.period_ns, loaded.agent_names) == ("by hand", 100_000_000, ("ego", "infra_1"))

@@ -1,4 +1,4 @@
-"""Zenoh's access control as documented, to query what an `access_control` permits."""
+"""Zenoh's documented access control, evaluated on an `access_control` dict."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ includes = cache(lambda allowed, key: zenoh.KeyExpr(allowed).includes(zenoh.KeyE
 
 
 def allows(access: dict[str, Any], common_name: str, flow: str, message: str, key: str) -> bool:
-    """Whether a message with this key expression passes: a rule must include all of it."""
+    """Whether a key expression is permitted: one rule must include all of it."""
     assert access["enabled"]
     assert access["default_permission"] == "deny"
     subjects = {s["id"] for s in access["subjects"] if common_name in s["cert_common_names"]}

@@ -1,4 +1,4 @@
-"""Certificates: their subject, validity and usage, and the permissions of key files."""
+"""Certificates: subject, validity and usage; permissions of key files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_certificate_is_for_one_node_of_one_run_and_short_lived() -> None:
     assert name.value == "infra_1.run-1"
     assert certificate.not_valid_after_utc - certificate.not_valid_before_utc <= timedelta(hours=2, minutes=6)
     usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-    assert list(usage) == [ExtendedKeyUsageOID.CLIENT_AUTH], "a node cannot pass itself off as the router"
+    assert list(usage) == [ExtendedKeyUsageOID.CLIENT_AUTH], "a node cannot impersonate the router"
 
 
 def test_the_routers_certificate_names_its_hosts_and_is_not_valid_for_clients() -> None:
@@ -49,7 +49,7 @@ def test_a_certificate_of_another_authority_with_the_same_name_is_not_trusted() 
 
 
 @given(st.text("abcdefghij_-.", min_size=1, max_size=120), st.text("abcdefghij_-.", min_size=1, max_size=120))
-def test_common_names_fit_and_differ(run: str, node: str) -> None:
+def test_common_names_are_short_enough_and_unique(run: str, node: str) -> None:
     names = [common_name(run, name) for name in (node, node + "x", LAUNCHER)]
     assert len(set(names)) == 3
     assert all(0 < len(name) <= 64 for name in names)
@@ -73,11 +73,11 @@ def test_credentials_without_a_certificate_hold_only_the_authority(tmp_path: Pat
     assert "enable_mtls" not in client_settings(credentials)["transport/link/tls"]
 
 
-@pytest.mark.parametrize("gone", ["ca.pem", "certificate.pem", "key.pem"])
-def test_a_missing_file_is_named(tmp_path: Path, gone: str) -> None:
+@pytest.mark.parametrize("missing", ["ca.pem", "certificate.pem", "key.pem"])
+def test_a_missing_file_is_named(tmp_path: Path, missing: str) -> None:
     folder = Authority("r").issue("a").write(tmp_path / "a")
-    (folder / gone).unlink()
-    with pytest.raises(CredentialsError, match=gone):
+    (folder / missing).unlink()
+    with pytest.raises(CredentialsError, match=missing):
         Credentials.read(folder)
 
 
@@ -114,7 +114,7 @@ def test_each_level_requires_more_than_the_one_before() -> None:
     assert tls["mtls"]["transport/link/tls"]["enable_mtls"] is True
     assert "access_control" not in tls["mtls"]
     assert tls["acl"] == tls["mtls"] | {"access_control": {"enabled": True}}
-    assert all(tls[level]["transport/link/protocols"] == ["tls"] for level in LEVELS[1:]), "no way back to TCP"
+    assert all(tls[level]["transport/link/protocols"] == ["tls"] for level in LEVELS[1:]), "no fallback to TCP"
 
 
 def test_an_unknown_level_is_refused_with_the_nearest_name() -> None:

@@ -1,4 +1,4 @@
-"""Explains why a certificate is refused in a sentence that names the file or the host."""
+"""Refused certificates are explained in a sentence with the file or host."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_valid_credentials_have_no_reasons() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "reason"),
     [
         ({"certificate": replace(SOUND, not_after=NOW - HOUR)}, "expired at 2026-11-20 11:00:00 UTC, now it is"),
         ({"certificate": replace(SOUND, not_before=NOW + HOUR)}, "not valid before 2026-11-20 13:00:00 UTC"),
@@ -54,9 +54,9 @@ def test_valid_credentials_have_no_reasons() -> None:
         ({"router": Router(certificate=THEIRS, verdict="SOMETHING_NEW")}, "SOMETHING_NEW"),
     ],
 )
-def test_each_fault_is_explained_once(changed: dict, said: str) -> None:
+def test_each_fault_is_explained_once(changed: dict, reason: str) -> None:
     (sentence,) = reasons(replace(FACTS, **changed))
-    assert said in sentence
+    assert reason in sentence
 
 
 def test_valid_files_have_no_reasons(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_faults_of_files_are_found(tmp_path: Path) -> None:
 
 @pytest.fixture
 def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
-    """Start a server that answers every client with some bytes, and closes the connection or keeps it."""
+    """Start a server that answers with some bytes and may close the connection."""
     monkeypatch.setattr(diagnosis, "_CONNECT_S", 0.3)
     with ExitStack() as stack:
 
@@ -95,7 +95,7 @@ def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
             def accept() -> None:
                 with suppress(OSError):
                     link = stack.enter_context(server.accept()[0])
-                    link.recv(4096)  # or it would be reset
+                    link.recv(4096)  # otherwise the connection would be reset
                     link.sendall(answer)
                     if closes:
                         link.close()
@@ -123,11 +123,11 @@ def test_a_router_that_closes_the_connection_in_the_handshake_is_tried_again(por
 
 
 @pytest.mark.parametrize("answer", [b"HTTP/1.0 400 Bad Request\r\n\r\n", b"\x05\x00\x41\x42\x43\x44\x45", bytes(64)])
-def test_a_router_that_answers_something_else_does_not_speak_tls(port: Callable[..., str], answer: bytes) -> None:
+def test_a_router_without_tls_is_diagnosed(port: Callable[..., str], answer: bytes) -> None:
     assert explain(Authority("r").issue("a"), port(answer)) == ["the router at 127.0.0.1 does not speak TLS"]
 
 
-def test_an_alert_in_the_handshake_is_the_routers_verdict(port: Callable[..., str]) -> None:
+def test_a_tls_alert_is_a_final_refusal(port: Callable[..., str]) -> None:
     alert = bytes([21, 3, 3, 0, 2, 2, 48])  # fatal, unknown_ca
     (reason,) = explain(Authority("r").issue("a"), port(alert))
     assert "refuses us: it trusts another authority" in reason

@@ -1,4 +1,4 @@
-"""`mast run --secure`: with a level, without one, and refused where it is not possible."""
+"""`mast run --secure` with and without a level, and invalid uses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mast_zenoh.launch import run as launcher
 
 @pytest.fixture
 def chosen(monkeypatch: pytest.MonkeyPatch):
-    """Run `mast run` until just before the run begins: (its level, the console output)."""
+    """Run `mast run` up to the start of the run; returns (level, output)."""
     levels: list[str] = []
 
     def run(*_: object, secure: str, **__: object) -> None:
@@ -40,19 +40,19 @@ def chosen(monkeypatch: pytest.MonkeyPatch):
         (("--secure=tls", "baseline"), "tls"),
     ],
 )
-def test_the_level_may_be_left_out(chosen, words: tuple[str, ...], level: str) -> None:
+def test_the_security_level_is_optional(chosen, words: tuple[str, ...], level: str) -> None:
     assert chosen(*words)[0] == [level]
 
 
 @pytest.mark.parametrize("words", [("--runtime", "inproc"), ("--endpoint", "tcp/127.0.0.1:1"), ("--secure=tlss",)])
-def test_the_option_is_refused_where_there_is_no_mesh(chosen, words: tuple[str, ...]) -> None:
-    levels, said = chosen("baseline", "--secure", *words)
+def test_the_option_is_refused_without_a_mesh(chosen, words: tuple[str, ...]) -> None:
+    levels, output = chosen("baseline", "--secure", *words)
     assert levels == []
-    assert "--secure" in said
+    assert "--secure" in output
 
 
 @pytest.mark.parametrize("level", ["aclx", "ACL", "mtsl"])
-def test_a_misspelt_level_is_not_taken_for_a_scenario(level: str) -> None:
+def test_a_misspelt_level_is_not_mistaken_for_a_scenario(level: str) -> None:
     ended = CliRunner().invoke(app.app, ["run", "baseline", "--secure", level])
     assert isinstance(ended.exception, ConfigurationError)
     assert f"security level: found {level!r}" in str(ended.exception)

@@ -1,4 +1,4 @@
-"""What detectors make of what a lidar sees."""
+"""Detectors applied to lidar returns."""
 
 import numpy as np
 import pytest
@@ -28,28 +28,28 @@ def objects(n: int) -> ObjectStates:
 
 
 def detected(detector: Detector, points: np.ndarray, frame: int = 0) -> tuple[Detections, Ints]:
-    """Detections in the world frame, and the ids behind them."""
-    found, ids = detector.detect(objects(len(points)), points, LIDAR, POLE, DOWN, 0.0, stream(3, "test", frame))
-    return to_world(found, POLE, DOWN), ids
+    """Detections in the world frame, and their object ids."""
+    detections, ids = detector.detect(objects(len(points)), points, LIDAR, POLE, DOWN, 0.0, stream(3, "test", frame))
+    return to_world(detections, POLE, DOWN), ids
 
 
 def test_the_clean_detector_reports_objects_with_five_points_exactly() -> None:
-    found, ids = detected(CleanDetector(), np.array([0, 4, 5, 500], np.int32))
+    detections, ids = detected(CleanDetector(), np.array([0, 4, 5, 500], np.int32))
     truth = objects(4)
     assert ids.tolist() == [102, 103]
-    np.testing.assert_allclose(found.position, truth.position[2:], atol=1e-9)
-    np.testing.assert_allclose(found.yaw, truth.yaw[2:], atol=1e-9)
-    np.testing.assert_array_equal(found.class_id, truth.class_id[2:])
+    np.testing.assert_allclose(detections.position, truth.position[2:], atol=1e-9)
+    np.testing.assert_allclose(detections.yaw, truth.yaw[2:], atol=1e-9)
+    np.testing.assert_array_equal(detections.class_id, truth.class_id[2:])
 
 
 def test_objects_with_more_points_are_detected_more_often() -> None:
     model = DetectionModel(clutter_rate=0.0, points_scale=20.0)
     points = np.repeat(np.array([4, 10, 40, 400], np.int32), 100)
-    found = np.zeros(400)
+    hits = np.zeros(400)
     for frame in range(50):
         _, ids = detected(model, points, frame)
-        found[ids - 100] += 1
-    share = found.reshape(4, 100).mean(axis=1) / 50
+        hits[ids - 100] += 1
+    share = hits.reshape(4, 100).mean(axis=1) / 50
     np.testing.assert_allclose(share, [0.0, 1 - np.exp(-0.5), 1 - np.exp(-2.0), 1.0], atol=0.03)
 
 
@@ -57,17 +57,17 @@ def test_errors_have_the_reported_covariance() -> None:
     model, points = DetectionModel(clutter_rate=0.0), np.full(100, 300, np.int32)
     normalised = []
     for frame in range(50):
-        found, ids = detected(model, points, frame)
-        error = found.position - objects(100).position[ids - 100]
-        normalised.append(error / np.sqrt(found.covariance[:, [0, 1, 2], [0, 1, 2]]))
+        detections, ids = detected(model, points, frame)
+        error = detections.position - objects(100).position[ids - 100]
+        normalised.append(error / np.sqrt(detections.covariance[:, [0, 1, 2], [0, 1, 2]]))
     np.testing.assert_allclose(np.concatenate(normalised).std(axis=0), 1.0, atol=0.05)
 
 
 def test_noise_grows_with_range_and_with_few_points() -> None:
     def sigma(points: int) -> np.ndarray:
-        found, ids = detected(DetectionModel(clutter_rate=0.0, points_scale=0.01), np.full(100, points, np.int32))
+        detections, ids = detected(DetectionModel(clutter_rate=0.0, points_scale=0.01), np.full(100, points, np.int32))
         order = np.argsort(np.linalg.norm(objects(100).position[ids - 100] - POLE, axis=1))
-        return np.sqrt(found.covariance[order, 0, 0])
+        return np.sqrt(detections.covariance[order, 0, 0])
 
     assert (np.diff(sigma(1000)) > 0).all()
     assert (sigma(6) > sigma(1000)).all()
@@ -77,20 +77,20 @@ def test_clutter_is_poisson_in_view_and_on_the_ground() -> None:
     model = DetectionModel(clutter_rate=2.0, clutter_range_m=60.0)
     counts, places = [], []
     for frame in range(400):
-        found, ids = detected(model, np.zeros(5, np.int32), frame)
+        detections, ids = detected(model, np.zeros(5, np.int32), frame)
         assert (ids == -1).all()
-        counts.append(len(found))
-        places.append(found)
+        counts.append(len(detections))
+        places.append(detections)
     assert np.mean(counts) == pytest.approx(2.0, abs=0.2)
     assert np.var(counts) == pytest.approx(2.0, abs=0.5)
-    position = np.concatenate([found.position for found in places])
-    size = np.concatenate([found.size for found in places])
+    position = np.concatenate([detections.position for detections in places])
+    size = np.concatenate([detections.size for detections in places])
     assert in_view(position, POLE, DOWN, LIDAR).all()
     assert np.hypot(position[:, 0], position[:, 1]).max() <= 60.0
     np.testing.assert_allclose(position[:, 2], size[:, 2] / 2, atol=1e-9)
 
 
-def test_the_order_of_the_objects_makes_no_difference() -> None:
+def test_the_order_of_the_objects_does_not_matter() -> None:
     truth, points = objects(30), np.arange(10, 40, dtype=np.int32)
     order = np.random.default_rng(0).permutation(30)
     one = DetectionModel().detect(truth, points, LIDAR, POLE, DOWN, 0.0, stream(1, "x"))
@@ -100,15 +100,15 @@ def test_the_order_of_the_objects_makes_no_difference() -> None:
 
 
 def test_detections_are_sorted_by_score_so_clutter_is_not_revealed_by_order() -> None:
-    found, ids = detected(DetectionModel(clutter_rate=8.0), np.full(20, 200, np.int32))
-    assert (np.diff(found.score) <= 0).all()
+    detections, ids = detected(DetectionModel(clutter_rate=8.0), np.full(20, 200, np.int32))
+    assert (np.diff(detections.score) <= 0).all()
     assert (ids == -1).any()
     assert not (np.flatnonzero(ids == -1) >= (ids != -1).sum()).all()
 
 
 def test_without_returns_and_clutter_there_are_no_detections() -> None:
-    found, ids = detected(DetectionModel(clutter_rate=0.0), np.zeros(10, np.int32))
-    assert len(found) == len(ids) == 0
+    detections, ids = detected(DetectionModel(clutter_rate=0.0), np.zeros(10, np.int32))
+    assert len(detections) == len(ids) == 0
 
 
 @pytest.mark.parametrize(

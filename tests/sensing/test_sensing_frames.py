@@ -1,4 +1,4 @@
-"""Between sensor, agent and world frame."""
+"""Transforms between sensor, agent and world frame."""
 
 import numpy as np
 import pytest

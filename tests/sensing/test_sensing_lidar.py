@@ -1,4 +1,4 @@
-"""What a lidar has in view, and what it sees."""
+"""Field of view and ray casting of a lidar."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def cars(*places: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def every_beam(lidar: LidarSensor, origin: np.ndarray, rotation: np.ndarray, boxes: tuple, walls: Walls) -> np.ndarray:
-    """Returns per box, from a slab test of every beam against every box and wall: slow, plain, and obviously right."""
+    """Returns per box, by a slab test of every beam against every box and wall."""
     azimuth, elevation = np.meshgrid(lidar.azimuths, lidar.elevations)
     local = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1)
     beams = to_world(local.reshape(-1, 3), np.zeros(3), rotation)
@@ -66,13 +66,13 @@ def test_ray_casting_equals_a_brute_force_test_of_every_beam(seed: int) -> None:
 
 def test_a_car_in_front_hides_the_one_behind() -> None:
     assert (lidar_points(LidarSensor(), ROOF, EYE, *cars((40.0, 0.0))) > 50).all()
-    # From a lower lidar, which cannot look over the roof of the first.
+    # From a lower lidar, which cannot see over the roof of the first car.
     points = lidar_points(LidarSensor(), np.array([0.0, 0.0, 1.0]), EYE, *cars((10.0, 0.0), (40.0, 0.0)))
     assert points[0] > 500
     assert points[1] == 0
 
 
-def test_the_own_car_occludes_nothing_and_has_no_returns() -> None:
+def test_the_sensors_own_car_occludes_nothing_and_has_no_returns() -> None:
     boxes = cars((0.0, 0.0), (20.0, 0.0))
     inside = np.array([0.0, 0.0, 1.0])
     assert lidar_points(LidarSensor(), inside, EYE, *boxes, own=0)[0] == 0
@@ -91,7 +91,7 @@ def test_a_building_occludes_objects_behind_it_but_a_pole_sees_over_a_low_buildi
     assert lidar_points(LidarSensor.infrastructure(), pole, down, *car, high) == 0
 
 
-def test_nothing_is_seen_beyond_the_range_or_outside_the_sector() -> None:
+def test_nothing_is_seen_out_of_range_or_outside_the_sector() -> None:
     lidar = LidarSensor.infrastructure()
     pole = np.array([0.0, 0.0, 1.8])
     assert lidar_points(lidar, pole, EYE, *cars((110.0, 0.0))) == 0
@@ -99,7 +99,7 @@ def test_nothing_is_seen_beyond_the_range_or_outside_the_sector() -> None:
     assert lidar_points(lidar, pole, EYE, *cars((20.0, 0.0))) > 100
 
 
-def test_the_order_of_the_boxes_makes_no_difference() -> None:
+def test_the_order_of_the_boxes_does_not_matter() -> None:
     position, size, yaw = cars((10.0, 3.0), (20.0, 2.0), (15.0, -4.0), (30.0, 0.0))
     points = lidar_points(LidarSensor(), ROOF, EYE, position, size, yaw)
     order = np.array([2, 0, 3, 1])
@@ -126,6 +126,6 @@ def test_objects_with_returns_are_in_view() -> None:
     lidar = LidarSensor.infrastructure()
     points = lidar_points(lidar, pole, down, position, size, yaw)
     seen = in_view(position, pole, down, lidar)
-    # At the edge of the view a part of a box may be seen without its centre.
+    # At the edge of the view a box may be partly visible without its centre.
     assert (points[~seen] > 0).sum() <= 0.1 * (points > 0).sum()
     assert (points[seen] > 0).mean() > 0.7

@@ -1,9 +1,9 @@
-"""How often the intervals of a study cover what they are intervals of, by simulation.
+"""Simulated coverage of the confidence intervals of studies.
 
     python tests/study/interval_coverage.py     prints the table of docs/studies.md
 
-Each cell is the part of 10,000 simulated studies whose 95 % interval holds the true mean, in per cent. The intervals
-are those of `mast_zenoh.study.statistics`, the very functions that make the tables.
+Each cell is the share, in per cent, of 10,000 simulated studies whose 95 % interval contains the true mean. The
+intervals come from `mast_zenoh.study.statistics`, which also computes the tables of studies.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ STUDIES, AT_ONCE = 10_000, 2_000
 SEEDS, SCENES = (5, 20, 60), (1, 3, 10)
 BANK = Path(__file__).with_name("increments.csv")
 
-#: Draws (studies, scenes, seeds) outcomes, and the mean that they have in truth.
+#: Draws (studies, scenes, seeds) outcomes, and their true mean.
 Draw = Callable[[np.random.Generator, int, int, int], tuple[Floats, float]]
 
 
 @dataclass(frozen=True)
 class World:
-    """A distribution of outcomes: its name, what draws them, and the interval that is to cover their mean.
+    """A distribution of outcomes: its name, generator and interval.
 
-    scenes: for how many the interval is there; claimed: from how many seeds on it is to cover 93 to 97 %, None: never
+    scenes: numbers of scenes with an interval; claimed: smallest number of seeds that covers 93 to 97 %, None: never
     """
 
     name: str
@@ -44,7 +44,7 @@ class World:
 
 
 def normal(shared: float, between_scenes: float = 0.0) -> Draw:
-    """Normal values; shared: correlation of two scenes of one seed; between_scenes: deviation of the scenes' means."""
+    """Normal values; shared: correlation of scenes with one seed."""
 
     def draw(rng: np.random.Generator, n: int, scenes: int, seeds: int) -> tuple[Floats, float]:
         of_seed = np.sqrt(shared) * rng.standard_normal((n, 1, seeds))
@@ -60,7 +60,7 @@ def poisson(mean: float) -> Draw:
 
 
 def recorded(configuration: str, metric: str, *, other_scenes: bool = False) -> Draw:
-    """Real outcomes: seeds drawn from the recorded ones, with all their scenes; the scenes too, or always the first."""
+    """Recorded outcomes, resampled by seed and optionally by scene."""
     bank = _bank()[configuration, metric]
 
     def draw(rng: np.random.Generator, n: int, scenes: int, seeds: int) -> tuple[Floats, float]:
@@ -73,7 +73,7 @@ def recorded(configuration: str, metric: str, *, other_scenes: bool = False) -> 
 
 
 def success(rate: float, shared: float) -> Draw:
-    """Trials that succeed at a rate; `shared`: correlation of two scenes of one seed of the normal value below."""
+    """Trials that succeed at a rate; `shared`: correlation of scenes of one seed."""
     below = normal(shared)
 
     def draw(rng: np.random.Generator, n: int, scenes: int, seeds: int) -> tuple[Floats, float]:
@@ -93,7 +93,7 @@ def _bank() -> dict[tuple[str, str], Floats]:
 
 
 def worlds() -> Iterator[World]:
-    """All that the page lists, in its order."""
+    """All distributions on the page, in its order."""
     seeds, scenes, rate = statistics.over_seeds, statistics.over_scenes, statistics.of_rate
     yield World("normal, scenes of a seed correlate at 0.98", normal(0.98), seeds)
     yield World("normal, independent", normal(0.0), seeds)
@@ -115,7 +115,7 @@ def worlds() -> Iterator[World]:
 
 
 def coverage(world: World, scenes: int, seeds: int) -> float:
-    """Per cent of simulated studies whose interval holds the truth; of those that have one."""
+    """Per cent of simulated intervals that contain the true mean."""
     rng = stream(0, "coverage", world.name, scenes, seeds)
     hits = known = 0
     for _ in range(STUDIES // AT_ONCE):
@@ -127,7 +127,7 @@ def coverage(world: World, scenes: int, seeds: int) -> float:
 
 
 def table() -> dict[str, dict[tuple[int, int], float]]:
-    """By world, the coverage of each number of (scenes, seeds) for which there is an interval."""
+    """Coverage by world and number of (scenes, seeds) with an interval."""
     return {
         world.name: {(scenes, seeds): coverage(world, scenes, seeds) for scenes in world.scenes for seeds in SEEDS}
         for world in worlds()

@@ -1,4 +1,4 @@
-"""A study small enough to be run many times: two configurations and a baseline, eight frames, two agents."""
+"""A small study: a baseline, two configurations, eight frames, two agents."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ NEAR_M = 3.0
 
 @cache
 def run(name: str, seed: int, adversaries: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The evaluator's results of 70 frames on the junction, with the given adversaries, which start after 1 s."""
+    """Metrics of 70 frames on the junction with adversaries that start after 1 s."""
     settings = ["n_adversaries=2", "attack_start_s=1.0"] if adversaries else []
     path, content = scenario.load(name, settings)
     if adversaries:
@@ -32,7 +32,7 @@ def false_tracks(results: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def also_in(tracks: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> np.ndarray:
-    """(n,) whether there is a false track at this place in this frame of another run as well."""
+    """(n,) bool: whether another run also has a false track at the position."""
     distance = np.hypot(tracks["x"][:, None] - other["x"], tracks["y"][:, None] - other["y"])
     same_frame = tracks["frame"][:, None] == other["frame"]
     return ((distance <= NEAR_M) & same_frame).any(axis=1)

@@ -1,4 +1,4 @@
-"""Studies on several processes give equal tables, also after interruptions."""
+"""Studies on several processes give equal tables, even when interrupted."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ def study_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def reference(study_file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The tables of the study run by one process, one trial after the other."""
-    ended = trials.run(definition.load(str(study_file)), tmp_path_factory.mktemp("reference") / "out", count=4)
-    return tables(ended.out)
+    outcome = trials.run(definition.load(str(study_file)), tmp_path_factory.mktemp("reference") / "out", count=4)
+    return tables(outcome.out)
 
 
-def until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for something to become true, looking often."""
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    """Poll until a condition holds."""
     pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
     while not condition():
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        assert time.monotonic() < deadline, f"timed out waiting for {what}"
         pause.wait(0.02)
 
 
@@ -62,7 +62,7 @@ def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
 ) -> None:
     out = tmp_path / "out"
     running = mast(*study(study_file, out, "--jobs", "2"), cwd=tmp_path)
-    until(lambda: len(list((out / "trials").glob("[!.]*"))) >= 2 if out.exists() else False, "two trials")
+    wait_until(lambda: len(list((out / "trials").glob("[!.]*"))) >= 2 if out.exists() else False, "two trials")
     workers = psutil.Process(running.pid).children(recursive=True)
     running.send_signal(stop)
     output, _ = running.communicate(timeout=DEADLINE_S)
@@ -78,13 +78,13 @@ def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
     assert again.returncode == 0, output
     assert f"{len(finished)} of 12 trials are done already" in output or len(finished) == 12
     for name, written in finished.items():
-        assert (out / "trials" / name).stat().st_mtime_ns == written, "a finished trial was run again"
+        assert (out / "trials" / name).stat().st_mtime_ns == written, "a finished trial was repeated"
     assert tables(out) == reference
 
 
 @contextmanager
 def dask(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
-    """A scheduler or a worker, as a user starts it by hand."""
+    """Start a scheduler or a worker, like a user by hand."""
     command = [sys.executable, "-m", "dask", *words]
     process = subprocess.Popen(
         command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, text=True
@@ -101,7 +101,7 @@ def dask(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def address_in(scheduler_file: Path) -> str:
-    """Where the scheduler listens; "" until it has written that."""
+    """The scheduler's address; "" until it has written it."""
     try:
         return str(json.loads(scheduler_file.read_text())["address"])
     except (OSError, ValueError):
@@ -123,7 +123,7 @@ def test_a_scheduler_and_two_workers_started_by_hand_run_the_study(
         str(where),
         cwd=tmp_path,
     ):
-        until(lambda: address_in(where) != "", "the scheduler")
+        wait_until(lambda: address_in(where) != "", "the scheduler")
         joined = ("worker", "--scheduler-file", str(where), "--nthreads", "1", "--no-dashboard", "--no-nanny")
         with dask(*joined, cwd=tmp_path), dask(*joined, cwd=tmp_path):
             running = mast(*study(study_file, tmp_path / "out", "--cluster", address_in(where)), cwd=tmp_path)

@@ -39,7 +39,7 @@ def test_three_correlated_scenes_of_twenty_seeds_are_covered(simulated: Coverage
 
 
 def test_page_shows_the_simulated_coverage(simulated: Coverage) -> None:
-    """Within 0.3: another version of NumPy may draw other samples."""
+    """Within 0.3, as another NumPy version may draw other samples."""
     lines = [line.strip("| \n").split(" | ") for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| ")]
     documented = {line[0].strip(): [cell.strip(" |") for cell in line[1:]] for line in lines}
     for line in interval_coverage.as_markdown(simulated).splitlines()[2:]:

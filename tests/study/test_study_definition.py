@@ -1,4 +1,4 @@
-"""A study file says what to run; what is wrong in it is refused by name."""
+"""Study files are read; invalid entries are refused by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mast_zenoh.study import definition
 @pytest.fixture
 def load(tmp_path: Path):
     def load(content: Any, *settings: str) -> definition.Study:
-        path = Path(tempfile.mkdtemp(dir=tmp_path)) / "mine.py"  # a file is run once
+        path = Path(tempfile.mkdtemp(dir=tmp_path)) / "mine.py"  # a file is executed once
         path.write_text(f"def study(n=2):\n    return {content!r}\n")
         return definition.load(str(path), settings)
 

@@ -51,7 +51,7 @@ def test_connections_go_to_the_target_except_while_redirected() -> None:
         assert reply(first) == b"true?"
         for override, word in ((other, b"rogue?"), (None, b"true?")):
             detour.redirect(override)
-            assert first.recv(100) == b"", "what is connected is cut"
+            assert first.recv(100) == b"", "existing connections are closed"
             first.close()
             first = socket.create_connection(("127.0.0.1", detour.port), 5)
             assert reply(first) == word

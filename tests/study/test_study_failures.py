@@ -1,4 +1,4 @@
-"""A study in which a handler failed does not pass for a sound one, neither of single runs nor of trials."""
+"""Studies with failed handlers are reported as failed."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def study(tmp_path: Path) -> definition.Study:
 
 
 def test_failed_handler_of_a_trial_is_reported_with_location_and_command(study, tmp_path: Path) -> None:
-    ended = trials.run(study, tmp_path / "out", count=1)
-    (failed,) = ended.facts.failed
+    outcome = trials.run(study, tmp_path / "out", count=1)
+    (failed,) = outcome.facts.failed
     assert failed.configuration == "first"
     assert failed.error.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
     assert MESSAGE in failed.error
@@ -52,8 +52,8 @@ def test_failed_handler_of_a_mesh_trial_is_reported(study, tmp_path: Path) -> No
 
 
 def test_trials_with_allowed_failures_are_repeated_once_failures_are_not_allowed(study, tmp_path: Path) -> None:
-    ended = trials.run(study, tmp_path / "out", count=1, allow_failures=True)
-    assert ended.facts.failed == ()
+    outcome = trials.run(study, tmp_path / "out", count=1, allow_failures=True)
+    assert outcome.facts.failed == ()
     again = trials.run(study, tmp_path / "out", count=1, resume=True)
     assert [failed.configuration for failed in again.facts.failed] == ["first"]
     allowed = trials.run(study, tmp_path / "out", count=1, resume=True, allow_failures=True)
@@ -83,11 +83,11 @@ def test_command_line_writes_all_results_and_exits_with_the_failure_code(
     more = (*words, *(["--allow-failures"] if allowed else []))
     command = ["mast", "study", str(study.path), "--runtime", "inproc", "--out", str(tmp_path / "out"), *more]
     monkeypatch.setattr("sys.argv", command)
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as raised:
         app.main()
     captured = capsys.readouterr()
-    assert int(ended.value.code or 0) == (0 if allowed else 24 if words else 30)
-    assert MESSAGE in captured.err + captured.out, "a warning at least"
+    assert int(raised.value.code or 0) == (0 if allowed else 24 if words else 30)
+    assert MESSAGE in captured.err + captured.out, "at least a warning"
     assert "Traceback" not in captured.err
     written = tmp_path / "out" / ("table.md" if words else "report.html")
     assert written.is_file()
@@ -95,7 +95,7 @@ def test_command_line_writes_all_results_and_exits_with_the_failure_code(
 
 def test_rogue_study_rejects_allow_failures(tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr("sys.argv", ["mast", "study", "rogue", "--allow-failures"])
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as raised:
         app.main()
-    assert ended.value.code == 2
+    assert raised.value.code == 2
     assert "Traceback" not in capsys.readouterr().err

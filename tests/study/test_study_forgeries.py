@@ -1,4 +1,4 @@
-"""Forged messages: reproducible by seed, and rejected by their decoder if malformed."""
+"""Forged messages are reproducible by seed, and refused if malformed."""
 
 from __future__ import annotations
 
@@ -72,4 +72,4 @@ def test_payloads_that_unpack_to_far_more_use_little_memory(control: str) -> Non
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert peak < 96 << 20, "of payloads of at most 8 MiB"
+    assert peak < 96 << 20, "from payloads of at most 8 MiB"

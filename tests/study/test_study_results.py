@@ -1,12 +1,12 @@
-"""From outcomes to rows: every number of a run, what the attack adds to it, and a column per parameter."""
+"""Rows of studies: all metrics, increments, and a column per parameter."""
 
 from __future__ import annotations
 
 import numpy as np
 import pyarrow
 import pytest
-from made_outcomes import FRAMES, outcome, study
 from pyarrow import parquet
+from synthetic_outcomes import FRAMES, outcome, study
 
 from mast_zenoh.launch.tables import to_arrow
 from mast_zenoh.study import results
@@ -88,19 +88,19 @@ def test_each_parameter_of_the_grid_is_a_column_of_its_type() -> None:
     assert values["n"] == [None, 2, 1]
     assert values["x"] == [None, 2.0, 0.5]
     assert values["kind"] == [None, "moving", "static"]
-    assert values["on"] == [None, "False", "True"], "text: a truth value is no number"
+    assert values["on"] == [None, "False", "True"], "text: booleans are not numbers"
     assert values["mixed"] == [None, "all", "3"]
     assert pyarrow.types.is_integer(with_columns.schema.field("n").type)
     assert pyarrow.types.is_floating(with_columns.schema.field("x").type)
 
 
-def test_a_parameter_named_like_a_metric_of_the_user_keeps_both_columns() -> None:
+def test_a_parameter_and_a_user_metric_of_the_same_name_both_have_columns() -> None:
     table = pyarrow.table({"configuration": ["a"], "clearance": [1.5]})
     columns = ParameterColumns(study({"a": {"clearance": 7}}), table.column_names)
     assert columns.add(table, "a").to_pydict() == {"configuration": ["a"], "grid.clearance": [7], "clearance": [1.5]}
 
 
-def test_pieces_form_one_table_with_nulls_for_missing_columns(tmp_path, monkeypatch) -> None:
+def test_tables_of_trials_are_joined_with_nulls_for_missing_columns(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(TableFile, "ROW_GROUP", 3)
     text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
     schema = pyarrow.schema([("name", text), ("mine", pyarrow.float64())])
@@ -129,7 +129,7 @@ def summary(outcomes, seeds: int, scenes: int = 2):
 
 
 def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
-    """Six seeds, of which one differs: Student's t reaches beyond 0, or 1."""
+    """Six seeds, one differs: Student's t interval extends beyond 0, or 1."""
     rare = [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]
     done = []
     for seed, value in enumerate(rare):
@@ -140,13 +140,13 @@ def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
         done.append(outcome("baseline", 0, seed, fp=1.0))
         done.append(outcome("attacked", 0, seed, fp=value, agents=own, achieved=achieved, driving=driving))
     row = summary(done, seeds=6, scenes=1)["attacked"]
-    for metric, estimator, who in (
+    for metric, estimator, adversary in (
         *((name, "achieved", "all") for name in ("moved_share_centre", "inserted_s_ego", "hidden")),
         *((name, "mission", "ego") for name in ("completeness", "fp_split.attack", "fp inserted")),
         *((f"driving.{name}", "mission", "ego") for name in ("brake_share", "corridor_false")),
         ("fp", "picture", "ego"),
     ):
-        each = row.get(metric, estimator, who)
+        each = row.get(metric, estimator, adversary)
         share = each.trial_mean > 0.5
         assert (each.high if share else each.low) == (1.0 if share else 0.0), metric
         assert each.low < each.trial_mean < each.high
@@ -156,7 +156,7 @@ def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
 
 
 def test_critical_share_counts_trials_without_a_collision_course() -> None:
-    """The attack makes five more of six trials critical, yet the mean of the least times there are would rise."""
+    """Five of six trials become critical, yet the mean of the times would rise."""
     done = []
     for seed in range(6):
         for label, least in (("baseline", 0.5 if seed == 0 else None), ("attacked", (0.4, 1.4)[seed > 0])):
@@ -167,10 +167,10 @@ def test_critical_share_counts_trials_without_a_collision_course() -> None:
     assert (before.trial_mean, after.trial_mean) == (pytest.approx(1 / 6), pytest.approx(5 / 6))
     assert before.rate
     assert 0.0 <= before.low < before.high < 1.0
-    assert after.seeds == 6, "no seed is left out"
+    assert after.seeds == 6, "no seed is omitted"
     assert rows["attacked"].get("driving.critical_iob", "mission").trial_mean == pytest.approx(4 / 6)
     assert not any("min_ttc_s" in series.metric for row in rows.values() for series in row.estimates)
-    assert any(each.metric == "driving.min_ttc_s" for each in numbers(done[0].metrics)), "results.parquet has it"
+    assert any(each.metric == "driving.min_ttc_s" for each in numbers(done[0].metrics)), "results.parquet contains it"
 
 
 def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:

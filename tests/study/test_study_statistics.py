@@ -30,7 +30,7 @@ def test_interval_over_seeds_is_students_t_over_the_averages_of_the_seeds() -> N
     assert equals_zero(values) == pytest.approx(stats.ttest_1samp(averages, 0.0).pvalue)
 
 
-def test_scenes_that_only_repeat_one_another_do_not_narrow_the_interval() -> None:
+def test_identical_scenes_do_not_narrow_the_interval() -> None:
     one = sample(1, 20)
     assert over_seeds(np.repeat(one, 10, axis=0)) == pytest.approx(over_seeds(one))
 
@@ -41,7 +41,7 @@ def test_fewer_than_five_seeds_have_no_interval(interval) -> None:
     assert not np.isnan(interval(np.array([[0.0, 1.0, 1.0, 0.0, 1.0]] * 6))).any()
 
 
-def test_fewer_than_five_scenes_have_no_interval_to_other_scenes() -> None:
+def test_fewer_than_five_scenes_have_no_interval_for_other_scenes() -> None:
     assert np.isnan(over_scenes(sample(4, 20))).all()
     assert not np.isnan(over_scenes(sample(5, 20))).any()
 
@@ -52,15 +52,15 @@ def test_equal_seeds_have_no_interval_of_the_mean_and_no_test() -> None:
         assert np.isnan(equals_zero(values))
 
 
-def test_interval_to_other_scenes_is_wider_than_that_over_seeds_where_scenes_differ() -> None:
+def test_interval_for_other_scenes_is_wider_than_over_seeds_if_scenes_differ() -> None:
     values = sample(8, 20) + np.linspace(-4.0, 4.0, 8)[:, None]
     low, high = over_scenes(values)
     inner_low, inner_high = over_seeds(values)
     assert low < inner_low < inner_high < high
 
 
-def test_interval_to_other_scenes_counts_what_all_scenes_share_in_a_seed() -> None:
-    """With nothing but the seeds' own draws the variance of the mean is that of the seeds' averages."""
+def test_interval_for_other_scenes_includes_effects_shared_by_all_scenes_of_a_seed() -> None:
+    """With independent seeds the variance is that of the seed averages."""
     values = np.repeat(sample(1, 20), 8, axis=0)
     assert over_scenes(values) == pytest.approx(over_seeds(values))
 
@@ -72,7 +72,7 @@ def test_rate_of_one_scene_has_the_interval_of_clopper_and_pearson(successes: in
     assert of_rate(values) == pytest.approx((expected.low, expected.high))
 
 
-def test_rate_of_scenes_that_repeat_one_another_counts_each_seed_once() -> None:
+def test_rate_over_identical_scenes_counts_each_seed_once() -> None:
     one = (np.random.default_rng(1).random((1, 40)) < 0.4).astype(np.float64)
     np.testing.assert_allclose(of_rate(np.repeat(one, 10, axis=0)), of_rate(one), atol=0.02)
 
@@ -83,13 +83,13 @@ def test_rate_of_independent_scenes_counts_each_trial() -> None:
     assert of_rate(values) == pytest.approx((expected.low, expected.high), abs=0.02)
 
 
-def test_rates_of_0_and_1_have_an_interval_with_a_width() -> None:
+def test_rates_of_0_and_1_have_intervals_of_positive_width() -> None:
     assert of_rate(np.zeros((3, 10))) == pytest.approx((0.0, 0.308), abs=1e-3), "of 10 seeds, not of 30 trials"
     assert of_rate(np.ones((3, 10))) == pytest.approx((0.692, 1.0), abs=1e-3)
     assert of_rate(np.zeros((1, 10))).low == 0.0
 
 
-def test_many_samples_at_once_give_the_intervals_of_each() -> None:
+def test_batched_intervals_equal_individual_ones() -> None:
     values = np.stack([sample(6, 12, of) for of in range(4)])
     for interval in (over_seeds, over_scenes):
         np.testing.assert_allclose(np.transpose(interval(values)), [interval(each) for each in values])

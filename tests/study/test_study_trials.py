@@ -1,4 +1,4 @@
-"""Trials are stored one by one: none is repeated, and a failure keeps the others."""
+"""Trials are stored one by one: failures and repeats leave others intact."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> definition.Study:
 
 @pytest.fixture(scope="module")
 def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.StudyResult:
-    """The study, run without any trouble."""
+    """The study, run without interruption."""
     return trials.run(small, tmp_path_factory.mktemp("whole") / "out", count=2)
 
 
 @pytest.fixture
 def ran(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
-    """The trials that are really run from here on."""
+    """The trials that actually run from here on."""
     trials_run: list[Trial] = []
     run = trial.run
 
@@ -55,7 +55,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
 
 
 def stopping(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
-    """Press Ctrl-C while the trial after this many runs."""
+    """Simulate Ctrl-C during the trial after this many."""
     run, done = trial.run, []
 
     def stopped(each: Trial) -> Outcome:
@@ -69,8 +69,8 @@ def stopping(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
 
 def test_an_attack_that_would_begin_after_the_last_frame_is_named_and_has_no_success_rate(tmp_path: Path) -> None:
     late = definition.load(str(write_small(tmp_path)), ["start_s=0.8"])
-    ended = trials.run(late, tmp_path / "out", count=1)
-    assert [(each.configuration, each.begins_s, each.ends_s) for each in ended.facts.idle] == [
+    outcome = trials.run(late, tmp_path / "out", count=1)
+    assert [(each.configuration, each.begins_s, each.ends_s) for each in outcome.facts.idle] == [
         ("attacked-1-5.0", 0.8, 0.8),
         ("attacked-1-20.0", 0.8, 0.8),
     ]
@@ -78,8 +78,8 @@ def test_an_attack_that_would_begin_after_the_last_frame_is_named_and_has_no_suc
     never = "The attack of attacked n_adversaries=1 false_positives=5.0 never began"
     assert f"{never}: it begins at 0.8 s, and the trials end after 0.8 s." in text
     assert "What the attack achieved" not in text
-    assert not any(series.estimator == "achieved" for row in ended.rows for series in row.estimates)
-    assert "never began" in ended.report.read_text()
+    assert not any(series.estimator == "achieved" for row in outcome.rows for series in row.estimates)
+    assert "never began" in outcome.report.read_text()
 
 
 def test_an_attack_that_begins_before_the_end_is_not_idle(whole: trials.StudyResult) -> None:
@@ -112,7 +112,7 @@ def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.S
 
 
 def test_column_names_of_tables_are_rejected_as_parameters(whole: trials.StudyResult) -> None:
-    """Those of frames.parquet as far as all runs have them; a metric that is added gives way, as `grid.<name>`."""
+    """The columns of frames.parquet that all runs have; others as `grid.<name>`."""
     columns = set((whole.out / "table.csv").read_text().splitlines()[0].split(","))
     columns |= set(parquet.read_schema(whole.out / "results.parquet").names)
     columns |= set(parquet.read_schema(whole.out / "frames.parquet").names) & definition.COLUMNS
@@ -141,7 +141,7 @@ def test_more_seeds_can_be_added_later(small, whole, tmp_path: Path, ran) -> Non
     assert tables(tmp_path / "out") == tables(whole.out)
 
 
-def test_a_trial_whose_file_is_broken_is_run_again(small, whole, tmp_path: Path, ran) -> None:
+def test_a_trial_with_a_broken_file_is_run_again(small, whole, tmp_path: Path, ran) -> None:
     trials.run(small, tmp_path / "out", count=2)
     files = sorted((tmp_path / "out" / "trials").iterdir())
     files[0].write_bytes(files[0].read_bytes()[:-20])
@@ -164,16 +164,16 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
 
     with monkeypatch.context() as patch:
         patch.setattr(trial, "run", failing)
-        ended = trials.run(small, tmp_path / "out", count=2)
+        outcome = trials.run(small, tmp_path / "out", count=2)
     with pytest.raises(TrialsFailed, match="1 trials failed") as caught:
-        ended.raise_failures()
-    (failed,) = ended.facts.failed
+        outcome.raise_failures()
+    (failed,) = outcome.facts.failed
     assert (failed.configuration, failed.seed, failed.error) == ("attacked-1-5.0", 1, "RunError: on purpose")
     assert failed.command in str(caught.value)
     assert "--seed 1" in failed.command
-    estimates = {row.label: (row.get("fp_iob").seeds, row.get("fp_iob").left_out) for row in ended.rows}
+    estimates = {row.label: (row.get("fp_iob").seeds, row.get("fp_iob").left_out) for row in outcome.rows}
     assert estimates == {"baseline": (0, 0), "attacked-1-5.0": (1, 1), "attacked-1-20.0": (2, 0)}
-    for page in ((ended.out / "table.md").read_text(), ended.report.read_text()):
+    for page in ((outcome.out / "table.md").read_text(), outcome.report.read_text()):
         assert page.index("1 of 6 trials failed") < page.index("What the attack adds")
         assert "RunError: on purpose" in page
         assert failed.command in page
@@ -182,7 +182,7 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
     trials.run(small, tmp_path / "out", count=2, resume=True).raise_failures()
 
 
-def test_the_command_of_a_trial_runs_it_alone_with_the_same_figures(small, whole, tmp_path: Path) -> None:
+def test_the_command_of_a_trial_reproduces_its_numbers(small, whole, tmp_path: Path) -> None:
     noted = json.loads((whole.out / "study.json").read_text())["trials"][-1]
     words = shlex.split(noted["command"])
     assert words[:2] == ["mast", "run"]
@@ -201,15 +201,15 @@ def test_worker_with_different_code_or_versions_runs_no_trial(small) -> None:
     assert "the study was started with 0.1" in outcome.error
 
 
-def test_an_attack_that_does_nothing_adds_nothing_in_any_frame(small, tmp_path: Path) -> None:
-    """Baseline and attack share scene, detections and clutter: paired differences are zero, not small."""
+def test_an_ineffective_attack_has_zero_increments_in_every_frame(small, tmp_path: Path) -> None:
+    """Attack and baseline share scene and detections: differences are exactly 0."""
     waiting = definition.load(str(small.path), ["start_s=99.0"])
-    ended = trials.run(waiting, tmp_path / "out", count=2)
-    table = parquet.read_table(ended.out / "results.parquet").to_pydict()
+    outcome = trials.run(waiting, tmp_path / "out", count=2)
+    table = parquet.read_table(outcome.out / "results.parquet").to_pydict()
     added = [
         (value, std)
         for metric, value, std in zip(table["metric"], table["value"], table["std"], strict=True)
-        if metric.endswith("_iob") and value is not None  # such as the least time to a collision that is not due
+        if metric.endswith("_iob") and value is not None  # such as the least time to collision when none is due
     ]
     assert len(added) > 2 * 2 * 30
     over_frames = {pair for pair in added if pair[1] is not None}
@@ -227,7 +227,7 @@ def test_digest_covers_configuration_seed_frames_and_user_files(small, tmp_path:
     assert not digests(small, seed=2) & first
     assert not digests(small, frames=9) & first
     assert not digests(small, runtime="mesh") & first
-    assert len(digests(definition.load(str(small.path), ["start_s=0.3"])) & first) == 2, "the baseline's"
+    assert len(digests(definition.load(str(small.path), ["start_s=0.3"])) & first) == 2, "of the baseline"
 
     (tmp_path / "mine.py").write_text("def study():\n    return dict(runs=dict(a=dict(scenario='own.py')))\n")
     variants = []
@@ -243,10 +243,10 @@ def test_configurations_with_a_scene_other_than_the_baselines_are_reported(tmp_p
         "def study():\n    return dict(runs=dict(baseline=dict(scenario='baseline'), "
         "more=dict(scenario='baseline', grid=dict(n_infrastructure=[2, 4]))), trials=1, frames=2)\n"
     )
-    ended = trials.run(definition.load(str(tmp_path / "mine.py")), tmp_path / "out", count=1)
-    assert ended.facts.other_scenes == ("more-2",)
-    assert "more n_infrastructure=2: not the baseline's scene" in (ended.out / "table.md").read_text()
-    assert "more n_infrastructure=2: not the baseline" in ended.report.read_text()
+    outcome = trials.run(definition.load(str(tmp_path / "mine.py")), tmp_path / "out", count=1)
+    assert outcome.facts.other_scenes == ("more-2",)
+    assert "more n_infrastructure=2: not the baseline's scene" in (outcome.out / "table.md").read_text()
+    assert "more n_infrastructure=2: not the baseline" in outcome.report.read_text()
 
 
 def test_study_is_validated_before_the_first_trial(tmp_path: Path, ran) -> None:
@@ -275,9 +275,9 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
     monkeypatch.setattr(
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as raised:
         app.main()
-    assert ended.value.code in (0, None)
+    assert raised.value.code in (0, None)
     output = capsys.readouterr().out
     for word in ("CAFP IoB", "attacked-1-20.0", "Causes of false objects", "OSPA", "(n < 5)", *TABLES):
         assert word in output
@@ -289,9 +289,9 @@ def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, c
     monkeypatch.setattr(
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as raised:
         app.main()
-    assert ended.value.code == TrialsFailed.exit_code == 24
+    assert raised.value.code == TrialsFailed.exit_code == 24
     output = capsys.readouterr()
     assert "mast run uncoordinated --set" in output.err
     assert "3 of 3 trials failed" in output.out
@@ -302,8 +302,8 @@ def test_an_idle_worker_loads_no_drawing_table_or_mesh_library() -> None:
         "import sys, mast_zenoh.study.trial\n"
         "print([n for n in ('matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats') if n in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)
-    assert done.stdout.strip() == "[]"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)
+    assert process.stdout.strip() == "[]"
 
 
 def test_without_dask_several_jobs_are_rejected_with_install_hint(small, tmp_path: Path, monkeypatch) -> None:

@@ -1,8 +1,8 @@
-"""`mast`, in whose own process something happens the first time that it comes to a stage.
+"""`mast` with an event injected the first time that it reaches a stage.
 
     python -m at_stage STAGE WHAT… -- run baseline …
 
-What happens: signals by name (SIGINT SIGINT), or the path of a file that is made as large as its disk has room.
+WHAT: signals by name (SIGINT SIGINT), or the path of a file that is extended until its disk is full.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mast_zenoh import __main__ as process
 
 
 def fill(path: Path) -> None:
-    """Take all that is left of a disk."""
+    """Fill the free space of a disk."""
     with path.open("wb", buffering=0) as file:
         for size in (1 << 16, 1 << 12, 1 << 8, 1):
             try:
@@ -31,7 +31,7 @@ def fill(path: Path) -> None:
 
 
 def happen(words: list[str]) -> None:
-    """What is to happen. Signals come in code that is executed from a text, as that of a dataclass is."""
+    """The event. Signals come during generated code, such as that of a dataclass."""
     for word in words:
         if word.startswith("SIG"):
             exec("come(word)", {"come": signal.raise_signal, "word": signal.Signals[word]})
@@ -40,7 +40,7 @@ def happen(words: list[str]) -> None:
 
 
 def before(place: Any, name: str, words: list[str], times: int = 1) -> None:
-    """Have it happen before the call of a function, the `times`-th one."""
+    """Cause the event before the `times`-th call of the function."""
     call: Callable[..., Any] = getattr(place, name)
     calls = 0
 
@@ -55,7 +55,7 @@ def before(place: Any, name: str, words: list[str], times: int = 1) -> None:
 
 
 def arrange(stage: str, words: list[str]) -> None:
-    """Arrange for it to happen at a stage of `mast run`."""
+    """Arrange the event at a stage of `mast run`."""
     if stage == "loading":
         from mast_zenoh import scenario
 

@@ -1,4 +1,4 @@
-"""A container engine and an image to test with, and what is left of them."""
+"""A container engine, a test image, and remnants of runs."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from mast_zenoh.errors import EngineError
 
 TAG = "mast-zenoh:test"
 
-#: Set where the tests with containers must run, so that they cannot be skipped: as in CI.
+#: Set where the container tests must not be skipped, as in CI.
 MUST = "MAST_TEST_DOCKER"
 BASES = ("mast-base:bookworm", image.BASE)
 
 
 def base() -> str:
-    """An image to build on that is here; skips the test where there is no engine or none such."""
+    """A local base image; skips without an engine or such an image."""
     try:
         docker.check()
         here = docker.docker("image", "ls", "--format", "{{.Repository}}:{{.Tag}}").split()
@@ -35,7 +35,7 @@ def base() -> str:
 
 
 def built() -> str:
-    """The image of these sources: built, unless it is here."""
+    """The image of these sources, built if missing."""
     on = base()
     try:
         image.check(TAG)
@@ -44,17 +44,17 @@ def built() -> str:
     return TAG
 
 
-def left(run: str) -> dict[str, list[str]]:
-    """What there is of a run: containers, networks, volumes."""
+def remnants_of(run: str) -> dict[str, list[str]]:
+    """Remnants of a run: containers, networks, volumes."""
     label = f"label=org.mast-zenoh.run={run}"
-    found = {"containers": docker.docker("ps", "--all", "--quiet", "--filter", label).split()}
+    remnants = {"containers": docker.docker("ps", "--all", "--quiet", "--filter", label).split()}
     for kind in ("network", "volume"):
-        found[kind] = docker.docker(kind, "ls", "--quiet", "--filter", label).split()
+        remnants[kind] = docker.docker(kind, "ls", "--quiet", "--filter", label).split()
         named = docker.docker(kind, "ls", "--format", "{{.Name}}").split()
-        found[kind] += [name for name in named if re.sub(r"[^a-z0-9_-]", "-", run) in name]
-    return {kind: names for kind, names in found.items() if names}
+        remnants[kind] += [name for name in named if re.sub(r"[^a-z0-9_-]", "-", run) in name]
+    return {kind: names for kind, names in remnants.items() if names}
 
 
 def mast(*words: str) -> subprocess.CompletedProcess[str]:
-    """A command of ours."""
+    """Run `mast` with these arguments."""
     return subprocess.run([*MAST, *words], capture_output=True, text=True, timeout=240, check=False)

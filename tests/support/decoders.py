@@ -1,4 +1,4 @@
-"""By kind of control message what its receiver takes it apart with."""
+"""Decoders of control messages by kind."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mast_zenoh.errors import MessageError
 
 
 def decoder(control: str, node: str, *, drives: bool = False) -> Callable[[bytes], Any]:
-    """The decoder of a message of this kind that a node sends."""
+    """The decoder of messages of this kind from a node."""
     return {
         "counts": flow.decode_counts,
         "epoch": flow.decode_epoch,
@@ -28,7 +28,7 @@ def decoder(control: str, node: str, *, drives: bool = False) -> Callable[[bytes
 
 
 def refused(control: str, node: str, payload: bytes) -> bool:
-    """Whether the decoder refuses it; fails for every error but MessageError."""
+    """Whether the decoder refuses a payload; any error but MessageError fails."""
     try:
         decoder(control, node)(payload)
     except MessageError:

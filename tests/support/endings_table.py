@@ -1,4 +1,4 @@
-"""The table of endings in docs/endings.md, which the tests of endings read: what is documented is what is tested."""
+"""The table of endings in docs/endings.md, for the tests that verify it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ PAGE = Path(__file__).parents[2] / "docs" / "endings.md"
 
 
 class Ending(NamedTuple):
-    """A row: the status in run.json ("" where no run folder is left), and the exit code (None: the signal's own)."""
+    """A row: status in run.json ("": no folder) and exit code (None: by signal)."""
 
     status: str
     code: int | None
 
 
 def table() -> dict[str, Ending]:
-    """Every ending by the words of its first column."""
+    """Every ending by its first column."""
     rows = {}
     for line in PAGE.read_text("utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
@@ -29,5 +29,5 @@ def table() -> dict[str, Ending]:
 
 
 def ending(what: str) -> Ending:
-    """The row that begins with these words."""
+    """The row that begins with this text."""
     return table()[what]

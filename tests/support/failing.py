@@ -1,4 +1,4 @@
-"""Scenarios of a user in which something fails, as files: small, and played in one process or on a mesh."""
+"""User-written scenarios with failures, for one process or a mesh."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Judge(Node):
         return {"metrics": {"mean": 1 / 0}}
 """,
     },
-    # A metric of the user's that fails beside one that does not.
+    # A user-defined metric that fails beside one that does not.
     "metric": {
         "metric_fails.py": """
 from mast_zenoh.config import loading
@@ -143,7 +143,7 @@ def scenario():
     return baseline(n_infrastructure=1) | dict(name="metric", evaluator=dict(metrics=metrics))
 """,
     },
-    # Two further nodes that hear the clock alone, and return what would be metrics and tables.
+    # Two further nodes that hear only the clock, and return would-be metrics and tables.
     "second": {
         "second.py": """
 from mast_zenoh.config import loading
@@ -188,7 +188,7 @@ class Counter(Node):
 
 
 def write(name: str, folder: Path) -> Path:
-    """The scenario of this name, written into a folder with all that it needs; the path of its file."""
+    """Write the scenario of this name and its files to a folder; returns its path."""
     for file, text in FILES[name].items():
         (folder / file).write_text(text)
     return folder / next(iter(FILES[name]))

@@ -1,4 +1,4 @@
-"""How long the fuzz tests are, and from which seed they draw: `make fuzz` asks for the longer ones."""
+"""Number and seed of fuzz messages: `make fuzz` sends more."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Fuzzing(NamedTuple):
-    """long: many more messages than in the ordinary run; seed: of all that is drawn at random."""
+    """long: many more messages than usual; seed: of all random draws."""
 
     long: bool
     seed: int

@@ -1,4 +1,4 @@
-"""A user's own defence that only listens: it keeps what it hears of agents' tracks."""
+"""A user-written, listen-only defence that records agents' tracks."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from mast_zenoh.runtime.mesh.main import main
 
 
 class Guard(Node):
-    """heard: (subject, frame, payload) of every message, in the order in which they came."""
+    """heard: (subject, frame, payload) of every message in order of arrival."""
 
     role = "defence"
     inputs = {"tracks": "tracks"}
@@ -16,11 +16,11 @@ class Guard(Node):
         self.heard: list[tuple[str, int, bytes]] = []
 
     def on_tracks(self, received: Received, context: Context) -> None:
-        """An agent's tracks."""
+        """Record an agent's tracks."""
         self.heard.append((received.subject, received.frame, received.encoded))
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """How many messages of each agent came."""
+        """The number of messages from each agent."""
         subjects = [subject for subject, _, _ in self.heard]
         return {"heard": {subject: subjects.count(subject) for subject in sorted(set(subjects))}}
 

@@ -1,4 +1,4 @@
-"""Runs in processes of their own, what comes of them, and a stranger who watches."""
+"""Runs in their own processes, their results, and an observer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAST = (sys.executable, "-m", "mast_zenoh")
 
 
 def eventually(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
-    """Wait until `condition` is true and return its value; fail when the deadline passes."""
+    """Wait until `condition` is true and return its value; fail at the deadline."""
     pause, deadline = threading.Event(), time.monotonic() + seconds
     while not (value := condition()):
         assert time.monotonic() < deadline, f"not within {seconds:.0f} s: {what}"
@@ -32,7 +32,7 @@ def eventually(condition: Callable[[], Any], what: str, seconds: float = 120.0) 
 
 
 class Launched:
-    """A command that ends with the folder of its run, in a process of its own."""
+    """A command that writes a run folder, in its own process."""
 
     def __init__(self, out: Path, *command: str, **environment: str) -> None:
         self.out = out
@@ -47,12 +47,12 @@ class Launched:
         )
 
     def record(self) -> dict[str, Any]:
-        """run.json; empty while there is none."""
+        """run.json, or {} before it exists."""
         path = self.out / "run.json"
         return json.loads(path.read_text()) if path.is_file() else {}
 
     def until(self, condition: Callable[[], Any], what: str) -> Any:
-        """Wait, as `eventually` does, for something that comes while it runs."""
+        """Like `eventually`, but fail early when the process exits."""
 
         def come() -> Any:
             assert self.process.poll() is None, self.process.communicate()[0]
@@ -61,12 +61,12 @@ class Launched:
         return eventually(come, what)
 
     def started(self) -> dict[str, Any]:
-        """run.json, as soon as it names the nodes."""
+        """run.json, once it names the nodes."""
         self.until(lambda: self.record().get("nodes"), "run.json names the nodes")
         return self.record()
 
     def recorded(self) -> bool:
-        """Whether the recorder has handed in something: frames are played."""
+        """Whether the recorder has reported: frames are played."""
         path = self.out / "messages.mcap"
         return path.is_file() and path.stat().st_size > 0
 
@@ -75,7 +75,7 @@ class Launched:
         return [node["pid"] for node in self.record()["nodes"].values()]
 
     def end(self, seconds: float = 150.0) -> tuple[int, str]:
-        """(exit code, output) when it has ended by itself; one that does not shows where it stands."""
+        """(exit code, output) after it ends; a stuck process prints its stack."""
         try:
             output, _ = self.process.communicate(timeout=seconds)
         except subprocess.TimeoutExpired:
@@ -84,13 +84,13 @@ class Launched:
         return self.process.returncode, output
 
     def kill(self) -> None:
-        """End it at once, unless it has ended."""
+        """Kill it unless it has ended."""
         with self.process:
             self.process.kill()
 
 
 class Observer:
-    """A stranger on the mesh of a run: sees what every subscriber of an open mesh can see."""
+    """An observer on a run's open mesh that sees every message."""
 
     def __init__(self, record: dict[str, Any], keys: str = "**") -> None:
         self.prefix = f"mast/{record['id']}/"
@@ -103,7 +103,7 @@ class Observer:
         self.samples.append((str(sample.key_expr).removeprefix(self.prefix), sample))
 
     def frame(self) -> int:
-        """How many clocks it has seen."""
+        """The number of clocks received."""
         return sum(key == "clock" for key, _ in self.samples)
 
     def close(self) -> None:
@@ -111,7 +111,7 @@ class Observer:
 
 
 def alive(pids: list[int]) -> list[int]:
-    """Those of the processes that still run."""
+    """The process ids that are still running."""
 
     def runs(pid: int) -> bool:
         try:

@@ -1,4 +1,4 @@
-"""An engine whose nodes live elsewhere as processes beside the launcher: they have nothing of it but the mesh."""
+"""An engine with remote nodes simulated as processes without shared files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mast_zenoh.security import levels
 
 
 class BesideProcesses(Processes):
-    """Processes of mast-node; `code` is run in each before."""
+    """Processes of mast-node; `code` is executed in each beforehand."""
 
     def __init__(self, *arguments: Any, code: str = "", patience_s: float = 10.0, **more: Any) -> None:
         super().__init__(*arguments, **more)
@@ -31,7 +31,7 @@ class BesideProcesses(Processes):
 
 
 class Beside(Engine):
-    """code: by node, Python that runs in its process before it is a node."""
+    """code: by node, Python executed in its process beforehand."""
 
     name = "beside"
 

@@ -1,4 +1,4 @@
-"""A user's own adversary that listens: the places where it puts its victim's detections depend on all agents' poses."""
+"""A user-written adversary that displaces detections by all agents' poses."""
 
 from mast_zenoh.gather import Gather
 from mast_zenoh.node import Context, Node, Received
@@ -17,21 +17,21 @@ class Shadow(Node):
         self.gather: Gather[str, Received] = Gather({"detections", *heard})
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """Frames of which something is missing are passed on as they are."""
+        """Forward incomplete frames unchanged."""
         for _, items in self.gather.expired(received.frame):
             if "detections" in items:
                 context.relay("detections_out", items["detections"])
 
     def on_poses(self, received: Received, context: Context) -> None:
-        """Where an agent is."""
+        """Record an agent's position."""
         self.take(received.subject, received, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
-        """What the victim detects."""
+        """Record the victim's detections."""
         self.take("detections", received, context)
 
     def take(self, name: str, received: Received, context: Context) -> None:
-        """Displace the detections when everything of the frame has come."""
+        """Displace the detections when the frame is complete."""
         items = self.gather.add(received.frame, name, received)
         if items is not None:
             detections = items.pop("detections")

@@ -1,4 +1,4 @@
-"""A world small enough to play in milliseconds, a bench for one node, and a way to see all that a run says."""
+"""A tiny world that plays in milliseconds, and a bench for single nodes."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ _YAW = np.arctan2(_VELOCITY[:, 1], _VELOCITY[:, 0])
 
 
 class TinyScene(Scene):
-    """Four objects, of which one is the ego, and any number of poles; everyone detects everything, within 10 cm."""
+    """Four objects including the ego, and poles; everything is detected to 10 cm."""
 
     def __init__(self, *, n_infrastructure: int = 2) -> None:
         self.n_infrastructure = n_infrastructure
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        """See `Scene.record`; 12 frames."""
+        """12 frames of the tiny world."""
         count = 12 if frames is None else frames
         agents = [SceneAgent("ego", "mobile", 0, LidarSensor(), Camera())]
         for i in range(self.n_infrastructure):
@@ -117,7 +117,7 @@ def tiny(
     seed: int = 0,
     edit: Callable[[dict[str, Any]], None] | None = None,
 ) -> Resolved:
-    """One of our scenarios in the tiny world; `edit` may change its dict before it is resolved."""
+    """A shipped scenario in the tiny world, changed by `edit` if given."""
     path, content = scenario.load(name, [f"n_infrastructure={infrastructure}", *settings])
     content["scene"] = dict(type="TinyScene", n_infrastructure=infrastructure)
     if edit:
@@ -126,7 +126,7 @@ def tiny(
 
 
 class Run:
-    """What a run in one process has said: the bytes of every message by key, in the order sent, and the results."""
+    """All messages and results of a run in one process, by key in order."""
 
     def __init__(self, resolved: Resolved, *, shuffle: int | None = None, encode: bool = True) -> None:
         self.messages: dict[str, list[bytes]] = defaultdict(list)
@@ -149,7 +149,7 @@ class Run:
         return [codec.decode(payload, schema) for payload in self.messages[key]]
 
     def of(self, *words: str) -> dict[str, list[bytes]]:
-        """The messages of those keys that have all `words` among their chunks, tap legs left out."""
+        """Messages of keys with all `words` among their chunks, except tap legs."""
         return {
             key: payloads
             for key, payloads in self.messages.items()
@@ -158,9 +158,9 @@ class Run:
 
 
 class Bench:
-    """One node of a scenario by itself, its configuration changed by `config`; the test plays all the others.
+    """One node of a scenario by itself; the test plays all other nodes.
 
-    said: everything that the node has published so far, as (key, message); outbox: what of it has not been looked at
+    said: all messages published so far, as (key, message); outbox: those not yet checked by the test
     """
 
     def __init__(self, resolved: Resolved, name: str, *, encode: bool = True, **config: Any) -> None:
@@ -179,44 +179,44 @@ class Bench:
         self._seq: dict[str, int] = defaultdict(int)
 
     def key(self, port: str, subject: str | None = None) -> str:
-        """The key on which the node hears a port."""
+        """The key of an input port of the node."""
         (key,) = (
             key for key, hears in self.ports.inputs.items() if hears.port == port and subject in (None, hears.subject)
         )
         return key
 
     def message(self, key: str, body: dict[str, Any], frame: int, **header: Any) -> Message:
-        """The next message of the node's peer on a key, as that peer would make it."""
+        """The next message of the node's peer on a key."""
         hears = self.ports.inputs[key]
         fields = dict(source=hears.source, frame=frame, time_ns=frame * PERIOD_NS, seq=self._seq[key]) | header
         self._seq[key] += 1
         return codec.conform(Header(hears.message, **fields), body)
 
     def deliver(self, key: str, message: Message, *, step: int | None = None) -> list[tuple[str, Message]]:
-        """Give the node a message; what it says at once."""
+        """Deliver a message; returns the messages that the node publishes at once."""
         payload = codec.encode(message) if self.encode else message
         self.host.deliver(key, payload, message.header.frame if step is None else step)
         return self._collect()
 
     def send(self, port: str, body: dict[str, Any], frame: int, *, subject: str | None = None, step: int | None = None):
-        """`message` and `deliver` in one, by port."""
+        """Make and deliver a message by port."""
         key = self.key(port, subject)
         return self.deliver(key, self.message(key, body, frame), step=step)
 
     def hear(self, key: str, body: dict[str, Any], frame: int, *, step: int | None = None, **header: Any) -> None:
-        """`message` and `deliver` in one, by key: for a node that hears every key."""
+        """Make and deliver a message by key, for nodes that hear every key."""
         self.deliver(key, self.message(key, body, frame, **header), step=step)
 
     def clock(self, frame: int) -> list[tuple[str, Message]]:
-        """A frame begins."""
+        """Begin a frame."""
         return self.send("clock", {}, frame)
 
     def heard(self, key: str) -> list[Message]:
-        """Everything that the node has said on a key."""
+        """All messages that the node has published on a key."""
         return [message for said, message in self.said if said == key]
 
     def left(self, name: str, role: str) -> list[tuple[str, Message]]:
-        """Another node goes."""
+        """Announce that another node has left."""
         self.host.left(name, role)
         return self._collect()
 
@@ -246,7 +246,7 @@ def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> dict[str, np.ndarr
 
 
 def detections(*places: tuple[float, float]) -> dict[str, np.ndarray]:
-    """Columns of detections of cars at (x, y) of the sensor, which sits at the agent's origin."""
+    """Columns of detections of cars at (x, y) in the sensor's and agent's frame."""
     n = len(places)
     detected = Detections(
         position=np.array([(x, y, 0.8) for x, y in places]).reshape(n, 3),

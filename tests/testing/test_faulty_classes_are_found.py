@@ -1,4 +1,4 @@
-"""A class that does not keep to what its base class says is found, and the message says what is wrong."""
+"""Classes that violate their base class are found with a clear message."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class Explode(Fizzle):
     ],
     ids=lambda value: type(value).__name__ if not callable(value) and not isinstance(value, str) else "",
 )
-def test_what_a_class_does_wrong_is_named(check: Callable[[Any], None], faulty: Any, message: str) -> None:
+def test_faults_of_a_class_are_named(check: Callable[[Any], None], faulty: Any, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check(faulty)
 
@@ -196,12 +196,12 @@ def watched(folder: Path, does: str) -> Path:
         ("received.body['nosuch']", "a handler has failed: .*watcher.*on_tracks"),
     ],
 )
-def test_what_a_node_does_wrong_is_found_by_playing_its_scenario(tmp_path: Path, does: str, message: str) -> None:
+def test_faults_of_a_node_are_found_by_playing_its_scenario(tmp_path: Path, does: str, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         testing.check_scenario(watched(tmp_path, does), frames=5)
 
 
-def test_a_node_that_only_listens_passes(tmp_path: Path) -> None:
+def test_a_listen_only_node_passes(tmp_path: Path) -> None:
     testing.check_scenario(watched(tmp_path, "self.order.append(1)"), frames=5)
 
 

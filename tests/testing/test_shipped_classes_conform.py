@@ -1,4 +1,4 @@
-"""Every class that we ship passes the checks that users can apply to theirs."""
+"""Every shipped class passes the checks for user-defined classes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from mast_zenoh import attacks, faults, fusion, links, metrics, testing, tracking
 from mast_zenoh.config import bundle, loading, registry
 
-#: Values of parameters that a class must be given.
+#: Values of required parameters.
 NEEDED: dict[str, Any] = {
     "at": 1.0,
     "until": 2.0,
@@ -32,17 +32,17 @@ NEEDED: dict[str, Any] = {
 
 
 def shipped(base: type) -> list[Any]:
-    """Our classes that can be named where a base is expected."""
+    """Shipped classes that can be named where a base is expected."""
     classes = registry.known_types(base).items()
     return [pytest.param(cls, base, id=name) for name, cls in classes if cls.__module__.startswith("mast_zenoh.")]
 
 
 def made(cls: type, base: type) -> Any:
-    """An object as a scenario makes it."""
+    """An object built like in a scenario."""
     parameters = inspect.signature(cls).parameters
     required = {name for name, each in parameters.items() if each.default is each.empty}
-    given = {name: NEEDED[name] for name in required | (parameters.keys() & {"until", "node", "gateways"})}
-    return registry.build({"type": cls, **given}, base, cls.__name__)
+    arguments = {name: NEEDED[name] for name in required | (parameters.keys() & {"until", "node", "gateways"})}
+    return registry.build({"type": cls, **arguments}, base, cls.__name__)
 
 
 CHECKS: dict[type, Callable[[Any], None]] = {
@@ -67,7 +67,7 @@ def test_a_shipped_node_conforms(file: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["uncoordinated", "realistic_network"])
-def test_a_shipped_scenario_is_the_same_in_every_order_of_delivery(name: str) -> None:
+def test_a_shipped_scenario_is_the_same_in_every_delivery_order(name: str) -> None:
     testing.check_scenario(name, frames=15, n_infrastructure=2)
 
 

@@ -1,6 +1,6 @@
-"""The reference scene: detections in the world frame, what each sensor sees, and the scoring of what is made of it.
+"""The reference scene: detections, fields of view and scoring.
 
-A reader of its own, so that these tests stand on nothing but the tracking and the fusion.
+It has its own reader, so that these tests depend only on tracking and fusion.
 """
 
 import json
@@ -25,7 +25,7 @@ GATE_M = 2.0
 
 @dataclass
 class Frames:
-    """By frame: per agent detections (world frame) and view; truth: ids (n,), positions (n, 3); the ego's place."""
+    """By frame: detections (world frame) and views, truth, and the ego's position."""
 
     time_ns: list = field(default_factory=list)
     detections: list = field(default_factory=list)
@@ -43,7 +43,7 @@ class Score:
 
 
 def unpacked(folder: Path) -> Path:
-    """The reference scene, unpacked into `folder`; skips the test where there is none."""
+    """The reference scene unpacked into `folder`; skips if it is missing."""
     root = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
     archive = root / "scene_a.tar.gz"
     if not archive.exists():
@@ -114,21 +114,21 @@ def run(
 
 
 def score(scene: Frames, tracks: list[ObjectStates]) -> Score:
-    """Means over the scored frames; root mean square error and id switches over all of them."""
+    """Means over scored frames; RMSE and id switches over all of them."""
     fn, fp, squared, switches = [], [], [], 0
     last: dict[int, int] = {}
     frames = list(zip(scene.truth, scene.ego, tracks, strict=True))[FIRST:LAST]
-    for (ids, position), ego, found in frames:
+    for (ids, position), ego, estimate in frames:
         truth = _near(position, ego)
-        mine = _near(found.position, ego)
-        distance = np.linalg.norm(position[truth, None, :2] - found.position[None, mine, :2], axis=2)
+        in_range = _near(estimate.position, ego)
+        distance = np.linalg.norm(position[truth, None, :2] - estimate.position[None, in_range, :2], axis=2)
         rows, columns = linear_sum_assignment(np.where(distance <= GATE_M, distance, 1e6))
         pairs = [(r, c) for r, c in zip(rows, columns, strict=True) if distance[r, c] <= GATE_M]
         fn.append(len(truth) - len(pairs))
-        fp.append(len(mine) - len(pairs))
+        fp.append(len(in_range) - len(pairs))
         for r, c in pairs:
             squared.append(distance[r, c] ** 2)
-            object_id, track_id = int(ids[truth[r]]), int(found.id[mine[c]])
+            object_id, track_id = int(ids[truth[r]]), int(estimate.id[in_range[c]])
             switches += last.get(object_id, track_id) != track_id
             last[object_id] = track_id
     return Score(float(np.mean(fn)), float(np.mean(fp)), float(np.sqrt(np.mean(squared))), switches)

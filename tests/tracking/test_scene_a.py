@@ -1,4 +1,4 @@
-"""What the chain from detections to the picture makes of the reference scene."""
+"""Tracks and pictures of the reference scene."""
 
 import numpy as np
 import pytest
@@ -41,17 +41,17 @@ def result(scene: Frames) -> tuple[list[list[ObjectStates]], list[ObjectStates]]
 
 
 def test_the_picture_misses_few_objects_and_has_few_false_ones(scene, result):
-    found = score(scene, result[1])
-    assert found.fn <= 1.25
-    assert found.fp <= 0.15
-    assert found.rmse_m <= 0.30
-    assert found.id_switches <= 3
+    scores = score(scene, result[1])
+    assert scores.fn <= 1.25
+    assert scores.fp <= 0.15
+    assert scores.rmse_m <= 0.30
+    assert scores.id_switches <= 3
 
 
 def test_the_ego_alone_misses_unseen_objects_and_has_few_false_ones(scene, result):
-    found = score(scene, [tracks[0] for tracks in result[0]])
-    assert found.fn <= 6.35
-    assert found.fp <= 0.05
+    scores = score(scene, [tracks[0] for tracks in result[0]])
+    assert scores.fn <= 6.35
+    assert scores.fp <= 0.05
 
 
 @pytest.mark.parametrize(
@@ -68,15 +68,15 @@ def test_the_ego_alone_misses_unseen_objects_and_has_few_false_ones(scene, resul
     ids=["dbscan", "optimised weights", "best member", "unfiltered"],
 )
 def test_every_alternative_stage_performs_as_well(scene, result, other):
-    found = score(scene, run_again(scene, result[0], other))
-    assert found.fn <= 1.25
-    assert found.fp <= 0.15
-    assert found.rmse_m <= 0.30
-    assert found.id_switches <= 3
+    scores = score(scene, run_again(scene, result[0], other))
+    assert scores.fn <= 1.25
+    assert scores.fp <= 0.15
+    assert scores.rmse_m <= 0.30
+    assert scores.id_switches <= 3
 
 
 def run_again(scene: Frames, tracks: list[list[ObjectStates]], centre: CommandCenterPipeline) -> list[ObjectStates]:
-    """The pictures that another centre makes of the same tracks."""
+    """The pictures of another command centre from the same tracks."""
     names = tuple(f"agent_{row}" for row in range(len(tracks[0])))
     return [
         centre.step(time_ns, concatenate(own), np.repeat(np.arange(len(own)), [len(o) for o in own]), names)[0]
@@ -92,11 +92,11 @@ def test_ids_are_sorted_and_unique(result):
 def test_filterpy_gives_the_same_tracks_and_picture(scene, result):
     frames = 60
     tracks, pictures = run(scene, FilterpyBoxTracker3D, pipeline(FilterpyBoxTracker3D), frames)
-    for mine, theirs in zip(result[1], pictures, strict=False):
-        assert_close(mine, theirs)
-    for mine_, theirs_ in zip(result[0], tracks, strict=False):
-        for mine, theirs in zip(mine_, theirs_, strict=True):
-            assert_close(mine, theirs)
+    for ours, reference in zip(result[1], pictures, strict=False):
+        assert_close(ours, reference)
+    for our_tracks, reference_tracks in zip(result[0], tracks, strict=False):
+        for ours, reference in zip(our_tracks, reference_tracks, strict=True):
+            assert_close(ours, reference)
 
 
 def assert_close(a: ObjectStates, b: ObjectStates) -> None:
@@ -114,8 +114,8 @@ def test_results_do_not_depend_on_the_order_of_arrival(scene, result):
     tracks, pictures = run(shuffled, KalmanBoxTracker3D, ShuffledPipeline(pipeline(), random), frames)
     for frame in range(frames):
         assert_same_bits(result[1][frame], pictures[frame])
-        for mine, theirs in zip(result[0][frame], tracks[frame], strict=True):
-            assert_same_bits(mine, theirs)
+        for ours, other in zip(result[0][frame], tracks[frame], strict=True):
+            assert_same_bits(ours, other)
 
 
 def shuffle(detections: Detections, random: np.random.Generator) -> Detections:
@@ -123,7 +123,7 @@ def shuffle(detections: Detections, random: np.random.Generator) -> Detections:
 
 
 class ShuffledPipeline(CommandCenterPipeline):
-    """Gives a pipeline the tracks in any order, and the agents too."""
+    """Gives a pipeline tracks and agents in random order."""
 
     def __init__(self, inner: CommandCenterPipeline, random: np.random.Generator) -> None:
         self.inner, self.random = inner, random

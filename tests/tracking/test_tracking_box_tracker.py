@@ -1,4 +1,4 @@
-"""How the box tracker behaves."""
+"""Behaviour of the box tracker."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_one_false_detection_never_becomes_a_track():
         assert len(tracker.step(nanoseconds(frame), NOTHING)) == 0
 
 
-def test_an_object_is_a_track_by_its_third_detection():
+def test_an_object_has_a_track_by_its_third_detection():
     tracker = KalmanBoxTracker3D()
     counts = [len(tracker.step(nanoseconds(frame), detected([20.0, 5.0]))) for frame in range(3)]
     assert counts[0] == 0
@@ -85,8 +85,8 @@ def test_an_object_that_returns_within_a_second_keeps_its_id():
     tracker = KalmanBoxTracker3D()
     before = settled(tracker, [20.0, 5.0], 20)
     for frame in range(20, 30):
-        gone = tracker.step(nanoseconds(frame), NOTHING, view())
-    assert len(gone) == 0
+        missed = tracker.step(nanoseconds(frame), NOTHING, view())
+    assert len(missed) == 0
     after = tracker.step(nanoseconds(30), detected([20.2, 5.0]), view())
     np.testing.assert_array_equal(after.id, before.id)
 
@@ -149,7 +149,7 @@ def test_an_initially_reversed_heading_is_corrected_by_motion():
     assert abs(tracks.yaw[0]) < 0.1
 
 
-def test_the_class_is_that_of_most_detections():
+def test_the_class_is_the_most_frequent_one():
     tracker = KalmanBoxTracker3D()
     for frame in range(12):
         tracks = tracker.step(nanoseconds(frame), detected([10.0, 0.0], 0.0, "truck" if frame % 3 else "car"))
@@ -157,10 +157,10 @@ def test_the_class_is_that_of_most_detections():
 
 
 def test_a_detection_with_a_small_covariance_has_a_large_weight():
-    sure, unsure = KalmanBoxTracker3D(), KalmanBoxTracker3D()
+    certain, unsure = KalmanBoxTracker3D(), KalmanBoxTracker3D()
     for frame in range(3):
         covariance = np.eye(3)[None] * 1e-3
-        a = sure.step(nanoseconds(frame), detected([10.0, 0.0], covariance=covariance))
+        a = certain.step(nanoseconds(frame), detected([10.0, 0.0], covariance=covariance))
         b = unsure.step(nanoseconds(frame), detected([10.0, 0.0]))
     assert a.covariance[0, 0, 0] < 0.05 * b.covariance[0, 0, 0]
 
@@ -176,7 +176,7 @@ def test_errors_are_consistent_with_the_covariance():
             error = (tracks.position - detected(xy).position)[:, :2]
             information = np.linalg.inv(tracks.covariance[:, :2, :2])
             errors.append(np.einsum("ni,nij,nj->n", error, information, error).mean())
-    # Two degrees of freedom would give 2; what stands still moves less than the model allows for.
+    # Two degrees of freedom would give 2; stationary objects move less than the model allows for.
     assert 0.5 < np.mean(errors) < 2.5
 
 
@@ -219,7 +219,7 @@ def assert_close(a: ObjectStates, b: ObjectStates) -> None:
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9)
 
 
-def test_matched_names_the_row_each_track_was_updated_with():
+def test_matched_gives_the_row_used_to_update_each_track():
     tracker = KalmanBoxTracker3D()
     xy = np.array([[40.0, 0.0], [-10.0, 5.0], [20.0, -8.0]])
     tracks = settled(tracker, xy)
@@ -246,7 +246,7 @@ def test_reset_restores_the_initial_state():
         np.testing.assert_array_equal(column, second.columns()[name])
 
 
-def test_steps_may_have_any_length_including_zero():
+def test_time_steps_may_have_any_length_including_zero():
     tracker = KalmanBoxTracker3D()
     for time_s in (0.0, 0.05, 0.05, 0.3, 0.31, 1.0, 1.1):
         tracks = tracker.step(round(time_s * 1e9), detected([10.0 * time_s, 0.0]))
@@ -305,7 +305,7 @@ def test_repeated_states_are_not_counted_as_new_evidence():
     tracker = KalmanBoxTracker3D()
     for frame in range(50):
         tracks = tracker.step_states(nanoseconds(frame), states([10.0, 0.0]))
-    # Fifty independent measurements would bring it to a fraction of what one says; repeated ones must not.
+    # Fifty independent measurements would reduce it to a fraction of one; repeated ones must not.
     assert tracks.covariance[0, 0, 0] > 0.5 * 0.04
 
 
@@ -329,7 +329,7 @@ def test_a_state_with_a_low_score_is_not_confirmed_at_once():
 def test_invalid_covariances_do_not_stop_the_tracker(covariance):
     tracker = KalmanBoxTracker3D()
     for frame in range(6):
-        said = np.stack([np.eye(3) * 0.1, covariance[:3, :3]])
-        tracks = tracker.step(nanoseconds(frame), detected([[10.0, 0.0], [30.0, 0.0]], covariance=said))
+        reported = np.stack([np.eye(3) * 0.1, covariance[:3, :3]])
+        tracks = tracker.step(nanoseconds(frame), detected([[10.0, 0.0], [30.0, 0.0]], covariance=reported))
     assert all(np.isfinite(column).all() for column in tracks.columns().values())
     assert np.isclose(tracks.position[:, 0], 10.0, atol=0.1).any()

@@ -1,4 +1,4 @@
-"""The parts that trackers are made of."""
+"""Components of trackers."""
 
 import itertools
 import subprocess
@@ -168,7 +168,7 @@ def boxes(position, size) -> np.ndarray:
 
 
 def all_round(position) -> SensorView:
-    """Of a sensor that sees wherever nothing is in the way."""
+    """A sensor that sees in all directions."""
     return SensorView(np.asarray(position, float), np.eye(3), -np.pi, np.pi, -np.pi, np.pi, 1e4)
 
 
@@ -188,7 +188,7 @@ def test_an_object_is_expected_inside_the_field_of_view_and_half_at_its_edge():
     assert pole.visible_fraction(boxes([[edge, 0.0, 0.8]], CAR), NO_BOXES)[0] == pytest.approx(0.5)
 
 
-def test_a_full_turn_has_no_edge_behind():
+def test_a_full_circle_has_no_edge():
     roof = SensorView(np.zeros(3), np.eye(3), -np.pi, np.pi, -0.3, 0.3, 50.0)
     assert roof.visible_fraction(boxes([[-20.0, 0.0, 0.0], [-20.0, -0.01, 0.0]], CAR), NO_BOXES).tolist() == [1.0, 1.0]
 

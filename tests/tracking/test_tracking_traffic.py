@@ -1,4 +1,4 @@
-"""Traffic of all kinds, with the tracker's constants as they come: nothing here is tuned to a place."""
+"""All kinds of traffic with the tracker's default parameters."""
 
 import numpy as np
 import pytest
@@ -81,14 +81,14 @@ def test_greedy_assignment_does_nearly_as_well(world):
     assert result["switches"] <= 2
 
 
-def test_a_poor_detector_in_dense_clutter_costs_little():
+def test_a_poor_detector_in_dense_clutter_costs_little_accuracy():
     result = run(motorway, probability=0.65, noise_m=0.5, yaw_noise=0.1, flips=0.1, clutter=3.0)
     assert result["fn"] <= 1.0
     assert result["fp"] <= 0.5
     assert result["switches"] <= 5
 
 
-def test_clutter_alone_makes_hardly_any_track():
+def test_clutter_alone_creates_hardly_any_track():
     random = np.random.default_rng(0)
     result = watch(
         KalmanBoxTracker3D(), [("car", straight(500.0, 0.0, 0.0, 0.0)), *pavement(random)[:1]], 300, random, clutter=3.0

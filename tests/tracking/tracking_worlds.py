@@ -1,4 +1,4 @@
-"""Small worlds for trackers: objects that drive, and detections of them."""
+"""Small worlds for trackers: moving objects and detections of them."""
 
 from collections.abc import Callable
 
@@ -12,12 +12,12 @@ from mast_zenoh.tracking import Tracker
 STEP_S = 0.1
 SIZE = {"car": (4.5, 1.8, 1.5), "pedestrian": (0.6, 0.6, 1.7), "bicycle": (1.8, 0.6, 1.7), "truck": (9.0, 2.5, 3.2)}
 
-#: Where an object is at a time in s: x, y (m), heading (rad).
+#: The position and heading of an object at a time in s: x, y (m), heading (rad).
 Path = Callable[[float], tuple[float, float, float]]
 
 
 def detected(xy: object, yaw: object = 0.0, kind: str = "car", covariance: np.ndarray | None = None) -> Detections:
-    """Detections of objects of one kind at `xy` (n, 2) m, headed to `yaw`."""
+    """Detections of one kind of objects at `xy` (n, 2) m with heading `yaw`."""
     xy = np.asarray(xy, float).reshape(-1, 2)
     n = len(xy)
     return Detections(
@@ -43,7 +43,7 @@ def straight(x: float, y: float, yaw: float, speed: float) -> Path:
 
 
 def turning(x: float, y: float, yaw: float, speed: float, radius: float, start_s: float) -> Path:
-    """Straight on until `start_s`, then a quarter turn to the left, then straight on."""
+    """Straight until `start_s`, then a quarter turn to the left, then straight."""
 
     def path(t: float) -> tuple[float, float, float]:
         along = speed * min(t, start_s)
@@ -52,14 +52,14 @@ def turning(x: float, y: float, yaw: float, speed: float, radius: float, start_s
         angle = min(arc / radius, np.pi / 2)
         px += radius * (np.sin(yaw + angle) - np.sin(yaw))
         py -= radius * (np.cos(yaw + angle) - np.cos(yaw))
-        rest = max(arc - radius * np.pi / 2, 0.0)
-        return px + rest * np.cos(yaw + angle), py + rest * np.sin(yaw + angle), yaw + angle
+        remaining = max(arc - radius * np.pi / 2, 0.0)
+        return px + remaining * np.cos(yaw + angle), py + remaining * np.sin(yaw + angle), yaw + angle
 
     return path
 
 
 def speeding_up(x: float, y: float, yaw: float, speed: float, change: float, period_s: float) -> Path:
-    """`speed` on average, `change` m/s more and less in turn: stop and go."""
+    """Stop and go: `speed` on average, alternately `change` m/s more and less."""
     rate = 2 * np.pi / period_s
 
     def path(t: float) -> tuple[float, float, float]:
@@ -70,12 +70,12 @@ def speeding_up(x: float, y: float, yaw: float, speed: float, change: float, per
 
 
 def changing_lanes(path: Path, at_s: float, width: float) -> Path:
-    """`path`, and from `at_s` on `width` m to the left: in one step, as in simulated traffic."""
+    """`path`, shifted `width` m to the left from `at_s` in one step."""
 
     def shifted(t: float) -> tuple[float, float, float]:
         x, y, yaw = path(t)
-        aside = width if t >= at_s else 0.0
-        return x - aside * np.sin(yaw), y + aside * np.cos(yaw), yaw
+        lateral = width if t >= at_s else 0.0
+        return x - lateral * np.sin(yaw), y + lateral * np.cos(yaw), yaw
 
     return shifted
 
@@ -93,7 +93,7 @@ def watch(
     clutter: float = 1.0,
     range_m: float = 80.0,
 ) -> dict[str, float]:
-    """What a tracker makes of noisy detections: misses and inventions per frame, ids changed, error (m).
+    """Tracking of noisy detections: misses, false tracks, id switches, error (m).
 
     The sensor is at the origin. Scored from the tenth frame on; an object counts while it has been in range for ten.
     """
@@ -112,16 +112,16 @@ def watch(
         for _ in range(random.poisson(clutter)):
             spot = range_m * np.sqrt(random.random()) * np.exp(1j * random.uniform(-np.pi, np.pi))
             seen.append(detected([spot.real, spot.imag], random.uniform(-np.pi, np.pi)))
-        found = tracker.step(nanoseconds(frame), joined(*seen))
+        tracks = tracker.step(nanoseconds(frame), joined(*seen))
         if frame < 10:
             continue
-        pairs = matched(pose[:, :2], found)
+        pairs = matched(pose[:, :2], tracks)
         counts["fn"] += np.sum((inside > 10) & ~np.isin(np.arange(len(objects)), [row for row, _ in pairs]))
-        counts["fp"] += len(found) - len(pairs)
+        counts["fp"] += len(tracks) - len(pairs)
         for row, column in pairs:
-            squared.append(float(np.sum((pose[row, :2] - found.position[column, :2]) ** 2)))
-            counts["switches"] += last.get(row, found.id[column]) != found.id[column]
-            last[row] = found.id[column]
+            squared.append(float(np.sum((pose[row, :2] - tracks.position[column, :2]) ** 2)))
+            counts["switches"] += last.get(row, tracks.id[column]) != tracks.id[column]
+            last[row] = tracks.id[column]
     scored = frames - 10
     return {
         "fn": counts["fn"] / scored,
@@ -131,8 +131,8 @@ def watch(
     }
 
 
-def matched(truth: np.ndarray, found: ObjectStates) -> list[tuple[int, int]]:
-    """Pairs of truth (n, 2) and found objects within 2 m, by least total distance."""
-    distance = np.linalg.norm(truth[:, None, :] - found.position[None, :, :2], axis=2)
+def matched(truth: np.ndarray, tracks: ObjectStates) -> list[tuple[int, int]]:
+    """Pairs of truth (n, 2) and tracks within 2 m, by least total distance."""
+    distance = np.linalg.norm(truth[:, None, :] - tracks.position[None, :, :2], axis=2)
     rows, columns = linear_sum_assignment(np.where(distance <= 2.0, distance, 1e6))
     return [(r, c) for r, c in zip(rows, columns, strict=True) if distance[r, c] <= 2.0]

@@ -1,4 +1,4 @@
-"""Inserting a node changes nothing for a wire's subscribers, and removing it restores the former wiring."""
+"""Insertion is invisible to subscribers; removal restores the wiring."""
 
 from __future__ import annotations
 
@@ -27,23 +27,21 @@ NODES, WIRES = ("m", "n", "o", "p"), [found.key for found in PLAIN.wires]
 def ends(wiring: Wiring) -> dict[str, tuple]:
     """Publisher, subscribers and listeners of each wire."""
     strangers = {
-        found.key: tuple(end for end in found.subscribers if end.node not in NODES)
-        for found in wiring.wires
-        if found.legs[0].publisher.node not in NODES
+        each.key: tuple(end for end in each.subscribers if end.node not in NODES)
+        for each in wiring.wires
+        if each.legs[0].publisher.node not in NODES
     }
-    return {
-        found.key: (found.legs[0].publisher, strangers[found.key]) for found in wiring.wires if found.key in strangers
-    }
+    return {each.key: (each.legs[0].publisher, strangers[each.key]) for each in wiring.wires if each.key in strangers}
 
 
 @given(st.lists(st.tuples(st.sampled_from(NODES), st.sampled_from(WIRES)), max_size=12))
-def test_insertions_and_removals_keep_the_ends_of_wires_and_the_chain_whole(steps: list[tuple[str, str]]) -> None:
+def test_insertions_and_removals_keep_wire_ends_and_chains_intact(steps: list[tuple[str, str]]) -> None:
     wiring, sitting = PLAIN, {}
     for node, key in steps:
         if node in sitting:
-            before = {found.key: found.interposers for found in wiring.wires}
+            before = {each.key: each.interposers for each in wiring.wires}
             wiring = remove(wiring, node)
-            after = {found.key: found.interposers for found in wiring.wires}
+            after = {each.key: each.interposers for each in wiring.wires}
             assert after == {k: tuple(name for name in names if name != node) for k, names in before.items()}
             del sitting[node]
         else:
@@ -52,11 +50,11 @@ def test_insertions_and_removals_keep_the_ends_of_wires_and_the_chain_whole(step
         assert ends(wiring) == ends(PLAIN)
         keys = wiring.keys()
         assert len(set(keys)) == len(keys)
-        for found in wiring.wires:
-            assert found.legs[-1].key == found.key
-            assert [end.node for end in found.listeners_of(found.legs[-1])] == ["d"] * (found.key == "b/out")
-            assert all(leg.key.startswith(f"{found.key}/{TAP}/") for leg in found.legs[:-1])
-            for leg, onward in zip(found.legs, found.legs[1:], strict=False):
+        for each in wiring.wires:
+            assert each.legs[-1].key == each.key
+            assert [end.node for end in each.listeners_of(each.legs[-1])] == ["d"] * (each.key == "b/out")
+            assert all(leg.key.startswith(f"{each.key}/{TAP}/") for leg in each.legs[:-1])
+            for leg, onward in zip(each.legs, each.legs[1:], strict=False):
                 assert [end.node for end in leg.subscribers] == [onward.publisher.node]
         assert Wiring.from_json(wiring.to_json()) == wiring
     for node in list(sitting):
@@ -64,21 +62,21 @@ def test_insertions_and_removals_keep_the_ends_of_wires_and_the_chain_whole(step
     assert wiring == PLAIN
 
 
-def test_an_inserted_node_has_the_wires_of_its_place_until_it_is_removed() -> None:
+def test_an_inserted_node_has_the_wires_of_its_position_until_removed() -> None:
     report = wire("attack/m/report", "m", "c")
     wiring = insert(PLAIN, "m", Place("a/tracks", "in", "out", {"clock": "clock"}, (report,)))
     ports = wiring.ports("m")
     assert {key: heard.port for key, heard in ports.inputs.items()} == {"clock": "clock", f"a/tracks/{TAP}/0": "in"}
     assert wiring.ports("c").inputs["attack/m/report"].source == "m"
     assert wiring.ports("a").outputs == {("out", ""): f"a/tracks/{TAP}/0"}
-    assert wiring.ports("b").inputs == PLAIN.ports("b").inputs, "a subscriber's ports are what they were"
+    assert wiring.ports("b").inputs == PLAIN.ports("b").inputs, "a subscriber's ports are unchanged"
     assert f"a/tracks/{TAP}/0" in wiring.ports("recorder").inputs
     assert taps_into(wiring, ["m"]) == {f"a/tracks/{TAP}/0": "m"}
     assert interposer_of(wiring, "a/tracks") == "m"
     assert remove(wiring, "m") == PLAIN
 
 
-def test_the_next_free_tap_is_taken_so_that_no_leg_of_a_chain_changes_its_key_twice() -> None:
+def test_the_next_free_tap_is_used_so_each_leg_changes_its_key_at_most_once() -> None:
     chain = insert(insert(PLAIN, "m", Place("clock", "in", "out")), "n", Place("clock", "in", "out"))
     without = remove(chain, "m")
     assert [leg.key for leg in without.wires[0].legs] == [f"clock/{TAP}/1", "clock"]
@@ -127,14 +125,14 @@ def test_only_a_node_on_a_wire_can_be_removed_and_the_wire_must_have_only_one() 
 def test_a_wiring_without_some_nodes_equals_one_that_never_had_them() -> None:
     wiring = insert(insert(PLAIN, "m", Place("a/tracks", "in", "out")), "n", Place("a/tracks", "in", "out"))
     assert never_inserted(wiring, {"m", "n"}) == PLAIN
-    (kept,) = (found for found in never_inserted(wiring, {"m"}).wires if found.interposers)
+    (kept,) = (each for each in never_inserted(wiring, {"m"}).wires if each.interposers)
     assert kept.interposers == ("n",)
     assert [leg.publisher.node for leg in kept.legs] == ["a", "n"]
 
 
 def test_removing_a_publisher_removes_its_wires_and_removing_a_listener_its_inputs() -> None:
     without = never_inserted(PLAIN, {"a", "d", "recorder"})
-    assert [found.key for found in without.wires] == ["clock", "b/out"]
+    assert [each.key for each in without.wires] == ["clock", "b/out"]
     assert without.overhearers == ()
     assert all(
         end.node not in ("a", "d") for key in without.wires for end in (*key.subscribers, *key.receivers(key.legs[-1]))
@@ -146,13 +144,13 @@ def test_a_branch_keeps_its_remaining_nodes() -> None:
     ends = [*(Endpoint(name, "in") for name in chain), Endpoint("c", "in")]
     legs = tuple(Leg(f"a/tracks/{TAP}/c/{i}", Endpoint(name, "out"), (ends[i + 1],)) for i, name in enumerate(chain))
     trunk = Leg("a/tracks", Endpoint("a", "out"), (Endpoint("b", "in"), ends[0]))
-    wire_ = Wire("a/tracks", "", "tracks", (trunk,), (Branch(ends[0], ends[3], legs),))
-    (kept,) = never_inserted(Wiring((wire_,)), {"m", "n"}).wires
+    each = Wire("a/tracks", "", "tracks", (trunk,), (Branch(ends[0], ends[3], legs),))
+    (kept,) = never_inserted(Wiring((each,)), {"m", "n"}).wires
     assert kept.legs[-1].subscribers == (Endpoint("b", "in"), Endpoint("link", "in"))
     (branch,) = kept.branches
     assert (branch.entrance, branch.subscriber) == (Endpoint("link", "in"), Endpoint("c", "in"))
     assert branch.legs == (Leg(f"a/tracks/{TAP}/c/2", Endpoint("link", "out"), (Endpoint("c", "in"),)),)
-    (bare,) = never_inserted(Wiring((wire_,)), set(chain)).wires
+    (bare,) = never_inserted(Wiring((each,)), set(chain)).wires
     assert bare == Wire(
         "a/tracks", "", "tracks", (Leg("a/tracks", Endpoint("a", "out"), (Endpoint("b", "in"), ends[3])),)
     )

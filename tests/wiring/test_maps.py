@@ -1,4 +1,4 @@
-"""Resolution gives every port of every node its key, and refuses what cannot work."""
+"""Every port of every node gets its key; invalid maps are refused."""
 
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def resolve(nodes: dict[str, NodeOptions], *sources: dict) -> Wiring:
     return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *sources))], nodes)
 
 
-def test_a_placeholder_makes_one_wire_for_each_node_of_its_role() -> None:
+def test_a_placeholder_creates_one_wire_per_node_of_its_role() -> None:
     wiring = resolve({"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "broker": BROKER})
     assert wiring.keys() == (
         "agent/ego/detections",
@@ -82,7 +82,7 @@ names = st.from_regex(r"[a-z][a-z0-9_]{0,6}", fullmatch=True)
 
 @given(agents=st.lists(names, min_size=1, max_size=5, unique=True), chain=st.integers(0, 6), data=st.data())
 @settings(max_examples=60)
-def test_chains_of_any_length_stay_connected_and_invisible(agents: list[str], chain: int, data: st.DataObject) -> None:
+def test_chains_of_any_length_are_connected_and_invisible(agents: list[str], chain: int, data: st.DataObject) -> None:
     nodes = {"simulator": SIMULATOR, "broker": BROKER} | {f"a_{name}": AGENT for name in agents}
     plain = resolve(nodes)
     sources = []
@@ -176,7 +176,7 @@ def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:
     assert 'simulator -.->|"agent/ego/detections/@tap/0"| adversary_1' in drawn
 
 
-def test_a_node_that_hears_every_key_also_hears_tap_legs_and_is_on_no_wire() -> None:
+def test_a_node_that_hears_every_key_hears_tap_legs_and_is_on_no_wire() -> None:
     ear = node("recorder", inputs="everything:*")
     nodes = {"simulator": SIMULATOR, "ego": AGENT, "adversary_1": interposer(agent="ego"), "broker": BROKER}
     without, wiring = resolve(nodes, insertion()), resolve({**nodes, "ear": ear}, insertion())

@@ -1,4 +1,4 @@
-"""A rewrite with `to` affects one subscriber only; other subscribers and the trunk stay unchanged."""
+"""A rewrite with `to` affects one subscriber only."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_only_the_broker_receives_from_a_link_before_the_broker() -> None:
     assert wiring.ports("broker").inputs[leg] == Input("tracks", "infra_1", "tracks", "infra_1")
     assert "agent/infra_1/tracks" not in wiring.ports("broker").inputs
     assert wiring.ports("evaluator") == resolve(nodes).ports("evaluator")
-    assert "agent/ego/tracks" in wiring.ports("broker").inputs, "who has no link is heard as before"
+    assert "agent/ego/tracks" in wiring.ports("broker").inputs, "agents without a link are heard as before"
 
 
 def test_each_link_is_inserted_before_the_agent_that_its_option_names() -> None:
@@ -147,7 +147,7 @@ names = st.from_regex(r"[a-z0-9]{1,4}", fullmatch=True)
 
 @given(agents=st.lists(names, min_size=1, max_size=4, unique=True), data=st.data())
 @settings(max_examples=80)
-def test_any_mix_of_links_and_adversaries_leaves_every_subscriber_hearing_every_wire_once(
+def test_any_mix_of_links_and_adversaries_delivers_every_wire_once_to_every_subscriber(
     agents: list[str], data: st.DataObject
 ) -> None:
     nodes = world(*(f"a_{name}" for name in agents))
@@ -194,8 +194,8 @@ def test_any_mix_of_links_and_adversaries_leaves_every_subscriber_hearing_every_
         assert wire.legs[-1].key == before.legs[0].key
         if wire.message == "tracks":
             for end, way in reached:
-                mine = [(n, to) for n, agent, to in order if agent == wire.subject and to in (None, end.node)]
-                assert way == tuple(n for n, to in sorted(mine, key=lambda entry: entry[1] is not None))
+                own = [(n, to) for n, agent, to in order if agent == wire.subject and to in (None, end.node)]
+                assert way == tuple(n for n, to in sorted(own, key=lambda entry: entry[1] is not None))
     for name in nodes:
         if nodes[name].role in ("broker", "evaluator", "agent"):
             with_, without = wiring.ports(name), plain.ports(name)
@@ -212,10 +212,10 @@ def test_branches_are_printed_drawn_and_overheard() -> None:
     assert "link_1 ── agent/ego/tracks/@tap/broker/0 ──▶ broker" in text
     assert 'link_1 -.->|"agent/ego/tracks/@tap/broker/0"| broker' in to_mermaid(wiring)
     assert "agent/ego/tracks/@tap/broker/0" in wiring.ports("ear").inputs
-    told = next(wire for wire in wiring.to_json()["wires"] if wire["key"] == "agent/ego/tracks")
-    assert told["subscribers"] == ["broker", "evaluator"]
-    assert told["interposers"] == ["link_1"]
-    assert [leg.get("before") for leg in told["legs"]] == [None, "broker"]
+    tracks_wire = next(wire for wire in wiring.to_json()["wires"] if wire["key"] == "agent/ego/tracks")
+    assert tracks_wire["subscribers"] == ["broker", "evaluator"]
+    assert tracks_wire["interposers"] == ["link_1"]
+    assert [leg.get("before") for leg in tracks_wire["legs"]] == [None, "broker"]
 
 
 def test_the_shipped_network_map_does_not_affect_the_evaluator() -> None:

@@ -1,4 +1,4 @@
-"""The driver notes which nodes were lost and came back, however quickly their tokens come and go."""
+"""The driver notes lost and returned nodes, however fast their tokens change."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MEMBERS = {"driver": "simulator", "a": "agent"}
 
 
 class Driver:
-    """A membership whose events are taken when the test says so."""
+    """A membership whose events are processed on request."""
 
     def __init__(self) -> None:
         self.events: list[Any] = []

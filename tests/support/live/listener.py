@@ -1,4 +1,4 @@
-"""A user's own evaluator: says which messages it has heard, in the order in which they came."""
+"""A user-written evaluator: returns all received messages in order."""
 
 from typing import Any
 
@@ -17,12 +17,12 @@ class Listener(Node):
         self.heard: list[tuple[str, int, int]] = []
 
     def on_everything(self, message: Overheard, context: Context) -> None:
-        """Of an agent or an adversary; messages on tap legs and of others are left out."""
+        """Record a message of an agent or adversary, not on tap legs."""
         if message.wire.message in ("tracks", "attack_report") and "@tap" not in message.key:
             self.heard.append((message.key, message.header.seq, message.header.frame))
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """What was heard, in order."""
+        """The received messages, in order."""
         wires, numbers, frames = zip(*self.heard, strict=True)
         return {
             "metrics": {"frames": max(frames) + 1},

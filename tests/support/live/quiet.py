@@ -1,4 +1,4 @@
-"""A scenario with little to compute, played 200 times over: two agents, two cars; its evaluator says what it heard."""
+"""A cheap scenario of 200 repetitions: two agents, two cars, a listener."""
 
 from mast_zenoh.config import loading
 
@@ -6,6 +6,6 @@ _, baseline = loading.function("scenarios", "baseline", "scenario")
 
 
 def scenario():
-    made = baseline(n_infrastructure=1)
-    scene = made["scene"] | dict(n_vehicles=2, n_bicycles=0, n_pedestrians=0)
-    return made | dict(name="quiet", scene=scene, evaluator=dict(file="listener.py"))
+    resolved_scenario = baseline(n_infrastructure=1)
+    scene = resolved_scenario["scene"] | dict(n_vehicles=2, n_bicycles=0, n_pedestrians=0)
+    return resolved_scenario | dict(name="quiet", scene=scene, evaluator=dict(file="listener.py"))

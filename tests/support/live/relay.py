@@ -1,11 +1,11 @@
-"""A user's own interposer: passes everything on as it comes, and can keep every third message until the next clock."""
+"""A user-written interposer that forwards messages and can delay a third."""
 
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
 
 
 class Relay(Node):
-    """keeps: whether every third message is kept until the next clock."""
+    """keeps: whether every third message is delayed until the next clock."""
 
     role = "adversary"
     inputs = {"clock": "clock", "tracks": "tracks", "detections": "detections"}
@@ -16,21 +16,21 @@ class Relay(Node):
         self.kept: list[tuple[str, Received]] = []
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """Time to pass on what was kept."""
+        """Forward the delayed messages."""
         for port, kept in self.kept:
             context.relay(port, kept)
         self.kept.clear()
 
     def on_tracks(self, received: Received, context: Context) -> None:
-        """On their way."""
+        """Forward a message."""
         self.pass_on("tracks_out", received, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
-        """On their way."""
+        """Forward a message."""
         self.pass_on("detections_out", received, context)
 
     def pass_on(self, port: str, received: Received, context: Context) -> None:
-        """At once, or later."""
+        """Forward a message now or at the next clock."""
         if self.kept or (self.keeps and received.message.header.seq % 3 == 0):
             self.kept.append((port, received))
         else:

@@ -1,4 +1,4 @@
-"""A user's own simulator: plays the scene 200 times over, as one long one."""
+"""A user-written simulator: repeats the scene 200 times as one long scene."""
 
 from typing import Any
 
@@ -11,27 +11,27 @@ TIMES = 200
 
 
 class Later:
-    """A context in which frames are that much later."""
+    """A context that shifts frames by an offset."""
 
     def __init__(self, context: Context, frames: int, period_ns: int) -> None:
         self.context, self.frames, self.time_ns = context, frames, frames * period_ns
 
     def publish(self, port: str, body: Any, *, frame: int | None = None, time_ns: int = 0, **more: Any) -> None:
-        """The clock says what frame it is."""
+        """Publish the clock with the shifted frame."""
         if frame is not None:
             more |= {"frame": frame + self.frames, "time_ns": time_ns + self.time_ns}
         self.context.publish(port, body, **more)
 
 
 class Endless(loading.node_class(bundle.ROOT / "nodes" / "simulator.py")):
-    """As ours."""
+    """Like the shipped simulator."""
 
     def __init__(self, recording: Recording, frames: int | None = None) -> None:
         super().__init__(recording, frames)
         self.played = 0
 
     def advance(self, context: Context) -> bool:
-        """The next frame."""
+        """Play the next frame."""
         if self.next_frame >= self.frames:
             self.next_frame = 0
             self.played += 1

@@ -1,4 +1,4 @@
-"""A node that lives elsewhere needs nothing of the launcher's machine but the mesh, and gives the same results."""
+"""Remote nodes need only the mesh, and give the same results."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ def small(frames: int = 5, **run: object) -> Resolved:
 
 
 @pytest.mark.parametrize("level", ["open", "acl"])
-def test_a_run_whose_nodes_live_elsewhere_equals_the_one_in_this_process(tmp_path: Path, level: str) -> None:
+def test_a_run_with_remote_nodes_equals_the_one_in_one_process(tmp_path: Path, level: str) -> None:
     resolved = small()
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     there = launcher.run(resolved, tmp_path / "there", engine=Beside(), secure=level)
     assert there.error is None
-    found = compare(here.folder, there.folder, taps=True)
-    assert found.first is None, "\n".join(explain(found))
-    assert found.equal > 0
+    difference = compare(here.folder, there.folder, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
     metrics = [json.loads((run.folder / "metrics.json").read_text()) for run in (here, there)]
     assert metrics[0] == metrics[1]
     for node in there.record["nodes"].values():
-        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "it is the same clock"
+        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
         assert node["versions"]["numpy"] == there.record["versions"]["numpy"]
 
 
-def test_a_node_of_another_version_is_refused_and_both_are_named(tmp_path: Path) -> None:
+def test_a_node_of_another_version_is_refused_and_both_versions_are_named(tmp_path: Path) -> None:
     other = Beside({"ego": "remote_node.version.version_string = lambda: '0.0.9 (sources beef)'"})
-    ended = launcher.run(small(), tmp_path / "run", engine=other)
-    assert isinstance(ended.error, VersionMismatch)
-    assert "ego runs mast-zenoh 0.0.9 (sources beef), the launcher 0.1.0 (sources " in str(ended.error)
-    assert ended.record["nodes"]["ego"]["exit"] == VersionMismatch.exit_code
+    outcome = launcher.run(small(), tmp_path / "run", engine=other)
+    assert isinstance(outcome.error, VersionMismatch)
+    assert "ego runs mast-zenoh 0.0.9 (sources beef), the launcher 0.1.0 (sources " in str(outcome.error)
+    assert outcome.record["nodes"]["ego"]["exit"] == VersionMismatch.exit_code
 
 
 SCENARIO = """
@@ -78,7 +78,7 @@ class MyAgent(node_class(ROOT / "nodes" / "agent.py")):
 """
 
 
-def test_a_users_files_and_the_files_that_they_import_reach_the_nodes(tmp_path: Path) -> None:
+def test_a_users_files_and_their_imports_reach_the_nodes(tmp_path: Path) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     for name, text in (("my_scenario", SCENARIO), ("my_agent", NODE), ("numbers_of_mine", "RADIUS = 2.5")):
@@ -95,11 +95,11 @@ def test_a_users_files_and_the_files_that_they_import_reach_the_nodes(tmp_path: 
     }
     there = launcher.run(resolved, tmp_path / "there", engine=Beside())
     assert there.error is None, there.error
-    found = compare(here.folder, there.folder)
-    assert found.first is None, "\n".join(explain(found))
+    difference = compare(here.folder, there.folder)
+    assert difference.first is None, "\n".join(explain(difference))
 
 
-def test_failures_and_results_of_nodes_that_live_elsewhere_are_those_of_one_process(tmp_path: Path) -> None:
+def test_remote_nodes_have_the_same_failures_and_results_as_in_one_process(tmp_path: Path) -> None:
     runs = {}
     for name, error in (("attack", HandlerFailed), ("second", None)):
         file, loaded = scenario.load(str(failing.write(name, tmp_path)), [])
@@ -127,7 +127,7 @@ def test_failures_and_results_of_nodes_that_live_elsewhere_are_those_of_one_proc
     assert {path.as_posix() for path in files[0]} >= {"results/counter/metrics.parquet", "results/counter/results.json"}
 
 
-def test_arrivals_on_a_clock_that_is_ahead_count_from_the_launchers() -> None:
+def test_arrival_times_on_a_clock_that_is_ahead_are_corrected() -> None:
     outcomes = {
         "simulator": {"sent_ns": {0: 1_000_000}, "clock": {"offset_ms": 1.0, "round_trip_ms": 0.1}},
         "evaluator": {"arrived_ns": {"cc/picture": {0: 9_000_000}}, "clock": {"offset_ms": -2.5, "round_trip_ms": 0.1}},

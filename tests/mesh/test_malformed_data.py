@@ -1,4 +1,4 @@
-"""Strangers on an open mesh may send what they like: it costs one message each."""
+"""Arbitrary messages on an open mesh cost one message each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MESSAGES = 100_000
 
 
 def garbage(count: int) -> list[bytes]:
-    """Bytes that are no messages: random, empty, cut off, oversized maps."""
+    """Bytes that are not messages: random, empty, truncated, oversized maps."""
     rng = random.Random(5)
     return [
         b"",
@@ -31,12 +31,12 @@ def garbage(count: int) -> list[bytes]:
     ]
 
 
-def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launch) -> None:
+def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launch) -> None:
     run: Launched = launch("coordinated", "--mode", "realtime", "--set", "scene_index=1", "--no-record")
     record = run.started()
     observer = Observer(record, "clock")
     try:
-        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        eventually(lambda: observer.frame() > 3, "frames are played")
         wiring = Wiring.from_json(json.loads((run.out / "wiring.json").read_text()))
         hearers = {leg.key: len(leg.subscribers) for _, leg in wiring.legs()}
         sent = dict.fromkeys(hearers, 0)
@@ -51,7 +51,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launc
             publishers[key].put(next(payloads))
             sent[key] += 1
         after = observer.frame()
-        eventually(lambda: observer.frame() > after + 60, "everything has been heard")
+        eventually(lambda: observer.frame() > after + 60, "all messages have arrived")
     finally:
         observer.close()
     run.process.send_signal(signal.SIGINT)
@@ -60,7 +60,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launc
     nodes = run.record()["nodes"]
     assert all(node["ended"] == "ok" and not node["failures"] for node in nodes.values())
     expected = sum(sent[key] * hearers[key] for key in sent)
-    evaluator = nodes.pop("evaluator")  # hears every key, and refuses what is malformed on those it needs
+    evaluator = nodes.pop("evaluator")  # hears every key, and refuses malformed messages on those it needs
     assert sum(evaluator["foreign"].values()) == sum(sent.values())
     refused: Counter[str] = Counter()
     for what, n in evaluator["rejected"].items():
@@ -73,19 +73,19 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launc
     assert 0 < logs.count("rejected a message") <= sum(hearers.values()), "logged once per source"
 
 
-def test_what_strangers_send_is_written_down_as_it_is_and_marked(launch) -> None:
+def test_foreign_messages_are_recorded_unchanged_and_marked(launch) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--frames", "40")
     record = run.started()
     observer = Observer(record, "clock")
     sent = garbage(500)
     try:
-        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        eventually(lambda: observer.frame() > 3, "frames are played")
         publisher = observer.session.declare_publisher(
             observer.prefix + "cc/picture", congestion_control=zenoh.CongestionControl.BLOCK
         )
         for payload in sent:
             publisher.put(payload)
-        eventually(lambda: observer.frame() >= 30, "the run goes on")
+        eventually(lambda: observer.frame() >= 30, "the run continues")
     finally:
         observer.close()
     code, output = run.end()

@@ -1,4 +1,4 @@
-"""Outcomes of trials made up by hand: what metrics.json and metrics.parquet hold, without running anything."""
+"""Synthetic outcomes of trials: metrics.json and metrics.parquet."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FRAMES = 4
 
 
 def study(points: dict[str, dict[str, Any]], scenes: int = 2) -> Study:
-    """A study of a baseline and a configuration for each label and point of a grid."""
+    """A study of a baseline and a configuration per label and grid point."""
     configurations = [Configuration("baseline", "baseline", "baseline", (), ())]
     configurations += [
         Configuration(label, "attacked", "attacked", (), tuple(point.items())) for label, point in points.items()
@@ -39,8 +39,9 @@ def outcome(
     achieved: dict[str, Any] | None = None,
     driving: dict[str, Any] | None = None,
 ) -> Outcome:
-    """A trial of one agent, whose picture and mission have `fp` false objects in every frame; agents: more of its
-    metrics, by estimator."""
+    """A trial of one agent with `fp` false objects in every frame of picture and mission.
+
+    agents: further metrics, by estimator"""
     series = {"local": 0.0, "picture": fp, "mission": fp}
     summary: dict[str, Any] = {}
     for estimator, mean in series.items():

@@ -1,4 +1,4 @@
-"""Nodes that were lost, in error messages and in run.json."""
+"""Error messages and run.json about lost nodes."""
 
 from __future__ import annotations
 
@@ -17,15 +17,17 @@ EVENTS = [
 ]
 
 
-def test_the_error_names_nodes_and_frames_and_the_option_that_allows_it():
+def test_the_error_names_nodes_frames_and_the_option_that_allows_churn():
     error = churn.error(EVENTS)
     assert isinstance(error, NodeLost)
-    said = "infra_2 was lost before frame 40; infra_2 came back before frame 52; recorder was lost before frame 60"
-    assert str(error).startswith(said)
+    description = (
+        "infra_2 was lost before frame 40; infra_2 came back before frame 52; recorder was lost before frame 60"
+    )
+    assert str(error).startswith(description)
     assert "--allow-churn" in str(error)
 
 
-def test_a_node_may_have_missed_the_frame_before_that_in_which_it_was_missed():
+def test_a_lost_node_may_also_have_missed_the_previous_frame():
     assert churn.first_frames(EVENTS, "recorder") == [59]
     assert churn.first_frames(EVENTS, "infra_2") == [39, 51]
     assert churn.first_frames(EVENTS, "ego") == []
@@ -49,12 +51,12 @@ def test_runs_are_comparable_up_to_the_first_loss_in_either(tmp_path):
         (tmp_path / name / "run.json").write_text(json.dumps({"churn": events}))
     assert comparable(tmp_path / "c", tmp_path / "messages.mcap") == (None, "")
     frame, why = comparable(tmp_path / "a", tmp_path / "b")
-    assert frame == 39, "the frame before may not have been over"
+    assert frame == 39, "the previous frame may not have been finished"
     assert why == f"infra_2 was lost in {tmp_path / 'b'}"
 
 
 @pytest.mark.parametrize("content", ["{", "[1]", '{"churn": [1]}', '{"churn": [{}]}', '{"churn": 7}'])
-def test_a_damaged_run_json_is_an_error_of_its_own(tmp_path, content):
+def test_a_damaged_run_json_raises_its_own_error(tmp_path, content):
     (tmp_path / "run.json").write_text(content)
     with pytest.raises(RunFolderError, match=r"run\.json"):
         comparable(tmp_path)

@@ -1,4 +1,4 @@
-"""Adversaries that are silent, that lie and that crash are each identified from the messages on their wires."""
+"""Silent, lying and crashing adversaries are identified from their wires."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def scenario(one="silence", other="silence", hides=True):
 """,
 }
 FRAMES = 30
-ACTIVE = 20  # frames in which they act
+ACTIVE = 20  # frames in which they are active
 
 
 @pytest.mark.parametrize(
@@ -92,49 +92,49 @@ ACTIVE = 20  # frames in which they act
         ("more", "disagrees", 0, ACTIVE),
     ],
 )
-def test_reports_of_an_adversary_are_compared_with_what_it_did(
+def test_reports_of_an_adversary_are_compared_with_its_measured_effects(
     tmp_path: Path, says: str, agreement: str, unreported: int, unfounded: int
 ) -> None:
     """The verdict on `one` does not depend on `other`, which reports correctly."""
     played = play(tmp_path, "hidden", f"one={says}", "other=truth", frames=FRAMES, **FILES)
-    found = played.metrics["interposers"]
-    one = found["one"]
+    verdicts = played.metrics["interposers"]
+    one = verdicts["one"]
     assert one["effects"] == {"removed": ACTIVE}
     # Reports about the last frame may not arrive before the run ends, so it does not count as unreported.
     assert one["agreement"] == agreement
     assert one["unreported"] == max(0, unreported - 1)
     assert one["unfounded"] == unfounded
-    assert found["other"]["agreement"] == "agrees"
+    assert verdicts["other"]["agreement"] == "agrees"
     table = played.table("attacks")
-    mine = table["interposer"] == "one"
-    assert table["frame"][mine].tolist() == list(range(FRAMES - ACTIVE, FRAMES))
-    assert set(table["reported"][mine]) == {says in ("truth", "more")}
-    assert set(table["reported"][~mine]) == {True}
+    selected = table["interposer"] == "one"
+    assert table["frame"][selected].tolist() == list(range(FRAMES - ACTIVE, FRAMES))
+    assert set(table["reported"][selected]) == {says in ("truth", "more")}
+    assert set(table["reported"][~selected]) == {True}
 
 
 def test_unfounded_reports_of_an_adversary_are_identified(tmp_path: Path) -> None:
     played = play(tmp_path, "hidden", "one=truth", "other=silence", "hides=False", frames=FRAMES, **FILES)
-    found = played.metrics["interposers"]["one"]
-    assert (found["effects"], found["agreement"]) == ({}, "disagrees")
-    assert (found["reports"], found["unfounded"], found["unreported"]) == (ACTIVE, ACTIVE, 0)
+    verdict = played.metrics["interposers"]["one"]
+    assert (verdict["effects"], verdict["agreement"]) == ({}, "disagrees")
+    assert (verdict["reports"], verdict["unfounded"], verdict["unreported"]) == (ACTIVE, ACTIVE, 0)
     assert "one" not in set(played.table("attacks")["interposer"])
     assert "one" not in {name for by in set(played.table("objects")["by"]) for name in by.split("+")}
 
 
-def test_a_crashing_adversary_is_measured_as_dropping_messages_and_named_by_the_run(tmp_path: Path) -> None:
-    """Its handler raises before it relays anything, so every message from then on is dropped."""
+def test_a_crashing_adversary_is_measured_as_dropping_messages_and_named(tmp_path: Path) -> None:
+    """Its handler raises before relaying, so all later messages are dropped."""
     for file, text in FILES.items():
         (tmp_path / f"{file}.py").write_text(text)
     path, content = scenario.load(str(tmp_path / "hidden.py"), ["one=crash", "other=truth"])
-    ended = run.run(scenario.resolve(path, content, frames=FRAMES, seed=0), tmp_path / "run", runtime="inproc")
-    assert isinstance(ended.error, HandlerFailed)
-    assert ended.record["status"] == "handler_failures"
+    outcome = run.run(scenario.resolve(path, content, frames=FRAMES, seed=0), tmp_path / "run", runtime="inproc")
+    assert isinstance(outcome.error, HandlerFailed)
+    assert outcome.record["status"] == "handler_failures"
     for words in ("one", "on_detections", "20 frames", "ZeroDivisionError: no plan", "hider.py:"):
-        assert words in str(ended.error), words
-    played = Played(ended.folder)
-    found = played.metrics["interposers"]["one"]
-    assert found["effects"] == {"dropped": ACTIVE}
-    assert (found["agreement"], found["unreported"]) == ("silent", ACTIVE - 1)
+        assert words in str(outcome.error), words
+    played = Played(outcome.folder)
+    verdict = played.metrics["interposers"]["one"]
+    assert verdict["effects"] == {"dropped": ACTIVE}
+    assert (verdict["agreement"], verdict["unreported"]) == ("silent", ACTIVE - 1)
     assert played.metrics["interposers"]["other"]["agreement"] == "agrees"
     assert played.agents["infra_1"]["local"]["fn_split"]["attack"] > 0.0
     objects = played.table("objects")

@@ -1,7 +1,7 @@
-"""A run with compromised nodes, in its own process: the outcome of the run and of that process.
+"""A run with compromised nodes in its own process, and its outcome.
 
-`play` is for tests: it starts that process, and is the insiders: for each a second session with the certificate of its
-node, which itself stays sound. The driver holds the run before a frame until every insider has sent what it has.
+Tests call `play`, which starts that process and acts as the insiders: each is a second session with the certificate of
+a node that is itself honest. The driver holds the run before a frame until every insider has sent its messages.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.levels import client_settings
 from mast_zenoh.study.rogue.position import MARKER
 
-#: What an insider does with its session; the second argument is the prefix of all keys of the run.
+#: The actions of an insider in its session; the second argument is the prefix of all keys of the run.
 Insider = Callable[[zenoh.Session, str], object]
 
 FRAMES, HELD_BEFORE = 8, 4
@@ -55,7 +55,7 @@ def scenario():
     return made | dict(name="insiders", nodes=dict(counter=counter), keyexpr=made["keyexpr"] | dict(rewrites=rewrites))
 """
 
-#: Of every role but the driver's one node; the last is a user's own.
+#: One node of every role except the driver; the last is user-defined.
 NODES = (
     *("infra_1", "broker", "command_center", "adversary_1", "coordinator", "link_ego", "evaluator", "recorder"),
     "counter",
@@ -63,7 +63,7 @@ NODES = (
 
 
 def resolved(folder: Path) -> Resolved:
-    """The run: every role, recorded, in lock-step. folder: of the scenario file that it is read from."""
+    """Describe the run: all roles, recorded, lock-step; folder: of the scenario."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "insiders.py").write_text(SCENARIO)
     (folder / "counter.py").write_text(failing.FILES["second"]["counter.py"])
@@ -72,8 +72,8 @@ def resolved(folder: Path) -> Resolved:
 
 
 @dataclass
-class Ended:
-    """What has become of it: exit code, console, run.json, MiB at most by process, and files where there were none."""
+class RunOutcome:
+    """Exit code, console, run.json, peak memory by process in MiB, and stray files."""
 
     code: int
     console: str
@@ -84,17 +84,17 @@ class Ended:
 
     @property
     def message(self) -> str:
-        """Why it failed."""
+        """The error of the run."""
         return str(self.record["message"])
 
     def refused(self) -> dict[str, int]:
-        """Control messages that were refused, by key."""
+        """Refused control messages by key."""
         nodes = self.record["nodes"].values()
         parts = [self.record["invalid_control"], *(node["invalid_control"] or {} for node in nodes)]
         return {key: count for part in parts for key, (count, _) in part.items()}
 
     def sound(self) -> None:
-        """Nothing was written elsewhere, no traceback was printed, and no process has taken too much memory."""
+        """Assert that nothing was written elsewhere, no traceback, bounded memory."""
         assert self.strays == []
         texts = {path.name: path.read_text(errors="replace") for path in (self.folder / "logs").iterdir()}
         for name, text in {"console": self.console, **texts}.items():
@@ -107,11 +107,11 @@ def play(
     insiders: Mapping[str, Insider],
     again: Mapping[str, Insider] | None = None,
     seconds: float = 150.0,
-) -> Ended:
-    """Play a run in a process whose home, working directory and temporary directory are new, and be its insiders.
+) -> RunOutcome:
+    """Run it in a process with new home, working and temporary folders.
 
-    insiders: by compromised node what it does while the run is held
-    again:    what it does again and again, while the run goes on, until it ends
+    insiders: by compromised node its action while the run is held
+    again:    its action repeated until the run ends
     """
     places = {name: folder / name for name in ("home", "work", "tmp")}
     for place in places.values():
@@ -141,7 +141,7 @@ def play(
     text = (folder / "console").read_text(errors="replace")
     assert (folder / "peaks").is_file(), text
     record, peaks = (json.loads(path.read_text()) for path in (folder / "run/run.json", folder / "peaks"))
-    return Ended(code, text, folder / "run", record, peaks, strays)
+    return RunOutcome(code, text, folder / "run", record, peaks, strays)
 
 
 def _be_the_insiders(
@@ -150,7 +150,7 @@ def _be_the_insiders(
     insiders: Mapping[str, Insider],
     again: Mapping[str, Insider],
 ) -> None:
-    """Join with the certificate of each node, and send; then let the run go on."""
+    """Join with the certificate of each node and send; then let the run continue."""
     eventually(lambda: (folder / "ready").is_file() or process.poll() is not None, "the driver holds the run")
     assert process.poll() is None, (folder / "console").read_text()
     ready = json.loads((folder / "ready").read_text())
@@ -161,7 +161,7 @@ def _be_the_insiders(
         with suppress(zenoh.ZError), open_session(settings | client_settings(own)) as session:
             if node in insiders:
                 insiders[node](session, ready["prefix"])
-            while node in again and not over.wait(0.02):  # no flood: of what floods do, docs/security.md tells
+            while node in again and not over.wait(0.02):  # no flood: docs/security.md covers floods
                 again[node](session, ready["prefix"])
                 (folder / "go").touch()
 
@@ -180,7 +180,7 @@ def _be_the_insiders(
 
 
 def main(folder: Path) -> None:
-    """The process of the run."""
+    """The process that carries out the run."""
     run, held = resolved(folder / "scenario"), f"hold({HELD_BEFORE}, {str(folder / 'go')!r}, 6.0)"
     driver = next(name for name, spec in run.nodes.items() if spec.role == "simulator")
     here = str(Path(__file__).parent)
@@ -194,7 +194,7 @@ def main(folder: Path) -> None:
         watchers[0].start()
 
     try:
-        ended = launcher.run(
+        outcome = launcher.run(
             run, folder / "run", secure="acl", engine=engine, prepare=prepare, console=Console(width=400)
         )
     finally:
@@ -202,27 +202,27 @@ def main(folder: Path) -> None:
         for watcher in watchers:
             watcher.join()
     try:
-        with reporting(ended.folder):
-            html.write_report(ended.folder)
+        with reporting(outcome.folder):
+            html.write_report(outcome.folder)
     except MastError as error:
         print(f"no report: {error}")
     (folder / "peaks").write_text(json.dumps(peaks))
-    if ended.error is not None:
-        sys.exit(ended.error.exit_code)
+    if outcome.error is not None:
+        sys.exit(outcome.error.exit_code)
 
 
 def _watch(context: RunContext, folder: Path, peaks: dict[str, float], over: threading.Event) -> None:
-    """Say when the run is held, and note how much memory each process has taken at most."""
+    """Report that the run is held, and record the peak memory of each process."""
     while not over.wait(0.05):
         if context.frame >= HELD_BEFORE - 1 and not (folder / "ready").exists():
             assert context.mesh is not None
             assert context.mesh.deployment is not None
-            told = {
+            access = {
                 "keys": str(context.mesh.deployment.folder),
                 "endpoint": context.record["endpoint"],
                 "prefix": prefix(context.run_id),
             }
-            (folder / "ready.part").write_text(json.dumps(told))
+            (folder / "ready.part").write_text(json.dumps(access))
             (folder / "ready.part").rename(folder / "ready")
         pids = {"launcher": os.getpid(), **{name: node["pid"] for name, node in dict(context.record["nodes"]).items()}}
         for name, pid in pids.items():
