@@ -171,7 +171,8 @@ def _recording_errors(record: dict[str, Any], status: str, out: Path, undisturbe
         statement = record.get("recording", {"from_frame": first_incomplete_frame(out)})
         complete_before = min(statement.get("from_frame", FRAMES), FRAMES if status == "ok" else max(frames, default=0))
         if complete_before and compare(undisturbed, out, taps=True, before=complete_before).first is not None:
-            return [f"run.json says {statement} of a recording that is wrong before frame {complete_before}"]
+            difference = f"not that of the undisturbed run before frame {complete_before}"
+            return [f"run.json says {statement} of a recording that is {difference}"]
         if status != "killed" and "recording" not in record:
             return ["run.json does not say whether the recording is complete"]
     except RunFolderError as error:

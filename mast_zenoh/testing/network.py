@@ -28,7 +28,7 @@ def check_link_rule(rule: Rule) -> None:
     fate = getattr(rule, "fate", None)
     expect(fate in FATES, f"{subject}.fate: found {fate!r}, expected one of {', '.join(FATES)}")
     for n in samples.COUNTS:
-        expect(_passed(rule, n) == _passed(rule, n), f"{subject}: two rules of the same draws do different things")
+        expect(_passed(rule, n) == _passed(rule, n), f"{subject}: two rules with the same draws differ")
 
 
 def _passed(rule: Rule, n: int) -> list[tuple[Passage, ...]]:
