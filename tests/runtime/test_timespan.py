@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_host import CLOCK, OUTPUTS, TRACKS, Listener, clock, said_by, tracks
+from test_host import CLOCK, OUTPUTS, TRACKS, Listener, clock, tracks, tracks_payload
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.links import ClockSkew
@@ -89,7 +89,7 @@ def test_a_clock_beyond_the_end_of_the_scene_is_rejected() -> None:
 
 def test_a_node_that_joins_later_waits_for_its_first_clock_of_any_frame() -> None:
     host = hosting()
-    host.deliver(KEY, said_by("a", 120), 120)
+    host.deliver(KEY, tracks_payload("a", 120), 120)
     host.deliver("clock", clock(120), 120)
     assert host.node.got == [("clock", 120), ("a", 120)]
 
@@ -97,7 +97,7 @@ def test_a_node_that_joins_later_waits_for_its_first_clock_of_any_frame() -> Non
 def test_in_real_time_a_node_may_lag_by_more_than_a_frame() -> None:
     host = hosting(now=lambda: 0)
     host.deliver("clock", clock(50), 50)
-    host.deliver(KEY, said_by("a", 53), 53)
+    host.deliver(KEY, tracks_payload("a", 53), 53)
     host.deliver("clock", clock(53), 53)
     assert host.node.got[-1] == ("a", 53)
 
