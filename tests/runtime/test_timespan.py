@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_host import CLOCK, OUTPUTS, TRACKS, Listener, clock, tracks_payload, tracks
+from test_host import CLOCK, OUTPUTS, TRACKS, Listener, clock, tracks, tracks_payload
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.links import ClockSkew
