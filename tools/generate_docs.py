@@ -34,7 +34,8 @@ def messages_page() -> str:
         "# Messages",
         "",
         _GENERATED.format(source="mast_zenoh/messages/schemas.py"),
-        "Look up here what each message contains, and which messages a node refuses.",
+        "Look up here what each message contains, and which messages a node refuses. Your nodes can declare",
+        "[message types of their own](extending.md#a-message-type).",
         "",
         "A message is a MessagePack map: a header (`schema`, `version`, `source`, `frame`, `time_ns`, `seq`) and a",
         "`body` that maps each column to `[dtype, shape, data]`, the data being raw little-endian bytes in C order.",
@@ -150,7 +151,7 @@ def api_page() -> str:
             if not name.startswith("_") and (callable(member) or isinstance(member, property)):
                 shown = name if isinstance(member, property) else f"{name}{_signature(member)}"
                 lines += [f"### `{cls.__name__}.{shown}`", "", *_text(member), ""]
-    lines += ["## Base classes", "", "| to write a | derive from | which is |", "|---|---|---|"]
+    lines += ["## Base classes", "", "| to write a | derive from, or use | which is |", "|---|---|---|"]
     for purpose, places in BASE_CLASSES.items():
         for place in places:
             lines.append(f"| {purpose} | `{place}` | {_first_line(base_class(place))} |")

@@ -34,7 +34,7 @@ class WireMessage:
 
     wire:      key expression without the run's prefix: `agent/ego/tracks`
     tap:       it was sent on a hidden leg of the wire, before an interposer
-    type:      of the message: a section of docs/messages.md
+    type:      of the message: a section of docs/messages.md, or one that a node of the scenario declares
     publisher: name of the node that made it
     frame:     that it is about;  time_s: s since the scene began;  seq: its number on the wire
     columns:   read-only arrays by name, with the shapes and units of docs/messages.md
@@ -68,7 +68,7 @@ def messages(path: Path, pattern: str = "*", *, taps: bool = False) -> Iterator[
     for recorded in read(path):
         if recorded.malformed or (recorded.tap and not taps) or not fnmatchcase(recorded.wire, pattern):
             continue
-        header, body = codec.decode_lazily(recorded.payload, recorded.message)
+        header, body = codec.decode_lazily(recorded.payload, recorded.type)
         of_wire = recorded.wire, recorded.tap, recorded.message, recorded.publisher
         yield WireMessage(*of_wire, header.frame, header.time_ns * 1e-9, header.seq, body)
 

@@ -33,8 +33,9 @@ _LEADING = re.compile(r"(?:\([^)]*\) )?(m/s²|m/s|rad|m|s)(?=,| of scene time| u
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of something that a scenario can name.
+    """One parameter of something that a scenario can name, or one column of a message.
 
+    kind: of a column, its dtype and shape
     default: as text, "" where it must be given;  unit: "" where it has none;  choices: the only values, if it has such
     meaning: from the docstring, "" where that says nothing
     """
@@ -44,6 +45,7 @@ class Parameter:
     unit: str
     meaning: str
     choices: tuple[str, ...] = ()
+    kind: str = ""
 
     @property
     def words(self) -> str:

@@ -1,13 +1,14 @@
-"""The base classes that users derive from: with `mast_zenoh.__all__`, all that is public (docs/stability.md)."""
+"""The classes that users build on: with `mast_zenoh.__all__`, all that is public (docs/stability.md)."""
 
 from __future__ import annotations
 
 import importlib
 from typing import Any
 
-#: By what one writes, its base classes as `module.Class`.
+#: By what one writes, its base classes (of a message type: the classes that describe it) as `module.Class`.
 BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "node": ("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
+    "message type": ("mast_zenoh.messages.Schema", "mast_zenoh.messages.Column"),
     "attack": ("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination"),
     "part of an attack": (
         "mast_zenoh.attacks.Selection",

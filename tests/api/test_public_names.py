@@ -22,6 +22,7 @@ NAMES = {
 }
 BASES = {
     *("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
+    *("mast_zenoh.messages.Schema", "mast_zenoh.messages.Column"),
     *("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination", "mast_zenoh.attacks.Selection"),
     *("mast_zenoh.attacks.Propagation", "mast_zenoh.attacks.Imitation"),
     *("mast_zenoh.tracking.Tracker", "mast_zenoh.tracking.Assignment"),

@@ -125,6 +125,14 @@ def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run
     assert table["count"].sum() == run.picture.num_rows > 0
 
 
+def test_the_wind_is_recorded_with_its_columns(play: Callable[..., mast.Run]) -> None:
+    run = play("windy.py")
+    speeds = [np.linalg.norm(message["velocity"], axis=1).max() for message in run.messages("wind")]
+    assert len(speeds) == FRAMES
+    results = json.loads((run.path / "results" / "anemometer" / "results.json").read_text())
+    assert results["highest_mps"] == max(speeds)
+
+
 def test_the_check_is_applied_to_the_run(play: Callable[..., mast.Run]) -> None:
     run = play("checked.py")
     checks = json.loads((run.path / "checks.json").read_text())["checks"]

@@ -16,6 +16,7 @@ from mast_zenoh.config import loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError
+from mast_zenoh.messages import user_types
 from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.lockstep.timetable import Timetable
 from mast_zenoh.runtime.mesh.driver import Driver
@@ -31,7 +32,11 @@ LISTENER_NICENESS = 10
 
 
 def build(resolved: Resolved, name: str, node: type[Node] | None = None, place: str = "scenario.json") -> Any:
-    """A node of a scenario, the class being that in its file unless it is given; runs the user's modules first."""
+    """A node of a scenario, the class being that in its file unless it is given; runs the user's modules first.
+
+    From then on the codec knows the message types of the scenario.
+    """
+    user_types.use(resolved.messages)
     for file in resolved.modules:
         loading.module(Path(file))
     spec = resolved.nodes[name]
