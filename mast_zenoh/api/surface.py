@@ -27,6 +27,7 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "link rule": ("mast_zenoh.links.Rule",),
     "fault": ("mast_zenoh.faults.Fault",),
     "check": ("mast_zenoh.checks.RunCheck",),
+    "report figure": ("mast_zenoh.report.RunFigure",),
     "deployment engine": ("mast_zenoh.launch.engine.Engine",),
 }
 

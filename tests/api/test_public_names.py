@@ -34,6 +34,7 @@ BASES = {
         "mast_zenoh.faults.Fault",
         "mast_zenoh.launch.engine.Engine",
         "mast_zenoh.checks.RunCheck",
+        "mast_zenoh.report.RunFigure",
     ),
 }
 MEMBERS = {

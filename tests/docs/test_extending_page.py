@@ -141,6 +141,15 @@ def test_the_check_is_applied_to_the_run(play: Callable[..., mast.Run]) -> None:
     assert found["detail"] == "0 frames without any object after the first one"
 
 
+def test_the_figure_is_in_the_report(play: Callable[..., mast.Run]) -> None:
+    run = play("crowd.py")
+    page = run.report().read_text(encoding="utf-8")
+    assert '<h2 id="crowd">How crowded it is</h2>' in page
+    assert "Objects in the scene and in the common picture, frame by frame." in page
+    assert page.index('id="time"') < page.index('id="crowd"') < page.index('id="wiring"')
+    assert (run.path / "figures" / "crowd.png").stat().st_size > 5_000
+
+
 CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
     "pushed.py": ("Push", testing.check_attack, {}),
     "nearest.py": ("NearestTracker", testing.check_tracker, {}),
