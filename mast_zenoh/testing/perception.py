@@ -72,11 +72,11 @@ def _check_matched(who: str, matched: Ints, shuffled: Ints, tracks: int, order: 
     expect(np.array_equal(matched, back), f"{who}: matched depends on the order of the rows")
 
 
-def agents_tracks(n: int) -> tuple[ObjectStates, Ints]:
-    """About n tracks in all of five agents that see the same objects, and whose each of them is."""
+def agents_tracks(n: int, frame: int = 0) -> tuple[ObjectStates, Ints]:
+    """n tracks in all of five agents that see the same objects, in a frame, and whose each of them is."""
     per_agent = [n // _AGENTS] * _AGENTS
     per_agent[0] += n % _AGENTS
-    parts = [samples.states(count, source=agent) for agent, count in enumerate(per_agent)]
+    parts = [samples.states(count, frame, source=agent) for agent, count in enumerate(per_agent)]
     return concatenate(parts), np.repeat(np.arange(_AGENTS), per_agent)
 
 

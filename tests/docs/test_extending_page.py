@@ -155,6 +155,8 @@ CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
     "nearest.py": ("NearestTracker", testing.check_tracker, {}),
     "unclustered.py": ("EveryTrackAlone", testing.check_clusterer, {}),
     "surest.py": ("SurestMember", testing.check_fusion, {}),
+    "parked.py": ("Parked", testing.check_scene, {}),
+    "short_sighted.py": ("ShortSighted", testing.check_detector, {}),
     "alarms.py": ("AlarmShare", testing.check_metric, {}),
     "every_fourth.py": ("EveryNth", testing.check_link_rule, {}),
     "jammed.py": ("Jam", testing.check_fault, dict(at=1.0, until=2.0, node="ego")),
