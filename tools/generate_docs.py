@@ -16,6 +16,7 @@ from mast_zenoh.api.messages import WireMessage
 from mast_zenoh.api.parameters import Parameter
 from mast_zenoh.api.plots import Plots
 from mast_zenoh.api.runs import Agent
+from mast_zenoh.api.scenes import PreparedAgent
 from mast_zenoh.api.surface import BASE_CLASSES, base_class
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.deploy.compose.examples import EXAMPLES, example
@@ -145,7 +146,14 @@ def api_page() -> str:
         function = carry_out if name == "study" else getattr(mast_zenoh, name)
         lines += [f"### `mast.{name}{_signature(function)}`", "", *_text(function), ""]
     lines += ["### `mast.__version__`", "", "Version of the package, as text.", ""]
-    for cls in [getattr(mast_zenoh, name) for name in classes] + [Agent, Plots, WireMessage, Entry, Parameter]:
+    for cls in [getattr(mast_zenoh, name) for name in classes] + [
+        Agent,
+        PreparedAgent,
+        Plots,
+        WireMessage,
+        Entry,
+        Parameter,
+    ]:
         lines += [f"## `{cls.__name__}`", "", *_text(cls), ""]
         for name, member in vars(cls).items():
             if not name.startswith("_") and (callable(member) or isinstance(member, property)):

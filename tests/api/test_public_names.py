@@ -17,8 +17,8 @@ from mast_zenoh.study.interface import carry_out
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 NAMES = {
-    *("run", "open", "study", "compare", "list", "__version__"),
-    *("Run", "Comparison", "FinishedStudy", "Listing", "MastError"),
+    *("run", "open", "study", "compare", "list", "scene", "__version__"),
+    *("PreparedScene", "Run", "Comparison", "FinishedStudy", "Listing", "MastError"),
 }
 BASES = {
     *("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
@@ -44,6 +44,7 @@ MEMBERS = {
     },
     "Comparison": {"table", "headline", "plot", "markdown"},
     "FinishedStudy": {"table", "comparison", "results", "frames"},
+    "PreparedScene": {"name", "agents", "agent", "truth"},
     "Listing": {"names", "groups", "index", "count"},
 }
 KEYWORDS = {
@@ -52,6 +53,7 @@ KEYWORDS = {
     "open": "path",
     "compare": "runs",
     "list": "kind",
+    "scene": "scene seed frames",
 }
 
 
