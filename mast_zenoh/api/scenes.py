@@ -122,7 +122,7 @@ def prepare(
     """Prepare a scene without running anything.
 
     scene:      a short name ("intersection", "intersection:2", "avstack:PATH", "av2:PATH"), a dict(type=…) with the
-                parameters of a scene, the file of a scenario (`mine.py`) whose scene it is, or a scene.npz of a run
+                parameters of a scene, the Python file of a scenario, whose scene it is, or a scene.npz of a run
     seed:       of its random draws; None: that of the scenario, otherwise 0
     frames:     how many; None: all that it has
     parameters: of the scene; with a file, of its `scenario` function

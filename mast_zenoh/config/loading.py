@@ -55,7 +55,7 @@ def module(path: Path) -> ModuleType:
 
 
 def _name_of(path: Path) -> str:
-    """The name of a file's module in sys.modules, where dataclasses look it up: `types.py` stands in for no other."""
+    """The name of a file's module in sys.modules, where dataclasses look it up: that of no other module."""
     return f"{path.stem.replace('.', '_')}_{hashlib.blake2b(os.fsencode(path), digest_size=6).hexdigest()}"
 
 
