@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from mast_zenoh.api.execution import open_run as open
     from mast_zenoh.api.execution import run as run
     from mast_zenoh.api.runs import Run as Run
+    from mast_zenoh.api.scenes import PreparedScene as PreparedScene
+    from mast_zenoh.api.scenes import prepare as scene
     from mast_zenoh.errors import MastError as MastError
     from mast_zenoh.study.interface import FinishedStudy as FinishedStudy
     from mast_zenoh.study.interface import carry_out as study
@@ -37,12 +39,14 @@ _PLACES = {
     "FinishedStudy": ("mast_zenoh.study.interface", "FinishedStudy"),
     "Listing": ("mast_zenoh.api.catalogue", "Listing"),
     "MastError": ("mast_zenoh.errors", "MastError"),
+    "PreparedScene": ("mast_zenoh.api.scenes", "PreparedScene"),
     "Run": ("mast_zenoh.api.runs", "Run"),
     "__version__": ("mast_zenoh.version", "__version__"),
     "compare": ("mast_zenoh.api.comparisons", "compare"),
     "list": ("mast_zenoh.api.catalogue", "list_kind"),
     "open": ("mast_zenoh.api.execution", "open_run"),
     "run": ("mast_zenoh.api.execution", "run"),
+    "scene": ("mast_zenoh.api.scenes", "prepare"),
 }
 
 __all__ = [
@@ -50,12 +54,14 @@ __all__ = [
     "FinishedStudy",
     "Listing",
     "MastError",
+    "PreparedScene",
     "Run",
     "__version__",
     "compare",
     "list",
     "open",
     "run",
+    "scene",
     "study",
 ]
 

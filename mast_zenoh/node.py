@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from mast_zenoh.messages.schemas import Body
+from mast_zenoh.messages.schemas import OURS, Body, Schema
 from mast_zenoh.wiring.model import Input, Wiring
 from mast_zenoh.wiring.received import Overheard, Received, Unopened
 
@@ -122,14 +122,29 @@ class Node:
     """
 
     role: ClassVar[str] = ""
-    #: input ports and output ports: name to message type
-    inputs: ClassVar[Mapping[str, str]] = {}
-    outputs: ClassVar[Mapping[str, str]] = {}
+    #: input ports and output ports: name to message type. A subclass may give a `Schema` of its own as the type: this
+    #: declares it, and the port then has its name.
+    inputs: ClassVar[Mapping[str, Any]] = {}
+    outputs: ClassVar[Mapping[str, Any]] = {}
+    #: the message types that its ports declare, by name
+    message_types: ClassVar[Mapping[str, Schema]] = {}
     #: input ports whose messages are relayed undecoded, including malformed ones, which their receivers reject.
     #: Accessing a malformed body raises MessageError (see `Unopened`).
     unopened: ClassVar[Collection[str]] = ()
     #: whether its handlers are so fast that, in real time, the receiving thread calls them directly
     prompt: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        types: dict[str, Schema] = dict(cls.message_types)
+        for side in ("inputs", "outputs"):
+            ports = dict(getattr(cls, side))
+            for port, message in ports.items():
+                if isinstance(message, Schema):
+                    _declare(types, message, f"{cls.__name__}.{side}[{port!r}]")
+                    ports[port] = message.name
+            setattr(cls, side, ports)
+        cls.message_types = types
 
     def restamps_s(self, duration_s: float) -> float:
         """Largest error, s, that the node may add to header times in a run of that length.
@@ -163,6 +178,15 @@ class Source(Node, ABC):
     @abstractmethod
     def advance(self, context: Context) -> bool:
         """Publish the next frame; False when there is none."""
+
+
+def _declare(types: dict[str, Schema], schema: Schema, place: str) -> None:
+    """Add a message type to those of a node; raises TypeError where another one has its name."""
+    if schema.name in OURS:
+        if OURS[schema.name] != schema:
+            raise TypeError(f"{place}: message type {schema.name!r} comes with mast: expected another name")
+    elif types.setdefault(schema.name, schema) != schema:
+        raise TypeError(f"{place}: another message type of this node is called {schema.name!r}: expected one of them")
 
 
 def handler_names(node: type[Node]) -> dict[str, str]:

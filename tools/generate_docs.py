@@ -16,6 +16,7 @@ from mast_zenoh.api.messages import WireMessage
 from mast_zenoh.api.parameters import Parameter
 from mast_zenoh.api.plots import Plots
 from mast_zenoh.api.runs import Agent
+from mast_zenoh.api.scenes import PreparedAgent
 from mast_zenoh.api.surface import BASE_CLASSES, base_class
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.deploy.compose.examples import EXAMPLES, example
@@ -34,7 +35,8 @@ def messages_page() -> str:
         "# Messages",
         "",
         _GENERATED.format(source="mast_zenoh/messages/schemas.py"),
-        "Look up here what each message contains, and which messages a node refuses.",
+        "Look up here what each message contains, and which messages a node refuses. Your nodes can declare",
+        "[message types of their own](extending.md#a-message-type).",
         "",
         "A message is a MessagePack map: a header (`schema`, `version`, `source`, `frame`, `time_ns`, `seq`) and a",
         "`body` that maps each column to `[dtype, shape, data]`, the data being raw little-endian bytes in C order.",
@@ -144,13 +146,20 @@ def api_page() -> str:
         function = carry_out if name == "study" else getattr(mast_zenoh, name)
         lines += [f"### `mast.{name}{_signature(function)}`", "", *_text(function), ""]
     lines += ["### `mast.__version__`", "", "Version of the package, as text.", ""]
-    for cls in [getattr(mast_zenoh, name) for name in classes] + [Agent, Plots, WireMessage, Entry, Parameter]:
+    for cls in [getattr(mast_zenoh, name) for name in classes] + [
+        Agent,
+        PreparedAgent,
+        Plots,
+        WireMessage,
+        Entry,
+        Parameter,
+    ]:
         lines += [f"## `{cls.__name__}`", "", *_text(cls), ""]
         for name, member in vars(cls).items():
             if not name.startswith("_") and (callable(member) or isinstance(member, property)):
                 heading = name if isinstance(member, property) else f"{name}{_signature(member)}"
                 lines += [f"### `{cls.__name__}.{heading}`", "", *_text(member), ""]
-    lines += ["## Base classes", "", "| to write a | derive from | which is |", "|---|---|---|"]
+    lines += ["## Base classes", "", "| to write a | derive from, or use | which is |", "|---|---|---|"]
     for purpose, places in BASE_CLASSES.items():
         for place in places:
             lines.append(f"| {purpose} | `{place}` | {_first_line(base_class(place))} |")

@@ -15,6 +15,8 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HOST_FAULTS
+from mast_zenoh.messages.schemas import OURS, Schema
+from mast_zenoh.node import Node
 from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline
 from mast_zenoh.report.tables.scores import MEASURES
 
@@ -53,7 +55,7 @@ _BASES: Mapping[str, Mapping[str, type]] = {
 #: Kinds that are files, by the name of the function that each file defines.
 _FILES = {"scenarios": "scenario", "studies": "study"}
 
-KINDS = (*_BASES, *_FILES)
+KINDS = (*_BASES, "messages", *_FILES)
 
 _MEASURES = {
     "fn": "Objects in range of the agent that no track matches, per frame",
@@ -108,6 +110,8 @@ class Entry:
 
 def _as_assignment(parameter: Parameter) -> str:
     """`start_s = 4.0 s`; `name, required` without a default."""
+    if parameter.kind:
+        return f"{parameter.name}: {parameter.kind} {parameter.unit}".rstrip()
     default = f" = {parameter.default}" if parameter.default else ""
     unit = parameter.unit if parameter.default not in ("", "None") else f"({parameter.unit})"
     required = "" if parameter.default else ", required"
@@ -176,7 +180,7 @@ def list_kind(kind: str) -> Listing:
 
     Entries have parameters with defaults and units.
 
-    kind: attacks, trackers, fusion, scenes, links, faults, metrics, scenarios or studies
+    kind: attacks, trackers, fusion, scenes, links, faults, metrics, messages, scenarios or studies
 
     Raises ConfigurationError for any other.
     """
@@ -184,6 +188,8 @@ def list_kind(kind: str) -> Listing:
         raise ConfigurationError(f"list: found {kind!r}{nearest(kind, KINDS)}; expected one of {', '.join(KINDS)}")
     if kind in _FILES:
         return Listing(kind, list(_files(kind, _FILES[kind])))
+    if kind == "messages":
+        return Listing(kind, list(_messages()))
     entries = list(_special(kind))
     for group, base in _BASES[kind].items():
         entries += [
@@ -211,6 +217,22 @@ def _special(kind: str) -> Iterator[Entry]:
     if kind == "metrics":
         for measure in MEASURES:
             yield Entry(measure.key, "always computed, for every estimate of every agent", _MEASURES[measure.key])
+
+
+def _messages() -> Iterator[Entry]:
+    """Our message types, and those that nodes declare which are loaded now."""
+    declared: dict[str, Schema] = {}
+    for node in registry.known_types(Node).values():
+        assert issubclass(node, Node)
+        declared |= node.message_types
+    for schema in (*OURS.values(), *declared.values()):
+        group = "message types of ports" if schema.name in OURS else "message types of your own nodes"
+        about = f"{schema.meaning[:1].upper()}{schema.meaning[1:].rstrip('.')} (version {schema.version})"
+        columns = [
+            Parameter(each.name, "", each.unit, each.meaning, kind=f"{each.dtype} ({', '.join(map(str, each.shape))})")
+            for each in schema.columns
+        ]
+        yield Entry(schema.name, group, about, tuple(columns))
 
 
 def _rule(rule: Mapping[str, Any]) -> str:

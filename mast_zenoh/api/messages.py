@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,6 +16,7 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
 
 Columns = dict[str, NDArray[Any]]
 
@@ -34,7 +35,7 @@ class WireMessage:
 
     wire:      key expression without the run's prefix: `agent/ego/tracks`
     tap:       whether it was sent on a hidden leg of the wire, before an interposer
-    type:      message type, a section of docs/messages.md
+    type:      message type, a section of docs/messages.md, or one that a node of the scenario declares
     publisher: name of the node that published it
     frame:     frame number;  time_s: s since the scene began;  seq: its number on the wire
     columns:   read-only arrays by name, with the shapes and units of docs/messages.md
@@ -70,26 +71,33 @@ def messages(path: Path, pattern: str = "*", *, taps: bool = False) -> Iterator[
     for recorded in read(path):
         if recorded.malformed or (recorded.tap and not taps) or not fnmatchcase(recorded.wire, pattern):
             continue
-        header, body = codec.decode_lazily(recorded.payload, recorded.message)
+        header, body = codec.decode_lazily(recorded.payload, recorded.type)
         of_wire = recorded.wire, recorded.tap, recorded.message, recorded.publisher
         yield WireMessage(*of_wire, header.frame, header.time_ns * 1e-9, header.seq, body)
 
 
-def table_of(path: Path, wire: str, rows: Callable[[WireMessage], Columns]) -> pyarrow.Table:
-    """A table of the rows that `rows` makes of each message on a wire.
+def table_of(path: Path, wire: str, rows: Callable[[Body], Columns]) -> pyarrow.Table:
+    """A table of the rows that `rows` makes of the columns of each message on a wire.
 
     The columns `frame` and `time_s` come first. Copies of a message that a link duplicated are left out.
     """
+
+    def parts() -> Iterator[tuple[int, float, Columns]]:
+        last: dict[str, int] = {}
+        for message in messages(path, wire):
+            if message.seq > last.get(message.publisher, -1):
+                last[message.publisher] = message.seq
+                yield message.frame, message.time_s, rows(message.columns)
+
+    return table(parts())
+
+
+def table(frames: Iterable[tuple[int, float, Columns]]) -> pyarrow.Table:
+    """Columns of frames (index, s since the scene began) one below the other, behind `frame` and `time_s`."""
     parts: list[Columns] = []
-    last: dict[str, int] = {}
-    for message in messages(path, wire):
-        if message.seq <= last.get(message.publisher, -1):
-            continue
-        last[message.publisher] = message.seq
-        columns = rows(message)
+    for frame, time_s, columns in frames:
         count = len(next(iter(columns.values())))
-        of_frame = {"frame": np.full(count, message.frame), "time_s": np.full(count, message.time_s)}
-        parts.append(of_frame | columns)
+        parts.append({"frame": np.full(count, frame), "time_s": np.full(count, time_s)} | columns)
     names = list(parts[0]) if parts else ["frame", "time_s"]
     arrays = {name: np.concatenate([part[name] for part in parts]) if parts else np.zeros(0) for name in names}
     fields = []
@@ -99,34 +107,34 @@ def table_of(path: Path, wire: str, rows: Callable[[WireMessage], Columns]) -> p
     return pyarrow.table([pyarrow.array(array) for array in arrays.values()], schema=pyarrow.schema(fields))
 
 
-def states(message: WireMessage) -> Columns:
+def states(columns: Body) -> Columns:
     """The objects of `tracks` or of a `picture` in the world frame."""
-    objects = ObjectStates.from_columns(message.columns)
-    if "origin" in message.columns:
-        objects = states_to_world(objects, message["origin"], message["rotation"])
-    support = {"support": message["support"]} if "support" in message.columns else {}
+    objects = ObjectStates.from_columns(columns)
+    if "origin" in columns:
+        objects = states_to_world(objects, columns["origin"], columns["rotation"])
+    support = {"support": columns["support"]} if "support" in columns else {}
     return _boxes(objects.columns()) | {"score": objects.score} | support
 
 
-def truth(message: WireMessage) -> Columns:
+def truth(columns: Body) -> Columns:
     """The objects of the scene; points: the most lidar returns at any agent."""
-    points = message["points"]
+    points = columns["points"]
     max_points = points.max(axis=1) if points.shape[1] else np.zeros(len(points), np.int32)
-    return _boxes(message.columns) | {"points": max_points}
+    return _boxes(columns) | {"points": max_points}
 
 
-def detections(message: WireMessage) -> Columns:
+def detections(columns: Body) -> Columns:
     """The detections of a sensor, in its own frame."""
-    return _boxes(message.columns) | {"score": message["score"]}
+    return _boxes(columns) | {"score": columns["score"]}
 
 
-def pose(message: WireMessage) -> Columns:
+def pose(columns: Body) -> Columns:
     """The pose that an agent reports, with the quaternion from agent to world frame."""
-    values = np.concatenate([message["position"], message["rotation"], message["velocity"]])[None]
+    values = np.concatenate([columns["position"], columns["rotation"], columns["velocity"]])[None]
     return dict(zip(("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz"), values.T, strict=True))
 
 
-def _boxes(columns: Mapping[str, NDArray[Any]]) -> Columns:
+def _boxes(columns: Body) -> Columns:
     """Columns of boxes, with vectors split by axis and the class as text."""
     classes = np.array(CLASSES, dtype=object)[columns["class_id"]]
     result: Columns = {"id": columns["id"]} if "id" in columns else {}

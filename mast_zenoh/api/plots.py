@@ -13,10 +13,10 @@ from mast_zenoh.report.figures.causes import causes_over_time
 from mast_zenoh.report.figures.charts import REPORT_COLUMNS, counts_over_time
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, side_by_side_figure
+from mast_zenoh.report.figures.driving import driving_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.driving import driving_over_time
 from mast_zenoh.report.tables.scores import ESTIMATES, score_table
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-#: Base classes as `module.Class`, by purpose.
+#: Base classes (of a message type: the classes that describe it) as `module.Class`, by purpose.
 BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "node": ("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
+    "message type": ("mast_zenoh.messages.Schema", "mast_zenoh.messages.Column"),
     "attack": ("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination"),
     "part of an attack": (
         "mast_zenoh.attacks.Selection",
@@ -26,6 +27,7 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "link rule": ("mast_zenoh.links.Rule",),
     "fault": ("mast_zenoh.faults.Fault",),
     "check": ("mast_zenoh.checks.RunCheck",),
+    "report figure": ("mast_zenoh.report.RunFigure",),
     "deployment engine": ("mast_zenoh.launch.engine.Engine",),
 }
 

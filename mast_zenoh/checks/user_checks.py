@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from pathlib import Path
 
 from mast_zenoh.checks.base import Check
@@ -31,14 +29,7 @@ class RunCheck(ABC):
 
 def of_scenario(resolved: Resolved) -> list[type[RunCheck]]:
     """The concrete subclasses of RunCheck in the files of a scenario."""
-    return list(dict.fromkeys(_subclasses(resolved)))
-
-
-def _subclasses(resolved: Resolved) -> Iterator[type[RunCheck]]:
-    for file in resolved.modules:
-        for value in vars(loading.module(Path(file))).values():
-            if isinstance(value, type) and issubclass(value, RunCheck) and not inspect.isabstract(value):
-                yield value
+    return loading.concrete([loading.module(Path(file)) for file in resolved.modules], RunCheck)
 
 
 def apply(check_class: type[RunCheck], folder: Path) -> Check:

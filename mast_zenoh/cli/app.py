@@ -235,6 +235,7 @@ def report(
     frame: Annotated[int | None, typer.Option(min=0, help="The frame that figures show.")] = None,
     against: Against = None,
     measure: Annotated[bool, typer.Option("--measure", help="Measure the run again, from its recording.")] = False,
+    figures: Annotated[list[Path] | None, typer.Option(help="A Python file whose figures are added.")] = None,
 ) -> None:
     """Write the report of a run again, compared with another run if one is named.
 
@@ -251,7 +252,7 @@ def report(
     with reporting(run_folder):
         if other is not None:
             terminal.show_run(_out, run_folder, other)
-        _out.print(f"report: {html.write_report(run_folder, frame, other)}", highlight=False)
+        _out.print(f"report: {html.write_report(run_folder, frame, other, figures or ())}", highlight=False)
     if warning := terminal.failure(run_folder):
         _err.print(f"warning: {warning}", style="bold yellow", markup=False, highlight=False)
 

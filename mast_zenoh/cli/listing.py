@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from mast_zenoh.cli.options import out as _out
 
-_HELP = "attacks, trackers, fusion, scenes, links, faults, metrics, scenarios or studies. Default: all their names."
+_HELP = (
+    "attacks, trackers, fusion, scenes, links, faults, metrics, messages, scenarios or studies. "
+    "Default: all their names."
+)
 
 
 def list_kind(
     kind: Annotated[str | None, typer.Argument(help=_HELP)] = None,
     name: Annotated[str | None, typer.Argument(help="One of the kind: shows this one alone.")] = None,
+    file: Annotated[Path | None, typer.Option(help="A Python file of yours: what it defines is listed, too.")] = None,
 ) -> None:
     """List what a scenario can name, with parameters, defaults and units."""
     from mast_zenoh.api import catalogue  # every package of algorithms: commands that need none do not load them
+    from mast_zenoh.config import loading
 
+    if file is not None:
+        loading.module(file)
     if kind is None:
         for each in catalogue.KINDS:
             _out.print(f"{each}: {', '.join(catalogue.list_kind(each).names)}", markup=False, highlight=False)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import hashlib
 import importlib.util
+import inspect
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,7 +28,7 @@ def module(path: Path) -> ModuleType:
     path = path.resolve()
     # Dataclasses look up their module in sys.modules. It gets a unique name there, so that a user's file called
     # `types.py` does not replace another module.
-    name = f"{path.stem.replace('.', '_')}_{hashlib.blake2b(os.fsencode(path), digest_size=6).hexdigest()}"
+    name = _name_of(path)
     if name in sys.modules and _unchanged(sys.modules[name]):
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
@@ -52,6 +53,11 @@ def module(path: Path) -> ModuleType:
                 del sys.modules[sibling]
         _SOURCES[loaded] = {file: _changed_at(file) for file in files}
     return loaded
+
+
+def _name_of(path: Path) -> str:
+    """The name of a file's module in sys.modules, where dataclasses look it up: that of no other module."""
+    return f"{path.stem.replace('.', '_')}_{hashlib.blake2b(os.fsencode(path), digest_size=6).hexdigest()}"
 
 
 #: By loaded module: its source files, with time of change in ns and size.
@@ -89,6 +95,22 @@ def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[.
     if not callable(target):
         raise ConfigurationError(f"{path}: defines no function `{function_name}`")
     return path.resolve(), target
+
+
+def loaded_module(path: Path) -> ModuleType | None:
+    """The module in a file if `module` has loaded it as it is now, else None: nothing is run."""
+    known = sys.modules.get(_name_of(path.resolve()))
+    return known if known is not None and _unchanged(known) else None
+
+
+def concrete(modules: Iterable[ModuleType], base: type) -> list[Any]:
+    """The subclasses of a base that users' modules define or import by name, without abstract ones and ours."""
+    values = [value for each in modules for value in vars(each).values() if isinstance(value, type)]
+    return [
+        value
+        for value in dict.fromkeys(values)
+        if issubclass(value, base) and not inspect.isabstract(value) and not value.__module__.startswith("mast_zenoh.")
+    ]
 
 
 def defining_file(function: Callable[..., Any]) -> Path:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.messages import user_types
+from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
 
@@ -48,6 +50,7 @@ class Resolved:
 
     modules: the user's Python files that define algorithms named in it; to be loaded before its nodes are built
     steps: actions on processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
+    messages: the message types that its nodes declare; the codec must know them (`user_types.use`) when nodes are built
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
     """
 
@@ -65,6 +68,7 @@ class Resolved:
     timeline: tuple[dict[str, Any], ...] = ()
     network: dict[str, Any] = field(default_factory=dict)
     leeway_ns: int | None = None
+    messages: tuple[Schema, ...] = ()
     recording: Recording | None = field(default=None, compare=False)
 
     @property
@@ -92,7 +96,8 @@ class Resolved:
         names = ["name", "seed", "mode", "rate", "frames", "period_ns", "leeway_ns"]
         names += ["scene", "modules", "timeline", "network"]
         steps = [step._asdict() for step in self.steps]
-        return {**{name: getattr(self, name) for name in names}, "steps": steps, "nodes": nodes}
+        declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
+        return {**{name: getattr(self, name) for name in names}, **declared, "steps": steps, "nodes": nodes}
 
     def _plain(self, value: Any) -> Any:
         """A configuration as JSON values; recorded scene and log become file names."""
@@ -112,7 +117,8 @@ class Resolved:
         nodes = {name: NodeSpec(**spec) for name, spec in data["nodes"].items()}
         steps = tuple(ProcessStep(**step) for step in data["steps"])
         lists = {name: tuple(data[name]) for name in ("modules", "timeline")}
-        return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps})
+        messages = tuple(user_types.from_json(schema) for schema in data.get("messages", ()))
+        return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages})
 
     @classmethod
     def read(cls, run_folder: Path) -> Resolved:

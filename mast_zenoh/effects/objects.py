@@ -139,14 +139,19 @@ def whole_message(
 
 
 def _reference(body: Body) -> Floats:
-    for origin, rotation in _REFERENCES:
-        if origin in body:
-            return np.concatenate([body[origin], body[rotation]])
+    for pair in _REFERENCES:
+        if _has(body, pair):
+            return np.concatenate([body[name] for name in pair])
     return _WORLD
 
 
 def _of_agent(body: Body) -> bool:
-    return _REFERENCES[1][0] in body
+    return _has(body, _REFERENCES[1])
+
+
+def _has(body: Body, reference: tuple[str, str]) -> bool:
+    """Whether a message has a frame of reference; a user's may have columns of one of the names, or of other shapes."""
+    return tuple(body[name].shape for name in reference if name in body) == ((3,), (4,))
 
 
 def _bit_names(bits: Ints, names: tuple[str, ...]) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.messages.schemas import SCHEMAS, Body
+from mast_zenoh.messages.schemas import SCHEMAS, Body, Schema
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
@@ -37,20 +38,28 @@ class _Columns(NamedTuple):
     others: tuple[str, ...]
 
 
-def _columns(name: str) -> _Columns:
-    columns = SCHEMAS[name].columns
-    if not any(column.name == "position" and column.shape == ("n", 3) for column in columns):
-        return _Columns((), tuple(column.name for column in columns))
-    rows = tuple(column.name for column in columns if column.shape[:1] == ("n",))
-    return _Columns(rows, tuple(column.name for column in columns if column.name not in rows))
+#: Dtype and shape of columns by which objects are told apart. A user's type in which they are others has no objects.
+_OF_OBJECTS = {
+    "position": ("float64", ("n", 3)),
+    "velocity": ("float64", ("n", 3)),
+    "id": ("int64", ("n",)),
+    "agent": ("int64", ("n",)),
+}
 
 
-_COLUMNS = {name: _columns(name) for name in SCHEMAS}
+@lru_cache(maxsize=256)
+def _columns(schema: Schema) -> _Columns:
+    names = tuple(column.name for column in schema.columns)
+    usual = all((c.dtype, c.shape) == _OF_OBJECTS.get(c.name, (c.dtype, c.shape)) for c in schema.columns)
+    if "position" not in names or not usual:
+        return _Columns((), names)
+    rows = tuple(column.name for column in schema.columns if column.shape[0] == "n" and column.dtype != "str")
+    return _Columns(rows, tuple(name for name in names if name not in rows))
 
 
 def has_objects(message: str) -> bool:
     """Whether messages of a type have a row with a position for each object."""
-    return bool(_COLUMNS[message].rows)
+    return bool(_columns(SCHEMAS[message]).rows)
 
 
 class Rows(NamedTuple):
@@ -106,7 +115,7 @@ def compare(message: str, before: Sequence[Body], after: Sequence[Body]) -> Chan
     matchings, the one with the least total distance is chosen. Remaining rows were removed or inserted. The order of
     the rows does not matter.
     """
-    names, message_columns = _COLUMNS[message]
+    names, message_columns = _columns(SCHEMAS[message])
     others = tuple(
         tuple(name for name in message_columns if not _equal(a[name], b[name]))
         for a, b in zip(before, after, strict=True)

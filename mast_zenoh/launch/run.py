@@ -25,6 +25,7 @@ from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.nodelogs import NodeLogs
 from mast_zenoh.messagelog import churn
+from mast_zenoh.messages import user_types
 from mast_zenoh.runtime.inproc import InProcess
 
 
@@ -79,6 +80,7 @@ def run(
     steps.check(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)
+    user_types.use(resolved.messages)
     with stop_signals.collected() as received:
         folder = run_folder.create(out, resolved.name)
         record: dict[str, Any] = {

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from mast_zenoh.messages.schemas import Column, Schema
+from mast_zenoh.messages import user_types
+from mast_zenoh.messages.schemas import OURS, Column, Schema
 from mast_zenoh.wiring.model import TAP
 
 PROFILE = "mast-zenoh"
 ENCODING = "msgpack"
 SCHEMA_ENCODING = "jsonschema"
+
+#: Key of a schema's JSON with the whole definition of a message type that is not ours, by which it is decoded.
+DEFINITION = "definition"
 
 #: Last part of the topic for messages of a key without a valid header.
 MALFORMED = "@malformed"
@@ -51,7 +55,19 @@ def json_schema(schema: Schema) -> str:
         "seq": integer | {"description": "counts the messages of one publisher on one wire, from 0"},
         "body": _object({column.name: _column(column) for column in schema.columns}),
     }
-    return json.dumps({"title": schema.name, "description": schema.meaning} | _object(fields), ensure_ascii=False)
+    content = {"title": schema.name, "description": schema.meaning} | _object(fields)
+    if schema.name not in OURS:
+        content[DEFINITION] = user_types.to_json(schema)
+    return json.dumps(content, ensure_ascii=False)
+
+
+def user_schema(content: bytes) -> Schema | None:
+    """The message type that `json_schema` described; None: one of ours. Raises ValueError for anything else."""
+    try:
+        definition = json.loads(content).get(DEFINITION)
+        return None if definition is None else user_types.from_json(definition)
+    except (TypeError, KeyError, AttributeError) as error:
+        raise ValueError(f"{type(error).__name__}: {error}") from None
 
 
 def _object(properties: dict[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.difference import Difference
 from mast_zenoh.messagelog.reader import Recorded
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import SCHEMAS, Column, Message
+from mast_zenoh.messages.schemas import OURS, Column, Message
 
 _WIRES_SHOWN = 12
 _HEADER_UNITS = {"time_ns": " ns"}
@@ -64,7 +64,7 @@ def _totals(predicate: str, wires: Counter[str]) -> Iterator[str]:
 def _decoded(message: Recorded) -> Message | None:
     """The decoded message, or None if it is invalid."""
     try:
-        return codec.decode(message.payload, message.message)
+        return codec.decode(message.payload, message.type)
     except MessageError:
         return None
 
@@ -79,7 +79,13 @@ def _fields(left: Recorded, right: Recorded) -> Iterator[str]:
             if in_a != in_b:
                 explained = True
                 yield f"{name}: A {in_a}{_HEADER_UNITS.get(name, '')}, B {in_b}{_HEADER_UNITS.get(name, '')}"
-        for column in SCHEMAS[left.message].columns:
+        columns = {column.name: column for column in (left.schema or OURS[left.message]).columns}
+        if left.schema != right.schema:  # of a user, who has changed it between the runs
+            others = (right.schema or OURS[right.message]).columns
+            columns = {name: column for name, column in columns.items() if column in others}
+            explained = True
+            yield f"the message type {left.message!r} differs: A {_definition(left)}, B {_definition(right)}"
+        for column in columns.values():
             for line in _column(column, a.body[column.name], b.body[column.name]):
                 explained = True
                 yield line
@@ -89,6 +95,13 @@ def _fields(left: Recorded, right: Recorded) -> Iterator[str]:
                 yield f"{name} is not a valid message"
     if not explained:
         yield _bytes(left.payload, right.payload)
+
+
+def _definition(message: Recorded) -> str:
+    """The version and the columns of a message's type."""
+    schema = message.schema or OURS[message.message]
+    columns = (f"{each.name} {each.dtype} ({', '.join(map(str, each.shape))})" for each in schema.columns)
+    return f"version {schema.version} ({', '.join(columns)})"
 
 
 def _column(column: Column, a: NDArray[Any], b: NDArray[Any]) -> Iterator[str]:

@@ -20,13 +20,16 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.records import Schema as SchemaRecord
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from mast_zenoh.errors import MessageError, RunFolderError
+from mast_zenoh.messagelog import channels as channel_data
 from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import OURS, Schema
 
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
@@ -51,6 +54,7 @@ class Recorded:
     payload:   the bytes as they were sent
     step:      the run's frame when it was sent: later than `frame` if a link delayed it; -1: unknown
     rank:      sending order among messages of one key and frame; -1: first, or the only one
+    schema:    the message type, if it is a user's: as it was when the run was recorded
     """
 
     key: str
@@ -65,6 +69,12 @@ class Recorded:
     malformed: bool
     step: int
     rank: int = -1
+    schema: Schema | None = None
+
+    @property
+    def type(self) -> str | Schema:
+        """By which `codec` decodes it."""
+        return self.schema or self.message
 
     @property
     def order(self) -> tuple[int, int, str, str, int, str]:
@@ -129,11 +139,12 @@ def read(path: Path) -> Iterator[Recorded]:
         #: by chunk, the earliest time in it and in all later ones
         floors = list(accumulate((chunk.start_ns for chunk in reversed(chunks)), min))[::-1]
         channels: dict[int, Channel] = {}
+        schemas: dict[int, Schema] = {}
         queue: list[tuple[tuple[int, int, str, str, int, str], int, Recorded]] = []
         loaded = count = 0
         while queue or loaded < len(chunks):
             while loaded < len(chunks) and (not queue or floors[loaded] <= queue[0][0][0] + _RANKS_NS):
-                for message in _messages(file, path, chunks[loaded], channels):
+                for message in _messages(file, path, chunks[loaded], channels, schemas):
                     heapq.heappush(queue, (message.order, count, message))
                     count += 1
                 loaded += 1
@@ -208,8 +219,10 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
         file.seek(byte + length)
 
 
-def _messages(file: IO[bytes], path: Path, index: _ChunkIndex, channels: dict[int, Channel]) -> Iterator[Recorded]:
-    """The messages of a chunk; channels that it introduces are added to `channels`."""
+def _messages(
+    file: IO[bytes], path: Path, index: _ChunkIndex, channels: dict[int, Channel], schemas: dict[int, Schema]
+) -> Iterator[Recorded]:
+    """The messages of a chunk; channels and message types of users that it introduces are added to the dicts."""
     file.seek(index.byte)
     try:
         chunk = Chunk.read(ReadDataStream(file))
@@ -223,17 +236,27 @@ def _messages(file: IO[bytes], path: Path, index: _ChunkIndex, channels: dict[in
     for record in records:
         if isinstance(record, Channel):
             channels[record.id] = record
+        elif isinstance(record, SchemaRecord):
+            try:
+                schema = channel_data.user_schema(record.data)
+            except ValueError as error:
+                raise RunFolderError(f"{path}: byte {index.byte}: schema {record.name!r:.80}: {error}") from None
+            if schema is not None:
+                schemas[record.id] = schema
         elif isinstance(record, Message):
             if record.channel_id not in channels:
                 raise RunFolderError(
                     f"{path}: byte {index.byte}: a message of channel {record.channel_id}, which is unknown"
                 )
-            rank = index.ranks.get(count, -1)
-            yield _recorded(channels[record.channel_id], record, path, index.steps.get(count), rank)
+            channel = channels[record.channel_id]
+            step, rank = index.steps.get(count), index.ranks.get(count, -1)
+            yield _recorded(channel, record, path, step, rank, schemas.get(channel.schema_id))
             count += 1
 
 
-def _recorded(channel: Channel, record: Message, path: Path, step: int | None, rank: int) -> Recorded:
+def _recorded(
+    channel: Channel, record: Message, path: Path, step: int | None, rank: int, schema: Schema | None
+) -> Recorded:
     """A message with the data of its channel and header; step None: its frame."""
     metadata = channel.metadata
     try:
@@ -244,7 +267,7 @@ def _recorded(channel: Channel, record: Message, path: Path, step: int | None, r
     frame, seq = -1, record.sequence
     if not malformed:
         try:
-            header = codec.decode_header(record.data, message)
+            header = codec.decode_header(record.data, schema or OURS[message])
         except (MessageError, KeyError) as error:
             raise RunFolderError(f"{path}: {channel.topic}: {error}") from None
         frame, seq = header.frame, header.seq
@@ -261,4 +284,5 @@ def _recorded(channel: Channel, record: Message, path: Path, step: int | None, r
         malformed,
         frame if step is None else step,
         rank,
+        schema,
     )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import validation
-from mast_zenoh.messages.layout import LAYOUTS, MAX_BYTES, MAX_ROWS, MAX_TEXT, WIRE_DTYPE, exact_columns
+from mast_zenoh.messages.layout import LAYOUTS, MAX_BYTES, MAX_ROWS, MAX_TEXT, WIRE_DTYPE, exact_columns, layout_of
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Message, Schema
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
@@ -96,16 +96,16 @@ def encode(message: Message) -> bytes:
     return packed
 
 
-def decode(payload: bytes, expected: str) -> Message:
-    """Decode a message of the schema `expected`, in this package's version.
+def decode(payload: bytes, expected: str | Schema) -> Message:
+    """Decode a message of the name `expected`, in its present version, or that of a recording.
 
     Raises MessageError for anything else: truncated, oversized, another version, a missing or unknown
     column, a forged shape, a value that is not finite.
     """
-    header, body = _unpack(payload, expected)
-    schema = SCHEMAS[expected]
+    schema = SCHEMAS[expected] if isinstance(expected, str) else expected
+    header, body = _unpack(payload, schema)
     if not isinstance(body, dict) or len(body) != len(schema.columns):
-        raise MessageError(validation.names_differ(expected, body, schema.columns))
+        raise MessageError(validation.names_differ(schema.name, body, schema.columns))
     message = Message(header, _columns(schema, body))
     validation.check_references(message)
     return message
@@ -119,7 +119,7 @@ class LazyBody(Mapping[str, NDArray[Any]]):
 
     __slots__ = ("_columns", "_expected", "_payload")
 
-    def __init__(self, payload: bytes, expected: str) -> None:
+    def __init__(self, payload: bytes, expected: str | Schema) -> None:
         self._payload, self._expected = payload, expected
         self._columns: Body | None = None
 
@@ -138,20 +138,21 @@ class LazyBody(Mapping[str, NDArray[Any]]):
         return len(self._decoded())
 
 
-def decode_lazily(payload: bytes, expected: str) -> Message:
+def decode_lazily(payload: bytes, expected: str | Schema) -> Message:
     """Decode the header now, and the body on first access."""
     return Message(decode_header_only(payload, expected), LazyBody(payload, expected))
 
 
-def decode_header_only(payload: bytes, expected: str) -> Header:
+def decode_header_only(payload: bytes, expected: str | Schema) -> Header:
     """Decode the header of a message without checking its body.
 
     Raises MessageError if `decode` would because of the header.
     """
-    return _quick_header(payload, expected) or decode_header(payload, expected)
+    schema = SCHEMAS[expected] if isinstance(expected, str) else expected
+    return _quick_header(payload, schema) or _unpack(payload, schema)[0]
 
 
-def _quick_header(payload: bytes, expected: str) -> Header | None:
+def _quick_header(payload: bytes, expected: Schema) -> Header | None:
     """The header of a valid message, without its body; None if anything is unusual."""
     end = payload.find(_BODY_KEY, 0, _LONGEST_HEADER)
     if payload[:1] != _MAP_OF_7 or end < 0 or len(payload) > MAX_BYTES:
@@ -161,44 +162,44 @@ def _quick_header(payload: bytes, expected: str) -> Header | None:
         schema, version, source, frame, time_ns, seq = [fields[name] for name in _HEADER_KEYS[:-1]]
     except Exception:  # the full check names the error
         return None
-    if schema != expected or type(version) is not int or version != SCHEMAS[expected].version:
+    if schema != expected.name or type(version) is not int or version != expected.version:
         return None
     header = Header(schema, source, frame, time_ns, seq)
     _check_header(header)
     return header
 
 
-def decode_header(payload: bytes, expected: str) -> Header:
+def decode_header(payload: bytes, expected: str | Schema) -> Header:
     """Decode the header of a message, whose body may be anything.
 
     Raises MessageError if `decode` would for any reason but the body's columns.
     """
-    return _unpack(payload, expected)[0]
+    return _unpack(payload, SCHEMAS[expected] if isinstance(expected, str) else expected)[0]
 
 
-def _unpack(payload: bytes, expected: str) -> tuple[Header, Any]:
+def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
     """(header, packed body) of a message; the header is checked."""
+    name = expected.name
     if len(payload) > MAX_BYTES:
-        raise MessageError(f"{expected}: {len(payload)} bytes, at most {MAX_BYTES} allowed")
+        raise MessageError(f"{name}: {len(payload)} bytes, at most {MAX_BYTES} allowed")
     try:
         fields = msgpack.unpackb(payload, strict_map_key=True, max_ext_len=0, max_map_len=64, max_array_len=MAX_ROWS)
     except Exception as error:
-        raise MessageError(f"{expected}: not MessagePack: {type(error).__name__}: {error}") from None
+        raise MessageError(f"{name}: not MessagePack: {type(error).__name__}: {error}") from None
     if not isinstance(fields, dict) or fields.keys() != _HEADER_NAMES:
-        raise MessageError(f"{expected}: not a map of {', '.join(_HEADER_KEYS)}")
-    schema, version, source, frame, time_ns, seq, body = [fields[name] for name in _HEADER_KEYS]
-    expected_version = SCHEMAS[expected].version
-    if schema != expected or type(version) is not int or version != expected_version:
+        raise MessageError(f"{name}: not a map of {', '.join(_HEADER_KEYS)}")
+    schema, version, source, frame, time_ns, seq, body = [fields[key] for key in _HEADER_KEYS]
+    if schema != name or type(version) is not int or version != expected.version:
         actual = f"{str(schema)[:40]} version {str(version)[:10]}"
-        raise MessageError(f"{expected}: found {actual}, expected {expected} version {expected_version}")
-    header = Header(expected, source, frame, time_ns, seq)
+        raise MessageError(f"{name}: found {actual}, expected {name} version {expected.version}")
+    header = Header(name, source, frame, time_ns, seq)
     _check_header(header)
     return header, body
 
 
 def _columns(schema: Schema, body: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """The checked columns of a packed body."""
-    columns = LAYOUTS[schema.name].unpack(body)
+    columns = layout_of(schema).unpack(body)
     if columns is not None:
         return columns
     # Invalid: checking each column names the error.

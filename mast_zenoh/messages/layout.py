@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from functools import lru_cache
 from math import prod
 from typing import Any, NamedTuple
 
@@ -66,7 +67,7 @@ class Layout:
                 if isinstance(size, str):
                     self._letters.setdefault(size, (column.name, axis))
         self._sources = tuple(self._letters.values())
-        self._schema = schema
+        self.schema = schema
         self._plans: dict[tuple[int, ...], Plan] = {}
         self._fitting: set[tuple[int, ...]] = set()  # sizes of messages within MAX_BYTES
 
@@ -91,7 +92,7 @@ class Layout:
 
     def _planned(self, sizes: Mapping[str, int]) -> Plan:
         """The plan for sizes by letter."""
-        columns = self._schema.columns
+        columns = self.schema.columns
         shapes = tuple(tuple(sizes[n] if isinstance(n, str) else n for n in column.shape) for column in columns)
         dtypes = tuple(WIRE_DTYPE.get(column.dtype, _TEXT) for column in columns)
         n_bytes = [prod(shape) * dtype.itemsize * (dtype != _TEXT) for shape, dtype in zip(shapes, dtypes, strict=True)]
@@ -209,4 +210,13 @@ def sound_values(columns: Mapping[str, NDArray[Any]], names: tuple[str, ...], li
     return float(squares)
 
 
+#: The layouts of all message types that the codec knows.
 LAYOUTS = {name: Layout(schema) for name, schema in SCHEMAS.items()}
+
+_layout_of_recording = lru_cache(maxsize=64)(Layout)
+
+
+def layout_of(schema: Schema) -> Layout:
+    """The layout of a message type, which may be of a recording and unknown here."""
+    layout = LAYOUTS.get(schema.name)
+    return layout if layout is not None and layout.schema is schema else _layout_of_recording(schema)

@@ -3,7 +3,7 @@
 docs/messages.md is generated from it.
 
 A message is a header and a body of columns. In a shape, letters are sizes that must agree within one message
-(`n` rows are n objects, `a` rows are a agents); numbers are fixed.
+(`n` rows are n objects, `a` rows are a agents); numbers are fixed. Nodes of users declare further ones (`user_types`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.messages.definition import check_column, check_schema
 
 #: A message body: column name to array. Columns of text are arrays of dtype object holding str.
 Body = Mapping[str, NDArray[Any]]
@@ -56,28 +57,45 @@ def same_columns(one: Body, other: Body) -> bool:
 class Column:
     """One column, as used by senders, receivers and the documentation.
 
-    dtype: a NumPy name or `str`; shape: as in the module's docstring
+    name:  small letters, digits and _
+    dtype: float64, int64, int32, uint8, or str for text
+    shape: sizes; equal letters are equal sizes in one message: ("n", 3) is a row of three numbers for each of n objects
+    unit, meaning: for readers; "" where there is none
     below: for indices (uint8): exclusive upper limit
     least_length: for quaternions and matrices (float64): minimum square root of the sum of squares
+
+    Raises ValueError for anything else.
     """
 
     name: str
     dtype: str
     shape: tuple[str | int, ...]
-    unit: str
-    meaning: str
+    unit: str = ""
+    meaning: str = ""
     below: int = 256
     least_length: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", tuple(self.shape))
+        check_column(self.name, self.dtype, self.shape, self.below, self.least_length)
 
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """One message type."""
+    """One message type: name, version, meaning, columns.
+
+    A node names it in its ports: `outputs = {"gusts": GUSTS}`. Raises ValueError for a name that is none, and for two
+    columns of one name.
+    """
 
     name: str
     version: int
     meaning: str
     columns: tuple[Column, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", tuple(self.columns))
+        check_schema(self.name, self.version, [column.name for column in self.columns])
 
 
 def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tuple[Column, ...]:
@@ -106,7 +124,8 @@ _FRAME_OF_REFERENCE = (
     Column("rotation", "float64", (4,), "", "active quaternion w x y z, frame of reference to world", **_ROTATION),
 )
 
-SCHEMAS: dict[str, Schema] = {
+#: Our message types by name.
+OURS: Mapping[str, Schema] = {
     schema.name: schema
     for schema in (
         Schema("clock", 1, "a frame begins", ()),
@@ -231,6 +250,9 @@ SCHEMAS: dict[str, Schema] = {
         ),
     )
 }
+
+#: All that the codec knows: ours, and those that nodes of the scenario in use declare (`user_types.use`).
+SCHEMAS: dict[str, Schema] = dict(OURS)
 
 
 def text(values: list[str]) -> NDArray[Any]:

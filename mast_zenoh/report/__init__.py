@@ -4,6 +4,7 @@ See docs/report.md and docs/studies.md.
 
 runfolder, files   contents of a run folder
 comparison         the reference run of a comparison
+run_figure         the base class of figures of a run, those of users included
 figures/           the pictures and charts of runs and of studies
 tables/            rows and cells, for every output
 narrative/         results in words
@@ -13,8 +14,37 @@ terminal           results on the terminal
 study_facts        configurations, seeds and failed trials of a study
 """
 
-from mast_zenoh.report.figures import backend  # noqa: F401  # first: imports Matplotlib
-from mast_zenoh.report.html import write_report, write_study_report
-from mast_zenoh.report.tables.scores import ScoreTable, as_markdown, as_rich, score_table
+from __future__ import annotations
 
-__all__ = ["ScoreTable", "as_markdown", "as_rich", "score_table", "write_report", "write_study_report"]
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mast_zenoh.report.html import write_report, write_study_report
+    from mast_zenoh.report.run_figure import FigureContext, RunFigure
+    from mast_zenoh.report.tables.scores import ScoreTable, as_markdown, as_rich, score_table
+
+#: By name, the module that has it. It is imported at the first use: files of scenarios import `RunFigure`, also in the
+#: processes of nodes, which do not draw.
+_PLACES = {
+    **dict.fromkeys(("write_report", "write_study_report"), "mast_zenoh.report.html"),
+    **dict.fromkeys(("FigureContext", "RunFigure"), "mast_zenoh.report.run_figure"),
+    **dict.fromkeys(("ScoreTable", "as_markdown", "as_rich", "score_table"), "mast_zenoh.report.tables.scores"),
+}
+
+__all__ = [
+    "FigureContext",
+    "RunFigure",
+    "ScoreTable",
+    "as_markdown",
+    "as_rich",
+    "score_table",
+    "write_report",
+    "write_study_report",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_PLACES[name]), name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,7 +16,9 @@ from mast_zenoh.control import failures
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.fault_tables import CAUSE_GROUPS, cause_rows, check_rows, late_rows, latency_rows
-from mast_zenoh.report.figures.catalogue import frame_choice, run_figures, study_figures
+from mast_zenoh.report.figures import of_users
+from mast_zenoh.report.figures.catalogue import frame_choice, study_figures
+from mast_zenoh.report.figures.of_run import run_figures
 from mast_zenoh.report.figures.view import (
     PANELS,
     FrameView,
@@ -31,6 +33,7 @@ from mast_zenoh.report.narrative.changes import largest_change
 from mast_zenoh.report.narrative.circumstances import reference_status
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.page import render
+from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.achievement import achieved_rows
 from mast_zenoh.report.tables.driving import driving_rows
@@ -39,19 +42,24 @@ from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, 
 from mast_zenoh.report.tables.wiring import wire_rows
 
 
-def write_report(run_folder: Path, frame: int | None = None, against: Path | None = None) -> Path:
+def write_report(
+    run_folder: Path, frame: int | None = None, against: Path | None = None, figures: Sequence[Path] = ()
+) -> Path:
     """Write `report.html` and `figures/*.png` into a run folder.
 
     frame:   the frame that pictures show; by default that of `view.choose_frame`
     against: folder of a reference run of the same scene
+    figures: Python files whose figures are drawn besides (`RunFigure`)
     Returns the path of the report. Raises RunFolderError if the folder is no run folder, or has no such frame;
     NotComparable if the runs cannot be compared.
     """
     run = RunFolder.load(run_folder)
-    return write_page(run, frame, None if against is None else comparison.reference(run, against))
+    return write_page(run, frame, None if against is None else comparison.reference(run, against), figures)
 
 
-def write_page(run: RunFolder, frame: int | None = None, reference: Reference | None = None) -> Path:
+def write_page(
+    run: RunFolder, frame: int | None = None, reference: Reference | None = None, figures: Sequence[Path] = ()
+) -> Path:
     """Write the report of a loaded run; see `write_report`."""
     estimate = _estimate(run, reference)
     if frame is None:
@@ -62,7 +70,7 @@ def write_page(run: RunFolder, frame: int | None = None, reference: Reference | 
         if not settled(run, np.array([frame])).all():
             frame_note = "This frame was requested; it is not a scored frame."
     view = None if chosen is None else frame_view(run, chosen, estimate)
-    return _write_run(run, view, frame_note=frame_note, reference=reference, estimate=estimate)[1]
+    return _write_run(FigureContext(run, view, frame_note, reference, estimate), figures)[1]
 
 
 def _estimate(run: RunFolder, reference: Reference | None) -> str:
@@ -92,7 +100,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     table = _scores(folders, reference)
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
-        page, path = _write_run(run, frame_views[label])
+        page, path = _write_run(FigureContext(run, frame_views[label]))
         link = quote(os.path.relpath(path, study_folder).replace(os.sep, "/"))
         pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
     views = {label: view for label, view in frame_views.items() if view is not None}
@@ -131,20 +139,15 @@ def _scores(runs: Mapping[str, RunFolder], reference: str | None = None) -> Scor
     return score_table(metrics, counts=counts, agent=ego, reference=reference)
 
 
-def _write_run(
-    run: RunFolder,
-    view: FrameView | None,
-    *,
-    frame_note: str = "",
-    reference: Reference | None = None,
-    estimate: str = "picture",
-) -> tuple[dict[str, Any], Path]:
-    """Write a run's own report; returns the content for a page, and the path."""
-    figures = run_figures(run, view, frame_note=frame_note, reference=reference, estimate=estimate)
+def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict[str, Any], Path]:
+    """Write a run's own report; returns the content for a page, and the path. files: see `write_report`."""
+    run, reference = context.run, context.reference
+    figures, user_figures = run_figures(context), of_users.user_figures(context, files)
     runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}
     scores = _scores(runs, reference.name if reference else None)
     for each in figures.values():
         each.save(run.path / "figures")
+    of_users.save(user_figures, run.path / "figures")
     timings = run.run.get("timings")
     content = {
         "title": f"Run {run.run.get('id', run.label)}",
@@ -158,6 +161,7 @@ def _write_run(
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
         "missing": run.missing,
         "figures": figures,
+        "user_figures": user_figures,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
         "interposers": interposers(run),
         "achieved": achieved_rows(run, reference.run if reference else None),

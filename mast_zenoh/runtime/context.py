@@ -198,7 +198,8 @@ class NodeContext:
     def _output(self, port: str) -> str:
         if port not in self.node.outputs:
             raise ConfigurationError(f"{self.name}: no output port {port!r}{nearest(port, self.node.outputs)}")
-        return self.node.outputs[port]
+        message: str = self.node.outputs[port]
+        return message
 
     def _key(self, port: str, subject: str | None) -> str | None:
         if subject is not None:

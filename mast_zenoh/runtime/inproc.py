@@ -17,6 +17,7 @@ from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control.failures import Entry, described, lines, location, merged
 from mast_zenoh.errors import NodeDied, RunError, StartError
+from mast_zenoh.messages import user_types
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
@@ -44,6 +45,7 @@ class InProcess:
         progress: Callable[[int], bool | None] | None = None,
     ) -> None:
         self._resolved = resolved
+        user_types.use(resolved.messages)
         self._wiring = Wiring.from_json(resolved.wiring)
         self._encode = encode
         self._roles = {name: spec.role for name, spec in resolved.nodes.items()}

@@ -18,6 +18,7 @@ from mast_zenoh.errors import HandlerFailed, RunFolderError
 from mast_zenoh.messagelog import channels
 from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
+from mast_zenoh.messages import user_types
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 
@@ -40,6 +41,7 @@ def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
     changes = deque(events(path) or _initial_events(resolved))
     if changes[0].what != REWIRED:
         raise RunFolderError(f"{path}: the first event is not the wiring that the run began with")
+    user_types.use(resolved.messages)
     node = build_node(resolved.nodes[name], name)
     overhearers = [Endpoint(name, port) for port, message in node.inputs.items() if message == ANY]
     wiring = _wiring(changes.popleft(), overhearers, path)

@@ -13,6 +13,8 @@ from mast_zenoh import scenes
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
+from mast_zenoh.messages import user_types
+from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
 from mast_zenoh.scenario.names import checked_name, name_of_file
@@ -57,6 +59,8 @@ def resolve(
     timeline = timeline_of(path, scenario, nodes, recording, n_frames, seed=options["seed"], mode=options["mode"])
     nodes |= timeline.links
     built_nodes = [build_node(spec, name, str(path)) for name, spec in nodes.items()]
+    messages = _messages(path, nodes)
+    user_types.use(messages)
     wiring = _wiring(path, scenario, nodes, [REWRITE] if timeline.links else [])
     return Resolved(
         name=checked_name(scenario.get("name", name_of_file(path.stem)), f"{path}: name"),
@@ -73,6 +77,7 @@ def resolve(
         timeline=timeline.bands,
         network=timeline.network,
         leeway_ns=_leeway_ns(built_nodes, recording, n_frames) if _uses_shipped_simulator(nodes) else None,
+        messages=messages,
         recording=recording,
     )
 
@@ -85,6 +90,22 @@ def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
         if file is not None and not cls.__module__.startswith("mast_zenoh.") and not issubclass(cls, Node):
             files.append(file)
     return tuple(dict.fromkeys(map(str, files)))
+
+
+def _messages(path: Path, nodes: Mapping[str, NodeSpec]) -> tuple[Schema, ...]:
+    """The message types that nodes declare, by name; raises ConfigurationError where two of one name differ."""
+    declared: dict[str, tuple[Schema, str]] = {}
+    for spec in nodes.values():
+        cls = loading.node_class(Path(spec.file), spec.type)
+        place = f"{cls.__name__} in {spec.file}"
+        for name, schema in cls.message_types.items():
+            known, other = declared.setdefault(name, (schema, place))
+            if known != schema:
+                raise ConfigurationError(
+                    f"{path}: message type {name!r}: {other} and {place} declare different ones: "
+                    "expected one of them, in a file that both import, or another name"
+                )
+    return tuple(declared[name][0] for name in sorted(declared))
 
 
 def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:

@@ -76,11 +76,11 @@ def _check_matched(subject: str, matched: Ints, shuffled: Ints, tracks: int, ord
     expect(np.array_equal(matched, back), f"{subject}: matched depends on the order of the rows")
 
 
-def agents_tracks(n: int) -> tuple[ObjectStates, Ints]:
-    """n tracks of five agents that see the same objects, and the agent of each track."""
+def agents_tracks(n: int, frame: int = 0) -> tuple[ObjectStates, Ints]:
+    """n tracks of five agents that see the same objects, in a frame, and the agent of each track."""
     per_agent = [n // _AGENTS] * _AGENTS
     per_agent[0] += n % _AGENTS
-    parts = [samples.states(count, source=agent) for agent, count in enumerate(per_agent)]
+    parts = [samples.states(count, frame, source=agent) for agent, count in enumerate(per_agent)]
     return concatenate(parts), np.repeat(np.arange(_AGENTS), per_agent)
 
 

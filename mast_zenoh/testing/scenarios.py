@@ -16,7 +16,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import SCHEMAS
+from mast_zenoh.messages.schemas import OURS
 from mast_zenoh.node import Node, handler_names
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
@@ -34,7 +34,7 @@ def check_node(node: type[Node]) -> None:
     expect(node.role, f"{node.__name__}.role: found nothing, expected the name of a role")
     for ports in ("inputs", "outputs"):
         for port, message in getattr(node, ports).items():
-            known = message in SCHEMAS or (ports == "inputs" and message == ANY)
+            known = message in OURS or message in node.message_types or (ports == "inputs" and message == ANY)
             expect(known, f"{node.__name__}.{ports}[{port!r}]: there is no message type {message!r}")
     try:
         handler_names(node)

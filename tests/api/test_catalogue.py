@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -48,7 +49,7 @@ def test_every_entry_has_a_description(kind: str) -> None:
         assert not re.match(r"(See |`?[a-z_]+`?: )", entry.description), f"{entry.name}: {entry.description!r}"
         for parameter in entry.parameters:
             place = f"{kind}: {entry.name}.{parameter.name}"
-            assert parameter.words, f"{place} is not described in the docstring"
+            assert parameter.words or parameter.kind, f"{place} is not described in the docstring"
             assert not re.search(r"(^|; )[a-z]\w*_\w+: ", parameter.words), f"{place}: {parameter.words!r}"
 
 
@@ -144,3 +145,22 @@ def test_the_command_line_prints_the_same_listings() -> None:
         assert printed(kind).strip() == str(mast.list(kind)).strip()
         assert f"{kind}: {', '.join(mast.list(kind).names)}" in printed()
     assert printed("attacks", "ConflictSelection").strip() == str(mast.list("attacks")["ConflictSelection"])
+
+
+def test_message_types_are_listed_with_dtypes_shapes_and_units() -> None:
+    printed = str(mast.list("messages")["detections"])
+    assert re.search(r"position: float64 \(n, 3\) m +centre of the box", printed)
+    assert "required" not in printed
+
+
+def test_a_file_of_the_user_can_be_listed(tmp_path: Path) -> None:
+    (tmp_path / "listed.py").write_text(
+        "from mast_zenoh.messages import Column, Schema\n"
+        "from mast_zenoh.node import Node\n\n"
+        "class Gauge(Node):\n"
+        "    role = 'gauge'\n"
+        "    outputs = {'rain': Schema('rain', 2, 'rain as it falls', (Column('rate', 'float64', (1,), 'mm/h'),))}\n"
+    )
+    done = CliRunner().invoke(app, ["list", "messages", "rain", "--file", str(tmp_path / "listed.py")])
+    assert done.exit_code == 0
+    assert done.stdout.split("\n")[:3] == ["rain", "  Rain as it falls (version 2)", "    rate: float64 (1) mm/h"]

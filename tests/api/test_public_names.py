@@ -17,11 +17,12 @@ from mast_zenoh.study.interface import carry_out
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 NAMES = {
-    *("run", "open", "study", "compare", "list", "__version__"),
-    *("Run", "Comparison", "FinishedStudy", "Listing", "MastError"),
+    *("run", "open", "study", "compare", "list", "scene", "__version__"),
+    *("PreparedScene", "Run", "Comparison", "FinishedStudy", "Listing", "MastError"),
 }
 BASES = {
     *("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
+    *("mast_zenoh.messages.Schema", "mast_zenoh.messages.Column"),
     *("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination", "mast_zenoh.attacks.Selection"),
     *("mast_zenoh.attacks.Propagation", "mast_zenoh.attacks.Imitation"),
     *("mast_zenoh.tracking.Tracker", "mast_zenoh.tracking.Assignment"),
@@ -33,6 +34,7 @@ BASES = {
         "mast_zenoh.faults.Fault",
         "mast_zenoh.launch.engine.Engine",
         "mast_zenoh.checks.RunCheck",
+        "mast_zenoh.report.RunFigure",
     ),
 }
 MEMBERS = {
@@ -42,6 +44,7 @@ MEMBERS = {
     },
     "Comparison": {"table", "headline", "plot", "markdown"},
     "FinishedStudy": {"table", "comparison", "results", "frames"},
+    "PreparedScene": {"name", "agents", "agent", "truth"},
     "Listing": {"names", "groups", "index", "count"},
 }
 KEYWORDS = {
@@ -50,6 +53,7 @@ KEYWORDS = {
     "open": "path",
     "compare": "runs",
     "list": "kind",
+    "scene": "scene seed frames",
 }
 
 

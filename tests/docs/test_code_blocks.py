@@ -204,7 +204,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "links.md": [part_of_a_scenario, None],  # test_links_page.py
     "metrics.md": [None],  # test_measurement_pages.py
     "network.md": [whole_scenario],
-    "python.md": [None] * 11,  # test_python_page.py
+    "python.md": [None] * 12,  # test_python_page.py
     "recording.md": [messages_of_a_run],
     "scenarios.md": [whole_scenario, results_of_a_node],
     "security.md": [expired_credentials],

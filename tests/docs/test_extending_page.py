@@ -125,6 +125,14 @@ def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run
     assert table["count"].sum() == run.picture.num_rows > 0
 
 
+def test_the_wind_is_recorded_with_its_columns(play: Callable[..., mast.Run]) -> None:
+    run = play("windy.py")
+    speeds = [np.linalg.norm(message["velocity"], axis=1).max() for message in run.messages("wind")]
+    assert len(speeds) == FRAMES
+    results = json.loads((run.path / "results" / "anemometer" / "results.json").read_text())
+    assert results["highest_mps"] == max(speeds)
+
+
 def test_the_check_is_applied_to_the_run(play: Callable[..., mast.Run]) -> None:
     run = play("checked.py")
     checks = json.loads((run.path / "checks.json").read_text())["checks"]
@@ -133,11 +141,22 @@ def test_the_check_is_applied_to_the_run(play: Callable[..., mast.Run]) -> None:
     assert result["detail"] == "0 frames without any object after the first one"
 
 
+def test_the_figure_is_in_the_report(play: Callable[..., mast.Run]) -> None:
+    run = play("crowd.py")
+    page = run.report().read_text(encoding="utf-8")
+    assert '<h2 id="crowd">How crowded it is</h2>' in page
+    assert "Objects in the scene and in the common picture, frame by frame." in page
+    assert page.index('id="time"') < page.index('id="crowd"') < page.index('id="wiring"')
+    assert (run.path / "figures" / "crowd.png").stat().st_size > 5_000
+
+
 CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
     "pushed.py": ("Push", testing.check_attack, {}),
     "nearest.py": ("NearestTracker", testing.check_tracker, {}),
     "unclustered.py": ("EveryTrackAlone", testing.check_clusterer, {}),
     "surest.py": ("SurestMember", testing.check_fusion, {}),
+    "parked.py": ("Parked", testing.check_scene, {}),
+    "short_sighted.py": ("ShortSighted", testing.check_detector, {}),
     "alarms.py": ("AlarmShare", testing.check_metric, {}),
     "every_fourth.py": ("EveryNth", testing.check_link_rule, {}),
     "jammed.py": ("Jam", testing.check_fault, dict(at=1.0, until=2.0, node="ego")),

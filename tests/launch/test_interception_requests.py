@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
 from mast_zenoh.launch.interception.client import intercept, plan, release
 from mast_zenoh.launch.interception.server import seal, unseal
+from mast_zenoh.messages import Schema
 from mast_zenoh.scenario.nodes import add_surroundings
 
 TRACKS = "agent/infra_1/tracks"
@@ -95,6 +97,22 @@ def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Pat
         plan(resolved, TRACKS, two, input="bb")
     with pytest.raises(NodeFileError, match="which the wire 'cc/picture' carries"):
         plan(resolved, "cc/picture", two)
+
+
+def test_a_node_that_declares_another_message_type_of_a_name_of_the_run_is_refused(
+    resolved: Resolved, tmp_path: Path
+) -> None:
+    text = (
+        "from mast_zenoh.messages import Schema\nfrom mast_zenoh.node import Node\n"
+        "class Mine(Node):\n    role = 'link'\n    inputs = {'a': 'tracks'}\n"
+        "    outputs = {'b': 'tracks', 'wind': Schema('wind', 1, '', ())}\n    def on_a(self, *_): ...\n"
+    )
+    (tmp_path / "windy.py").write_text(text)
+    file = str(tmp_path / "windy.py")
+    same, other = (replace(resolved, messages=(Schema("wind", version, "", ()),)) for version in (1, 2))
+    assert plan(same, TRACKS, file)[1].type == "Mine"
+    with pytest.raises(NodeFileError, match=r"windy\.py: Mine: the run has another type 'wind'"):
+        plan(other, TRACKS, file)
 
 
 @pytest.mark.parametrize(

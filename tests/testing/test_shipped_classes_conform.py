@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from mast_zenoh import attacks, faults, fusion, links, metrics, testing, tracking
+from mast_zenoh import attacks, faults, fusion, links, metrics, pipelines, scenes, sensing, testing, tracking
 from mast_zenoh.config import bundle, loading, registry
 
 #: Values of required parameters.
@@ -28,6 +29,15 @@ NEEDED: dict[str, Any] = {
     "range_m": 50.0,
     "gateways": [(0.0, 0.0, 10.0)],
     "rule": dict(type="Loss", probability=0.5),
+    "mission": dict(type="PictureFirst"),
+    "tracker": dict(type="KalmanBoxTracker3D"),
+    "fusion": dict(type="CovarianceIntersectionFusion"),
+    "clustering": dict(type="SampledAssignmentClusterer"),
+    "group_tracking": dict(
+        type="GroupTrackerWrapper",
+        fusion=dict(type="CovarianceIntersectionFusion"),
+        tracker=dict(type="KalmanBoxTracker3D"),
+    ),
 }
 
 
@@ -53,12 +63,48 @@ CHECKS: dict[type, Callable[[Any], None]] = {
     metrics.Metric: testing.check_metric,
     links.Rule: testing.check_link_rule,
     faults.Fault: testing.check_fault,
+    sensing.Detector: testing.check_detector,
+    pipelines.Pipeline: testing.check_pipeline,
+    pipelines.AgentPipeline: testing.check_pipeline,
+    pipelines.MissionEstimator: testing.check_mission_estimator,
 }
 
 
 @pytest.mark.parametrize(("cls", "base"), [each for base in CHECKS for each in shipped(base)])
 def test_a_shipped_class_conforms(cls: type, base: type) -> None:
     CHECKS[base](made(cls, base))
+
+
+def data(name: str) -> Path:
+    """A file or folder of the reference data, or a skip that says what is missing."""
+    root = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
+    if not (root / name).exists():
+        pytest.skip(f"no reference data: {root / name} is missing (set MAST_DATA)")
+    return root / name
+
+
+SCENES: dict[str, Callable[[], scenes.Scene]] = {
+    "Intersection": scenes.Intersection,
+    "AVstackScene": lambda: scenes.AVstackScene(path=str(data("avstack_carla_fixture"))),
+    "AV2Log": lambda: scenes.AV2Log(path=str(min(path for path in data("av2_logs").iterdir() if path.is_dir()))),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_shipped_scene_conforms(name: str) -> None:
+    testing.check_scene(SCENES[name]())
+
+
+def test_every_shipped_scene_is_checked() -> None:
+    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys()
+
+
+@pytest.mark.parametrize("mission", [dict(type="PictureFirst"), None])
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_an_agents_pipeline_conforms_in_every_frame(frame: str, mission: dict[str, Any] | None) -> None:
+    both = dict(type="OwnAndPicture", clustering=NEEDED["clustering"], fusion=NEEDED["fusion"])
+    spec = dict(type="AgentPipeline", tracker=NEEDED["tracker"], mission=mission or both, frame=frame)
+    testing.check_pipeline(registry.build(spec, pipelines.AgentPipeline, "pipeline"))
 
 
 @pytest.mark.parametrize("file", sorted((bundle.ROOT / "nodes").glob("*.py")), ids=lambda file: file.stem)

@@ -105,6 +105,10 @@ def plan(
         raise NodeFileError(f"no node file {file!r}{nearest(file, bundle.names('nodes', Path.cwd()))}")
     target, config = wires[wire], nested(settings)
     cls = loading.node_class(path, config.get("type"))
+    declared = {schema.name: schema for schema in resolved.messages}
+    for message, schema in cls.message_types.items():
+        if declared.get(message, schema) != schema:
+            raise NodeFileError(f"{path}: {cls.__name__}: the run has another type {message!r}: expected that one")
     if name is None:
         name = next(free for i in count(1) if (free := f"{path.stem}_{i}") not in resolved.nodes)
     elif name in resolved.nodes:

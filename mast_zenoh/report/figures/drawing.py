@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib import figure as figures
 from matplotlib.axes import Axes
 
 from mast_zenoh.report.figures.birdseye import draw_birdseye, key
@@ -63,7 +64,7 @@ class Picture:
             (folder / f"{self.name}.svg").write_bytes(self.svg)
 
 
-def picture(name: str, figure: Figure, alt: str, caption: str, *, vector: bool = False) -> Picture:
+def picture(name: str, figure: figures.Figure, alt: str, caption: str, *, vector: bool = False) -> Picture:
     """Render a figure."""
     return Picture(name, png(figure), alt, caption, svg(figure) if vector else None)
 

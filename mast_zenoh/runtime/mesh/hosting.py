@@ -16,6 +16,7 @@ from mast_zenoh.config import loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError
+from mast_zenoh.messages import user_types
 from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.lockstep.timetable import Timetable
 from mast_zenoh.runtime.mesh.driver import Driver
@@ -35,6 +36,7 @@ def build(resolved: Resolved, name: str, node: type[Node] | None = None, place: 
 
     node: its class; None: the class in the node's file;  place: the scenario's file, for error messages
     """
+    user_types.use(resolved.messages)
     for file in resolved.modules:
         loading.module(Path(file))
     spec = resolved.nodes[name]

@@ -1,0 +1,148 @@
+"""Scenes without a run: what is true in them, where their agents are, and what those detect."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow
+
+from mast_zenoh import scenario as scenarios
+from mast_zenoh import scenes
+from mast_zenoh.api import messages as recorded
+from mast_zenoh.api.messages import Columns
+from mast_zenoh.arrays.geometry import quaternion_from_rotation
+from mast_zenoh.config import registry
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.scenario.shape import RUN_DEFAULTS
+from mast_zenoh.scenes import Recording
+
+
+class PreparedScene:
+    """A scene with one seed: truth, agents, poses and detections by frame, as every run with this seed plays them.
+
+    recording: all of it as arrays
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self.recording.name
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The names of the agents, the ego first."""
+        return self.recording.agent_names
+
+    @property
+    def truth(self) -> pyarrow.Table:
+        """A row per frame and object, world frame: columns as `Run.truth`."""
+        scene = self.recording
+        return self._table(
+            lambda frame: recorded.truth(scene.truth_at(frame).columns() | {"points": scene.points_at(frame)})
+        )
+
+    def agent(self, name: str) -> PreparedAgent:
+        """One of the agents. Raises ConfigurationError for a name that none has."""
+        if name not in self.agents:
+            raise ConfigurationError(f"{self.name}: no agent {name!r} in this scene{nearest(name, self.agents)}")
+        return PreparedAgent(self, name)
+
+    def _table(self, rows: Callable[[int], Columns]) -> pyarrow.Table:
+        """What `rows` makes of each frame, one below the other."""
+        times_s = (self.recording.times_ns - self.recording.times_ns[0]) * 1e-9
+
+        def parts() -> Iterator[tuple[int, float, Columns]]:
+            for frame, time_s in enumerate(times_s.tolist()):
+                yield frame, time_s, rows(frame)
+
+        return recorded.table(parts())
+
+    def __len__(self) -> int:
+        return len(self.recording)
+
+    def __repr__(self) -> str:
+        return f"<Scene {self.name}: {len(self)} frames, agents {', '.join(self.agents)}>"
+
+
+class PreparedAgent:
+    """What a scene has of one agent, frame by frame."""
+
+    def __init__(self, scene: PreparedScene, name: str) -> None:
+        self.name = name
+        self._scene = scene
+        self._index = scene.agents.index(name)
+
+    @property
+    def pose(self) -> pyarrow.Table:
+        """A row per frame: columns as `Agent.pose` of a run."""
+        scene, index = self._scene.recording, self._index
+        rotation = quaternion_from_rotation(scene.agent_rotation[:, index])
+        return self._scene._table(
+            lambda frame: recorded.pose(
+                {
+                    "position": scene.agent_position[frame, index],
+                    "rotation": rotation[frame],
+                    "velocity": scene.agent_velocity[frame, index],
+                }
+            )
+        )
+
+    @property
+    def detections(self) -> pyarrow.Table:
+        """A row per frame and detection, in the frame of its sensor: columns as `Agent.detections` of a run.
+
+        `truth_id`: of the object that it is of; -1 for clutter. No agent gets to know it.
+        """
+        scene, index = self._scene.recording, self._index
+        return self._scene._table(
+            lambda frame: (
+                recorded.detections(scene.detections_at(frame, index).columns())
+                | {"truth_id": np.asarray(scene.detection_truth_id_at(frame, index))}
+            )
+        )
+
+    def __repr__(self) -> str:
+        return f"<Agent {self.name} of {self._scene.name}: pose, detections>"
+
+
+def prepare(
+    scene: str | Path | Mapping[str, Any] = "intersection",
+    *,
+    seed: int | None = None,
+    frames: int | None = None,
+    **parameters: Any,
+) -> PreparedScene:
+    """Prepare a scene without running anything.
+
+    scene:      a short name ("intersection", "intersection:2", "avstack:PATH", "av2:PATH"), a dict(type=…) with the
+                parameters of a scene, the Python file of a scenario, whose scene it is, or a scene.npz of a run
+    seed:       of its random draws; None: that of the scenario, otherwise 0
+    frames:     how many; None: all that it has
+    parameters: of the scene; with a file, of its `scenario` function
+
+    Raises ConfigurationError, and SceneError for missing or damaged data.
+    """
+    suffix = "" if isinstance(scene, Mapping) else Path(scene).suffix
+    if suffix == ".npz":
+        given = {"seed": seed, "frames": frames} | parameters
+        if unused := [name for name, value in given.items() if value is not None]:
+            raise ConfigurationError(f"{scene}: is recorded already: found {', '.join(unused)}, expected nothing else")
+        return PreparedScene(Recording.load(Path(str(scene))))
+    options = RUN_DEFAULTS
+    if suffix == ".py":
+        _, content = scenarios.load_values(str(scene), parameters)
+        options = options | dict(content.get("run", {}))
+        spec = scenarios.choose_scene(content.get("scene", "intersection"))
+    else:
+        spec = scenarios.choose_scene(scene if isinstance(scene, Mapping) else str(scene), **parameters)
+    made = registry.build(spec, scenes.Scene, "scene")
+    chosen = options["seed"] if seed is None else seed
+    recording = scenes.prepare(made, chosen, frames, json.dumps(spec, sort_keys=True))
+    return PreparedScene(recording)

@@ -1,0 +1,30 @@
+"""Message types of users: declared beside their nodes, and known to the codec while their scenario is in use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from mast_zenoh.messages.layout import LAYOUTS, Layout
+from mast_zenoh.messages.schemas import OURS, SCHEMAS, Column, Schema
+
+
+def use(schemas: Iterable[Schema]) -> None:
+    """Have the codec know these message types besides ours, and no others."""
+    wanted = {schema.name: schema for schema in schemas}
+    for name in SCHEMAS.keys() - OURS.keys() - wanted.keys():
+        del SCHEMAS[name], LAYOUTS[name]
+    for name, schema in wanted.items():
+        if SCHEMAS.get(name) != schema:
+            SCHEMAS[name], LAYOUTS[name] = schema, Layout(schema)
+
+
+def to_json(schema: Schema) -> dict[str, Any]:
+    """A message type as JSON values, as scenario.json and recordings hold it."""
+    return asdict(schema)
+
+
+def from_json(data: Mapping[str, Any]) -> Schema:
+    """The message type that `to_json` wrote; raises ValueError, KeyError or TypeError for anything else."""
+    return Schema(**{**data, "columns": tuple(Column(**column) for column in data["columns"])})

@@ -1,0 +1,164 @@
+"""Our figures of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure as MatplotlibFigure
+
+from mast_zenoh.report.figures.causes import causes_over_time
+from mast_zenoh.report.figures.charts import SMOOTH, counts_over_time
+from mast_zenoh.report.figures.diagram import draw_wiring
+from mast_zenoh.report.figures.drawing import Picture, birdseye_figure, camera_figure, picture
+from mast_zenoh.report.figures.driving import driving_over_time
+from mast_zenoh.report.figures.style import Figure
+from mast_zenoh.report.figures.view import FrameView
+from mast_zenoh.report.run_figure import FigureContext, RunFigure
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.tables.interposers import interposers
+from mast_zenoh.report.tables.scores import ESTIMATES
+
+_COUNTS_CAPTION = (
+    f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
+    "adversary made. The vertical line is the frame shown. The axes fit the scored frames; more is cut."
+)
+_BANDS_CAPTION = " Above: what was planned, each from its beginning to its end. Hatched: while any fault was on."
+
+
+class Birdseye(RunFigure):
+    """The ego's surroundings from above: its own tracks, the picture, and both."""
+
+    def draw(self, context: FigureContext) -> Figure | None:
+        return None if context.view is None else birdseye_figure(context.view)
+
+    def alt(self, context: FigureContext) -> str:
+        assert context.view is not None
+        view = context.view
+        tallies = ". ".join(f"{ESTIMATES[name].capitalize()}: {tally(view, name)}" for name in view.boxes)
+        return f"Bird's-eye view, {view.time_label}. {tallies}."
+
+    def caption(self, context: FigureContext) -> str:
+        assert context.view is not None
+        caption = (
+            f"From above, around the ego: what it tracks from its own sensors, {_the_picture(context.view)}, and both "
+            "together, by which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, "
+            "not how far."
+        )
+        return f"{caption} {context.frame_note}".strip()
+
+
+class Camera(RunFigure):
+    """The same frame through the ego's camera (the middle strip of its image). Boxes are drawn through walls and
+    through each other: what the ego's own sensors cannot see, the picture can show.
+    """
+
+    def draw(self, context: FigureContext) -> Figure | None:
+        return None if context.view is None else camera_figure(context.view)
+
+    def alt(self, context: FigureContext) -> str:
+        assert context.view is not None
+        return f"The ego's camera view, {context.view.time_label}: its own tracks above, with the picture below."
+
+
+class Counts(RunFigure):
+    """Missed and false objects and RMSE over time, beside those of the reference."""
+
+    def draw(self, context: FigureContext) -> Figure | None:
+        reference = context.reference
+        runs = {reference.name: reference.run} if reference is not None else {}
+        return counts_over_time(runs | {context.run.label: context.run}, context.frame, context.estimate)
+
+    def alt(self, context: FigureContext) -> str:
+        return "Missed objects, false objects and RMSE over time, for the ego alone, the picture and both together."
+
+    def caption(self, context: FigureContext) -> str:
+        return counts_caption([context.run])
+
+
+class Causes(RunFigure):
+    """The common picture as the ego gets it, in every frame, stacked by cause: grey what happens anyway, hatched what
+    links and faults have done, magenta what adversaries have. The axes fit the scored frames; more is cut.
+    """
+
+    def draw(self, context: FigureContext) -> Figure | None:
+        return causes_over_time(context.run, context.frame)
+
+    def alt(self, context: FigureContext) -> str:
+        return "Missed and false objects of the common picture over time, stacked by their causes."
+
+
+class Driving(RunFigure):
+    """Open loop: the ego keeps to the path that it drove in the scene, and at each moment looks at what is in its
+    corridor. Times to collision above 10 s are not drawn. Wrong objects: false and missed ones.
+    """
+
+    def draw(self, context: FigureContext) -> Figure | None:
+        return driving_over_time(context.run, context.frame)
+
+    def alt(self, context: FigureContext) -> str:
+        return "Time to collision, wrong objects in the corridor and braking over time: truth, ego alone, with picture."
+
+
+class Wiring(RunFigure):
+    """The nodes and the data between them."""
+
+    vector = True
+
+    def draw(self, context: FigureContext) -> Figure | None:
+        return draw_wiring(context.run)
+
+    def alt(self, context: FigureContext) -> str:
+        places = [f"{each.description} on {each.place}" for each in interposers(context.run) if not each.is_link]
+        return f"Diagram of the nodes and the data between them. {'; '.join(places) or 'No adversary'}."
+
+    def caption(self, context: FigureContext) -> str:
+        on_wires = interposers(context.run)
+        hostile = [each for each in on_wires if not each.is_link]
+        caption = "Not drawn: the clock, which every node gets, and the wires of nodes that only listen."
+        if hostile:
+            caption = f"Bold: intercepted wires. {caption}"
+        if any(each.live is not None for each in hostile):
+            caption = f"{caption} Nodes with a broken edge were put on their wire while the run went on."
+        if len(hostile) < len(on_wires):
+            caption = f"Brown: wires with a link on them. {caption}"
+        return caption
+
+
+#: In the order in which they are drawn. The page has a place for each.
+OURS: tuple[type[RunFigure], ...] = (Birdseye, Camera, Counts, Causes, Driving, Wiring)
+
+
+def run_figures(context: FigureContext) -> dict[str, Picture]:
+    """Our figures of one run by name, without those whose data are absent."""
+    pictures = (rendered(kind(), context) for kind in OURS)
+    return {each.name: each for each in pictures if each is not None}
+
+
+def rendered(figure: RunFigure, context: FigureContext) -> Picture | None:
+    """A figure as it goes into the page; None if there is nothing to draw."""
+    drawn = figure.draw(context)
+    if drawn is None:
+        return None
+    if not isinstance(drawn, MatplotlibFigure):
+        raise TypeError(f"draw returned {type(drawn).__name__}, expected a Matplotlib figure or None")
+    return picture(figure.label(), drawn, figure.alt(context), figure.caption(context), vector=figure.vector)
+
+
+def _the_picture(view: FrameView) -> str:
+    """The picture that a view shows, in words."""
+    variants = {"picture_received": "as the ego receives it", "picture_on_arrival": "when it reaches the ego"}
+    variant = next((way for name, way in variants.items() if name in view.boxes), "")
+    return f"the common picture {variant}".strip()
+
+
+def counts_caption(runs: Sequence[RunFolder]) -> str:
+    """How to read the counts of runs over time."""
+    return _COUNTS_CAPTION + (_BANDS_CAPTION if any(run.faulted and run.timeline for run in runs) else "")
+
+
+def tally(view: FrameView, estimator: str) -> str:
+    """The numbers of boxes of an estimate in a frame, in words."""
+    boxes = view.boxes[estimator]
+    return (
+        f"{len(boxes['truth missed'])} missed, {len(boxes['track false'])} false, {len(boxes['truth matched'])} matched"
+    )

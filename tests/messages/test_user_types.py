@@ -1,0 +1,227 @@
+"""Message types of users are defined soundly or not at all, and checked on decoding exactly as ours are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import codec, user_types
+from mast_zenoh.messages.definition import DTYPES
+from mast_zenoh.messages.layout import LAYOUTS, WIRE_DTYPE
+from mast_zenoh.messages.schemas import OURS, SCHEMAS, Column, Header, Message, Schema, text
+from mast_zenoh.node import Node
+
+LETTERS = ("n", "m", "rows")
+
+
+@pytest.fixture(autouse=True)
+def ours_alone_afterwards() -> Iterator[None]:
+    yield
+    user_types.use(())
+
+
+names = st.from_regex(r"[a-z][a-z0-9_]{0,9}", fullmatch=True)
+sizes = st.one_of(st.sampled_from(LETTERS), st.integers(1, 4))
+
+
+@st.composite
+def columns(draw: st.DrawFn, name: str) -> Column:
+    """A column of a type that a user might define."""
+    dtype = draw(st.sampled_from(DTYPES))
+    shape = draw(st.lists(sizes, min_size=1, max_size=1 if dtype == "str" else 3))
+    below = draw(st.integers(1, 256)) if dtype == "uint8" else 256
+    least = draw(st.sampled_from([0.0, 1e-3])) if dtype == "float64" and not set(shape) & set(LETTERS) else 0.0
+    return Column(name, dtype, tuple(shape), draw(st.sampled_from(["", "m", "m/s²"])), "", below, least)
+
+
+@st.composite
+def schemas(draw: st.DrawFn) -> Schema:
+    """A message type that a user might define."""
+    chosen = draw(st.lists(names, max_size=6, unique=True))
+    name = draw(names.filter(lambda name: name not in OURS))
+    return Schema(name, draw(st.integers(1, 9)), "of a test", tuple(draw(columns(column)) for column in chosen))
+
+
+def message_of(schema: Schema, sizes: dict[str, int], seed: int) -> Message:
+    """A valid message of a type."""
+    random = np.random.default_rng(seed)
+    body: dict[str, Any] = {}
+    for column in schema.columns:
+        shape = tuple(sizes[size] if isinstance(size, str) else size for size in column.shape)
+        if column.dtype == "str":
+            body[column.name] = text([f"text {number}" for number in range(shape[0])])
+        elif column.dtype == "float64":
+            body[column.name] = random.normal(size=shape) * 1e3 + 1.0
+        else:
+            body[column.name] = random.integers(0, column.below, shape).astype(column.dtype)
+    return codec.conform(Header(schema.name, "someone", 3, 300_000_000, 7), body)
+
+
+counts = st.fixed_dictionaries({letter: st.integers(0, 5) for letter in LETTERS})
+
+
+@given(schema=schemas(), counts=counts, seed=st.integers(0, 99))
+@settings(max_examples=80)
+def test_every_message_of_a_users_type_is_unchanged_by_encoding_and_decoding(
+    schema: Schema, counts: dict[str, int], seed: int
+) -> None:
+    user_types.use([schema])
+    message = message_of(schema, counts, seed)
+    codec.check_values(message)
+    payload = codec.encode(message)
+    for expected in (schema.name, schema, user_types.from_json(user_types.to_json(schema))):
+        decoded = codec.decode(payload, expected)
+        assert decoded.header == message.header
+        for name, column in message.body.items():
+            np.testing.assert_array_equal(decoded.body[name], column)
+            assert decoded.body[name].dtype == column.dtype
+            assert column.dtype == object or not decoded.body[name].flags.writeable
+        assert codec.encode(decoded) == payload
+
+
+def spoilt(packed: list[Any], how: str, column: Column) -> list[Any] | None:
+    """A packed column with one thing wrong; None: this cannot be wrong in it."""
+    dtype, shape, data = packed
+    numbers = column.dtype != "str" and data
+    if how == "dtype":
+        return ["<f4", shape, data]
+    if how == "shape":
+        return [dtype, [*shape, 1], data]
+    if how == "fractions":
+        return [dtype, [float(size) for size in shape], data]
+    if how == "data":
+        return [dtype, shape, data[:-1]] if data else None
+    if how == "infinite" and column.dtype == "float64" and numbers:
+        return [dtype, shape, np.full(len(data) // 8, np.inf).tobytes()]
+    if how == "above" and column.below < 256 and numbers:
+        return [dtype, shape, bytes([column.below]) * len(data)]
+    if how == "long text" and column.dtype == "str" and data:
+        return [dtype, shape, ["x" * 300] * len(data)]
+    return None
+
+
+@given(
+    schema=schemas(),
+    counts=counts,
+    how=st.sampled_from(["dtype", "shape", "fractions", "data", "infinite", "above", "long text", "absent", "further"]),
+    place=st.integers(0, 5),
+)
+@settings(max_examples=200)
+def test_a_message_with_a_wrong_column_is_refused(schema: Schema, counts: dict[str, int], how: str, place: int) -> None:
+    assume(schema.columns)
+    user_types.use([schema])
+    column = schema.columns[place % len(schema.columns)]
+    fields = msgpack.unpackb(codec.encode(message_of(schema, counts, 0)))
+    if how == "absent":
+        del fields["body"][column.name]
+    elif how == "further":
+        fields["body"]["unknown_to_all"] = fields["body"][column.name]
+    else:
+        wrong = spoilt(fields["body"][column.name], how, column)
+        assume(wrong is not None)
+        fields["body"][column.name] = wrong
+    for expected in (schema.name, schema):
+        with pytest.raises(MessageError, match=f"^{schema.name}"):
+            codec.decode(msgpack.packb(fields), expected)
+
+
+def test_two_columns_of_one_letter_have_as_many_rows() -> None:
+    user_types.use([Schema("pairs", 1, "", (Column("a", "int64", ("n",)), Column("b", "int64", ("n", 2))))])
+    with pytest.raises(MessageError, match=r"pairs.b: shape \(3, 2\), expected \(n, 2\) with n = 2"):
+        codec.conform(Header("pairs", "x", 0, 0, 0), {"a": np.zeros(2, np.int64), "b": np.zeros((3, 2), np.int64)})
+
+
+def test_another_version_of_a_users_type_is_refused() -> None:
+    wind = Schema("wind", 1, "", (Column("speed", "float64", (1,), "m/s"),))
+    user_types.use([wind])
+    payload = codec.encode(message_of(wind, {}, 0))
+    user_types.use([replace(wind, version=2)])
+    with pytest.raises(MessageError, match="wind: found wind version 1, expected wind version 2"):
+        codec.decode(payload, "wind")
+    assert codec.decode(payload, wind).body["speed"].shape == (1,), "that of the recording decodes it"
+
+
+def test_only_types_of_the_scenario_in_use_are_known() -> None:
+    wind, rain = (Schema(name, 1, "", (Column("speed", "float64", (1,)),)) for name in ("wind", "rain"))
+    user_types.use([wind])
+    user_types.use([rain])
+    assert SCHEMAS.keys() == LAYOUTS.keys() == {*OURS, "rain"}
+    user_types.use(())
+    assert SCHEMAS == OURS
+    assert LAYOUTS.keys() == OURS.keys()
+
+
+A = Column("a", "int64", ("n",))
+
+
+@pytest.mark.parametrize(
+    ("define", "message"),
+    [
+        (lambda: Column("speed", "float32", (1,)), "column 'speed': dtype: found 'float32', expected one of float64, "),
+        (lambda: Column("Speed", "float64", (1,)), "column 'Speed': expected a name of small letters"),
+        (lambda: Column("speed", "float64", ()), r"column 'speed': shape: found \(\), expected a size"),
+        (lambda: Column("speed", "float64", (0,)), "column 'speed': shape: found 0, expected 1 to 100000, or a letter"),
+        (lambda: Column("speed", "float64", (True,)), "column 'speed': shape: found True, expected 1 to 100000"),
+        (lambda: Column("speed", "float64", ("n", "not one")), "column 'speed': shape: found 'not one'"),
+        (lambda: Column("speed", "float64", ("a", "b", "c", "d")), "shape: .* expected fewer or smaller sizes"),
+        (lambda: Column("name", "str", ("n", 2)), "column 'name': shape: found 2 sizes, expected one for text"),
+        (lambda: Column("kind", "int64", ("n",), below=3), "below: found 3, expected 1 to 256, for uint8 only"),
+        (lambda: Column("kind", "uint8", ("n",), below=0), "below: found 0, expected 1 to 256"),
+        (lambda: Column("turn", "int64", (4,), least_length=0.1), "least_length: found 0.1, expected 0 for int64"),
+        (lambda: Column("turn", "float64", (4,), least_length=-1.0), "least_length: found -1.0, expected 0 or more"),
+        (lambda: Schema("my wind", 1, "", ()), "message type 'my wind': expected a name of small letters"),
+        (lambda: Schema("wind", 0, "", ()), "message type 'wind': version: found 0, expected a whole number from 1"),
+        (lambda: Schema("wind", 1, "", (A, A)), "message type 'wind': column 'a' is there twice"),
+        (
+            lambda: Schema("wind", 1, "", tuple(replace(A, name=f"a{number}") for number in range(61))),
+            "message type 'wind': 61 columns, expected at most 60",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_definition_is_named(define: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        define()
+
+
+def test_every_dtype_can_be_sent() -> None:
+    assert set(DTYPES) == WIRE_DTYPE.keys() | {"str"}
+
+
+WIND = Schema("wind", 1, "", (Column("speed", "float64", (1,), "m/s"),))
+
+
+def test_a_port_has_the_name_of_the_type_that_it_declares() -> None:
+    class Station(Node):
+        outputs = {"wind": WIND, "alarm": OURS["status"]}
+
+    class Larger(Station):
+        inputs = {"clock": "clock"}
+
+    for node in (Station, Larger):
+        assert node.outputs == {"wind": "wind", "alarm": "status"}
+        assert node.message_types == {"wind": WIND}
+    assert Node.message_types == {}
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "message"),
+    [
+        ({}, {"a": replace(WIND, name="tracks")}, r"Bad.outputs\['a'\]: message type 'tracks' comes with mast"),
+        (
+            {"b": WIND},
+            {"a": replace(WIND, version=2)},
+            r"Bad.outputs\['a'\]: another message type of this node is called 'wind'",
+        ),
+    ],
+)
+def test_a_node_cannot_declare_a_type_of_a_taken_name(inputs: Any, outputs: Any, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        type("Bad", (Node,), {"inputs": inputs, "outputs": outputs})

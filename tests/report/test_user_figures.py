@@ -1,0 +1,189 @@
+"""A user's figure has a section in the reports of its scenario's runs; a report never runs files of a run folder."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from mast_zenoh.cli.app import app
+from mast_zenoh.config import loading
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.report import FigureContext, RunFigure, write_report
+from mast_zenoh.report.figures.of_run import OURS
+from mast_zenoh.report.figures.of_users import user_figures
+from mast_zenoh.report.run_figure import SECTIONS
+from mast_zenoh.report.runfolder import RunFolder
+
+Folder = Callable[..., Path]
+PNG = b"\x89PNG\r\n\x1a\n" + bytes(100)
+
+FIGURES = """
+from mast_zenoh.report import RunFigure
+
+
+class Blank(RunFigure):
+    '''An empty chart of <frame> numbers.'''
+
+    heading = "Blank"
+    after = "AFTER"
+
+    def draw(self, context):
+        from matplotlib.figure import Figure
+
+        assert (context.folder / "run.json").is_file()
+        figure = Figure(figsize=(2, 1))
+        figure.text(0.5, 0.5, f"frame {context.frame}")
+        return figure
+
+
+class NothingToShow(RunFigure):
+    def draw(self, context):
+        return None
+
+
+class Unfinished(RunFigure):
+    pass
+"""
+BROKEN = """
+from mast_zenoh.report import RunFigure
+
+
+class Torn(RunFigure):
+    after = "wiring"
+
+    def draw(self, context):
+        raise KeyError("no such table")
+
+
+class Text(RunFigure):
+    def draw(self, context):
+        return "a figure"
+
+
+class Camera(RunFigure):
+    def draw(self, context):
+        return None
+
+
+class Lost(RunFigure):
+    after = "nowhere"
+
+    def draw(self, context):
+        return None
+"""
+
+
+def named_by(folder: Path, file: Path) -> Path:
+    """A run folder whose scenario names a file of the user."""
+    scenario = json.loads((folder / "scenario.json").read_text())
+    (folder / "scenario.json").write_text(json.dumps(scenario | {"modules": [str(file)]}))
+    return folder
+
+
+def written(path: Path, text: str, after: str = "time") -> Path:
+    path.write_text(text.replace("AFTER", after))
+    return path
+
+
+@pytest.mark.parametrize("after", ["scores", "nodes"])
+def test_a_figure_stands_behind_the_section_that_it_names(run_folder: Folder, tmp_path: Path, after: str) -> None:
+    file = written(tmp_path / f"figures_{after}.py", FIGURES, after)
+    page = write_report(run_folder(), figures=[file]).read_text()
+    assert '<h2 id="blank">Blank</h2>' in page
+    assert page.count("An empty chart of &lt;frame&gt; numbers.") == 2, "caption and alternative text, escaped"
+    headings = [part.split('"')[0] for part in page.split('<h2 id="')[1:]]
+    assert headings.index("blank") == headings.index(after) + 1
+    assert "nothing_to_show" not in page
+    assert "Unfinished" not in page
+
+
+def test_a_report_without_figures_of_users_is_as_it_was(run_folder: Folder, tmp_path: Path) -> None:
+    folder = run_folder("uncoordinated")
+    before = write_report(folder).read_bytes()
+    (tmp_path / "nothing.py").write_text("X = 1\n")
+    assert write_report(folder, figures=[tmp_path / "nothing.py"]).read_bytes() == before
+    assert not (folder / "figures" / "user_figures.json").exists()
+
+
+def test_figures_of_a_loaded_scenario_are_drawn(run_folder: Folder, tmp_path: Path) -> None:
+    file = written(tmp_path / "mine.py", FIGURES)
+    loading.module(file)
+    page = write_report(named_by(run_folder(), file), frame=7).read_text()
+    assert 'id="blank"' in page
+
+
+def test_a_file_that_a_run_folder_names_is_not_run(run_folder: Folder, tmp_path: Path) -> None:
+    file = written(tmp_path / "evil.py", FIGURES + f"\nopen({str(tmp_path / 'was here')!r}, 'w')\n")
+    assert 'id="blank"' not in write_report(named_by(run_folder(), file)).read_text()
+    assert not (tmp_path / "was here").exists()
+
+
+def test_a_later_report_shows_what_was_drawn_before(run_folder: Folder, tmp_path: Path) -> None:
+    folder = run_folder()
+    first = write_report(folder, figures=[written(tmp_path / "mine.py", FIGURES)]).read_bytes()
+    (tmp_path / "mine.py").unlink()
+    assert write_report(folder).read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "no JSON",
+        "{}",
+        "[1]",
+        '[{"name": "../../secret", "heading": "", "after": "time", "alt": "", "caption": ""}]',
+        '[{"name": "text", "heading": "", "after": "time", "alt": "", "caption": ""}]',
+        '[{"name": "absent", "heading": "", "after": "time", "alt": "", "caption": ""}]',
+        '[{"name": "birdseye", "heading": 1, "after": "time", "alt": "", "caption": ""}]',
+        '[{"name": "birdseye", "heading": "", "after": "elsewhere", "alt": "", "caption": ""}]',
+    ],
+)
+def test_a_broken_list_of_earlier_figures_is_left_out(run_folder: Folder, tmp_path: Path, content: str) -> None:
+    folder = run_folder()
+    (tmp_path / "secret.png").write_bytes(PNG)
+    for name, picture in (("text", b"no picture"), ("birdseye", PNG)):
+        (folder / "figures" / f"{name}.png").write_bytes(picture)
+    (folder / "figures" / "user_figures.json").write_text(content)
+    assert user_figures(FigureContext(RunFolder.load(folder), None)) == []
+
+
+def test_a_figure_that_cannot_be_drawn_is_named_with_the_reason(run_folder: Folder, tmp_path: Path) -> None:
+    file = written(tmp_path / "broken.py", BROKEN)
+    page = write_report(run_folder(), figures=[file]).read_text().replace("&#39;", "'")
+    assert "Torn could not be drawn: KeyError: 'no such table'" in page
+    assert "broken.py:9)" in page
+    assert "Text could not be drawn: TypeError: draw returned str, expected a Matplotlib figure or None" in page
+    assert "Camera could not be drawn: ValueError: name: found 'camera', expected a plain one" in page
+    assert "Lost could not be drawn: ValueError: after: found 'nowhere', expected one of scores, achieved" in page
+    assert page.count('<h2 id="camera">') == 2, "ours is there, too"
+
+
+def test_the_command_adds_the_figures_of_a_file(run_folder: Folder, tmp_path: Path) -> None:
+    folder, file = run_folder(), written(tmp_path / "mine.py", FIGURES)
+    done = CliRunner().invoke(app, ["report", str(folder), "--figures", str(file)])
+    assert done.exit_code == 0, done.output
+    assert 'id="blank"' in (folder / "report.html").read_text()
+    with pytest.raises(ConfigurationError, match=r"torn.py:1: "):
+        write_report(folder, figures=[written(tmp_path / "torn.py", "1 / 0\n")])
+
+
+def test_our_figures_are_made_by_the_same_base(run_folder: Folder) -> None:
+    assert {kind.label() for kind in OURS} == {"birdseye", "camera", "counts", "causes", "driving", "wiring"}
+    context = FigureContext(RunFolder.load(run_folder("uncoordinated")), None)
+    drawn: dict[str, Any] = {kind.label(): kind().draw(context) for kind in OURS}
+    assert {name for name, figure in drawn.items() if figure is not None} == {"counts", "wiring"}
+    assert all(issubclass(kind, RunFigure) and kind.after in SECTIONS for kind in OURS)
+
+
+def test_a_file_with_a_figure_can_be_loaded_without_matplotlib(tmp_path: Path) -> None:
+    file = written(tmp_path / "mine.py", FIGURES)
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import {file.stem}; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
