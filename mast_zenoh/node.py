@@ -181,7 +181,9 @@ class Source(Node, ABC):
 
 
 def _declare(types: dict[str, Schema], schema: Schema, place: str) -> None:
-    """Add a message type to those of a node; raises TypeError where another one has its name."""
+    """Add a message type to those of a node.
+
+    Raises TypeError if a different type has its name."""
     if schema.name in OURS:
         if OURS[schema.name] != schema:
             raise TypeError(f"{place}: message type {schema.name!r} comes with mast: expected another name")

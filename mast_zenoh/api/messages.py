@@ -93,7 +93,10 @@ def table_of(path: Path, wire: str, rows: Callable[[Body], Columns]) -> pyarrow.
 
 
 def table(frames: Iterable[tuple[int, float, Columns]]) -> pyarrow.Table:
-    """Columns of frames (index, s since the scene began) one below the other, behind `frame` and `time_s`."""
+    """Join the columns of frames, after the columns `frame` and `time_s`.
+
+    frames: frame number, s since the scene began, columns
+    """
     parts: list[Columns] = []
     for frame, time_s, columns in frames:
         count = len(next(iter(columns.values())))

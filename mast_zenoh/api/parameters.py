@@ -33,7 +33,7 @@ _LEADING = re.compile(r"(?:\([^)]*\) )?(m/s²|m/s|rad|m|s)(?=,| of scene time| u
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of a class or function that a scenario can name, or one column of a message.
+    """A parameter of what a scenario can name, or a column of a message.
 
     kind: of a column, its dtype and shape
     default: as text, "" if it is required;  unit: "" if it has none;  choices: the valid values, if they are few

@@ -1,4 +1,4 @@
-"""Scenes without a run: what is true in them, where their agents are, and what those detect."""
+"""Scenes without a run: ground truth, agents' poses and detections."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mast_zenoh.scenes import Recording
 
 
 class PreparedScene:
-    """A scene with one seed: truth, agents, poses and detections by frame, as every run with this seed plays them.
+    """A scene prepared with one seed, exactly as runs with this seed play it.
 
     recording: all of it as arrays
     """
@@ -55,7 +55,7 @@ class PreparedScene:
         return PreparedAgent(self, name)
 
     def _table(self, rows: Callable[[int], Columns]) -> pyarrow.Table:
-        """What `rows` makes of each frame, one below the other."""
+        """A table of the rows that `rows` makes of each frame."""
         times_s = (self.recording.times_ns - self.recording.times_ns[0]) * 1e-9
 
         def parts() -> Iterator[tuple[int, float, Columns]]:
@@ -72,7 +72,7 @@ class PreparedScene:
 
 
 class PreparedAgent:
-    """What a scene has of one agent, frame by frame."""
+    """The pose and detections of one agent of a scene."""
 
     def __init__(self, scene: PreparedScene, name: str) -> None:
         self.name = name
@@ -96,7 +96,9 @@ class PreparedAgent:
 
     @property
     def detections(self) -> pyarrow.Table:
-        """A row per frame and detection, in the frame of its sensor: columns as `Agent.detections` of a run.
+        """A row per frame and detection, in sensor coordinates.
+
+        Columns as `Agent.detections` of a run.
 
         `truth_id`: of the object that it is of; -1 for clutter. No agent gets to know it.
         """

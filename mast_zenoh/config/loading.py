@@ -56,7 +56,7 @@ def module(path: Path) -> ModuleType:
 
 
 def _name_of(path: Path) -> str:
-    """The name of a file's module in sys.modules, where dataclasses look it up: that of no other module."""
+    """A unique name for a file's module in sys.modules."""
     return f"{path.stem.replace('.', '_')}_{hashlib.blake2b(os.fsencode(path), digest_size=6).hexdigest()}"
 
 
@@ -98,13 +98,15 @@ def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[.
 
 
 def loaded_module(path: Path) -> ModuleType | None:
-    """The module in a file if `module` has loaded it as it is now, else None: nothing is run."""
+    """The up-to-date module of a file if it is loaded already, else None.
+
+    Runs no code."""
     known = sys.modules.get(_name_of(path.resolve()))
     return known if known is not None and _unchanged(known) else None
 
 
 def concrete(modules: Iterable[ModuleType], base: type) -> list[Any]:
-    """The subclasses of a base that users' modules define or import by name, without abstract ones and ours."""
+    """The concrete subclasses of a base in users' modules, without ours."""
     values = [value for each in modules for value in vars(each).values() if isinstance(value, type)]
     return [
         value

@@ -222,7 +222,7 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
 def _messages(
     file: IO[bytes], path: Path, index: _ChunkIndex, channels: dict[int, Channel], schemas: dict[int, Schema]
 ) -> Iterator[Recorded]:
-    """The messages of a chunk; channels and message types of users that it introduces are added to the dicts."""
+    """The messages of a chunk; its new channels and user types go into the dicts."""
     file.seek(index.byte)
     try:
         chunk = Chunk.read(ReadDataStream(file))

@@ -97,7 +97,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(payload: bytes, expected: str | Schema) -> Message:
-    """Decode a message of the name `expected`, in its present version, or that of a recording.
+    """Decode a message of type `expected`: its name, or the schema of a recording.
 
     Raises MessageError for anything else: truncated, oversized, another version, a missing or unknown
     column, a forged shape, a value that is not finite.

@@ -1,4 +1,6 @@
-"""Checks the definition of a message type: names, dtypes and shapes of its columns. Each check raises ValueError."""
+"""Checks the definition of a message type: names, dtypes and shapes of columns.
+
+Each check raises ValueError."""
 
 from __future__ import annotations
 

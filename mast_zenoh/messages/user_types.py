@@ -1,4 +1,4 @@
-"""Message types of users: declared beside their nodes, and known to the codec while their scenario is in use."""
+"""User-defined message types, known to the codec while their scenario is used."""
 
 from __future__ import annotations
 
@@ -26,5 +26,7 @@ def to_json(schema: Schema) -> dict[str, Any]:
 
 
 def from_json(data: Mapping[str, Any]) -> Schema:
-    """The message type that `to_json` wrote; raises ValueError, KeyError or TypeError for anything else."""
+    """The message type that `to_json` wrote.
+
+    Raises ValueError, KeyError or TypeError for anything else."""
     return Schema(**{**data, "columns": tuple(Column(**column) for column in data["columns"])})

@@ -140,7 +140,7 @@ def _scores(runs: Mapping[str, RunFolder], reference: str | None = None) -> Scor
 
 
 def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict[str, Any], Path]:
-    """Write a run's own report; returns the content for a page, and the path. files: see `write_report`."""
+    """Write a run's own report; returns its content and path."""
     run, reference = context.run, context.reference
     figures, user_figures = run_figures(context), of_users.user_figures(context, files)
     runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}

@@ -1,4 +1,4 @@
-"""The base class of figures in the report of a run: ours and those of users."""
+"""The base class of figures in the report of a run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SECTIONS = (
 
 @dataclass(frozen=True, eq=False)
 class FigureContext:
-    """What the report shows of a run.
+    """The run that a figure shows.
 
     run:        its folder as the report has read it
     view:       the boxes of the frame that pictures show; None: no pictures
@@ -52,7 +52,9 @@ class FigureContext:
 
 
 class RunFigure(ABC):
-    """A figure in the report of a run. A subclass in a scenario's file, or imported by it, is drawn for all its runs.
+    """A figure in the report of a run.
+
+    A subclass in a scenario's file, or imported by it, is drawn for all runs of the scenario.
 
     name:    of its file under figures/; by default that of the class, in lower case with underscores
     heading: of its section; by default made from the name

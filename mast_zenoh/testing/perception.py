@@ -77,7 +77,7 @@ def _check_matched(subject: str, matched: Ints, shuffled: Ints, tracks: int, ord
 
 
 def agents_tracks(n: int, frame: int = 0) -> tuple[ObjectStates, Ints]:
-    """n tracks of five agents that see the same objects, in a frame, and the agent of each track."""
+    """n tracks of five agents that see the same objects; the agent of each track."""
     per_agent = [n // _AGENTS] * _AGENTS
     per_agent[0] += n % _AGENTS
     parts = [samples.states(count, frame, source=agent) for agent, count in enumerate(per_agent)]

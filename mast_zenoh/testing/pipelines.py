@@ -21,7 +21,7 @@ _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def check_pipeline(pipeline: Pipeline | AgentPipeline) -> None:
-    """Check that a pipeline, of the command centre or of an agent, keeps to what its base class says.
+    """Check that a pipeline, of the command centre or an agent, fulfils its contract.
 
     With zero, one and a thousand tracks or detections. The mission estimator of an agent's pipeline is checked, too.
 
@@ -90,7 +90,9 @@ def _check_agent(pipeline: AgentPipeline, who: str, n: int) -> None:
 
 
 def check_mission_estimator(estimator: MissionEstimator) -> None:
-    """Check that a mission estimator keeps to what `MissionEstimator` says, with zero, one and a thousand objects.
+    """Check that a mission estimator fulfils its contract.
+
+    With zero, one and a thousand objects.
 
     Raises AssertionError.
     """

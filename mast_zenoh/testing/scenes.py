@@ -18,7 +18,7 @@ _TOLERANCE = 1e-6  # of rotations that data sets give in single precision
 
 
 def check_scene(scene: Scene, *, frames: int = 3, seed: int = 0) -> None:
-    """Check that a scene keeps to what `Scene` and `Recording` say: repeatable, sound, and as long as asked for.
+    """Check that a scene is repeatable, valid and of the requested length.
 
     scene:  as newly made; it is copied, and not changed
     frames: how many are recorded, at least 2;  seed: of its random draws
@@ -68,7 +68,9 @@ def _check_recording(who: str, recording: Recording) -> None:
 
 
 def check_detector(detector: Detector) -> None:
-    """Check that a detector keeps to what `Detector` says, with zero, one and a thousand objects.
+    """Check that a detector fulfils its contract.
+
+    With zero, one and a thousand objects.
 
     Raises AssertionError.
     """

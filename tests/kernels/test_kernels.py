@@ -1,4 +1,4 @@
-"""Compiled kernels equal their NumPy references, which missing ones are replaced by them."""
+"""Compiled kernels equal their NumPy references, which replace missing ones."""
 
 from __future__ import annotations
 

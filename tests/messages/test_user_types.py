@@ -1,4 +1,4 @@
-"""Message types of users are defined soundly or not at all, and checked on decoding exactly as ours are."""
+"""User-defined message types are checked like ours, as are their definitions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A user's figure has a section in the reports of its scenario's runs; a report never runs files of a run folder."""
+"""User figures in reports; a report never runs the files of a run folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A message type that is declared beside a node is sent, recorded, measured and compared as ours are."""
+"""A node's own message type is sent, recorded, measured and compared like ours."""
 
 from __future__ import annotations
 

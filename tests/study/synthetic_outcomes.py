@@ -39,7 +39,7 @@ def outcome(
     achieved: dict[str, Any] | None = None,
     driving: dict[str, Any] | None = None,
 ) -> Outcome:
-    """A trial of one agent with `fp` false objects in every frame of picture and mission.
+    """A trial of one agent with `fp` false objects in every frame.
 
     agents: further metrics, by estimator"""
     series = {"local": 0.0, "picture": fp, "mission": fp}

@@ -1,4 +1,4 @@
-"""A scene, detector or pipeline that does not keep to what its base class says is found, with what is wrong."""
+"""Faulty scenes, detectors and pipelines are found, and their fault is named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures that compare runs, each with its alt text and caption, and how the frame of pictures was chosen."""
+"""The figures that compare runs, with alt texts and captions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The chart of what the estimates mean for driving: time to collision, wrong objects and braking over time."""
+"""Consequences of the estimates for driving, as a chart over time."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _BRAKING = {
 
 
 def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
-    """Time to collision, wrong objects and braking over time; None: the ego is not a vehicle."""
+    """Time to collision, wrong objects and braking over time; None: not a vehicle."""
     if run.driving is None or not np.any(run.driving["agent"] == run.ego):
         return None
     ego_rows = rows(run.driving, run.driving["agent"] == run.ego)
@@ -136,7 +136,9 @@ def _annotate(axis: Axes, message: str) -> None:
 
 
 def _spans(times: np.ndarray, mask: np.ndarray, step: float) -> list[tuple[float, float]]:
-    """Start and length of each run of frames in the mask; a frame lasts a step and is centred on its time."""
+    """(start, length) of each run of frames in a mask.
+
+    A frame lasts one step and is centred on its time."""
     edges = np.diff(mask.astype(np.int64), prepend=0, append=0)
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
     return [(float(times[a]) - step / 2, float(times[b] - times[a]) + step) for a, b in zip(first, last, strict=True)]

@@ -1,4 +1,6 @@
-"""Figures of users in the report of a run: drawn where their files are loaded, else as they were drawn before.
+"""User-defined figures in the report of a run.
+
+They are drawn if their files are loaded; otherwise the report shows the pictures drawn before.
 
 A report never runs the files that a run folder names, which may come from somebody else. They are loaded in the process
 that has run the scenario; a later report shows what that one has drawn, unless it is told which file to load.
@@ -55,7 +57,7 @@ def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[Use
 
 
 def save(figures: Iterable[UserFigure], folder: Path) -> None:
-    """Write the pictures, and what goes with them, into a folder; nothing if there is none."""
+    """Write the pictures and their texts into a folder, if there are any."""
     pictures = [(each, each.picture) for each in figures if each.picture is not None]
     for _, picture in pictures:
         picture.save(folder)
