@@ -183,7 +183,8 @@ class Source(Node, ABC):
 def _declare(types: dict[str, Schema], schema: Schema, place: str) -> None:
     """Add a message type to those of a node.
 
-    Raises TypeError if a different type has its name."""
+    Raises TypeError if a different type has its name.
+    """
     if schema.name in OURS:
         if OURS[schema.name] != schema:
             raise TypeError(f"{place}: message type {schema.name!r} comes with mast: expected another name")

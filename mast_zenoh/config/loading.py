@@ -100,7 +100,8 @@ def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[.
 def loaded_module(path: Path) -> ModuleType | None:
     """The up-to-date module of a file if it is loaded already, else None.
 
-    Runs no code."""
+    Runs no code.
+    """
     known = sys.modules.get(_name_of(path.resolve()))
     return known if known is not None and _unchanged(known) else None
 

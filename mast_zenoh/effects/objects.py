@@ -152,7 +152,8 @@ def _of_agent(body: Body) -> bool:
 def _has(body: Body, reference: tuple[str, str]) -> bool:
     """Whether a message states its coordinate frame.
 
-    A user's message type may have only one of these columns, or other shapes."""
+    A user's message type may have only one of these columns, or other shapes.
+    """
     return tuple(body[name].shape for name in reference if name in body) == ((3,), (4,))
 
 

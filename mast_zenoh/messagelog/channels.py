@@ -64,7 +64,8 @@ def json_schema(schema: Schema) -> str:
 def user_schema(content: bytes) -> Schema | None:
     """The user's message type that `json_schema` described; None: one of ours.
 
-    Raises ValueError for anything else."""
+    Raises ValueError for anything else.
+    """
     try:
         definition = json.loads(content).get(DEFINITION)
         return None if definition is None else user_types.from_json(definition)

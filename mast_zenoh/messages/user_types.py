@@ -28,5 +28,6 @@ def to_json(schema: Schema) -> dict[str, Any]:
 def from_json(data: Mapping[str, Any]) -> Schema:
     """The message type that `to_json` wrote.
 
-    Raises ValueError, KeyError or TypeError for anything else."""
+    Raises ValueError, KeyError or TypeError for anything else.
+    """
     return Schema(**{**data, "columns": tuple(Column(**column) for column in data["columns"])})

@@ -95,7 +95,8 @@ def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
 def _messages(path: Path, nodes: Mapping[str, NodeSpec]) -> tuple[Schema, ...]:
     """The message types that nodes declare, by name.
 
-    Raises ConfigurationError if two with the same name differ."""
+    Raises ConfigurationError if two with the same name differ.
+    """
     declared: dict[str, tuple[Schema, str]] = {}
     for spec in nodes.values():
         cls = loading.node_class(Path(spec.file), spec.type)

@@ -138,7 +138,8 @@ def _annotate(axis: Axes, message: str) -> None:
 def _spans(times: np.ndarray, mask: np.ndarray, step: float) -> list[tuple[float, float]]:
     """(start, length) of each run of frames in a mask.
 
-    A frame lasts one step and is centred on its time."""
+    A frame lasts one step and is centred on its time.
+    """
     edges = np.diff(mask.astype(np.int64), prepend=0, append=0)
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
     return [(float(times[a]) - step / 2, float(times[b] - times[a]) + step) for a, b in zip(first, last, strict=True)]
