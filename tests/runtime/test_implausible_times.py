@@ -63,7 +63,7 @@ def test_one_batch_of_an_impossible_time_loses_one_picture(tmp_path: Path, by_ns
     assert pictured(run) == all_but(WRONG)
     assert run.rejected["command_center"] == {("cc/collated", "time"): 1}
     assert not run.failures
-    meter = next(m for m in run.nodes["evaluator"].heard.meter.meters if m.passage.node == "restamper")
+    meter = next(m for m in run.nodes["evaluator"].data.meter.meters if m.passage.node == "restamper")
     assert [(e.effect, e.frame) for e in meter.effects.messages] == [(RESTAMPED, WRONG)]
 
 
