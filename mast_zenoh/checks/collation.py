@@ -42,7 +42,7 @@ def check_collation(evidence: Evidence) -> Check:
             continue
         chain = _chain(evidence, key)
         if any(evidence.resolved.nodes[name].role not in _KNOWN_ROLES for name in chain):
-            excepted["behind a node of the user's"] += len(evidence.sent.get(key, ()))
+            excepted["behind a user-defined node"] += len(evidence.sent.get(key, ()))
             continue
         n_in_frame = Counter(
             frame for frame, _ in {(message.frame, message.seq) for message in evidence.sent.get(key, ())}
@@ -128,7 +128,7 @@ def _exemption(
         return "in the last frame"
     if not evidence.lockstep and message.seq < _FIRST_MESSAGES:
         return "when the agent had just come"
-    return "of no world" if message.content.magnitude > _MAX_MAGNITUDE else None
+    return "not physical" if message.content.magnitude > _MAX_MAGNITUDE else None
 
 
 def _closed(frame: int, broker: str, evidence: Evidence) -> int | None:

@@ -71,7 +71,7 @@ class Processes(Supervisor[Process]):
         without = ",".join(self.without[name])
         return [*command, "--without", without] if without else command
 
-    def _start_again(self, child: Process, without: Iterable[str]) -> None:
+    def _restart(self, child: Process, without: Iterable[str]) -> None:
         _close(child.process)
         self.without[child.name] = sorted(without)
         child.process = self._spawn(self.command(child.name, child.spec), child.log)

@@ -88,11 +88,11 @@ class Supervisor(ABC, Generic[C]):
         child.notes.append(how_ended(child.exit))
         child.restarts += 1
         child.exit_handled = child.exit_expected = child.paused = child.handed_in = False
-        self._start_again(child, without)
+        self._restart(child, without)
         return True
 
     @abstractmethod
-    def _start_again(self, child: C, without: Iterable[str]) -> None:
+    def _restart(self, child: C, without: Iterable[str]) -> None:
         """Start a node that has ended."""
 
     @abstractmethod

@@ -80,7 +80,7 @@ def _fields(left: Recorded, right: Recorded) -> Iterator[str]:
                 explained = True
                 yield f"{name}: A {in_a}{_HEADER_UNITS.get(name, '')}, B {in_b}{_HEADER_UNITS.get(name, '')}"
         columns = {column.name: column for column in (left.schema or OURS[left.message]).columns}
-        if left.schema != right.schema:  # of a user, who has changed it between the runs
+        if left.schema != right.schema:  # a user-defined type, changed between the runs
             others = (right.schema or OURS[right.message]).columns
             columns = {name: column for name, column in columns.items() if column in others}
             explained = True

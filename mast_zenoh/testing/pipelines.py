@@ -38,7 +38,7 @@ def check_pipeline(pipeline: Pipeline | AgentPipeline) -> None:
         check_mission_estimator(pipeline.mission)
 
 
-def _check_center(pipeline: Pipeline, who: str, n: int, weighted: bool) -> None:
+def _check_center(pipeline: Pipeline, subject: str, n: int, weighted: bool) -> None:
     straight, shuffled = copy.deepcopy(pipeline), copy.deepcopy(pipeline)
     random = np.random.default_rng(n)
     results = []
@@ -46,22 +46,26 @@ def _check_center(pipeline: Pipeline, who: str, n: int, weighted: bool) -> None:
         states, agent = agents_tracks(n, frame)
         weights = np.where(agent == 1, 0.0, 1.0 + agent) if weighted else None
         time_ns = frame * samples.PERIOD_NS
-        with unchanged(who, states=states, agent=agent, weights=weights):
+        with unchanged(subject, states=states, agent=agent, weights=weights):
             picture, support = straight.step(time_ns, states, agent, _AGENTS, weights)
-        _check_ids(who, picture)
-        expect(support.shape == (len(picture),), f"{who}: support has the shape {support.shape}, expected one a row")
-        expect(support.dtype == np.int64, f"{who}: support is {support.dtype}, expected int64")
-        expect(((support >= 0) & (support <= len(_AGENTS))).all(), f"{who}: support is not from 0 to {len(_AGENTS)}")
+        _check_ids(subject, picture)
+        expect(
+            support.shape == (len(picture),), f"{subject}: support has the shape {support.shape}, expected one a row"
+        )
+        expect(support.dtype == np.int64, f"{subject}: support is {support.dtype}, expected int64")
+        expect(
+            ((support >= 0) & (support <= len(_AGENTS))).all(), f"{subject}: support is not from 0 to {len(_AGENTS)}"
+        )
         rows, names = random.permutation(n), random.permutation(len(_AGENTS))
         rank = np.argsort(names)
         agents = tuple(_AGENTS[row] for row in names)
         other = None if weights is None else weights[rows]
         again = shuffled.step(time_ns, states.select(rows), rank[agent][rows], agents, other)
-        expect_same((picture, support), again, f"{who}: depends on the order of the rows or of the agents")
+        expect_same((picture, support), again, f"{subject}: depends on the order of the rows or of the agents")
         results.append((picture, support, states, agent, weights))
     straight.reset()
     for frame, (picture, support, states, agent, weights) in enumerate(results):
-        text = f"{who}: after `reset` it is not as newly made"
+        text = f"{subject}: after `reset` it is not as newly made"
         try:
             after = straight.step(frame * samples.PERIOD_NS, states, agent, _AGENTS, weights)
         except ValueError as error:
@@ -69,7 +73,7 @@ def _check_center(pipeline: Pipeline, who: str, n: int, weighted: bool) -> None:
         expect_same((picture, support), after, text)
 
 
-def _check_agent(pipeline: AgentPipeline, who: str, n: int) -> None:
+def _check_agent(pipeline: AgentPipeline, subject: str, n: int) -> None:
     straight, shuffled = copy.deepcopy(pipeline), copy.deepcopy(pipeline)
     random = np.random.default_rng(n)
     mount, lidar = Pose(np.array([0.0, 0.0, 1.8]), _LEVEL), LidarSensor()
@@ -78,15 +82,17 @@ def _check_agent(pipeline: AgentPipeline, who: str, n: int) -> None:
         sensor = position + mount.position, rotation_from_yaw(0.0)
         detections = to_sensor(samples.detections(n, frame), *sensor)
         time_ns, pose, order = frame * samples.PERIOD_NS, Pose(position, _LEVEL), random.permutation(n)
-        with unchanged(who, detections=detections, pose=pose, mount=mount):
+        with unchanged(subject, detections=detections, pose=pose, mount=mount):
             result = straight.track(time_ns, detections, pose, mount, lidar)
         tracks, origin, rotation = result
-        _check_ids(who, tracks)
+        _check_ids(subject, tracks)
         shapes = origin.shape, rotation.shape
-        expect(shapes == ((3,), (4,)), f"{who}: origin and rotation have the shapes {shapes}, expected (3,) and (4,)")
-        expect(abs(np.linalg.norm(rotation) - 1.0) < 1e-6, f"{who}: rotation is no quaternion of length 1")
+        expect(
+            shapes == ((3,), (4,)), f"{subject}: origin and rotation have the shapes {shapes}, expected (3,) and (4,)"
+        )
+        expect(abs(np.linalg.norm(rotation) - 1.0) < 1e-6, f"{subject}: rotation is no quaternion of length 1")
         again = shuffled.track(time_ns, detections.select(order), pose, mount, lidar)
-        expect_same(result, again, f"{who}: depends on the order of the rows")
+        expect_same(result, again, f"{subject}: depends on the order of the rows")
 
 
 def check_mission_estimator(estimator: MissionEstimator) -> None:
@@ -98,20 +104,20 @@ def check_mission_estimator(estimator: MissionEstimator) -> None:
     """
     for own_count in samples.COUNTS:
         for count in samples.COUNTS:
-            who = f"{type(estimator).__name__}.estimate with {own_count} tracks and {count} objects of the picture"
+            subject = f"{type(estimator).__name__}.estimate with {own_count} tracks and {count} objects of the picture"
             own, picture = samples.states(own_count, source=1), samples.states(count, source=2)
-            with unchanged(who, own=own, picture=picture):
+            with unchanged(subject, own=own, picture=picture):
                 result = estimator.estimate(own, picture)
-            expect_finite(result, who)
+            expect_finite(result, subject)
             ids = result.id.tolist()
-            expect(len(set(ids)) == len(ids), f"{who}: ids are not unique")
+            expect(len(set(ids)) == len(ids), f"{subject}: ids are not unique")
             of_picture = result.id % 2 == 0
             known = np.where(of_picture, np.isin(result.id // 2, picture.id), np.isin(result.id // 2, own.id))
-            expect(known.all(), f"{who}: an id is neither 2 i of the picture nor 2 i + 1 of an own track")
+            expect(known.all(), f"{subject}: an id is neither 2 i of the picture nor 2 i + 1 of an own track")
             random = np.random.default_rng(own_count + count)
             rows, others = (random.permutation(n) for n in (own_count, count))
             again = estimator.estimate(own.select(rows), picture.select(others))
-            expect_same(_by_id(result), _by_id(again), f"{who}: depends on the order of the rows")
+            expect_same(_by_id(result), _by_id(again), f"{subject}: depends on the order of the rows")
 
 
 def _by_id(states: ObjectStates) -> ObjectStates:
@@ -119,7 +125,7 @@ def _by_id(states: ObjectStates) -> ObjectStates:
     return states.select(order)
 
 
-def _check_ids(who: str, states: Any) -> None:
-    expect_finite(states, who)
+def _check_ids(subject: str, states: Any) -> None:
+    expect_finite(states, subject)
     ids = states.id.tolist()
-    expect(ids == sorted(set(ids)), f"{who}: ids are not unique and ascending")
+    expect(ids == sorted(set(ids)), f"{subject}: ids are not unique and ascending")

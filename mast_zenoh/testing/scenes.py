@@ -24,35 +24,35 @@ def check_scene(scene: Scene, *, frames: int = 3, seed: int = 0) -> None:
     frames: how many are recorded, at least 2;  seed: of its random draws
     Raises AssertionError.
     """
-    who = f"{type(scene).__name__}.record"
-    first, again, short = (_recorded(scene, seed, n, who) for n in (frames, frames, 1))
-    expect(len(first) <= frames, f"{who}: found {len(first)} frames, expected at most {frames}")
-    expect_same(first, again, f"{who}: two recordings of one seed differ")
-    expect(len(short) == 1, f"{who}: found {len(short)} frames, expected 1")
+    subject = f"{type(scene).__name__}.record"
+    first, again, short = (_recorded(scene, seed, n, subject) for n in (frames, frames, 1))
+    expect(len(first) <= frames, f"{subject}: found {len(first)} frames, expected at most {frames}")
+    expect_same(first, again, f"{subject}: two recordings of one seed differ")
+    expect(len(short) == 1, f"{subject}: found {len(short)} frames, expected 1")
     for name in ("id", "position"):
         same = np.array_equal(getattr(first.truth_at(0), name), getattr(short.truth_at(0), name))
-        expect(same, f"{who}: the first frame depends on how many are recorded: truth.{name}")
-    _check_recording(who, first)
+        expect(same, f"{subject}: the first frame depends on how many are recorded: truth.{name}")
+    _check_recording(subject, first)
 
 
-def _recorded(scene: Scene, seed: int, frames: int, who: str) -> Recording:
+def _recorded(scene: Scene, seed: int, frames: int, subject: str) -> Recording:
     recording = copy.deepcopy(scene).record(seed, frames)
     try:
         recording.validate()
     except (MastError, AttributeError, TypeError, ValueError) as error:
-        raise AssertionError(f"{who}: {error}") from error
+        raise AssertionError(f"{subject}: {error}") from error
     return recording
 
 
-def _check_recording(who: str, recording: Recording) -> None:
+def _check_recording(subject: str, recording: Recording) -> None:
     """Check what `Recording.validate` does not."""
     turned = recording.agent_rotation @ np.swapaxes(recording.agent_rotation, -1, -2)
     right_handed = np.linalg.det(recording.agent_rotation) > 0.0
     sound = np.allclose(turned, np.eye(3), atol=_TOLERANCE) and right_handed.all()
-    expect(sound, f"{who}: agent_rotation has a matrix that is no rotation")
-    expect((recording.truth.size > 0.0).all(), f"{who}: truth.size has a length that is not more than 0")
-    expect((recording.truth.class_id < len(CLASSES)).all(), f"{who}: truth.class_id: expected below {len(CLASSES)}")
-    expect((recording.points >= 0).all(), f"{who}: points has negative numbers")
+    expect(sound, f"{subject}: agent_rotation has a matrix that is no rotation")
+    expect((recording.truth.size > 0.0).all(), f"{subject}: truth.size has a length that is not more than 0")
+    expect((recording.truth.class_id < len(CLASSES)).all(), f"{subject}: truth.class_id: expected below {len(CLASSES)}")
+    expect((recording.points >= 0).all(), f"{subject}: points has negative numbers")
     known: set[int] = set()
     for frame in range(len(recording)):
         ids = recording.truth_at(frame).id.tolist()
@@ -60,11 +60,13 @@ def _check_recording(who: str, recording: Recording) -> None:
         for column, agent in enumerate(recording.agents):
             detected = recording.detection_truth_id_at(frame, column)
             unknown = set(detected.tolist()) - {-1, *ids}
-            place = f"{who}: detection_truth_id of {agent.name} in frame {frame}"
+            place = f"{subject}: detection_truth_id of {agent.name} in frame {frame}"
             expect(not unknown, f"{place}: no object {min(unknown, default=0)} in this frame")
     for agent in recording.agents:
         there = agent.object_id == -1 or agent.object_id in known
-        expect(there, f"{who}: {agent.name}: object_id is {agent.object_id}, which no object has: expected -1 for none")
+        expect(
+            there, f"{subject}: {agent.name}: object_id is {agent.object_id}, which no object has: expected -1 for none"
+        )
 
 
 def check_detector(detector: Detector) -> None:
@@ -75,25 +77,25 @@ def check_detector(detector: Detector) -> None:
     Raises AssertionError.
     """
     for n in samples.COUNTS:
-        who = f"{type(detector).__name__}.detect with {n} objects"
+        subject = f"{type(detector).__name__}.detect with {n} objects"
         objects = samples.states(n)
         points = np.where(np.arange(n) % 3 == 1, 0, np.arange(n) % 90).astype(np.int32)
-        with unchanged(who, objects=objects, points=points, sensor_position=_SENSOR):
+        with unchanged(subject, objects=objects, points=points, sensor_position=_SENSOR):
             found, ids = _detected(detector, objects, points)
         count = len(ids)
-        expect(isinstance(found, Detections), f"{who}: found {type(found).__name__}, expected Detections")
-        expect(len(found) == count, f"{who}: {len(found)} detections and {count} ids, expected as many")
-        expect_finite(found, who)
-        expect((np.diff(found.score) <= 0.0).all(), f"{who}: the best score is not first")
-        expect(((found.score >= 0.0) & (found.score <= 1.0)).all(), f"{who}: a score is not from 0 to 1")
-        expect((found.size > 0.0).all(), f"{who}: a size is not more than 0")
+        expect(isinstance(found, Detections), f"{subject}: found {type(found).__name__}, expected Detections")
+        expect(len(found) == count, f"{subject}: {len(found)} detections and {count} ids, expected as many")
+        expect_finite(found, subject)
+        expect((np.diff(found.score) <= 0.0).all(), f"{subject}: the best score is not first")
+        expect(((found.score >= 0.0) & (found.score <= 1.0)).all(), f"{subject}: a score is not from 0 to 1")
+        expect((found.size > 0.0).all(), f"{subject}: a size is not more than 0")
         seen = objects.id[points > 0]
-        expect(np.isin(ids, np.append(seen, -1)).all(), f"{who}: detects an object without lidar returns")
-        text = f"{who}: two of the same random stream do different things"
+        expect(np.isin(ids, np.append(seen, -1)).all(), f"{subject}: detects an object without lidar returns")
+        text = f"{subject}: two of the same random stream do different things"
         expect_same((found, ids), _detected(detector, objects, points), text)
         order = np.random.default_rng(n).permutation(n)
         shuffled = _detected(detector, objects.select(order), points[order])
-        expect_same(_sorted(found, ids), _sorted(*shuffled), f"{who}: depends on the order of the rows")
+        expect_same(_sorted(found, ids), _sorted(*shuffled), f"{subject}: depends on the order of the rows")
 
 
 def _detected(detector: Detector, objects: ObjectStates, points: np.ndarray) -> tuple[Detections, Ints]:

@@ -83,7 +83,7 @@ class Containers(Supervisor[Container]):
         with ThreadPoolExecutor(_AT_A_TIME) as pool:
             list(pool.map(self._run, children))
 
-    def _start_again(self, child: Container, without: Iterable[str]) -> None:
+    def _restart(self, child: Container, without: Iterable[str]) -> None:
         self.without[child.name] = sorted(without)
         self._await_log(child)
         self.connect([child])

@@ -80,9 +80,9 @@ class RemoteNodes(Supervisor[RemoteNode]):
         child = RemoteNode(name, spec, self._attachments[self._placed.get(name, next(iter(self._attachments)))])
         self.children[name] = child
         (self._logs / f"{name}.log").touch()
-        self._start_again(child, without)
+        self._restart(child, without)
 
-    def _start_again(self, child: RemoteNode, without: Iterable[str]) -> None:
+    def _restart(self, child: RemoteNode, without: Iterable[str]) -> None:
         self.without[child.name] = sorted(without)
         argv, env = self._command(child.name, child.attachment.host.name)
         child.start = child.attachment.tell("start", name=child.name, argv=list(argv), env=env)

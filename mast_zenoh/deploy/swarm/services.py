@@ -107,7 +107,7 @@ class Services(Supervisor[Service]):
         (self._logs / f"{name}.log").touch()
         return child
 
-    def _start_again(self, child: Service, without: Iterable[str]) -> None:
+    def _restart(self, child: Service, without: Iterable[str]) -> None:
         self.without[child.name] = sorted(without)
         task = child.task
         self._keep_logs([child])
