@@ -24,8 +24,11 @@ BASES: dict[str, list[type]] = {
         *(attacks.Attack, attacks.Coordination),
         *(attacks.Selection, attacks.Propagation, attacks.Imitation),
     ],
-    "trackers": [tracking.Tracker, tracking.Assignment],
-    "fusion": [pipelines.Pipeline, fusion.Clusterer, fusion.Fusion, fusion.GroupTracker],
+    "trackers": [pipelines.AgentPipeline, tracking.Tracker, tracking.Assignment],
+    "fusion": [
+        *(pipelines.MissionEstimator, pipelines.Pipeline),
+        *(fusion.Clusterer, fusion.Fusion, fusion.GroupTracker),
+    ],
     "scenes": [scenes.Scene, sensing.Detector],
     "links": [links.Rule],
     "faults": [faults.Fault],
