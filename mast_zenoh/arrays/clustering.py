@@ -45,9 +45,9 @@ def split_simple_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
     """
     n = len(agent)
     root = np.arange(n)
+    np.minimum.at(root, j, i)
     # Most clusters are simple: tracks of different agents, all within the radius of each other and of nothing else.
     # For those, the order of the pairs does not matter.
-    # Those come out as one in whatever order their pairs are taken.
     size = np.bincount(root, minlength=n)
     cluster = root[i]
     simple = np.bincount(cluster, minlength=n) == size * (size - 1) // 2
