@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ from mast_zenoh.arrays.states import Ints, ObjectStates
 _FEW = 256
 
 
-def row_order(*keys: NDArray[Any], ties: tuple[NDArray[Any], ...] = ()) -> Ints:
-    """(n,) row indices sorting by `keys` (n,), then by `ties`; the last comes first.
+def row_order(*keys: NDArray[Any], ties: Callable[[], Iterable[NDArray[Any]]] | None = None) -> Ints:
+    """(n,) row indices sorting by `keys` (n,), then by those of `ties`; the last comes first.
 
-    The same as `np.lexsort((*ties, *keys))`, but faster if the rows are sorted already or no two keys are equal.
+    The same as `np.lexsort((*ties(), *keys))`, but faster if the rows are sorted already or no two keys are equal.
     """
     if len(keys[0]) > _FEW:
         if ascending(*keys):
@@ -25,8 +26,8 @@ def row_order(*keys: NDArray[Any], ties: tuple[NDArray[Any], ...] = ()) -> Ints:
         if ascending(*[key.take(order) for key in keys]):
             return order.astype(np.int64)
     order = np.lexsort(keys) if len(keys) > 1 else keys[0].argsort(kind="stable")
-    if ties and _any_equal(*[key.take(order) for key in keys]):
-        order = np.lexsort((*ties, *keys))
+    if ties is not None and _any_equal(*[key.take(order) for key in keys]):
+        order = np.lexsort((*ties(), *keys))
     return order.astype(np.int64, copy=False)
 
 
@@ -45,7 +46,7 @@ def _any_equal(*keys: NDArray[Any]) -> bool:
     equal = keys[0][1:] == keys[0][:-1]
     for key in keys[1:]:
         equal &= key[1:] == key[:-1]
-    return bool(equal.any())
+    return bool(np.count_nonzero(equal))
 
 
 def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:
@@ -61,4 +62,4 @@ def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:
     keys = [*o.position.T, *o.velocity.T, *o.size.T, o.yaw, o.score, o.class_id, o.id]
     if source is not None:
         keys.append(source)
-    return row_order(keys[0], ties=tuple(keys[:0:-1]))
+    return row_order(keys[0], ties=lambda: keys[:0:-1])

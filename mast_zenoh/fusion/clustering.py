@@ -79,4 +79,4 @@ def _to_nearest_core(i: Ints, j: Ints, distance: Floats, core: Bools) -> Ints:
 
 def _by_agent(states: ObjectStates, agent: Ints) -> Ints:
     """(n,) rows by (agent, id); by position where a faulty source uses an id twice."""
-    return row_order(states.id, agent, ties=tuple(states.position.T))
+    return row_order(states.id, agent, ties=lambda: states.position.T)

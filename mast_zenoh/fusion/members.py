@@ -36,7 +36,7 @@ class Members:
     def of(cls, states: ObjectStates, labels: Ints, weights: Floats | None) -> Members:
         """The members of clusters `labels` (n,) with positive weight; default weight 1."""
         x, y, z = states.position.T
-        order = row_order(x, labels, ties=(states.id, *states.velocity.T, z, y))
+        order = row_order(x, labels, ties=lambda: (states.id, *states.velocity.T, z, y))
         if weights is None:
             weight = np.ones(len(order))
         else:

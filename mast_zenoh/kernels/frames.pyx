@@ -68,3 +68,32 @@ def rigid_transform(position, yaw, covariance, origin, rotation):
                     out[3 * i + j] += rotated[3 * i + k] * R[3 * j + k]
         local, before, place, out = local + 3, before + 9, place + 3, out + 9
     return places, headings, covariances
+
+
+def box_noise(covariance, order, variance, double least, double most):
+    covariance = contiguous(covariance)
+    cdef const double* reported = float_data(covariance, 3)
+    cdef const np.int64_t* row = int_data(order)
+    cdef const double* default = float_data(variance, 1)
+    cdef const double* own
+    cdef Py_ssize_t r, i, n = length(order)
+    cdef double bound
+    cdef bint known = False
+    result = empty_matrices(n, 6)
+    cdef double* noise = writable_data(result, 3)
+    memset(noise, 0, 36 * n * sizeof(double))
+    for i in range(9 * n):
+        known = known or reported[i] != 0.0
+    for r in range(n):
+        own = reported + 9 * row[r]
+        for i in range(6):
+            noise[7 * i] = default[i]
+        if known:
+            for i in range(3):
+                if own[4 * i] > 0.0:
+                    noise[7 * i] = own[4 * i]
+                noise[7 * i] = fmin(fmax(noise[7 * i], least), most)
+            bound = sqrt((noise[0] - 0.5 * least) * (noise[7] - 0.5 * least))
+            noise[1] = noise[6] = fmin(fmax(own[1], -bound), bound)
+        noise += 36
+    return result

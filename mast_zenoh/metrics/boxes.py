@@ -57,7 +57,7 @@ class Boxes:
         """
         if ascending(self.id, self.group):
             return self, np.arange(len(self), dtype=np.int64)
-        order = row_order(self.id, self.group, ties=tuple(self.position.T[::-1]))
+        order = row_order(self.id, self.group, ties=lambda: self.position.T[::-1])
         return self.select(order), order
 
 

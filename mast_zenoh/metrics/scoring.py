@@ -269,7 +269,7 @@ def _judged(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints],
     match = np.concatenate([truth[1], np.full(others, -1), track[1]])
     scores = np.concatenate([np.full(len(boxes) - len(score), np.nan), score])
     sort_key = (boxes.group * 2 + is_track) * len(OUTCOMES) + outcome
-    order = row_order(boxes.id, sort_key, ties=tuple(boxes.position.T[::-1]))
+    order = row_order(boxes.id, sort_key, ties=lambda: boxes.position.T[::-1])
     boxes = boxes.select(order)
     series, frame = np.divmod(boxes.group, max(len(layout.frames), 1))
     frame_number = layout.frames[frame] if len(frame) else frame

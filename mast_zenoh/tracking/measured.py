@@ -8,6 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.covariance_repair import MAX_VARIANCE, MIN_VARIANCE
 from mast_zenoh.tracking.tracks import known_class
 
@@ -30,7 +31,7 @@ class Measured(NamedTuple):
     def detections(cls, d: Detections, variance: Floats) -> Measured:
         """Measurements of boxes; variance: (6,) defaults for unspecified noise."""
         x, y, z = d.position.T
-        order = row_order(x, ties=(d.score, d.class_id, *d.size.T, d.yaw, z, y))
+        order = row_order(x, ties=lambda: (d.score, d.class_id, *d.size.T, d.yaw, z, y))
         box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
         noise = box_noise(d.covariance, order, variance, MIN_VARIANCE, MAX_VARIANCE)
         return cls(order, box, noise, d.yaw.take(order), known_class(d.class_id.take(order)))
@@ -43,6 +44,7 @@ class Measured(NamedTuple):
         return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), known_class(s.class_id.take(order)))
 
 
+@kernel
 def box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
     """Noise covariances (m, 6, 6) of boxes in `order`.
 

@@ -174,6 +174,9 @@ ARGUMENTS = {
     "rigid_transform": lambda r, n, m: (
         places(r, n), r.uniform(-9, 9, n), covariances(r, n, 3), r.normal(size=3), r.random((3, 3)),
     ),
+    "box_noise": lambda r, n, m: (
+        r.normal(size=(n, 3, 3)) * r.choice([0.0, 1.0, 1e5]), r.permutation(n), r.uniform(0.1, 1, 6), 1e-4, 1e8,
+    ),
     "pairs_in_groups": lambda r, n, m: (
         r.integers(0, 3, n + 1), places(r, n + 1), r.integers(0, 4, m + 1), places(r, m + 1), r.uniform(0, 5),
     ),
