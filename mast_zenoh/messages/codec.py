@@ -38,12 +38,11 @@ def conform(header: Header, body: Body) -> Message:
     layout = LAYOUTS[schema.name]
     sizes: dict[str, int] = {}
     try:
-        size_key = layout.sizes(body)
-        plan = layout.plan(size_key)
+        plan = layout.plan_of(body)
         exact = exact_columns(body, plan.names, plan.dtypes, plan.shapes)
         if exact is not None:
             return Message(header, exact)
-        shapes, sizes = plan.shapes, layout.named(size_key)
+        shapes, sizes = plan.shapes, layout.sizes(body)
     except (KeyError, IndexError, ValueError):
         shapes = ()  # the loop below raises the error
     columns: dict[str, NDArray[Any]] = {}
@@ -86,7 +85,7 @@ def encode(message: Message) -> bytes:
     header, columns = message
     layout = LAYOUTS[header.schema]
     body: dict[str, list[Any]] = {}
-    plan = layout.plan(layout.sizes(columns))
+    plan = layout.plan_of(columns)
     for name, (dtype_name, dims, _) in zip(plan.names, plan.packed, strict=True):
         array = columns[name]
         body[name] = [dtype_name, dims, list(array) if dtype_name == "str" else array.tobytes()]

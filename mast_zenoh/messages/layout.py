@@ -37,6 +37,7 @@ class Plan(NamedTuple):
 
     dtypes: object for text; limits: see `limit_of`
     packed: (name of the dtype, shape as a list, bytes) of the column in a message; text has no bytes
+    fits: whether the columns are within MAX_BYTES
     """
 
     names: tuple[str, ...]
@@ -44,6 +45,7 @@ class Plan(NamedTuple):
     shapes: tuple[tuple[int, ...], ...]
     limits: tuple[float, ...]
     packed: tuple[tuple[str, list[int], int], ...]
+    fits: bool
 
 
 def limit_of(column: Column) -> float:
@@ -69,11 +71,10 @@ class Layout:
         self._sources = tuple(self._letters.values())
         self.schema = schema
         self._plans: dict[tuple[int, ...], Plan] = {}
-        self._fitting: set[tuple[int, ...]] = set()  # sizes of messages within MAX_BYTES
 
-    def named(self, sizes: tuple[int, ...]) -> dict[str, int]:
-        """The sizes by letter."""
-        return dict(zip(self._letters, sizes, strict=True))
+    def sizes(self, body: Body) -> dict[str, int]:
+        """Sizes of the letters, from arrays; raises KeyError or IndexError if missing."""
+        return {letter: body[name].shape[axis] for letter, (name, axis) in self._letters.items()}
 
     def plan(self, sizes: tuple[int, ...]) -> Plan:
         """The valid columns of a body.
@@ -85,7 +86,7 @@ class Layout:
         if plan is None:
             if not all(type(size) is int and 0 <= size <= MAX_ROWS for size in sizes):
                 raise ValueError
-            plan = self._planned(self.named(sizes))
+            plan = self._planned(dict(zip(self._letters, sizes, strict=True)))
             if len(self._plans) < _MAX_PLANS:
                 self._plans[sizes] = plan
         return plan
@@ -104,11 +105,13 @@ class Layout:
             packed=tuple(
                 zip([DTYPE_NAME[column.dtype] for column in columns], map(list, shapes), n_bytes, strict=True)
             ),
+            fits=sum(n_bytes) <= MAX_BYTES,
         )
 
-    def sizes(self, body: Body) -> tuple[int, ...]:
-        """Sizes of the letters, from arrays; raises KeyError or IndexError if missing."""
-        return tuple([body[name].shape[axis] for name, axis in self._sources])
+    def plan_of(self, body: Body) -> Plan:
+        """The plan for the sizes of arrays; raises KeyError, IndexError or ValueError."""
+        sizes = tuple([body[name].shape[axis] for name, axis in self._sources])
+        return self._plans.get(sizes) or self.plan(sizes)
 
     def unpack(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """The columns of a packed body; None if it is invalid in any way."""
@@ -123,14 +126,8 @@ class Layout:
 
     def is_valid(self, body: Body) -> bool:
         """Whether the values of a body that `conform` made are valid."""
-        sizes = self.sizes(body)
-        plan = self.plan(sizes)
-        if sizes not in self._fitting:
-            if sum([n_bytes for _, _, n_bytes in plan.packed]) > MAX_BYTES:
-                return False
-            if len(self._fitting) < _MAX_PLANS:
-                self._fitting.add(sizes)
-        return sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
+        plan = self.plan_of(body)
+        return plan.fits and sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
 
 
 def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any]] | None:
