@@ -17,6 +17,9 @@ Item = TypeVar("Item")
 #: s, default age up to which the newest message of a publisher is used.
 MAX_AGE_S = 0.25
 
+#: Limit of every value of a track that the broker collates, SI units: propagating one beyond could overflow the batch.
+MAX_TRACK_VALUE = 1e8
+
 #: Frames for which the items of an agent are remembered to recognise duplicates.
 _REMEMBERED = 64
 

@@ -11,13 +11,10 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
-from mast_zenoh.gather import MAX_AGE_S, CollationBuffer
+from mast_zenoh.gather import MAX_AGE_S, MAX_TRACK_VALUE, CollationBuffer
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
-
-#: In SI units; a track beyond it is not physical: rejected, as propagating it could make the whole batch invalid.
-MAX_MAGNITUDE = 1e8
 
 
 class Broker(Node):
@@ -137,12 +134,12 @@ class Broker(Node):
 
 
 def plausible_rows(states: ObjectStates) -> np.ndarray:
-    """(k,) rows of the objects without a value beyond MAX_MAGNITUDE."""
+    """(k,) rows of the objects without a value beyond MAX_TRACK_VALUE."""
     columns = (states.position, states.velocity, states.size, states.covariance)
-    if sum([np.vdot(column, column) for column in columns]) <= MAX_MAGNITUDE**2:
+    if sum([np.vdot(column, column) for column in columns]) <= MAX_TRACK_VALUE**2:
         return np.arange(len(states))  # the usual case: no value exceeds the norm of all
     flat = np.concatenate([column.reshape(len(states), -1) for column in columns], axis=1)
-    return (np.abs(flat).max(axis=1) <= MAX_MAGNITUDE).nonzero()[0]
+    return (np.abs(flat).max(axis=1) <= MAX_TRACK_VALUE).nonzero()[0]
 
 
 if __name__ == "__main__":

@@ -27,9 +27,6 @@ class Run(Protocol):
     def path(self) -> Path:
         """The run folder."""
 
-    def _folder(self) -> RunFolder:
-        """Its content, as the report reads it."""
-
 
 class Plots:
     """Figures of runs by label: of the first one or, in comparisons, of all.
@@ -125,7 +122,7 @@ def labelled(runs: Sequence[Run], taken: Mapping[str, RunFolder]) -> dict[str, R
     """
     result: dict[str, RunFolder] = {}
     for run in runs:
-        loaded = run._folder()
+        loaded = RunFolder.load(run.path)
         names = [loaded.label, run.path.name, *(f"{loaded.label} ({number})" for number in range(2, 1000))]
         result[next(name for name in names if name not in {*taken, *result})] = loaded
     return result

@@ -1,4 +1,4 @@
-"""Checks of a finished run's record, which must pass whatever the faults.
+"""Checks of a finished run's record that must pass under any faults.
 
 See docs/faults.md.
 
@@ -26,12 +26,12 @@ from mast_zenoh.checks.user_checks import RunCheck, apply, of_scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunFolderError
 
-__all__ = ["FILE", "Check", "RunCheck", "run", "wanted"]
+__all__ = ["FILE", "Check", "RunCheck", "is_checked", "run"]
 
 FILE = "checks.json"
 
 
-def wanted(resolved: Resolved) -> bool:
+def is_checked(resolved: Resolved) -> bool:
     """Whether a scenario is checked: if it has links, faults or user-defined checks."""
     return any(entry["kind"] != "attack" for entry in resolved.timeline) or bool(of_scenario(resolved))
 
@@ -39,7 +39,7 @@ def wanted(resolved: Resolved) -> bool:
 def run(folder: Path, resolved: Resolved) -> list[Check]:
     """Check the run in a folder, and write checks.json there.
 
-    Without a recording, only the check of processes and the user's checks run. Raises RunFolderError without a run.
+    Without a recording, only the check of processes and the user's checks run.
     """
     heals: list[float] = []
     try:

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 
 from mast_zenoh.checks.base import Check
 from mast_zenoh.checks.evidence import Evidence, Sent
+from mast_zenoh.gather import MAX_TRACK_VALUE
 
 NAME = "collation"
 _SHOWN = 5
-#: The broker rejects larger values as not physical; with margin, since tracks are in the agent's own frame here.
-_MAX_MAGNITUDE = 1e7
+#: Largest value that the broker surely accepts: it sees tracks in the world frame, these are in the agent's own.
+_SURELY_ACCEPTED = MAX_TRACK_VALUE / 10
 #: In real time, messages that may reach the broker before it knows of their agent.
 _FIRST_MESSAGES = 5
 _BATCH = ("collated", "")  # the broker's output
@@ -128,7 +129,7 @@ def _exemption(
         return "in the last frame"
     if not evidence.lockstep and message.seq < _FIRST_MESSAGES:
         return "when the agent had just come"
-    return "not physical" if message.content.magnitude > _MAX_MAGNITUDE else None
+    return "not physical" if message.content.magnitude > _SURELY_ACCEPTED else None
 
 
 def _closed(frame: int, broker: str, evidence: Evidence) -> int | None:

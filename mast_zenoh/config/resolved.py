@@ -148,9 +148,12 @@ class Resolved:
             (run_folder / name).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
-def build_node(spec: NodeSpec, name: str, place: str = "scenario.json") -> Node:
-    """Build the node of a spec."""
-    cls = loading.node_class(Path(spec.file), spec.type)
+def build_node(spec: NodeSpec, name: str, place: str = "scenario.json", cls: type[Node] | None = None) -> Node:
+    """Build the node of a spec.
+
+    place: the scenario's file, for error messages;  cls: its class; None: the class in the node's file
+    """
+    cls = cls or loading.node_class(Path(spec.file), spec.type)
     node = registry.construct(cls, spec.config, f"{place}: {name}")
     assert isinstance(node, Node)
     return node

@@ -129,7 +129,7 @@ def run(
         run_folder.finish(folder, record)
         if caught is not None and ending.from_exception(caught) is None:
             raise caught  # a defect
-        if checks.wanted(resolved):
+        if checks.is_checked(resolved):
             checks.run(folder, resolved)
     if received and not ended.error:
         stop_signals.raise_again(received)  # it came when nothing of the run was left to stop

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mast_zenoh.report.figures.drawing import Picture
+from mast_zenoh.report.figures.drawing import RenderedFigure
 from mast_zenoh.report.narrative.study import comparisons_made, other_changes, reservations, result, titled
 from mast_zenoh.report.narrative.study_comparisons import compare
 from mast_zenoh.report.page import render
@@ -17,7 +17,9 @@ from mast_zenoh.report.tables.study_sections import sections, side_by_side
 _SHOWN_AT_ONCE = 10
 
 
-def write_page(folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figures: Mapping[str, Picture]) -> Path:
+def write_page(
+    folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figures: Mapping[str, RenderedFigure]
+) -> Path:
     """Write `report.html` into the folder of a study, and return its path.
 
     figures: of `figures_over_trials`, by name

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.avstack_decode import class_of
+from mast_zenoh.scenes.avstack_decode import class_of, reason, reject_constant
 
 _DEFAULT_HEIGHT_M = 12.0  # of buildings
 
@@ -37,7 +37,7 @@ def read_detections(
         try:
             rows[frame, agent] = _detections(data, rotation)
         except (ValueError, KeyError, TypeError) as error:
-            raise SceneError(f"{place}: {_reason(error)}") from error
+            raise SceneError(f"{place}: {reason(error)}") from error
     ordered = [rows[frame, agent] for frame in range(len(frames)) for agent in range(len(agents))]
     flat = Detections(*(np.concatenate([getattr(part, name) for part, _ in ordered]) for name in DETECTION_COLUMNS))
     ids = np.concatenate([truth_id for _, truth_id in ordered])
@@ -91,7 +91,7 @@ def read_visibility(
                     raise ValueError(f"object {entry[0]} has {entry[1]} points, expected 0 or more")
                 points[row[int(entry[0])], agent] = int(entry[1])
         except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise SceneError(f"{place}: {_reason(error)}") from error
+            raise SceneError(f"{place}: {reason(error)}") from error
     return points
 
 
@@ -115,7 +115,7 @@ def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], 
                 raise ValueError(f"polygon {index} has {len(outline)} corners, expected at least 3")
             outlines.append(outline)
     except (ValueError, TypeError, AttributeError, IndexError) as error:
-        raise SceneError(f"{path}: {_reason(error)}") from error
+        raise SceneError(f"{path}: {reason(error)}") from error
     return tuple(outlines), np.full(len(outlines), height)
 
 
@@ -135,13 +135,13 @@ def _lines(
             for number, line in enumerate(file, start=1):
                 place = f"{path}: line {number}"
                 try:
-                    data = json.loads(line, parse_constant=_reject_constant)
+                    data = json.loads(line, parse_constant=reject_constant)
                     frame_agent = (int(data["frame"]), int(data["agent"]))
                     entries = data[key]
                     if not isinstance(entries, list):
                         raise ValueError(f"{key} is not a list")
                 except (ValueError, KeyError, TypeError) as error:
-                    raise SceneError(f"{place}: {_reason(error)}") from error
+                    raise SceneError(f"{place}: {reason(error)}") from error
                 if frame_agent in line_numbers:
                     raise SceneError(
                         f"{place}: frame {frame_agent[0]} of agent {frame_agent[1]} "
@@ -162,14 +162,6 @@ def _lines(
 
 def _load(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_reject_constant)
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=reject_constant)
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: {error}") from error
-
-
-def _reject_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a finite number")
-
-
-def _reason(error: Exception) -> str:
-    return f"{error} is missing" if isinstance(error, KeyError) else str(error)

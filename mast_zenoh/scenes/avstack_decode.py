@@ -74,7 +74,7 @@ def read_objects(path: Path, frame: int) -> tuple[float, list[ObjectState]]:
         try:
             states.append(_object_state(_decode(text)["objectstate"]))
         except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise SceneError(f"{path}: data[{index}]: {_reason(error)}") from error
+            raise SceneError(f"{path}: data[{index}]: {reason(error)}") from error
     return time, states
 
 
@@ -96,7 +96,7 @@ def read_seen(path: Path, frame: int) -> dict[int, float | None]:
             elif fraction is None and int(state["occlusion"]) not in _HIDDEN:
                 seen[int(state["ID"])] = None
         except (ValueError, KeyError, TypeError) as error:
-            raise SceneError(f"{path}: data[{index}]: {_reason(error)}") from error
+            raise SceneError(f"{path}: data[{index}]: {reason(error)}") from error
     return seen
 
 
@@ -125,7 +125,7 @@ def read_calibration(path: Path) -> Calibration:
         height, width = (int(size) for size in calibration["img_shape"][:2])
         return Calibration(position, rotation, float(calibration["P"][0][0]), width, height)
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise SceneError(f"{path}: {_reason(error)}") from error
+        raise SceneError(f"{path}: {reason(error)}") from error
 
 
 def _object_state(data: dict[str, Any]) -> ObjectState:
@@ -200,23 +200,25 @@ def _container(path: Path, frame: int) -> tuple[float, list[str]]:
             raise ValueError(f"frame is {container['frame']}, but {frame} in the name of the file")
         return float(container["timestamp"]), list(container["data"])
     except (ValueError, KeyError, TypeError) as error:
-        raise SceneError(f"{path}: datacontainer: {_reason(error)}") from error
+        raise SceneError(f"{path}: datacontainer: {reason(error)}") from error
 
 
 def _read(path: Path) -> Any:
     try:
         return _decode(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise SceneError(f"{path}: {_reason(error)}") from error
+        raise SceneError(f"{path}: {reason(error)}") from error
 
 
 def _decode(text: str) -> Any:
-    return json.loads(text, parse_constant=_reject_constant)
+    return json.loads(text, parse_constant=reject_constant)
 
 
-def _reject_constant(name: str) -> NoReturn:
+def reject_constant(name: str) -> NoReturn:
+    """Refuse a number that is not finite, for `json.loads(parse_constant=)`."""
     raise ValueError(f"{name} is not a finite number")
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
+    """Why decoding failed, in words."""
     return f"{error} is missing" if isinstance(error, KeyError) else str(error)

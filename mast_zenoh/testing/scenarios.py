@@ -16,7 +16,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import OURS
+from mast_zenoh.messages.schemas import OURS, Schema
 from mast_zenoh.node import Node, handler_names
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
@@ -26,15 +26,16 @@ from mast_zenoh.wiring.model import ANY
 _ORDERS = 3  #: random orders of delivery
 
 
-def check_node(node: type[Node]) -> None:
+def check_node(node: type[Node], *message_types: Schema) -> None:
     """Check a node class: its role, a handler per input, and known message types.
 
-    `check_scenario` checks what it does.
+    message_types: those of other files that it uses by name. `check_scenario` checks what the node does.
     """
+    names = OURS.keys() | node.message_types.keys() | {schema.name for schema in message_types}
     expect(node.role, f"{node.__name__}.role: found nothing, expected the name of a role")
     for ports in ("inputs", "outputs"):
         for port, message in getattr(node, ports).items():
-            known = message in OURS or message in node.message_types or (ports == "inputs" and message == ANY)
+            known = message in names or (ports == "inputs" and message == ANY)
             expect(known, f"{node.__name__}.{ports}[{port!r}]: there is no message type {message!r}")
     try:
         handler_names(node)

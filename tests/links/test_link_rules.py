@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -219,7 +220,6 @@ NAN, INF = math.nan, math.inf
         *(("Delay", dict(mean_s=value)) for value in (-1.0, NAN, INF, 1e9)),
         *(("Delay", dict(jitter_s=value)) for value in (-1.0, NAN, INF)),
         ("Delay", dict(mean_s=0.0)),
-        ("Delay", dict(distribution="constant")),
         ("Delay", dict(distribution="poisson")),
         *(("Bandwidth", dict(bits_per_s=value)) for value in (0.0, -1.0, NAN, INF)),
         *(("Bandwidth", dict(queue_s=value)) for value in (-1.0, NAN)),
@@ -240,8 +240,13 @@ NAN, INF = math.nan, math.inf
 def test_invalid_rule_parameters_are_refused_by_name(name: str, wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError) as caught:
         build(type=name, **(EVERY[name] | wrong))
-    assert any(f"{parameter}" in str(caught.value) for parameter in (*wrong, "jitter_s", "mean_s"))
-    assert "link.rules_up[0]" in str(caught.value)
+    places = [f"link.rules_up[0]{separator}{parameter}" for parameter in wrong for separator in (".", f": {name}: ")]
+    assert str(caught.value).startswith(tuple(places))
+
+
+def test_jitter_of_a_constant_delay_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=re.escape("link.rules_up[0]: Delay: jitter_s: found 0.05")):
+        build(type="Delay", mean_s=0.12, jitter_s=0.05, distribution="constant")
 
 
 @pytest.mark.parametrize("name", PROFILES)

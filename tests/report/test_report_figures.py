@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.report.figures.camera import Eye
 from mast_zenoh.report.figures.charts import counts_over_time
-from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, picture, side_by_side_figure
+from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, render, side_by_side_figure
 from mast_zenoh.report.figures.style import ADVERSARY, OUTCOME_COLOURS, png
 from mast_zenoh.report.figures.view import FrameView, frame_view
 from mast_zenoh.report.runfolder import RunFolder
@@ -167,6 +167,6 @@ def test_faces_are_clipped_at_the_near_plane() -> None:
 
 
 def test_an_image_is_a_data_uri_with_its_size(clean: FrameView) -> None:
-    rendered = picture("x", birdseye_figure(clean), "alt", "caption")
+    rendered = render("x", birdseye_figure(clean), "alt", "caption")
     assert rendered.source.startswith("data:image/png;base64,iVBOR")
     assert rendered.pixels == image_of(rendered.png).shape[1::-1]

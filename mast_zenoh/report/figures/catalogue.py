@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mast_zenoh.report.figures.charts import counts_over_time, means
-from mast_zenoh.report.figures.drawing import Picture, picture, side_by_side_figure
+from mast_zenoh.report.figures.drawing import RenderedFigure, render, side_by_side_figure
 from mast_zenoh.report.figures.of_run import counts_caption, tally
 from mast_zenoh.report.figures.view import FrameView
 from mast_zenoh.report.runfolder import RunFolder
@@ -26,7 +26,7 @@ def study_figures(
     estimate: str = "picture",
     *,
     chosen: bool,
-) -> dict[str, Picture]:
+) -> dict[str, RenderedFigure]:
     """The figures that compare runs, by name."""
     figures = []
     if views:
@@ -37,11 +37,11 @@ def study_figures(
             beyond = f" less those of {table.reference} in the same frame"
             caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate]}', beyond=beyond)}."
         alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {tallies}."
-        figures.append(picture("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
+        figures.append(render("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
     over_time = counts_over_time(runs, next(iter(views.values())).frame if views else None, estimate)
     if over_time is not None:
         alt = f"Missed objects, false objects and RMSE over time: ego alone, and {ESTIMATES[estimate]} of every run."
-        figures.append(picture("counts", over_time, alt, counts_caption(list(runs.values()))))
+        figures.append(render("counts", over_time, alt, counts_caption(list(runs.values()))))
     if any(row.cells for row in table.rows):
         keys = {measure.key: measure for measure in MEASURES}
         texts = [
@@ -50,7 +50,7 @@ def study_figures(
             for run in table.runs
         ]
         caption = "Means per frame; whiskers: \u00b1 one standard deviation over frames."
-        figures.append(picture("means", means(table, estimate), f"Bar chart. {'; '.join(texts)}.", caption))
+        figures.append(render("means", means(table, estimate), f"Bar chart. {'; '.join(texts)}.", caption))
     return {each.name: each for each in figures}
 
 

@@ -29,7 +29,7 @@ _WHITE = "#f2f5f9"
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class RenderedFigure:
     """A figure as it goes into the page.
 
     name:    of the file under figures/, without extension
@@ -64,9 +64,9 @@ class Picture:
             (folder / f"{self.name}.svg").write_bytes(self.svg)
 
 
-def picture(name: str, figure: figures.Figure, alt: str, caption: str, *, vector: bool = False) -> Picture:
+def render(name: str, figure: figures.Figure, alt: str, caption: str, *, vector: bool = False) -> RenderedFigure:
     """Render a figure."""
-    return Picture(name, png(figure), alt, caption, svg(figure) if vector else None)
+    return RenderedFigure(name, png(figure), alt, caption, svg(figure) if vector else None)
 
 
 def _dark_figure(views: Sequence[FrameView], width: float, height: float, *, agents: bool = True) -> Figure:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as MatplotlibFigure
 from mast_zenoh.report.figures.causes import causes_over_time
 from mast_zenoh.report.figures.charts import SMOOTH, counts_over_time
 from mast_zenoh.report.figures.diagram import draw_wiring
-from mast_zenoh.report.figures.drawing import Picture, birdseye_figure, camera_figure, picture
+from mast_zenoh.report.figures.drawing import RenderedFigure, birdseye_figure, camera_figure, render
 from mast_zenoh.report.figures.driving import driving_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.view import FrameView
@@ -128,20 +128,20 @@ class Wiring(RunFigure):
 OURS: tuple[type[RunFigure], ...] = (Birdseye, Camera, Counts, Causes, Driving, Wiring)
 
 
-def run_figures(context: FigureContext) -> dict[str, Picture]:
+def run_figures(context: FigureContext) -> dict[str, RenderedFigure]:
     """Our figures of one run by name, without those whose data are absent."""
     pictures = (rendered(kind(), context) for kind in OURS)
     return {each.name: each for each in pictures if each is not None}
 
 
-def rendered(figure: RunFigure, context: FigureContext) -> Picture | None:
+def rendered(figure: RunFigure, context: FigureContext) -> RenderedFigure | None:
     """A figure as it goes into the page; None if there is nothing to draw."""
     drawn = figure.draw(context)
     if drawn is None:
         return None
     if not isinstance(drawn, MatplotlibFigure):
         raise TypeError(f"draw returned {type(drawn).__name__}, expected a Matplotlib figure or None")
-    return picture(figure.label(), drawn, figure.alt(context), figure.caption(context), vector=figure.vector)
+    return render(figure.label(), drawn, figure.alt(context), figure.caption(context), vector=figure.vector)
 
 
 def _the_picture(view: FrameView) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 
 from mast_zenoh.config import loading
 from mast_zenoh.control.failures import described, location
-from mast_zenoh.report.figures.drawing import Picture
+from mast_zenoh.report.figures.drawing import RenderedFigure
 from mast_zenoh.report.figures.of_run import OURS, rendered
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 
@@ -37,7 +37,7 @@ class UserFigure:
     name: str
     heading: str
     after: str
-    picture: Picture | None
+    picture: RenderedFigure | None
     problem: str = ""
 
 
@@ -97,7 +97,7 @@ def _stored(folder: Path) -> list[UserFigure]:
         except (OSError, ValueError):
             continue
         if png.startswith(_PNG) and len(png) > 24 and after in SECTIONS:
-            figures.append(UserFigure(name, heading, after, Picture(name, png, alt, caption)))
+            figures.append(UserFigure(name, heading, after, RenderedFigure(name, png, alt, caption)))
     return figures
 
 

@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import SubFigure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from mast_zenoh.report.figures.drawing import Picture, picture
+from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.study_panels import Panel, label_of, panels, text_of
 from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
 from mast_zenoh.report.study_facts import StudyFacts, plural
@@ -60,7 +60,7 @@ _CAPTIONS = {
 }
 
 
-def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str, Picture]:
+def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str, RenderedFigure]:
     """The figures by file name, without empty ones."""
     all_panels = panels(rows, facts.baseline)
     rows = [row for row in rows if row.label != facts.baseline]
@@ -73,7 +73,7 @@ def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str
             footer = _footer(rows, known, interval)
             if any(panel.y for panel in all_panels):
                 footer += "; in brackets where it contains 0 or there is none"
-            pictures[name] = _picture(name, _draw(all_panels, known, footer), rows, known)
+            pictures[name] = _render(name, _draw(all_panels, known, footer), rows, known)
     return pictures
 
 
@@ -124,11 +124,11 @@ def _bar_notes(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:
     return " ".join(sentences)
 
 
-def _picture(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence[Axis]) -> Picture:
+def _render(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence[Axis]) -> RenderedFigure:
     first = axes[0]
     caption = f"{_CAPTIONS[name]} {_bar_notes(rows, axes)}" if name in _INCREMENTS else _CAPTIONS[name]
     values = "; ".join(f"{row.label} {over_trials(each)}" for row in rows if (each := first.column.of(row)).seeds)
-    return picture(name, figure, f"{first.title}, {first.label}: {values}.", caption)
+    return render(name, figure, f"{first.title}, {first.label}: {values}.", caption)
 
 
 def _draw(all_panels: Sequence[Panel], columns: Sequence[Axis], footer: str) -> Figure:

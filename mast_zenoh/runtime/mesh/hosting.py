@@ -12,8 +12,8 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.config import loading, registry
-from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config import loading
+from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError
 from mast_zenoh.messages import user_types
@@ -31,16 +31,12 @@ from mast_zenoh.wiring.model import Wiring
 LISTENER_NICENESS = 10
 
 
-def build(resolved: Resolved, name: str, node: type[Node] | None = None, place: str = "scenario.json") -> Any:
-    """Build a node of a scenario, after importing the user's modules.
-
-    node: its class; None: the class in the node's file;  place: the scenario's file, for error messages
-    """
+def build(resolved: Resolved, name: str, place: str = "scenario.json", cls: type[Node] | None = None) -> Node:
+    """Build a node of a scenario, after importing the user's modules; see `build_node`."""
     user_types.use(resolved.messages)
     for file in resolved.modules:
         loading.module(Path(file))
-    spec = resolved.nodes[name]
-    return registry.construct(node or loading.node_class(Path(spec.file), spec.type), spec.config, f"{place}: {name}")
+    return build_node(resolved.nodes[name], name, place, cls)
 
 
 def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool = False) -> zenoh.Session:

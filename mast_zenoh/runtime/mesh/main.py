@@ -68,7 +68,7 @@ def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
         threading.Thread(target=_leave_with_launcher, args=(mesh_nodes, arguments.credentials), daemon=True).start()
     os.chdir(arguments.run_folder)
     resolved = Resolved.read(Path())
-    instance = hosting.build(resolved, arguments.name, node, f"{arguments.run_folder}/scenario.json")
+    instance = hosting.build(resolved, arguments.name, f"{arguments.run_folder}/scenario.json", node)
     if resolved.mode == "lockstep":
         hosting.use_batch_scheduling()  # before there is a session, so that Zenoh's threads do so too
     with hosting.join(arguments.endpoint, arguments.credentials, patient=resolved.patient) as session:
