@@ -5,7 +5,6 @@
     regions       where false objects are placed
     selection     which objects to insert, hide and move
     conflict      selection of the objects most relevant to the ego
-    clusters      observations of several adversaries, one row per object
     clusters      clustering of the adversaries' observations
     campaign      selection and propagation over time
     following     tracking of targets
