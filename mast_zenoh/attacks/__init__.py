@@ -5,21 +5,20 @@
     regions       where false objects are placed
     selection     which objects to insert, hide and move
     conflict      selection of the objects most relevant to the ego
-    clusters      observations of several adversaries, one row per object
     clusters      clustering of the adversaries' observations
     campaign      selection and propagation over time
     following     tracking of targets
     statistics    noise and misses of the victim's rows
     imitation     false objects that resemble the victim's own
     application   tampering with one message
-    adversary     the state machine of one adversary
+    attack        attacks: one step per intercepted message
     coordination  coordinator of several adversaries
 
 Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """
 
-from mast_zenoh.attacks.adversary import Attack, CoordinatedAttack, PassThrough, UncoordinatedAttack
 from mast_zenoh.attacks.application import alter, apply
+from mast_zenoh.attacks.attack import Attack, CoordinatedAttack, PassThrough, UncoordinatedAttack
 from mast_zenoh.attacks.conflict import ConflictSelection
 from mast_zenoh.attacks.coordination import Coordination, Coordinator
 from mast_zenoh.attacks.coverage import Coverage, coverage_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.attacks.adversary import OWN_TARGET_M
+from mast_zenoh.attacks.attack import OWN_TARGET_M
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.following import Follower

@@ -12,7 +12,7 @@ from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.tracking.duplicates import overlap
 from mast_zenoh.tracking.view import SensorView
 
-#: Visible fraction from which a box is in view, see `SensorView.visible_fraction`.
+#: Least visible fraction of a box in view, see `SensorView.visible_fraction`.
 IN_VIEW = 0.5
 #: m; road users whose centres are farther apart do not overlap.
 TOUCH_M = 20.0
@@ -44,26 +44,27 @@ class Coverage:
             visible[rows] = ~self.surroundings.behind_walls(view.position, boxes[rows, :3])
         return np.asarray(visible)
 
-    def visible_outside_objects(self, false: ObjectStates, real: ObjectStates, view: SensorView) -> Bools:
-        """False objects (k,) visible in a view: outside buildings and real objects."""
-        boxes = boxes_of(false)
-        return self.visible(view, boxes, boxes_of(real)) & self._free(boxes, false, real)
+    def visible_outside_objects(
+        self, false_objects: ObjectStates, real_objects: ObjectStates, view: SensorView
+    ) -> Bools:
+        """(k,) which false objects are visible, outside buildings and real objects."""
+        boxes = boxes_of(false_objects)
+        return self.visible(view, boxes, boxes_of(real_objects)) & self._free(boxes, false_objects, real_objects)
 
-    def plausible(self, false: ObjectStates, real: ObjectStates, view: SensorView) -> Bools:
-        """False objects (k,) that are plausible for the victim.
-
-        On a fused wire they need not be in its view.
-        """
+    def plausible(self, false_objects: ObjectStates, real_objects: ObjectStates, view: SensorView) -> Bools:
+        """(k,) which false objects are plausible for the victim; see `fused`."""
         return (
-            self._free(boxes_of(false), false, real) if self.fused else self.visible_outside_objects(false, real, view)
+            self._free(boxes_of(false_objects), false_objects, real_objects)
+            if self.fused
+            else self.visible_outside_objects(false_objects, real_objects, view)
         )
 
     def other_views(self) -> list[SensorView]:
         """Fields of view of the agents that are known and not compromised."""
         return self.surroundings.other_views(self.time_s)
 
-    def _free(self, boxes: Floats, false: ObjectStates, real: ObjectStates) -> Bools:
-        return np.asarray(~self.surroundings.inside_buildings(boxes) & ~touching(false, real))
+    def _free(self, boxes: Floats, false_objects: ObjectStates, real_objects: ObjectStates) -> Bools:
+        return np.asarray(~self.surroundings.inside_buildings(boxes) & ~touching(false_objects, real_objects))
 
 
 def coverage_of(position: Floats, time_s: float = 0.0) -> Coverage:
@@ -76,14 +77,19 @@ def boxes_of(states: ObjectStates) -> Floats:
     return np.concatenate([states.position, states.size], axis=1)
 
 
-def touching(false: ObjectStates, real: ObjectStates) -> Bools:
+def touching(false_objects: ObjectStates, real_objects: ObjectStates) -> Bools:
     """(k,) which of k objects overlap with one of n others in the bird's-eye view."""
-    touches = np.zeros(len(false), bool)
-    i, j, dx, dy = neighbours(false.position, real.position, np.full(len(false), TOUCH_M))
+    touches = np.zeros(len(false_objects), bool)
+    i, j, dx, dy = neighbours(false_objects.position, real_objects.position, np.full(len(false_objects), TOUCH_M))
     if len(i):
         offset = np.column_stack([dx, dy])
         overlapping = overlap(
-            offset, false.size.take(i, 0), false.yaw.take(i), real.size.take(j, 0), real.yaw.take(j), 1.0
+            offset,
+            false_objects.size.take(i, 0),
+            false_objects.yaw.take(i),
+            real_objects.size.take(j, 0),
+            real_objects.yaw.take(j),
+            1.0,
         )
         touches[i[overlapping]] = True
     return touches

@@ -61,9 +61,9 @@ def compare(effects: Effects, attack_reports: Reports, link_reports: Reports, wi
         (link_reports, _LINK_COLUMNS, partial(_match_links, effects, node_row, wires)),
     ):
         reported_rows = _concatenate(reports, columns, nodes)
-        founded = match(reported_rows, reported, label)
+        confirmed = match(reported_rows, reported, label)
         count += np.bincount(reported_rows["node"], minlength=len(nodes))
-        unfounded += np.bincount(reported_rows["node"][~founded], minlength=len(nodes))
+        unfounded += np.bincount(reported_rows["node"][~confirmed], minlength=len(nodes))
     counts = [(node, int(n), int(m)) for node, n, m in zip(nodes, count, unfounded, strict=True)]
     return Agreement(reported, label, {node: m for node, _, m in counts if m}, {node: n for node, n, _ in counts if n})
 
@@ -77,13 +77,13 @@ _LINK_COLUMNS = ("port", "frame", "seq", "fate", "rule")
 def _concatenate(reports: Reports, columns: tuple[str, ...], nodes: Sequence[str]) -> dict[str, NDArray[Any]]:
     """All rows of reports, with reporting node and frame.
 
-    `node` (n,) is a row of `nodes`, `of_frame` (n,) the frame of the report.
+    `node` (n,) is a row of `nodes`, `report_frame` (n,) the frame of the report.
     """
     ordered = sorted(reports, key=lambda report: report[:3])
     rows = [len(body[columns[0]]) for *_, body in ordered]
     result: dict[str, NDArray[Any]] = {
         "node": np.repeat(np.array([nodes.index(node) for node, *_ in ordered], np.int64), rows),
-        "of_frame": np.repeat(np.array([frame for _, frame, *_ in ordered], np.int64), rows),
+        "report_frame": np.repeat(np.array([frame for _, frame, *_ in ordered], np.int64), rows),
     }
     for name in columns:
         empty = np.zeros((0, 3)) if name.endswith("position") else np.zeros(0, np.int64)
@@ -101,7 +101,7 @@ def _match_attacks(
     inserted one nearby cannot be distinguished from a moved one: either report is correct.
     """
     # Frames are renumbered, since messages and reports may contain any number.
-    known, numbers = np.unique(np.concatenate([effects.frame, reported_rows["of_frame"]]), return_inverse=True)
+    known, numbers = np.unique(np.concatenate([effects.frame, reported_rows["report_frame"]]), return_inverse=True)
     span, frame = len(known), np.split(numbers.reshape(-1), [len(effects)])
     names = np.array(_ACTIONS)[reported_rows["action"]]
     group = reported_rows["node"] * span + frame[1]
@@ -133,14 +133,10 @@ class _Events(NamedTuple):
 
 
 def _events(names: NDArray[np.str_], before: Floats, after: Floats, group: Ints) -> _Events:
-    disappeared, appeared = (
-        np.flatnonzero(np.isin(names, ("removed", "moved"))),
-        np.flatnonzero(np.isin(names, ("inserted", "moved"))),
-    )
-    disappeared, appeared = (
-        disappeared[np.isfinite(before[disappeared]).all(axis=1)],
-        appeared[np.isfinite(after[appeared]).all(axis=1)],
-    )
+    disappeared = np.flatnonzero(np.isin(names, ("removed", "moved")))
+    disappeared = disappeared[np.isfinite(before[disappeared]).all(axis=1)]
+    appeared = np.flatnonzero(np.isin(names, ("inserted", "moved")))
+    appeared = appeared[np.isfinite(after[appeared]).all(axis=1)]
     row = np.concatenate([disappeared, appeared])
     is_appearance = np.repeat([0, 1], [len(disappeared), len(appeared)])
     return _Events(Places(2 * group[row] + is_appearance, np.concatenate([before[disappeared], after[appeared]])), row)
@@ -164,13 +160,15 @@ def _match_links(
 
     Returns which of n rows of reports match an effect.
     """
-    kinds = list(dict.fromkeys((*wires, *(passage.message for passage in effects.passages))))
-    kind = np.array([kinds.index(passage.message) for passage in effects.passages], np.int64)[effects.passage]
-    founded = np.zeros(len(reported_rows["fate"]), bool)
+    message_types = list(dict.fromkeys((*wires, *(passage.message for passage in effects.passages))))
+    message_type = np.array([message_types.index(passage.message) for passage in effects.passages], np.int64)[
+        effects.passage
+    ]
+    confirmed = np.zeros(len(reported_rows["fate"]), bool)
     for fate, names in enumerate(_FATES):
         rows = np.flatnonzero(~effects.whole & np.isin(effects.code, [CODE[name] for name in names]))
         report_rows = np.flatnonzero(reported_rows["fate"] == fate)
-        measured = node_row[rows], kind[rows], effects.frame[rows], effects.seq[rows]
+        measured = node_row[rows], message_type[rows], effects.frame[rows], effects.seq[rows]
         claimed = (
             reported_rows["node"][report_rows],
             reported_rows["port"][report_rows],
@@ -180,8 +178,8 @@ def _match_links(
         matches = find(measured, claimed)
         reported[rows[matches >= 0]] = True
         label[rows[matches >= 0]] = reported_rows["rule"][report_rows[matches[matches >= 0]]]
-        founded[report_rows] |= occurs(claimed, measured)
-    return founded
+        confirmed[report_rows] |= occurs(claimed, measured)
+    return confirmed
 
 
 def summary(

@@ -48,17 +48,19 @@ class Effects:
     """n effects, sorted by passage, frame, sequence number and effect.
 
     Missing values are NaN, -1 or "".
-    passages: the passages of the run, and for each the number of messages that it received
+    passages: the passages of the run
+    received: for each passage, the number of messages that it received
     passage:  (n,) row of `passages`
     code:     (n,) index into EFFECTS
-    frame, seq, step: (n,) of the message; the frame of the run in which the interposer received it
+    frame, seq: (n,) of the message
+    step:     (n,) frame of the run in which the interposer received it
     id:       (n,) of the object in the message
     before, after: (n, 3) m, world frame: the object's position in the received and in the sent message
     velocity: (n, 3) m/s, world frame: as sent, or as received for a removed object
     whole:    (n,) bool: an object of a message that was withheld, delayed, forged or reframed as a whole
-    frames_late: (n,) delay of the message in frames; 0: in time, or not sent
+    frames_late: (n,) delay of the message in frames; 0: on time, or not sent
     time_ns:  (n,) ns, change of the time in the header
-    columns:  (n,) str, names of the columns that were changed, separated by blanks
+    columns:  (n,) str, names of the columns that were changed, separated by spaces
     """
 
     passages: tuple[Passage, ...]
@@ -123,8 +125,8 @@ def _messages(index: int, meter: PassageMeter) -> dict[str, np.ndarray]:
     for name in ("frame", "seq", "step", "frames_late", "time_ns"):
         columns[name] = np.array([getattr(each, name) for each in meter.effects.messages], np.int64)
     columns["columns"] = _texts([" ".join(each.columns) for each in meter.effects.messages])
-    nowhere = {name: np.full((n, 3), np.nan) for name in ("before", "after", "velocity")}
-    return columns | nowhere | {"whole": np.zeros(n, bool)}
+    no_positions = {name: np.full((n, 3), np.nan) for name in ("before", "after", "velocity")}
+    return columns | no_positions | {"whole": np.zeros(n, bool)}
 
 
 def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndarray]:
@@ -136,10 +138,12 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
     columns = {name: np.concatenate([getattr(part, name) for part in objects]) for name in names}
     references = np.concatenate([part.references for part in objects], axis=1)
     of_agent = objects[0].of_agent
-    frames = [_frames(references[side], of_agent, columns["frame"], poses, meter.passage.subject) for side in (0, 1)]
-    for name, (origin, rotation) in zip(("before", "after"), frames, strict=True):
+    transforms = [
+        _world_transforms(references[side], of_agent, columns["frame"], poses, meter.passage.subject) for side in (0, 1)
+    ]
+    for name, (origin, rotation) in zip(("before", "after"), transforms, strict=True):
         columns[name] = _rotate(rotation, columns[name]) + origin
-    columns["velocity"] = _rotate(frames[1][1], columns["velocity"])
+    columns["velocity"] = _rotate(transforms[1][1], columns["velocity"])
     displacement = np.abs(columns["after"] - columns["before"]).max(axis=1, initial=0.0)
     code = columns.pop("effect")
     columns["code"] = np.where((code == UNCHANGED) & (displacement > MIN_MOVE_M), MOVED, code)
@@ -149,14 +153,16 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
     return {name: column[kept] for name, column in columns.items()}
 
 
-def _frames(references: Floats, of_agent: bool, frame: Ints, poses: Poses, agent: str) -> tuple[Floats, Floats]:
+def _world_transforms(
+    references: Floats, of_agent: bool, frame_index: Ints, poses: Poses, agent: str
+) -> tuple[Floats, Floats]:
     """Origins (k, 3) and rotations (k, 3, 3) to the world frame of k references.
 
     references: (k, 7) origin m and quaternion
     """
     origin, rotation = references[:, :3], rotation_from_quaternion(references[:, 3:])
     if of_agent:
-        agent_poses = [poses.get((agent, frame_number), _UNKNOWN_POSE) for frame_number in frame.tolist()]
+        agent_poses = [poses.get((agent, frame_number), _UNKNOWN_POSE) for frame_number in frame_index.tolist()]
         pose_rotation = rotation_from_quaternion(np.array([pose.rotation for pose in agent_poses]).reshape(-1, 4))
         pose_position = np.array([pose.position for pose in agent_poses]).reshape(-1, 3)
         origin = pose_position + np.einsum("mij,mj->mi", pose_rotation, origin)

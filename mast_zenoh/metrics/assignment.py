@@ -22,9 +22,9 @@ class Assigner(ABC):
         """
         if len(truth) == 0 or len(tracks) == 0:
             return np.zeros((0, 2), np.int64)
-        (truth, by_truth), (tracks, by_track) = truth.sorted(), tracks.sorted()
+        (truth, truth_rows), (tracks, track_rows) = truth.sorted(), tracks.sorted()
         i, j = self._assign(truth, tracks)
-        pairs = np.column_stack([by_truth[i], by_track[j]])
+        pairs = np.column_stack([truth_rows[i], track_rows[j]])
         return pairs[np.argsort(pairs[:, 0])]
 
     @abstractmethod
@@ -38,7 +38,7 @@ class CenterDistanceAssigner(Assigner):
     gate_m: maximum distance between the centres of a pair
 
     Finds the most pairs within `gate_m` and, among these matchings, the least total distance. Equivalent to the
-    Hungarian method on the cost matrix of each frame with prohibitive costs beyond the gate, but only applied to
+    Hungarian method on the cost matrix of each frame with prohibitive costs beyond the gate, but applied only to
     objects and tracks that compete.
     """
 

@@ -8,11 +8,12 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
 
+#: Limit of combined codes, so that they fit int64.
 _MAX_CODE = 1 << 62
 
 
 def find(keys: tuple[Ints, ...], among: tuple[Ints, ...]) -> Ints:
-    """For each row of the columns `keys`, an equal row of `among` (n,); -1: none."""
+    """For each row of the columns `keys`, the last equal row of `among` (n,); -1: none."""
     n = len(keys[0])
     if n == 0 or len(among[0]) == 0:
         return np.full(n, -1, np.int64)

@@ -19,7 +19,7 @@ from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.report.tables.study_rows import MIN_SEEDS
 
 CONFIDENCE = 0.95
-#: Minimum number of seeds for an interval, and of scenes for an interval to other scenes.
+#: Minimum number of seeds for an interval, and of scenes for an interval over other scenes.
 MIN_CLUSTERS = MIN_SEEDS
 
 _UPPER = 0.5 + CONFIDENCE / 2.0
@@ -53,15 +53,15 @@ def pooled(parts: Sequence[Moments]) -> tuple[float, float]:
 def over_seeds(values: Floats) -> Interval:
     """Interval of the mean over other seeds of these scenes: Student's t.
 
-    Computed from the averages of the seeds.
-    Exact for normal averages, for any correlation between the scenes of one seed. NaN for fewer than MIN_CLUSTERS
-    seeds, and where all averages are equal: without spread, nothing is known about the next seed.
+    Computed from the seeds' averages; exact if these are normal, for any correlation between the scenes of one seed.
+    NaN for fewer than MIN_CLUSTERS seeds, and where all averages are equal: without spread, nothing is known about the
+    next seed.
     """
     mean, error = _seed_means(values)
     return _t_interval(mean, error, np.asarray(values.shape[-1] - 1.0))
 
 
-def equals_zero(values: Floats) -> Floats:
+def p_value_of_zero_mean(values: Floats) -> Floats:
     """Two-sided p-value of a zero mean over seeds (t statistic); NaN: not defined."""
     mean, error = _seed_means(values)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -72,7 +72,7 @@ def equals_zero(values: Floats) -> Floats:
 def over_scenes(values: Floats) -> Interval:
     """Interval of the mean over other random scenes and seeds.
 
-    Needs MIN_CLUSTERS of each.
+    NaN for fewer than MIN_CLUSTERS scenes or seeds.
 
     Two-way analysis of variance with mean squares A between scenes, B between seeds and C of the residuals:
     the variance of the mean is estimated by (A + max(B - C, 0)) / (scenes * seeds), its degrees of freedom by
@@ -98,15 +98,16 @@ def over_scenes(values: Floats) -> Interval:
         return _t_interval(mean, error, total**2 / spread)
 
 
-def of_rate(successes: Floats) -> Interval:
+def rate_interval(successes: Floats) -> Interval:
     """Interval of a success rate over other seeds of these scenes.
 
     Values of trials are 0 or 1.
 
-    Clopper and Pearson's (1934, Biometrika 26:404) for the effective number of trials of Korn and Graubard (1998,
-    Survey Methodology 24:193): the number of independent trials whose rate would vary as much as the seeds' averages
-    do, corrected for the degrees of freedom. It is the number of seeds where fewer than MIN_CLUSTERS seeds have a
-    success, or a failure, since their spread is then not known. Conservative, with a width even at rates 0 and 1.
+    The Clopper-Pearson interval (1934, Biometrika 26:404) for the effective number of trials of Korn and Graubard
+    (1998, Survey Methodology 24:193): the number of independent trials whose rate would vary as much as the seeds'
+    averages do, corrected for the degrees of freedom. It is the number of seeds where fewer than MIN_CLUSTERS seeds
+    have a success, or a failure, since their spread is then not known. Conservative; it has a width even at rates 0
+    and 1.
     """
     scenes, seeds = successes.shape[-2:]
     by_seed = successes.mean(axis=-2)

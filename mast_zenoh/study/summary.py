@@ -82,7 +82,7 @@ def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, r
     if not complete.size:
         return Estimate(mean, std, left_out=left_out)
     trial_mean = float(complete.mean())
-    low, high = statistics.of_rate(complete) if rate else statistics.over_seeds(complete)
+    low, high = statistics.rate_interval(complete) if rate else statistics.over_seeds(complete)
     scenes_interval = (NAN, NAN) if rate else statistics.over_scenes(complete)
     minimum, maximum = value_range(series)
     low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], minimum, maximum).tolist()
@@ -94,7 +94,7 @@ def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, r
         high=high,
         scenes_low=wide_low,
         scenes_high=wide_high,
-        p=float(statistics.equals_zero(complete)) if series.metric.endswith("_iob") else NAN,
+        p=float(statistics.p_value_of_zero_mean(complete)) if series.metric.endswith("_iob") else NAN,
         scenes=scenes,
         seeds=seeds,
         left_out=left_out,

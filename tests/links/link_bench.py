@@ -1,4 +1,4 @@
-"""A wire of messages through the rules of a link."""
+"""Sends messages of one wire through the rules of a link."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PERIOD_NS = 100_000_000
 
 
 def build(**spec: Any) -> Rule:
-    """Build a rule from its dict, like a scenario."""
+    """Build a rule from its dict, as a scenario does."""
     rule = registry.build(spec, Rule, "link.rules_up[0]")
     assert isinstance(rule, Rule)
     return rule
@@ -27,11 +27,11 @@ def chain(rules: Sequence[dict[str, Any]], seed: int = 0) -> Chain:
 
 
 def carry(
-    rules: Sequence[dict[str, Any]], count: int, *, seed: int = 0, every_ns: int = PERIOD_NS, **of_each: Any
+    rules: Sequence[dict[str, Any]], count: int, *, seed: int = 0, every_ns: int = PERIOD_NS, **fields: Any
 ) -> list[Outcome]:
     """The outcomes of `count` messages, one every `every_ns`."""
     wire = chain(rules, seed)
-    return [wire.carry(Passage(i * every_ns, i * every_ns, **of_each)) for i in range(count)]
+    return [wire.carry(Passage(i * every_ns, i * every_ns, **fields)) for i in range(count)]
 
 
 def arrived(outcomes: Sequence[Outcome]) -> np.ndarray:

@@ -26,19 +26,19 @@ def require(*needs: str) -> None:
         pytest.skip(str(error))
 
 
-def left_by(pid: int) -> list[str]:
-    """The namespaces and folders left by launchers."""
+def leftovers_of(pid: int) -> list[str]:
+    """The namespaces and folders left by the launcher with this pid."""
     return [path.name for place in (NAMESPACES, Path(gettempdir())) for path in place.glob(f"mast-{pid}-*")]
 
 
-def outside() -> list[str]:
+def machine_network() -> list[str]:
     """The machine's own devices, addresses, routes and rules."""
     commands = (["ip", "-o", "link"], ["ip", "-o", "address"], ["ip", "route"], ["nft", "list", "ruleset"])
     return [subprocess.run(command, capture_output=True, text=True, check=True).stdout for command in commands]
 
 
 class Echo:
-    """A UDP echo in a namespace, until its standard input closes."""
+    """A UDP echo server in a namespace; it ends when its standard input closes."""
 
     PROGRAM = (
         "import select, socket, sys\n"
@@ -62,8 +62,8 @@ class Echo:
         "    except TimeoutError: pass\n"
     )
 
-    def __init__(self, inside: Sequence[str]) -> None:
-        command = [*inside, sys.executable, "-c", self.PROGRAM]
+    def __init__(self, namespace_command: Sequence[str]) -> None:
+        command = [*namespace_command, sys.executable, "-c", self.PROGRAM]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert self.process.stdout is not None
         assert self.process.stdout.readline() == b"ready\n"
@@ -76,9 +76,9 @@ class Echo:
 
     @classmethod
     def ask(
-        cls, inside: Sequence[str], address: str, count: int, timeout_s: float = 1.0, size: int = 100
+        cls, namespace_command: Sequence[str], address: str, count: int, timeout_s: float = 1.0, size: int = 100
     ) -> list[float]:
         """Round-trip times, ms, of sequential packets that returned in time."""
         arguments = [address, str(count), str(timeout_s), str(size)]
-        asked = [*inside, sys.executable, "-c", cls.ASK, *arguments]
-        return [float(line) for line in subprocess.run(asked, capture_output=True, check=True).stdout.splitlines()]
+        command = [*namespace_command, sys.executable, "-c", cls.ASK, *arguments]
+        return [float(line) for line in subprocess.run(command, capture_output=True, check=True).stdout.splitlines()]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import zenoh
 from launched import Launched, Observer, alive, eventually
-from namespaced import left_by, require
+from namespaced import leftovers_of, require
 
 from mast_zenoh.launch.netns.namespaces import NAMESPACES, sweep
 from mast_zenoh.messagelog.reader import read
@@ -35,7 +35,7 @@ def two_hosts(launch) -> Iterator:
         return runs[-1]
 
     yield start
-    assert [name for run in runs for name in left_by(run.process.pid)] == []
+    assert [name for run in runs for name in leftovers_of(run.process.pid)] == []
 
 
 def at_frame(run: Launched, frame: int) -> None:

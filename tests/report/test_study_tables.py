@@ -270,7 +270,7 @@ def test_latex_marks_significant_differences_after_holm() -> None:
     assert text.count("^{*}") == sum(
         compare(ROWS, "baseline").remains(row, column) for row in ROWS[1:] for _, of in PAPER for column in of
     )
-    assert "% * remains distinguishable from 0 after Holm's procedure" in text
+    assert "% * differs significantly from 0 after Holm's correction" in text
 
 
 def test_tables_and_sentences_name_parameters() -> None:

@@ -30,7 +30,7 @@ commandcenter = dict(type="CommandCenter", pipeline=dict(type="CommandCenterPipe
     group_tracking=dict(type="GroupTrackerWrapper", fusion=dict(type="CovarianceIntersectionFusion"),
         tracker=dict(type="KalmanBoxTracker3D"))))
 """
-REST = f"""
+SCENARIO_BODY = f"""
 def scenario(n=3, rate=1.0, on=True, name="mine", free=None, places=(1.0, 2.0)):
     return dict(
         name=name,
@@ -42,14 +42,14 @@ def scenario(n=3, rate=1.0, on=True, name="mine", free=None, places=(1.0, 2.0)):
 """
 
 
-def written(folder: Path, text: str, name: str = "mine.py") -> str:
+def write_scenario(folder: Path, text: str, name: str = "mine.py") -> str:
     (folder / name).write_text(text)
     return str(folder / name)
 
 
-def mine(folder: Path, key: str = "command_center") -> str:
+def paper_scenario(folder: Path, key: str = "command_center") -> str:
     """A user-defined scenario file."""
-    return written(folder, LISTING + REST % key)
+    return write_scenario(folder, LISTING + SCENARIO_BODY % key)
 
 
 def resolved(name: str, *settings: str, frames: int = 2) -> Resolved:
@@ -81,7 +81,7 @@ def resolved(name: str, *settings: str, frames: int = 2) -> Resolved:
 def test_a_launch_time_parameter_has_the_type_of_its_default(
     tmp_path: Path, setting: str, expected: dict[str, Any]
 ) -> None:
-    _, function = loading.function("scenarios", mine(tmp_path), "scenario")
+    _, function = loading.function("scenarios", paper_scenario(tmp_path), "scenario")
     parameters, dotted = settings.split([setting], function, "mine.py")
     assert parameters == expected
     assert [type(value) for value in parameters.values()] == [type(value) for value in expected.values()]
@@ -107,10 +107,10 @@ def test_a_launch_time_parameter_has_the_type_of_its_default(
 )
 def test_an_invalid_setting_is_refused_with_the_nearest_name(tmp_path: Path, setting: str, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
-        load(mine(tmp_path), [setting])
+        load(paper_scenario(tmp_path), [setting])
 
 
-def at(content: Any, path: str) -> Any:
+def value_at(content: Any, path: str) -> Any:
     for step in path.split("."):
         content = content[step]
     return content
@@ -119,9 +119,11 @@ def at(content: Any, path: str) -> Any:
 @pytest.mark.parametrize("spelling", ["commandcenter", "command_center"])
 @pytest.mark.parametrize("key", ["commandcenter", "command_center"])
 def test_a_dotted_key_sets_a_value_in_the_scenario(tmp_path: Path, key: str, spelling: str) -> None:
-    _, content = load(mine(tmp_path, key), [f"{spelling}.pipeline.clustering.assign_radius=3.5", "run.seed=4"])
-    assert at(content, "command_center.pipeline.clustering.assign_radius") == 3.5
-    assert at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", (
+    _, content = load(
+        paper_scenario(tmp_path, key), [f"{spelling}.pipeline.clustering.assign_radius=3.5", "run.seed=4"]
+    )
+    assert value_at(content, "command_center.pipeline.clustering.assign_radius") == 3.5
+    assert value_at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", (
         "the other values are kept"
     )
     assert content["run"] == {"seed": 4}, "a missing section is created"
@@ -131,10 +133,10 @@ def test_a_setting_changes_one_node_only(tmp_path: Path) -> None:
     """Scenario files may use one dict in many places; shipped ones do."""
     for _ in range(2):
         _, content = load("uncoordinated", ["adversaries.adversary_1.attack.start_s=1.0", "agents.*.status_every=3"])
-        starts = [at(content, f"adversaries.adversary_{i}.attack.start_s") for i in (1, 2)]
+        starts = [value_at(content, f"adversaries.adversary_{i}.attack.start_s") for i in (1, 2)]
         assert starts == [1.0, 4.0]
     _, content = load("uncoordinated")
-    assert at(content, "adversaries.adversary_1.attack.start_s") == 4.0, "also not for the next call"
+    assert value_at(content, "adversaries.adversary_1.attack.start_s") == 4.0, "also not for the next call"
     assert "status_every" not in content["agents"]["*"]
 
 
@@ -150,7 +152,7 @@ def test_a_setting_changes_one_node_only(tmp_path: Path) -> None:
 )
 def test_an_unknown_dotted_key_is_refused_with_the_nearest_name(tmp_path: Path, setting: str, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
-        load(mine(tmp_path), [setting])
+        load(paper_scenario(tmp_path), [setting])
 
 
 @pytest.mark.parametrize(
@@ -171,7 +173,7 @@ def test_an_unknown_last_part_of_a_dotted_key_is_refused_with_its_path(
     tmp_path: Path, setting: str, reason: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=reason):
-        resolved(mine(tmp_path), setting)
+        resolved(paper_scenario(tmp_path), setting)
 
 
 # -- files -----------------------------------------------------------------------------------------------------------
@@ -179,7 +181,7 @@ def test_an_unknown_last_part_of_a_dotted_key_is_refused_with_its_path(
 
 @pytest.mark.parametrize("key", ["commandcenter", "command_center"])
 def test_the_configuration_listing_of_the_paper_builds_unchanged(tmp_path: Path, key: str) -> None:
-    resolved_scenario = resolved(mine(tmp_path, key))
+    resolved_scenario = resolved(paper_scenario(tmp_path, key))
     assert resolved_scenario.nodes["command_center"].type == "CommandCenter"
     assert isinstance(
         build_node(resolved_scenario.nodes["command_center"], "command_center").pipeline, CommandCenterPipeline
@@ -190,7 +192,7 @@ def test_the_configuration_listing_of_the_paper_builds_unchanged(tmp_path: Path,
 def test_both_spellings_of_a_key_at_once_are_refused(tmp_path: Path) -> None:
     text = LISTING + "def scenario():\n    return dict(commandcenter=commandcenter, command_center=commandcenter)\n"
     with pytest.raises(ConfigurationError, match=r"mine\.py: commandcenter and command_center are the same"):
-        load(written(tmp_path, text))
+        load(write_scenario(tmp_path, text))
 
 
 @pytest.mark.parametrize("name", sorted(Path(name).stem for name in bundle.names("scenarios")))
@@ -204,13 +206,13 @@ def test_shipped_scenarios_resolve(name: str) -> None:
     assert roles.count("agent") == (3 if "n_infrastructure" in inspect.signature(function).parameters else 5)
     for role in ("broker", "command_center", "evaluator"):
         assert roles.count(role) == 1
-    wired = {name for wire in resolved_scenario.wiring["wires"] for name in touched(wire)}
+    wired = {name for wire in resolved_scenario.wiring["wires"] for name in nodes_on(wire)}
     assert resolved_scenario.nodes.keys() == wired | {end["node"] for end in resolved_scenario.wiring["overhearers"]}, (
-        "none is omitted"
+        "every node is wired"
     )
 
 
-def touched(wire: dict[str, Any]) -> set[str]:
+def nodes_on(wire: dict[str, Any]) -> set[str]:
     return {wire["publisher"], *wire["subscribers"], *wire["interposers"]}
 
 
@@ -234,7 +236,7 @@ def test_a_node_file_beside_the_scenario_overrides_the_shipped_one(tmp_path: Pat
     (tmp_path / "broker.py").write_text(
         ours.replace("class Broker(Node):", "class MyBroker(Node):").replace("main(Broker)", "main(MyBroker)")
     )
-    resolved_scenario = resolved(mine(tmp_path))
+    resolved_scenario = resolved(paper_scenario(tmp_path))
     assert resolved_scenario.nodes["broker"].type == "MyBroker"
     assert resolved_scenario.nodes["broker"].file == str(tmp_path / "broker.py")
     assert resolved_scenario.nodes["command_center"].file == str(bundle.ROOT / "nodes" / "command_center.py")
@@ -271,7 +273,7 @@ def test_user_defined_algorithms_can_be_named_by_type(tmp_path: Path) -> None:
             "        adversaries=dict(eve=dict(agent='infra_1', attack=dict(type='Shy', shyness=2))))\n"
         )
     )
-    resolved_scenario = resolved(written(tmp_path, text))
+    resolved_scenario = resolved(write_scenario(tmp_path, text))
     assert build_node(resolved_scenario.nodes["eve"], "eve").attack.shyness == 2.0
     assert resolved_scenario.modules == (str(tmp_path / "mine.py"),), (
         "for the nodes' processes, which do not read scenarios"
@@ -303,8 +305,10 @@ class OneAgent(Pipeline):
 
 @pytest.mark.parametrize("key", ["commandcenter", "command_center"])
 def test_the_command_centre_takes_a_user_defined_pipeline(tmp_path: Path, key: str) -> None:
-    text = OWN_PIPELINE + REST.replace("=commandcenter", "=dict(pipeline=dict(type='OneAgent', believed='infra_2'))")
-    resolved_scenario = resolved(written(tmp_path, text % key), frames=6)
+    text = OWN_PIPELINE + SCENARIO_BODY.replace(
+        "=commandcenter", "=dict(pipeline=dict(type='OneAgent', believed='infra_2'))"
+    )
+    resolved_scenario = resolved(write_scenario(tmp_path, text % key), frames=6)
     run = Run(resolved_scenario)
     assert not run.failures
     pictures = run.decoded("cc/picture", "picture")
@@ -328,26 +332,26 @@ def test_a_user_defined_algorithm_may_be_in_the_file_of_a_user_defined_node(tmp_
         "        adversaries=dict(eve=dict(file='shy_adversary.py', type='Adversary', agent='infra_1',\n"
         "            attack=dict(type='Shy'))))\n"
     )
-    resolved_scenario = resolved(written(tmp_path, text))
+    resolved_scenario = resolved(write_scenario(tmp_path, text))
     assert not Run(resolved_scenario).failures
     assert type(build_node(resolved_scenario.nodes["eve"], "eve").attack).__name__ == "Shy"
 
 
-# -- errors are refused ----------------------------------------------------------------------------------------
+# -- invalid scenarios are refused --------------------------------------------------------------------------------
 
 
-def changed(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
+def scenario_with(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
     _, content = load("uncoordinated", ["n_adversaries=1"])
     content["scene"] = dict(TINY)
     change(content)
     return content
 
 
-WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+INVALID_SCENARIOS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a key": (lambda s: s.update(agent={}), "agent: unknown key; did you mean 'agents'"),
     "a key that is no string": (lambda s: s.update({3: {}}), "3: unknown key"),
-    "no dict": (lambda s: s.update(broker="fast"), "broker: found 'fast', expected a dict"),
-    "no list": (lambda s: s.update(agents=[1]), r"agents: found \[1\], expected a dict"),
+    "a string instead of a dict": (lambda s: s.update(broker="fast"), "broker: found 'fast', expected a dict"),
+    "a list instead of a dict": (lambda s: s.update(agents=[1]), r"agents: found \[1\], expected a dict"),
     "a scene": (lambda s: s.update(scene="intersecton"), r"scene 'intersecton': unknown name .*'intersection'"),
     "a scene that is a number": (lambda s: s.update(scene=3), "scene: found 3, expected a short name or a dict"),
     "a scene's type": (lambda s: s.update(scene=dict(type="TinyScen")), r"scene\.type: .*did you mean 'TinyScene'"),
@@ -356,7 +360,7 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         lambda s: s.update(scene=dict(type="Intersection", n_infrastructure=99)),
         "scene: Intersection: n_infrastructure is 99, expected 0 to 16",
     ),
-    "an agent for whom nothing is said": (lambda s: s.update(agents={"infra_*": AGENT}), "agents: no entry for 'ego'"),
+    "an agent without an entry": (lambda s: s.update(agents={"infra_*": AGENT}), "agents: no entry for 'ego'"),
     "an agent's configuration": (lambda s: s.update(agents={"*": 3}), "agents: ego: found 3, expected a dict"),
     "a parameter of a node": (lambda s: s["broker"].update(patiens=1), "broker.patiens: .*did you mean 'patience'"),
     "a parameter that is missing": (
@@ -388,15 +392,15 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         lambda s: s["adversaries"].update({1: dict(agent="ego")}),
         "adversaries: found the name 1, expected a string",
     ),
-    "an adversary called like an agent": (
+    "an adversary with the name of an agent": (
         lambda s: s["adversaries"].update(ego=dict(agent="ego", attack=dict(type="PassThrough"))),
         "ego: another node has this name already",
     ),
-    "an adversary called like the evaluator": (
+    "an adversary with the name of the evaluator": (
         lambda s: s["adversaries"].update(evaluator=dict(agent="ego", attack=dict(type="PassThrough"))),
         "evaluator: another node has this name already",
     ),
-    "a node called like another": (
+    "a duplicate node name": (
         lambda s: s.update(nodes=dict(broker=dict(role="broker"))),
         "broker: another node has this name already",
     ),
@@ -407,9 +411,9 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a seed that is no number": (lambda s: s["run"].update(seed="x"), "run.seed: found 'x'"),
     "a number of frames": (lambda s: s["run"].update(frames=0), "run.frames: found 0, expected a whole number from 1"),
     "a rate": (lambda s: s["run"].update(rate=0), "run.rate: found 0, expected a number above 0"),
-    "what its end means": (lambda s: s["broker"].update(on_exit="go on"), r"broker\.on_exit: found 'go on'"),
+    "an exit policy": (lambda s: s["broker"].update(on_exit="go on"), r"broker\.on_exit: found 'go on'"),
 }
-WRONG_NODES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+INVALID_NODES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a file": (
         lambda s: s["broker"].update(file="brokr.py"),
         r"broker: no node file 'brokr\.py'; did you mean 'broker\.py'",
@@ -423,7 +427,7 @@ WRONG_NODES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "an unknown role": (lambda s: s.update(nodes=dict(x=dict(role="spy"))), r"x: no node file 'spy\.py'"),
     "no role": (lambda s: s.update(nodes=dict(x=dict())), "x: no node file"),
 }
-WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+INVALID_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a map": (
         lambda s: s["keyexpr"].update(map="testbd.toml"),
         r"testbd\.toml: no such .*did you mean 'testbed\.toml'",
@@ -432,7 +436,7 @@ WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         lambda s: s["keyexpr"].update(rewrites=["on_track.toml"]),
         r"did you mean 'on_tracks\.toml'",
     ),
-    "a rewrite by the name that it had before": (
+    "a renamed rewrite": (
         lambda s: s["keyexpr"].update(rewrites=["coordinated.toml"]),
         r"coordinated\.toml: .* use 'on_tracks\.toml' and 'coordination\.toml' instead",
     ),
@@ -445,13 +449,13 @@ WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
 
 def refused(change: Callable[[dict[str, Any]], Any]) -> MastError:
     with pytest.raises(MastError) as caught:
-        resolve(bundle.ROOT / "scenarios" / "uncoordinated.py", changed(change))
+        resolve(bundle.ROOT / "scenarios" / "uncoordinated.py", scenario_with(change))
     return caught.value
 
 
-@pytest.mark.parametrize("what", WRONG)
-def test_an_error_in_a_scenario_is_reported_with_its_path(what: str) -> None:
-    change, reason = WRONG[what]
+@pytest.mark.parametrize("case", INVALID_SCENARIOS)
+def test_an_error_in_a_scenario_is_reported_with_its_path(case: str) -> None:
+    change, reason = INVALID_SCENARIOS[case]
     error = refused(change)
     assert type(error) is ConfigurationError
     assert error.exit_code == 10
@@ -459,18 +463,18 @@ def test_an_error_in_a_scenario_is_reported_with_its_path(what: str) -> None:
         raise error
 
 
-@pytest.mark.parametrize("what", WRONG_NODES)
-def test_an_error_in_a_node_is_reported_with_its_path(what: str) -> None:
-    change, reason = WRONG_NODES[what]
+@pytest.mark.parametrize("case", INVALID_NODES)
+def test_an_error_in_a_node_is_reported_with_its_path(case: str) -> None:
+    change, reason = INVALID_NODES[case]
     error = refused(change)
     assert error.exit_code == 12
     with pytest.raises(NodeFileError, match=reason):
         raise error
 
 
-@pytest.mark.parametrize("what", WRONG_WIRING)
-def test_an_error_in_the_wiring_is_reported_with_its_path(what: str) -> None:
-    change, reason = WRONG_WIRING[what]
+@pytest.mark.parametrize("case", INVALID_WIRING)
+def test_an_error_in_the_wiring_is_reported_with_its_path(case: str) -> None:
+    change, reason = INVALID_WIRING[case]
     error = refused(change)
     assert error.exit_code == 11
     with pytest.raises(WiringError, match=reason):
@@ -498,7 +502,7 @@ def test_an_exception_in_the_scenario_function_is_reported_with_its_file(
     tmp_path: Path, text: str, reason: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=reason):
-        load(written(tmp_path, text))
+        load(write_scenario(tmp_path, text))
 
 
 def test_launch_options_override_the_scenario_file() -> None:
@@ -640,7 +644,7 @@ def test_every_run_builds_new_nodes() -> None:
     assert pipelines[0].tracker is not pipelines[1].tracker, "agents with one configuration share no objects"
 
 
-def test_a_node_without_any_wire_to_it_is_refused(tmp_path: Path) -> None:
+def test_a_node_that_would_receive_nothing_is_refused(tmp_path: Path) -> None:
     (tmp_path / "judge.py").write_text(
         "from mast_zenoh.node import Node\n\n\nclass Judge(Node):\n    role = 'evaluator'\n"
         "    inputs = {'picture': 'picture'}\n\n    def __init__(self, agents: tuple[str, ...]): ...\n\n"

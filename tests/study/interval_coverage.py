@@ -94,7 +94,7 @@ def _bank() -> dict[tuple[str, str], Floats]:
 
 def worlds() -> Iterator[World]:
     """All distributions on the page, in its order."""
-    seeds, scenes, rate = statistics.over_seeds, statistics.over_scenes, statistics.of_rate
+    seeds, scenes, rate = statistics.over_seeds, statistics.over_scenes, statistics.rate_interval
     yield World("normal, scenes of a seed correlate at 0.98", normal(0.98), seeds)
     yield World("normal, independent", normal(0.0), seeds)
     yield World("Poisson, mean 5", poisson(5.0), seeds)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mast_zenoh.study.statistics import Moments, equals_zero, of_rate, over_scenes, over_seeds, pooled
+from mast_zenoh.study.statistics import Moments, over_scenes, over_seeds, p_value_of_zero_mean, pooled, rate_interval
 
 
 def sample(scenes: int, seeds: int, of: int = 0) -> np.ndarray:
@@ -27,7 +27,7 @@ def test_interval_over_seeds_is_students_t_over_the_averages_of_the_seeds() -> N
     averages = values.mean(axis=0)
     expected = stats.t.interval(0.95, 19, averages.mean(), stats.sem(averages))
     assert over_seeds(values) == pytest.approx(expected)
-    assert equals_zero(values) == pytest.approx(stats.ttest_1samp(averages, 0.0).pvalue)
+    assert p_value_of_zero_mean(values) == pytest.approx(stats.ttest_1samp(averages, 0.0).pvalue)
 
 
 def test_identical_scenes_do_not_narrow_the_interval() -> None:
@@ -35,7 +35,7 @@ def test_identical_scenes_do_not_narrow_the_interval() -> None:
     assert over_seeds(np.repeat(one, 10, axis=0)) == pytest.approx(over_seeds(one))
 
 
-@pytest.mark.parametrize("interval", [over_seeds, of_rate, over_scenes])
+@pytest.mark.parametrize("interval", [over_seeds, rate_interval, over_scenes])
 def test_fewer_than_five_seeds_have_no_interval(interval) -> None:
     assert np.isnan(interval(np.array([[0.0, 1.0, 1.0, 0.0]] * 6))).all()
     assert not np.isnan(interval(np.array([[0.0, 1.0, 1.0, 0.0, 1.0]] * 6))).any()
@@ -49,7 +49,7 @@ def test_fewer_than_five_scenes_have_no_interval_for_other_scenes() -> None:
 def test_equal_seeds_have_no_interval_of_the_mean_and_no_test() -> None:
     for values in (np.zeros((3, 8)), np.full((3, 8), 2.5), np.full((1, 5), 0.1) + 0.2):
         assert np.isnan(over_seeds(values)).all()
-        assert np.isnan(equals_zero(values))
+        assert np.isnan(p_value_of_zero_mean(values))
 
 
 def test_interval_for_other_scenes_is_wider_than_over_seeds_if_scenes_differ() -> None:
@@ -69,24 +69,24 @@ def test_interval_for_other_scenes_includes_effects_shared_by_all_scenes_of_a_se
 def test_rate_of_one_scene_has_the_interval_of_clopper_and_pearson(successes: int, trials: int) -> None:
     values = (np.arange(trials) < successes).astype(np.float64)[None]
     expected = stats.binomtest(successes, trials).proportion_ci(0.95, "exact")
-    assert of_rate(values) == pytest.approx((expected.low, expected.high))
+    assert rate_interval(values) == pytest.approx((expected.low, expected.high))
 
 
 def test_rate_over_identical_scenes_counts_each_seed_once() -> None:
     one = (np.random.default_rng(1).random((1, 40)) < 0.4).astype(np.float64)
-    np.testing.assert_allclose(of_rate(np.repeat(one, 10, axis=0)), of_rate(one), atol=0.02)
+    np.testing.assert_allclose(rate_interval(np.repeat(one, 10, axis=0)), rate_interval(one), atol=0.02)
 
 
 def test_rate_of_independent_scenes_counts_each_trial() -> None:
     values = (np.random.default_rng(1).random((10, 60)) < 0.4).astype(np.float64)
     expected = stats.binomtest(int(values.sum()), 600).proportion_ci(0.95, "exact")
-    assert of_rate(values) == pytest.approx((expected.low, expected.high), abs=0.02)
+    assert rate_interval(values) == pytest.approx((expected.low, expected.high), abs=0.02)
 
 
 def test_rates_of_0_and_1_have_intervals_of_positive_width() -> None:
-    assert of_rate(np.zeros((3, 10))) == pytest.approx((0.0, 0.308), abs=1e-3), "of 10 seeds, not of 30 trials"
-    assert of_rate(np.ones((3, 10))) == pytest.approx((0.692, 1.0), abs=1e-3)
-    assert of_rate(np.zeros((1, 10))).low == 0.0
+    assert rate_interval(np.zeros((3, 10))) == pytest.approx((0.0, 0.308), abs=1e-3), "of 10 seeds, not of 30 trials"
+    assert rate_interval(np.ones((3, 10))) == pytest.approx((0.692, 1.0), abs=1e-3)
+    assert rate_interval(np.zeros((1, 10))).low == 0.0
 
 
 def test_batched_intervals_equal_individual_ones() -> None:
@@ -94,4 +94,4 @@ def test_batched_intervals_equal_individual_ones() -> None:
     for interval in (over_seeds, over_scenes):
         np.testing.assert_allclose(np.transpose(interval(values)), [interval(each) for each in values])
     hits = (values > 3.0).astype(np.float64)
-    np.testing.assert_allclose(np.transpose(of_rate(hits)), [of_rate(each) for each in hits])
+    np.testing.assert_allclose(np.transpose(rate_interval(hits)), [rate_interval(each) for each in hits])

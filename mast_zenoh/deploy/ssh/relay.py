@@ -14,7 +14,7 @@ from mast_zenoh.deploy.ssh.warden import CONTROL
 
 NOT_THERE = 7  #: exit code if no warden answers
 
-_PIECE = 1 << 16
+_CHUNK_BYTES = 1 << 16
 
 
 def attach(folder: Path) -> None:
@@ -29,7 +29,7 @@ def attach(folder: Path) -> None:
 
     def relay(read: Callable[[int], bytes], write: Callable[[bytes], None]) -> None:
         with contextlib.suppress(OSError):
-            while piece := read(_PIECE):
+            while piece := read(_CHUNK_BYTES):
                 write(piece)
         os._exit(0)
 

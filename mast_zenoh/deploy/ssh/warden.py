@@ -13,8 +13,8 @@ It has one folder: `control` (its socket), logs/, tmp/NODE, and the launcher's f
     {"warden": pid}   {"answer": id, …}   {"node": name, "start": id, "pid", "exit"}   {"log": name, "offset", "text"}
 
 A command with a known id is answered but not repeated: a launcher that lost the connection sends it again. The warden
-leaves by itself without a sign of the launcher for PATIENCE seconds: neither a line, nor the launcher's liveliness
-token at a node (a node keeps $TMPDIR/mast-up while it sees it). If the warden dies, its nodes die too.
+exits on its own after PATIENCE seconds without a sign of the launcher: no line, and no node that sees its liveliness
+token (a node keeps $TMPDIR/mast-up while it sees it). If the warden dies, its nodes die too.
 """
 
 from __future__ import annotations
@@ -39,18 +39,19 @@ CONTROL = "control"
 _TICK_S = 0.2
 _TOUCH_EVERY_S = 15.0
 _LAST_GRACE_S = 3.0
-_PIECE = 1 << 16
+_OWN_DECISION = "by itself"  # in place of the id of a leave command
+_CHUNK_BYTES = 1 << 16
 _MAX_QUEUED = 1 << 20  # bytes for one connection; beyond that, logs wait
 
 
 class Connection:
-    """A connected client; offsets: how much of each log was sent, if it wants logs."""
+    """A connected client; offsets: how much of each log was sent; None if it reads no logs."""
 
     def __init__(self, client: socket.socket) -> None:
         self.client = client
         self.received = b""
         self.queued = b""
-        self.launcher = False
+        self.is_launcher = False
         self.offsets: dict[str, int] | None = None
 
     def send(self, message: dict[str, Any]) -> None:
@@ -67,10 +68,10 @@ class Warden:
         self.processes = HostProcesses(folder)
         self.answers: dict[str, dict[str, Any]] = {}
         self.connections: list[Connection] = []
-        self.heard = self.touched = time.monotonic()
-        self.ending: list[tuple[float, str]] = []  # when running processes are killed, and the command answered then
-        self.leaving: str | None = None
-        self.told_to_leave = False
+        self.last_sign = self.last_touch = time.monotonic()
+        self.ending: list[tuple[float, str]] = []  # (deadline, id of the command to answer)
+        self.leave_command: str | None = None
+        self.leave_requested = False
         self.selector = selectors.DefaultSelector()
         self.listener = socket.socket(socket.AF_UNIX)
         self.listener.bind(CONTROL)
@@ -87,9 +88,9 @@ class Warden:
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: setattr(self, "told_to_leave", True))
+            signal.signal(number, lambda *_: setattr(self, "leave_requested", True))
         try:
-            while not self._left():
+            while not self._may_exit():
                 for key, _ in self.selector.select(_TICK_S):
                     if key.fileobj is self.listener:
                         self._accept()
@@ -99,12 +100,12 @@ class Warden:
                         self._read(key.data)
                 self._watch_launcher()
                 self._kill_overdue()
-                self._send_news()
+                self._send_updates()
         finally:
             self.processes.kill()
             shutil.rmtree(self.folder, ignore_errors=True)
             with contextlib.suppress(OSError):
-                self.folder.parent.rmdir()  # by the last warden of the run
+                self.folder.parent.rmdir()  # succeeds only for the last warden of the run
 
     # -- clients -------------------------------------------------------------------------------------------------
 
@@ -117,7 +118,7 @@ class Warden:
 
     def _read(self, connection: Connection) -> None:
         try:
-            received = connection.client.recv(_PIECE)
+            received = connection.client.recv(_CHUNK_BYTES)
         except BlockingIOError:
             return
         except OSError:
@@ -137,19 +138,19 @@ class Warden:
 
     def _handle(self, connection: Connection, message: dict[str, Any]) -> None:
         if "as" in message:
-            for other in [client for client in self.connections if client.launcher and message["as"] == "launcher"]:
-                self._drop(other)  # of a lost connection, which this side may notice much later
-            connection.launcher = message["as"] == "launcher"
+            for other in [client for client in self.connections if client.is_launcher and message["as"] == "launcher"]:
+                self._drop(other)  # an old connection, whose loss this side has not noticed yet
+            connection.is_launcher = message["as"] == "launcher"
             connection.offsets = message["logs"]
             connection.send({"warden": os.getpid()})
             for state in self.processes.states():
                 connection.send(state)
-        if connection.launcher:
-            self.heard = time.monotonic()
+        if connection.is_launcher:
+            self.last_sign = time.monotonic()
         if "id" not in message:
             return
         if message["do"] == "state":
-            self._queue_logs(connection, math.inf)  # such a client gets all logs up to now first
+            self._queue_logs(connection, math.inf)  # this client first gets all logs written so far
         if message["id"] in self.answers:
             connection.send(self.answers[message["id"]])
         elif (answer := self._do(message)) is not None:
@@ -170,7 +171,7 @@ class Warden:
             self.processes.signal(command["number"], command["names"])
         elif command["do"] in ("end", "leave"):
             if command["do"] == "leave":
-                self.leaving = command["id"]
+                self.leave_command = command["id"]
             self._end(command["grace_s"], command["id"])
             return None
         return {"nodes": self.processes.states()}
@@ -187,27 +188,31 @@ class Warden:
                     continue
                 self.processes.kill()
             self.ending.remove((due, command_id))
-            self._send_news()  # exit codes and last logs come before the answer
+            self._send_updates()  # exit codes and last logs come before the answer
             self._answer(command_id, {})
 
     def _watch_launcher(self) -> None:
         now = time.monotonic()
-        if now - self.touched > _TOUCH_EVERY_S:
-            self.touched = now
+        if now - self.last_touch > _TOUCH_EVERY_S:
+            self.last_touch = now
             os.utime(CONTROL)
         if self.processes.see_launcher():
-            self.heard = now
-        if self.leaving is None and (self.told_to_leave or now - self.heard > self.patience_s):
-            self.leaving = "by itself"
-            self._end(_LAST_GRACE_S, self.leaving)
+            self.last_sign = now
+        if self.leave_command is None and (self.leave_requested or now - self.last_sign > self.patience_s):
+            self.leave_command = _OWN_DECISION
+            self._end(_LAST_GRACE_S, self.leave_command)
 
-    def _left(self) -> bool:
+    def _may_exit(self) -> bool:
         """Whether it may exit: processes have ended, clients have received their messages."""
-        return self.leaving is not None and self.leaving in self.answers and not any(c.queued for c in self.connections)
+        return (
+            self.leave_command is not None
+            and self.leave_command in self.answers
+            and not any(c.queued for c in self.connections)
+        )
 
     # -- messages to clients -------------------------------------------------------------------------------------
 
-    def _send_news(self) -> None:
+    def _send_updates(self) -> None:
         ended = self.processes.newly_ended()
         for connection in list(self.connections):
             self._queue_logs(connection, _MAX_QUEUED)
@@ -235,11 +240,11 @@ class Warden:
         offset = offsets.get(name, 0)
         with (self.folder / "logs" / f"{name}.log").open("rb") as file:
             file.seek(offset)
-            piece = file.read(_PIECE)
-        if piece:
-            connection.send({"log": name, "offset": offset, "text": piece.decode("latin-1")})  # one character per byte
-            offsets[name] = offset + len(piece)
-        return bool(piece)
+            chunk = file.read(_CHUNK_BYTES)
+        if chunk:
+            connection.send({"log": name, "offset": offset, "text": chunk.decode("latin-1")})  # one character per byte
+            offsets[name] = offset + len(chunk)
+        return bool(chunk)
 
 
 def serve(folder: Path, patience_s: float) -> None:
@@ -260,7 +265,7 @@ def serve(folder: Path, patience_s: float) -> None:
         for handle, target in ((0, null), (1, log.fileno()), (2, log.fileno())):
             os.dup2(target, handle)
         os.close(null)
-    warden.selector.close()  # the epoll of the former process cannot be used
+    warden.selector.close()  # the parent's epoll descriptor cannot be reused
     warden.selector = selectors.DefaultSelector()
     warden.selector.register(warden.listener, selectors.EVENT_READ)
     warden.serve()

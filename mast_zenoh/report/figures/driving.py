@@ -24,7 +24,7 @@ _MAX_TTC_S = 10.0
 _BRAKING = {
     "brake": ("#9aa3ad", "brakes, as by the truth"),
     "needless": ("#d62839", "brakes needlessly"),
-    "omitted": ("#e0a800", "does not brake where it must"),
+    "omitted": ("#e0a800", "fails to brake when it must"),
 }
 
 

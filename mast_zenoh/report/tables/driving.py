@@ -10,13 +10,13 @@ from mast_zenoh.report.tables.scores import DASH
 #: Estimates by which a vehicle might drive, and their names.
 ESTIMATES = {"truth": "truth", "local": "ego alone", "mission": "ego with picture"}
 
-_WRONG_BRAKING = {"needless_brake_share": "brakes needlessly", "missed_brake_share": "does not brake where it must"}
-#: A smaller share of the frames is printed as none.
+_WRONG_BRAKING = {"needless_brake_share": "brakes needlessly", "missed_brake_share": "fails to brake when it must"}
+#: Shares below this count as none.
 _MIN_SHARE = 0.0005
 
 
 class DrivingRow(NamedTuple):
-    """Driving metrics of an estimate; in brackets the change over a reference.
+    """Driving metrics of an estimate; in parentheses, the change from a reference.
 
     run: label of the run
     false, missed: objects per frame in the vehicle's corridor;  overlapping: those that overlap the vehicle itself
@@ -67,22 +67,24 @@ def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
     return summaries
 
 
-def _unattributed(each: dict[str, Any], other: dict[str, Any], key: str) -> float:
+def _unattributed(summary: dict[str, Any], reference_summary: dict[str, Any], key: str) -> float:
     """Unattributed increase of a share of frames over another run; 0: none."""
-    share, reference_share = each.get(key), other.get(key)
+    share, reference_share = summary.get(key), reference_summary.get(key)
     if share is None or reference_share is None:
         return 0.0
-    attack = (each.get(f"{key}_attack") or 0.0) - (other.get(f"{key}_attack") or 0.0)
-    more = float(share - reference_share - max(attack, 0.0))
-    return more if more >= _MIN_SHARE else 0.0
+    attack = (summary.get(f"{key}_attack") or 0.0) - (reference_summary.get(f"{key}_attack") or 0.0)
+    increase = float(share - reference_share - max(attack, 0.0))
+    return increase if increase >= _MIN_SHARE else 0.0
 
 
-def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any], reference: str) -> DrivingRow:
-    def text(key: str, digits: int, scale: float = 1.0, nothing: str = DASH) -> str:
-        value, before = each.get(key), other.get(key)
+def _row(
+    estimate: str, run: str, summary: dict[str, Any], reference_summary: dict[str, Any], reference: str
+) -> DrivingRow:
+    def text(key: str, digits: int, scale: float = 1.0, missing: str = DASH) -> str:
+        value, before = summary.get(key), reference_summary.get(key)
         unit = "%" if scale != 1.0 else ""
         if value is None:
-            return nothing
+            return missing
         number = f"{scale * value:.{digits}f}{unit}"
         if before is None:
             return number
@@ -90,19 +92,19 @@ def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any], refer
         return f"{number} ({change:+.{digits}f})".replace("-", "\u2212")
 
     def share(key: str) -> str:
-        attack, more = each.get(f"{key}_attack"), _unattributed(each, other, key)
+        attack, increase = summary.get(f"{key}_attack"), _unattributed(summary, reference_summary, key)
         notes = [f"{attack:.1%} by attack"] if attack else []
-        notes += [f"{more:.1%} more than {reference}, not attributed"] if more else []
+        notes += [f"{increase:.1%} more than {reference}, not attributed"] if increase else []
         return text(key, 1, 100.0) + (f" ({'; '.join(notes)})" if notes else "")
 
     return DrivingRow(
-        name,
+        estimate,
         run,
         text("corridor_objects", 2),
         text("corridor_false", 2),
         text("corridor_missed", 2),
         text("overlapping_objects", 2),
-        text("min_ttc_s", 1, nothing="never"),
+        text("min_ttc_s", 1, missing="never"),
         text("brake_share", 1, 100.0),
         share("needless_brake_share"),
         share("missed_brake_share"),

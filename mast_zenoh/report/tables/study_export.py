@@ -24,7 +24,7 @@ _NUMBERS = {
     "p": "p",
 }
 
-_MARK = "* remains distinguishable from 0 after Holm's procedure"
+_MARK = "* differs significantly from 0 after Holm's correction"
 
 
 def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
@@ -34,8 +34,8 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     """
     adjusted = compare(rows, facts.baseline).adjusted
     parameters = list(dict.fromkeys(name for row in rows for name in row.point))
-    page = io.StringIO()
-    writer = csv.writer(page, lineterminator="\n")
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
     series_names = ("who", "estimator", "metric")
     counts = ("scenes", "seeds", "seeds_left_out")
     writer.writerow(["configuration", *parameters, *series_names, *_NUMBERS, "p_holm", *counts])
@@ -45,13 +45,13 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
             values.append(adjusted.get((row.label, series), float("nan")))
             texts = ["" if value != value else repr(float(value)) for value in values]
             point = [row.point.get(name, "") for name in parameters]
-            counts_of = (estimate.scenes, estimate.seeds, estimate.left_out)
-            writer.writerow([row.label, *point, *series, *texts, *counts_of])
-    return page.getvalue()
+            row_counts = (estimate.scenes, estimate.seeds, estimate.left_out)
+            writer.writerow([row.label, *point, *series, *texts, *row_counts])
+    return buffer.getvalue()
 
 
 def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
-    """A LaTeX tabular of increments with intervals below; requires no package."""
+    """A LaTeX tabular of increments with intervals below; needs no LaTeX package."""
     rows, facts = titled(rows, facts)
     columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
     groups = " & ".join(rf"\multicolumn{{{len(columns_of_group)}}}{{c}}{{{name}}}" for name, columns_of_group in PAPER)
@@ -66,7 +66,10 @@ def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
         r"\hline",
     ]
     for row in (row for row in rows if row.label != facts.baseline):
-        frame_cells = [_tex(over_frames(c.of(row))) + ("^{*}" if comparisons.remains(row, c) else "") for c in columns]
+        frame_cells = [
+            _tex(over_frames(column.of(row))) + ("^{*}" if comparisons.remains(row, column) else "")
+            for column in columns
+        ]
         trial_cells = [_tex(over_trials(column.of(row))) for column in columns]
         for label, texts in ((row.label, frame_cells), ("", trial_cells)):
             lines.append(" & ".join([_tex(label), *(f"${text}$" for text in texts)]) + r" \\")
@@ -74,7 +77,7 @@ def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 
 
 def _short(heading: str) -> str:
-    """A heading without the part that its group's heading has: "IoE", but "CAFN IoB"."""
+    """A heading without its group's name ("IoE"); CA headings stay whole ("CAFN IoB")."""
     kind, reference = heading.split()
     return heading if kind.startswith("CA") else reference
 

@@ -1,4 +1,4 @@
-"""Adversaries: one step per intercepted message, in the world frame."""
+"""Attacks: alter the objects of each intercepted message, in the world frame."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Attack(ABC):
     """Base class of attacks: tampers with the messages of a victim."""
 
     def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: attacks without random numbers need no streams)
-        """Set the random streams, named by (seed, scene, name, purpose, frame)."""
+        """Set the seed and the node's name, which identify the random streams."""
 
     def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
         """Set the attacker's prior knowledge of the scene; called before `bind`."""
@@ -45,7 +45,7 @@ class Attack(ABC):
         """
 
     def counts(self) -> dict[str, int]:
-        """Numbers of selected targets, see `Campaign.counts`; {} without targets."""
+        """Numbers of selected targets (`Campaign.counts`); {} for attacks without any."""
         return {}
 
     @abstractmethod
@@ -84,7 +84,8 @@ class PassThrough(Attack):
 
 
 class _TargetedAttack(Attack):
-    """Base of attacks that follow targets and imitate the victim's rows.
+    """Base of attacks that follow targets and imitate the victim's objects.
+
     start_s:          s of scene time at which the attack begins
     max_range_m:      m, false objects farther from the victim are withheld
     assign_radius_m:  m, maximum distance of an object from the predicted position of its target, even after a long
@@ -162,9 +163,7 @@ class _TargetedAttack(Attack):
 
 
 class UncoordinatedAttack(_TargetedAttack):
-    """An independent adversary, which deceives the victim's trackers or the broker.
-
-    On detections it deceives the victim's own trackers, on tracks the broker.
+    """Deceives trackers (on detections) or the broker (on tracks) independently.
 
     selection:        which objects to add, hide and move; None: UncoordinatedSelection()
     propagation:      motion of false objects; None: TrajectoryPropagation()
@@ -216,11 +215,12 @@ class UncoordinatedAttack(_TargetedAttack):
 
 
 class CoordinatedAttack(_TargetedAttack):
-    """An adversary that follows the newest directive of its coordinator.
+    """Follows the newest directive of a coordinator.
 
     A directive's targets are predicted to the current time at constant velocity. Without a newer one the adversary
     continues, its targets following their objects. A directive that arrives before `start_s` takes effect then.
-    The parameters are those of UncoordinatedAttack.
+
+    Parameters: start_s, max_range_m, assign_radius_m, imitation, id_gap, as for UncoordinatedAttack.
     """
 
     _attach_m = ATTACH_M
