@@ -23,6 +23,9 @@ class Comparison:
     def __init__(self, runs: tuple[Run, ...]) -> None:
         if len(runs) < 2:
             raise ConfigurationError(f"compare: found {len(runs)} run, expected two or more")
+        for run in runs:
+            if not isinstance(run, Run):
+                raise ConfigurationError(f"compare: found {run!r}, expected a run; mast.open opens a folder as one")
         self._folders = labelled(runs, {})
         self._reference, *others = self._folders
         first = self._folders[self._reference]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,8 +114,17 @@ class Run:
         For example `run.messages("agent/*/tracks")`.
 
         taps: include the hidden legs of intercepted wires, with messages before an interposer changed them
+        Raises ConfigurationError, at the end of the iteration, for a pattern that matches no wire.
         """
-        return recorded.messages(self.path, pattern, taps=taps)
+        none = True
+        for message in recorded.messages(self.path, pattern, taps=taps):
+            none = False
+            yield message
+        wires = (
+            [wire["key"] for wire in folder.json_or_empty(self.path / "wiring.json").get("wires", ())] if none else []
+        )
+        if wires and not any(fnmatchcase(wire, pattern) for wire in wires):
+            raise ConfigurationError(f"{self.path}: no wire matches {pattern!r}{nearest(pattern, wires)}")
 
     @property
     def truth(self) -> pyarrow.Table:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from mast_zenoh import scenario
@@ -147,7 +148,7 @@ def doctor(
     for finding in findings.examine(credentials, endpoint):
         symbol = {True: "[green]ok", False: "[red]no", None: "[yellow]--"}[finding.ok]
         failed |= finding.ok is False
-        table.add_row(symbol, finding.name, finding.detail, finding.fix)
+        table.add_row(symbol, finding.name, escape(finding.detail), escape(finding.fix))
     _out.print(table)
     raise typer.Exit(1 if failed else 0)
 

@@ -60,6 +60,14 @@ def known_types(base: type) -> dict[str, type]:
     return classes
 
 
+def _abstract(base: type, name: str) -> type[Any] | None:
+    """The subclass of this name that lacks methods; None if there is none."""
+    subclasses: list[type] = base.__subclasses__()
+    if name in (classes := {cls.__name__: cls for cls in subclasses if inspect.isabstract(cls)}):
+        return classes[name]
+    return next((cls for each in subclasses if (cls := _abstract(each, name)) is not None), None)
+
+
 def build(spec: object, base: type, path: str) -> Any:
     """Build the object that `spec` describes, of a subclass of `base`.
 
@@ -76,6 +84,9 @@ def build(spec: object, base: type, path: str) -> Any:
     name = ClassName(spec["type"]) if isinstance(spec["type"], type) else spec["type"]
     if isinstance(name, ClassName) and issubclass(name.cls, base):
         classes = {name: name.cls}  # several classes may have this name
+    if (unfinished := _abstract(base, str(name))) is not None and name not in classes:
+        methods = ", ".join(sorted(unfinished.__abstractmethods__))
+        raise ConfigurationError(f"{path}.type: {name} does not define {methods}, expected of every {base.__name__}")
     if not isinstance(name, str) or name not in classes:
         raise ConfigurationError(f"{path}.type: no {base.__name__} named {name!r}{nearest(str(name), classes)}")
     return construct(classes[name], {key: value for key, value in spec.items() if key != "type"}, path)

@@ -48,9 +48,9 @@ class LatencyRow(NamedTuple):
     main: bool
 
 
-def with_faults(scenario: Mapping[str, Any], checks: Mapping[str, Any]) -> bool:
-    """Whether a run has links or faults, according to scenario.json and checks.json."""
-    return bool(checks) or any(each.get("kind") != "attack" for each in scenario.get("timeline", ()))
+def with_faults(scenario: Mapping[str, Any]) -> bool:
+    """Whether a run has links or faults, according to scenario.json."""
+    return any(each.get("kind") != "attack" for each in scenario.get("timeline", ()))
 
 
 def cause_rows(metrics: Mapping[str, Any]) -> list[CauseRow]:

@@ -192,7 +192,7 @@ class RunFolder:
     @property
     def faulted(self) -> bool:
         """Whether links or faults are part of the run."""
-        return with_faults(self.scenario, self.checks)
+        return with_faults(self.scenario)
 
     def summary(self, estimate: str, agent: str | None = None) -> dict[str, Any]:
         """The metrics of one estimate of an agent, by default the ego; empty: none."""

@@ -113,6 +113,9 @@ class NodeContext:
             self.frame, self.time_ns, self._step = header_frame, header_time, header_frame
         if key is None:
             return
+        if frame is None and header_frame < 0:
+            problem = f"{self.name}: {port}: published before the first clock"
+            raise ConfigurationError(f"{problem}; a node that publishes needs an input of type clock")
         header = Header(schema, self.name, header_frame, header_time, self._seq[key])
         message = codec.conform(header, body)
         self._seq[key] += 1
