@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from pathlib import Path
 
+import numpy as np
+
 from mast_zenoh.checks.base import Check
 from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import Resolved
@@ -35,10 +37,12 @@ def of_scenario(resolved: Resolved) -> list[type[RunCheck]]:
 def apply(check_class: type[RunCheck], folder: Path) -> Check:
     """The outcome of a user's check on the run in a folder."""
     try:
-        ok, detail = check_class().check(folder)
-    except Exception as error:
+        ok, detail = result = check_class().check(folder)
+        if not isinstance(ok, (bool, np.bool_)) or not isinstance(detail, str):
+            raise TypeError(f"found {result!r:.80}, expected (True or False, a sentence)")
+    except (Exception, SystemExit) as error:
         where = location(error, check_class.check)
         return Check(
             check_class.__name__, False, f"the check itself failed: {described(error)} ({where})", {"checked": True}
         )
-    return Check(check_class.__name__, bool(ok), str(detail), {"checked": True})
+    return Check(check_class.__name__, bool(ok), detail, {"checked": True})

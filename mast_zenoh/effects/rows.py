@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.messages.schemas import SCHEMAS, Body, Schema
+from mast_zenoh.messages.schemas import OURS, SCHEMAS, Body, Schema
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
@@ -53,7 +53,14 @@ def _columns(schema: Schema) -> _Columns:
     usual = all((c.dtype, c.shape) == _OF_OBJECTS.get(c.name, (c.dtype, c.shape)) for c in schema.columns)
     if "position" not in names or not usual:
         return _Columns((), names)
-    rows = tuple(column.name for column in schema.columns if column.shape[0] == "n" and column.dtype != "str")
+    # Other letters are constant in a run of ours (agents), but may differ between messages of a user's type.
+    rows = tuple(
+        column.name
+        for column in schema.columns
+        if column.shape[0] == "n"
+        and column.dtype != "str"
+        and (schema.name in OURS or all(isinstance(size, int) for size in column.shape[1:]))
+    )
     return _Columns(rows, tuple(name for name in names if name not in rows))
 
 

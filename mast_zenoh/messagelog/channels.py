@@ -68,9 +68,12 @@ def user_schema(content: bytes) -> Schema | None:
     """
     try:
         definition = json.loads(content).get(DEFINITION)
-        return None if definition is None else user_types.from_json(definition)
-    except (TypeError, KeyError, AttributeError) as error:
+        schema = None if definition is None else user_types.from_json(definition)
+    except (TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
+    if schema is not None and schema.name in OURS:
+        raise ValueError(f"message type {schema.name!r}: found a definition, expected ours")
+    return schema
 
 
 def _object(properties: dict[str, Any]) -> dict[str, Any]:

@@ -109,6 +109,9 @@ def _column(column: Column, a: NDArray[Any], b: NDArray[Any]) -> Iterator[str]:
 
     Values are compared as bits: -0.0 is not 0.0.
     """
+    if a.shape[1:] != b.shape[1:]:
+        yield f"{column.name}: A has the shape {a.shape}, B {b.shape}"
+        return
     if a.shape != b.shape:
         yield f"{column.name}: A {_shape(a)}, B {_shape(b)}"
     rows = min(len(a), len(b))

@@ -53,7 +53,7 @@ def conform(header: Header, body: Body) -> Message:
         array = body[name]
         if wire is not None:
             if type(array) is not np.ndarray or array.dtype != wire or not (array.ndim and array.flags.c_contiguous):
-                array = np.ascontiguousarray(array, dtype=wire)
+                array = _converted(schema.name, column.name, array, wire)
             if array.flags.writeable:
                 array = array.view()
                 array.setflags(write=False)
@@ -61,6 +61,19 @@ def conform(header: Header, body: Body) -> Message:
             validation.check_shape(schema.name, column, array.shape, sizes)
         columns[name] = array
     return Message(header, columns)
+
+
+def _converted(schema: str, column: str, array: Any, wire: np.dtype[Any]) -> NDArray[Any]:
+    """A contiguous array of another dtype; raises MessageError if values change."""
+    original = np.asarray(array)
+    if original.dtype.kind not in "biuf":
+        raise MessageError(f"{schema}.{column}: found {original.dtype}, expected {wire}")
+    with np.errstate(all="ignore"):
+        converted = np.ascontiguousarray(original, dtype=wire)
+        # rounding to float64 is no error
+        if wire.kind != "f" and not np.array_equal(original, converted):
+            raise MessageError(f"{schema}.{column}: found {original.dtype} values that {wire} cannot represent")
+    return converted
 
 
 def check_values(message: Message) -> None:

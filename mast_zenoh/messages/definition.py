@@ -25,6 +25,8 @@ def check_column(name: object, dtype: object, shape: Sequence[object], below: ob
         raise ValueError(f"column {name!r}: expected a name of small letters, digits and _, at most 64")
     if dtype not in DTYPES:
         raise ValueError(f"column {name!r}: dtype: found {dtype!r}, expected one of {', '.join(DTYPES)}")
+    if len(shape) > MAX_AXES:
+        raise ValueError(f"column {name!r}: shape: found {len(shape)} sizes, expected at most {MAX_AXES}")
     if not shape:
         raise ValueError(f"column {name!r}: shape: found (), expected a size, such as (1,) or ('n',)")
     for size in shape:
@@ -34,7 +36,7 @@ def check_column(name: object, dtype: object, shape: Sequence[object], below: ob
             raise ValueError(f"column {name!r}: shape: found {size!r}, expected {expected}")
     # What a shape may at most hold must have a number, or else a forged message is an error of NumPy.
     largest = prod(size if isinstance(size, int) else MAX_SIZE for size in shape)
-    if len(shape) > MAX_AXES or largest >= _MOST_VALUES:
+    if largest >= _MOST_VALUES:
         raise ValueError(f"column {name!r}: shape: found {tuple(shape)}, expected fewer or smaller sizes")
     if dtype == "str" and len(shape) != 1:
         raise ValueError(f"column {name!r}: shape: found {len(shape)} sizes, expected one for text")
@@ -52,8 +54,8 @@ def check_schema(name: object, version: object, columns: Collection[str]) -> Non
         raise ValueError(f"message type {name!r}: expected a name of small letters, digits and _, at most 64")
     if type(version) is not int or not 1 <= version < 1 << 31:
         raise ValueError(f"message type {name!r}: version: found {version!r}, expected a whole number from 1")
+    if len(columns) > MAX_COLUMNS:
+        raise ValueError(f"message type {name!r}: {len(columns)} columns, expected at most {MAX_COLUMNS}")
     twice = sorted({column for column in columns if list(columns).count(column) > 1})
     if twice:
         raise ValueError(f"message type {name!r}: column {twice[0]!r} is there twice, expected different names")
-    if len(columns) > MAX_COLUMNS:
-        raise ValueError(f"message type {name!r}: {len(columns)} columns, expected at most {MAX_COLUMNS}")

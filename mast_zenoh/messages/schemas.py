@@ -77,6 +77,9 @@ class Column:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", tuple(self.shape))
+        for text in (self.unit, self.meaning):
+            if not isinstance(text, str):
+                raise ValueError(f"column {self.name!r}: unit and meaning: found {text!r:.40}, expected text")
         check_column(self.name, self.dtype, self.shape, self.below, self.least_length)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from mast_zenoh.messages.definition import MAX_COLUMNS
 from mast_zenoh.messages.layout import LAYOUTS, Layout
 from mast_zenoh.messages.schemas import OURS, SCHEMAS, Column, Schema
 
@@ -30,4 +31,7 @@ def from_json(data: Mapping[str, Any]) -> Schema:
 
     Raises ValueError, KeyError or TypeError for anything else.
     """
-    return Schema(**{**data, "columns": tuple(Column(**column) for column in data["columns"])})
+    columns = data["columns"]
+    if len(columns) > MAX_COLUMNS:
+        raise ValueError(f"{len(columns)} columns, expected at most {MAX_COLUMNS}")
+    return Schema(**{**data, "columns": tuple(Column(**column) for column in columns)})

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -50,6 +50,14 @@ class Estimate:
     score: Floats
     range_m: Floats
     cause: Texts
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, np.ndarray):  # all metrics get the same arrays
+                value = value.view()
+                value.flags.writeable = False
+                object.__setattr__(self, each.name, value)
 
     def count(self, boxes: Bools) -> Floats:
         """Number (f,) of boxes selected by a mask (n,) in each frame."""

@@ -8,8 +8,9 @@ that has run the scenario; a later report shows what that one has drawn, unless 
 
 from __future__ import annotations
 
+import copy
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,12 @@ def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[Use
     modules = [loading.loaded_module(Path(name)) for name in named if isinstance(name, str)]
     modules += [loading.module(file) for file in files]
     kinds = loading.concrete((module for module in modules if module is not None), RunFigure)
-    drawn = {each.name: each for kind in kinds if (each := _drawn(kind, context)) is not None}
+    if kinds:
+        context = copy.deepcopy(context)  # no figure can change what the page shows besides
+    drawn: dict[str, UserFigure] = {}
+    for kind in kinds:
+        if (each := _drawn(kind, context, drawn)) is not None:
+            drawn[each.name] = each
     figures = {each.name: each for each in _stored(context.folder / "figures")} | drawn
     return [figures[name] for name in sorted(figures)]
 
@@ -67,20 +73,35 @@ def save(figures: Iterable[UserFigure], folder: Path) -> None:
         (folder / FILE).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
-def _drawn(kind: type[RunFigure], context: FigureContext) -> UserFigure | None:
-    """A figure, or why it could not be drawn; None: it had nothing to draw."""
-    name = kind.label()
-    place = name, kind.heading or name.replace("_", " ").capitalize(), kind.after
+def _drawn(kind: type[RunFigure], context: FigureContext, taken: Container[str]) -> UserFigure | None:
+    """A figure, or why it could not be drawn; None: it had nothing to draw.
+
+    taken: the names of other figures
+    """
     try:
-        if not name.isidentifier() or name in {ours.label() for ours in OURS}:
-            raise ValueError(f"name: found {name!r}, expected a plain one that none of our figures has")
+        name, heading = _names(kind)
+        if name in taken or name in {ours.label() for ours in OURS}:
+            raise ValueError(f"name: found {name!r}, which another figure has")
         if kind.after not in SECTIONS:
             raise ValueError(f"after: found {kind.after!r}, expected one of {', '.join(SECTIONS)}")
         picture = rendered(kind(), context)
-    except Exception as error:
+        if picture is not None and not (isinstance(picture.alt, str) and isinstance(picture.caption, str)):
+            raise ValueError("alt and caption: expected text")
+    except (Exception, SystemExit) as error:
         problem = f"{kind.__name__} could not be drawn: {described(error)} ({location(error, kind.draw)})"
-        return UserFigure(name, place[1], kind.after if kind.after in SECTIONS else RunFigure.after, None, problem)
-    return None if picture is None else UserFigure(*place, picture)
+        return UserFigure(f"{kind.__module__}.{kind.__name__}", kind.__name__, RunFigure.after, None, problem)
+    return None if picture is None else UserFigure(name, heading, kind.after, picture)
+
+
+def _names(kind: type[RunFigure]) -> tuple[str, str]:
+    """The name and the heading of a figure; raises ValueError for invalid ones."""
+    for text in (kind.name, kind.heading):
+        if not isinstance(text, str) or not text.isprintable():
+            raise ValueError(f"name and heading: found {text!r}, expected printable text")
+    name = kind.label()
+    if not name.isidentifier():
+        raise ValueError(f"name: found {name!r}, expected letters, digits and _")
+    return name, kind.heading or name.replace("_", " ").capitalize()
 
 
 def _stored(folder: Path) -> list[UserFigure]:
