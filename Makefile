@@ -24,7 +24,8 @@ fuzz: SEED ?= $(shell $(PYTHON) -c 'import random; print(random.randrange(1 << 2
 fuzz: .venv/ready
 	$(BIN)/python -m pytest --fuzz --fuzz-seed $(SEED) --timeout 1800 tests/runtime/test_malformed_input.py tests/mesh/test_malformed_control.py
 
-# Attacks by one compromised node of each role: 200 messages of each kind on every control key. Takes half an hour.
+# Attacks by one compromised node of each role: 200 messages of each kind on every control key. Takes about
+# a quarter of an hour.
 insiders: .venv/ready
 	MAST_FORGERIES=200 $(BIN)/python -m pytest tests/deploy/test_insiders.py --timeout=600
 

@@ -32,8 +32,8 @@ class ConflictSelection(Selection):
     n_objects:        number of objects to hide
     horizon_s:        s, prediction horizon
     unseen_by_ego:    prefer objects that the ego does not see itself when they are selected: first those within
-                      CONFLICT_M that stay out of its sight for most of `horizon_s`, then the others, then any object
-    near:             (x, y) m, world frame: select the objects nearest to this position instead, within NEAR_M
+                      25 m that stay out of its sight for most of `horizon_s`, then the others, then any object
+    near:             (x, y) m, world frame: select the objects nearest to this position instead, within 20 m
     cluster_radius_m: m, maximum distance between rows of different adversaries for the same object
 
     The ego sees the objects in its own tracks or, if these are not intercepted, in its sensor's view. Its position

@@ -35,7 +35,7 @@ from mast_zenoh.cli.options import (
 )
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
-from mast_zenoh.errors import Interrupted, MastError
+from mast_zenoh.errors import ConfigurationError, Interrupted, MastError
 from mast_zenoh.launch import ending
 from mast_zenoh.wiring.model import Wiring, to_mermaid, to_text
 
@@ -244,6 +244,8 @@ def report(
     from mast_zenoh.launch import measurement
     from mast_zenoh.report import html, terminal
 
+    if missing := next((file for file in figures or () if not file.is_file()), None):
+        raise ConfigurationError(f"no file {str(missing)!r}: --figures expects a Python file")
     if measure or measurement.can_fill_in(run_folder):
         for refused in measurement.measure(run_folder):
             _err.print(f"warning: {refused}", markup=False, highlight=False)

@@ -71,7 +71,7 @@ class Metric(ABC):
     `evaluator=dict(metrics=[dict(type="MyMetric")])`.
 
     name: name in tables; by default that of the class, in lower case with underscores
-    unit: of its values, for figures and tables
+    unit: of its values, for readers of the class; tables and figures do not print it
     """
 
     name: ClassVar[str] = ""

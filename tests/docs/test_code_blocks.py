@@ -141,9 +141,9 @@ def random_faults(block: Block, folder: Path) -> None:
 
 
 def fault_of_ones_own(block: Block, folder: Path) -> None:
-    jam = executed(block)["Jam"](at=1.0, node="ego", strength=0.5)
-    assert [rule["type"] for rule in jam.rules(lockstep=True)] == ["Loss", "Delay"]
-    resolved(dict(faults=[dict(type="Jam", at=1.0, until=2.0, node="ego", strength=0.5)]))
+    fault = executed(block)["WeakSignal"](at=1.0, node="ego", strength=0.5)
+    assert [rule["type"] for rule in fault.rules(lockstep=True)] == ["Loss", "Delay"]
+    resolved(dict(faults=[dict(type="WeakSignal", at=1.0, until=2.0, node="ego", strength=0.5)]))
 
 
 def results_of_a_node(block: Block, folder: Path) -> None:

@@ -178,7 +178,7 @@ def test_a_user_defined_fault_is_named_like_a_shipped_one(tmp_path: Path) -> Non
         "def scenario():\n"
         f"    return dict(scene=dict(type='TinyScene'), agents={{'*': {AGENT!r}}}, command_center={CENTRE!r},\n"
         "        evaluator=dict(scorer=dict(type='Scorer')),\n"
-        "        faults=[dict(type='Jam', at=0.2, until=0.4, nodes='majority', strength=0.5)])\n"
+        "        faults=[dict(type='WeakSignal', at=0.2, until=0.4, nodes='majority', strength=0.5)])\n"
     )
     scenario = resolve(*load(str(tmp_path / "mine.py")), frames=6)
     rules = [config["rules_up"] for config in links(scenario).values()]

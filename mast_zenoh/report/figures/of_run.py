@@ -114,7 +114,7 @@ class Wiring(RunFigure):
     def caption(self, context: FigureContext) -> str:
         on_wires = interposers(context.run)
         hostile = [each for each in on_wires if not each.is_link]
-        caption = "Not drawn: the clock, which every node gets, and the wires of nodes that only listen."
+        caption = "Not drawn: clock, truth and attack reports, and lines to an evaluator, a recorder or a visualizer."
         if hostile:
             caption = f"Bold: intercepted wires. {caption}"
         if any(each.live is not None for each in hostile):
