@@ -143,6 +143,18 @@ def test_the_repr_of_a_run_is_one_line(attacked: mast.Run) -> None:
     assert attacked.summary["frames"] == 60
 
 
+def test_a_pattern_that_matches_no_wire_is_refused_with_the_nearest(attacked: mast.Run) -> None:
+    with pytest.raises(
+        ConfigurationError, match="no wire matches 'agent/ego/trakcs'; did you mean 'agent/ego/t"
+    ):
+        list(attacked.messages("agent/ego/trakcs"))
+
+
+def test_only_runs_can_be_compared(attacked: mast.Run) -> None:
+    with pytest.raises(ConfigurationError, match=r"compare: found .*mast\.open opens a folder"):
+        mast.compare(str(attacked.path), str(attacked.path))  # type: ignore[arg-type]
+
+
 def test_a_report_can_be_compared_with_another_run(attacked: mast.Run, baseline: mast.Run, tmp_path: Path) -> None:
     shutil.copytree(attacked.path, tmp_path / "run")
     page = mast.open(tmp_path / "run").report(frame=40, against=baseline)

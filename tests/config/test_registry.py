@@ -97,3 +97,13 @@ def test_importing_a_base_makes_all_shipped_subclasses_available(package: str) -
     for module, base in defined.items():
         code = f"import {base}, sys; sys.exit({module!r} not in sys.modules)"
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0, module
+
+
+class Unfinished(Animal):
+    def leg(self) -> int:
+        return 0
+
+
+def test_a_class_that_lacks_a_method_is_refused_with_the_method() -> None:
+    with pytest.raises(ConfigurationError, match=r"pet\.type: Unfinished does not define legs"):
+        registry.build(dict(type="Unfinished"), Animal, "pet")

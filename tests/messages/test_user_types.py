@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -12,7 +13,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.effects import rows
 from mast_zenoh.errors import MessageError
+from mast_zenoh.messagelog import channels
 from mast_zenoh.messages import codec, user_types
 from mast_zenoh.messages.definition import DTYPES
 from mast_zenoh.messages.layout import LAYOUTS, WIRE_DTYPE
@@ -225,3 +228,55 @@ def test_a_port_has_the_name_of_the_type_that_it_declares() -> None:
 def test_a_node_cannot_declare_a_type_of_a_taken_name(inputs: Any, outputs: Any, message: str) -> None:
     with pytest.raises(TypeError, match=message):
         type("Bad", (Node,), {"inputs": inputs, "outputs": outputs})
+
+
+@pytest.mark.parametrize(
+    ("dtype", "values"),
+    [
+        ("int64", np.array([1.7])),
+        ("int64", np.array([np.nan])),
+        ("int32", np.array([1 << 40])),
+        ("uint8", np.array([300])),
+        ("uint8", np.array([-1])),
+        ("float64", np.array([1j])),
+        ("int64", np.array(["2026-01-01"], "datetime64[s]")),
+    ],
+)
+def test_values_that_a_column_cannot_represent_are_refused(dtype: str, values: np.ndarray) -> None:
+    user_types.use([Schema("gauge", 1, "", (Column("level", dtype, ("n",)),))])
+    with pytest.raises(MessageError, match=r"gauge\.level: found "):
+        codec.conform(Header("gauge", "a", 0, 0, 0), {"level": values})
+
+
+def test_values_that_a_column_can_represent_are_converted() -> None:
+    user_types.use([Schema("gauge", 1, "", (Column("level", "int64", ("n",)), Column("share", "float64", ("n",))))])
+    body = {"level": np.array([1.0, 2.0]), "share": np.array([0.5, np.nan], np.float32)}
+    message = codec.conform(Header("gauge", "a", 0, 0, 0), body)
+    assert message.body["level"].tolist() == [1, 2]
+    assert message.body["share"].dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"columns": [{"name": f"c{i}", "dtype": "int64", "shape": ["n"]} for i in range(50_000)]},
+        {"columns": [{"name": "c", "dtype": "int64", "shape": [1] * 200_000}]},
+        {"columns": [{"name": "c", "dtype": "int64", "shape": ["n"], "unit": ["m"]}]},
+        {"name": "tracks"},
+    ],
+)
+def test_a_forged_definition_in_a_recording_is_refused(changed: dict[str, Any]) -> None:
+    definition = user_types.to_json(Schema("gauge", 1, "", (Column("level", "int64", ("n",)),))) | changed
+    with pytest.raises(ValueError, match=r"expected|columns"):
+        channels.user_schema(json.dumps({channels.DEFINITION: definition}).encode())
+    with pytest.raises(ValueError, match="RecursionError"):
+        channels.user_schema(b'{"definition": ' + b"[" * 100_000)
+
+
+def test_a_type_whose_rows_vary_in_size_has_no_objects_to_compare_but_those_of_fixed_size() -> None:
+    grid = Schema("grid", 1, "", (Column("position", "float64", ("n", 3)), Column("cells", "float64", ("n", "m"))))
+    user_types.use([grid])
+    assert rows.has_objects("grid")
+    bodies = [{"position": np.zeros((2, 3)), "cells": np.zeros((2, m))} for m in (1, 4)]
+    names = rows._columns(grid).rows
+    assert rows.Rows.of(bodies, names).columns["position"].shape == (4, 3)

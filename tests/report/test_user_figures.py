@@ -160,9 +160,34 @@ def test_a_figure_that_cannot_be_drawn_is_named_with_the_reason(run_folder: Fold
     assert "Torn could not be drawn: KeyError: 'no such table'" in page
     assert "broken.py:9)" in page
     assert "Text could not be drawn: TypeError: draw returned str, expected a Matplotlib figure or None" in page
-    assert "Camera could not be drawn: ValueError: name: found 'camera', expected a plain one" in page
+    assert "Camera could not be drawn: ValueError: name: found 'camera', which another figure has" in page
     assert "Lost could not be drawn: ValueError: after: found 'nowhere', expected one of scores, achieved" in page
-    assert page.count('<h2 id="camera">') == 2, "ours is there, too"
+    assert page.count('<h2 id="camera">') == 1, "ours is there, too"
+
+
+def test_no_figure_changes_the_rest_of_the_report(run_folder: Folder, tmp_path: Path) -> None:
+    folder = run_folder()
+    source = """
+from mast_zenoh.report import RunFigure
+
+class Forger(RunFigure):
+    def draw(self, context):
+        context.run.metrics["agents"]["ego"]["picture"]["fp"]["mean"] = -77.0
+
+class Leaver(RunFigure):
+    def draw(self, context):
+        exit(3)
+
+class Nameless(RunFigure):
+    name = 5
+    def draw(self, context):
+        return None
+"""
+    page = write_report(folder, figures=[written(tmp_path / "hostile.py", source)]).read_text()
+    assert "-77" not in page
+    assert "\u221277" not in page, "with a minus sign"
+    assert "Leaver could not be drawn: SystemExit: 3" in page
+    assert "Nameless could not be drawn: ValueError" in page
 
 
 def test_the_command_adds_the_figures_of_a_file(run_folder: Folder, tmp_path: Path) -> None:

@@ -129,6 +129,24 @@ def test_a_node_without_a_clock_sends_in_the_step_of_the_received_message() -> N
     assert [out.step for out in outbox] == [0, 1], "otherwise the next node would not wait for its clock"
 
 
+def test_a_node_without_a_clock_cannot_publish_without_a_frame() -> None:
+    problems: list[str] = []
+
+    def publish(received: Received, context: Context) -> None:
+        with pytest.raises(ConfigurationError) as caught:
+            context.publish("tracks_out", received.body, subject=received.subject)
+        problems.append(str(caught.value))
+        context.publish("tracks_out", received.body, subject=received.subject, frame=received.frame, time_ns=0)
+
+    outbox: list[Outgoing] = []
+    host = listening(Listener(publish), clocked=False, emit=outbox.append)
+    host.deliver("agent/a/tracks", tracks_payload("a", 3), 3)
+    assert problems == [
+        "listener: tracks_out: published before the first clock; a node that publishes needs an input of type clock"
+    ]
+    assert len(outbox) == 1
+
+
 @given(st.data())
 @settings(max_examples=60)
 def test_each_message_is_handled_once_after_its_clock_in_any_order_of_arrival(data: st.DataObject) -> None:
