@@ -135,6 +135,22 @@ def file_of_class(cls: type) -> Path | None:
     return Path(file).resolve() if file and cls.__module__ != "__main__" else None
 
 
+def class_defined_elsewhere(name: str, path: Path) -> type | None:
+    """A class of this name from a loaded file, unless `path` or a file that it imports defines one.
+
+    A scenario that is made from another one, by `scenario.load`, uses classes of a file that it does not import.
+    """
+    imported = _SOURCES.get(module(path), {}) if path.suffix else {}
+    found = None
+    for loaded in list(_SOURCES):
+        cls = vars(loaded).get(name)
+        if isinstance(cls, type) and cls.__module__ == loaded.__name__ and _is_derived(cls):
+            if file_of_class(cls) in imported:
+                return None
+            found = cls
+    return found
+
+
 def session_classes() -> dict[str, type]:
     """Classes that `type=…` can name and that a notebook or script defines, by name."""
     classes = [value for value in vars(sys.modules["__main__"]).values() if isinstance(value, type)]

@@ -85,7 +85,10 @@ def resolve(
 def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
     """The scenario's own file, and the files of the classes in it."""
     files = [path] if path.suffix and loading.defines_algorithms(loading.module(path)) else []
-    for cls in [name.cls for name in registry.type_names(scenario) if isinstance(name, registry.ClassName)]:
+    names = list(registry.type_names(scenario))
+    classes = [name.cls for name in names if isinstance(name, registry.ClassName)]
+    others = [loading.class_defined_elsewhere(name, path) for name in names if not isinstance(name, registry.ClassName)]
+    for cls in [*classes, *(cls for cls in others if cls is not None)]:
         file = loading.file_of_class(cls)
         if file is not None and not cls.__module__.startswith("mast_zenoh.") and not issubclass(cls, Node):
             files.append(file)

@@ -144,9 +144,7 @@ def test_the_repr_of_a_run_is_one_line(attacked: mast.Run) -> None:
 
 
 def test_a_pattern_that_matches_no_wire_is_refused_with_the_nearest(attacked: mast.Run) -> None:
-    with pytest.raises(
-        ConfigurationError, match="no wire matches 'agent/ego/trakcs'; did you mean 'agent/ego/t"
-    ):
+    with pytest.raises(ConfigurationError, match="no wire matches 'agent/ego/trakcs'; did you mean 'agent/ego/t"):
         list(attacked.messages("agent/ego/trakcs"))
 
 

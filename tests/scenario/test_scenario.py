@@ -658,3 +658,28 @@ def test_a_node_that_would_receive_nothing_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(WiringError, match=r"evaluator would receive nothing: .*\(picture\); .* of the type '\*'"):
         resolved(file)
+
+
+def test_classes_of_a_scenario_that_another_one_is_made_from_reach_other_processes(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.py", tmp_path / "folder" / "second.py"
+    first.write_text(
+        "from mast_zenoh.attacks import PassThrough\n"
+        "from mast_zenoh.scenario import load\n"
+        "class OnlyInTheFirst(PassThrough):\n"
+        "    pass\n"
+        "def scenario():\n"
+        "    _, ours = load('uncoordinated', ['n_adversaries=1'])\n"
+        "    for adversary in ours['adversaries'].values():\n"
+        "        adversary['attack'] = dict(type='OnlyInTheFirst')\n"
+        "    return ours\n"
+    )
+    second.parent.mkdir()
+    second.write_text(
+        "from mast_zenoh.scenario import load\n"
+        "def scenario():\n"
+        f"    return load({str(first)!r})[1] | dict(name='made')\n"
+    )
+    path, loaded = scenario.load(str(second))
+    assert scenario.resolve(path, loaded, frames=1).modules == (str(first),)
+    path, loaded = scenario.load(str(first))
+    assert scenario.resolve(path, loaded, frames=1).modules == (str(first),)
