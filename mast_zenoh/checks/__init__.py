@@ -5,7 +5,8 @@ See docs/faults.md.
 base         the outcome of a check
 evidence     the record of a run, read once
 collation    messages delivered in time are in the collation
-convergence  after the last heal the picture equals that of a run without faults;  reference: that picture
+convergence  after the last heal the picture converges to the reference picture
+reference    the reference picture: that of the same run without links and faults
 sequences    every gap and every duplicate is explained
 processes    no process is left running
 user_checks  checks in the files of a scenario

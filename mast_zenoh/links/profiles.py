@@ -33,5 +33,5 @@ PROFILES: dict[str, dict[str, list[dict[str, Any]]]] = {
 def profile(name: str) -> dict[str, list[dict[str, Any]]]:
     """A copy of a profile's rules by direction; raises ConfigurationError if unknown."""
     if name not in PROFILES:
-        raise ConfigurationError(f"no profile of a link named {name!r}{nearest(name, PROFILES)}")
+        raise ConfigurationError(f"no link profile {name!r}{nearest(name, PROFILES)}")
     return copy.deepcopy(PROFILES[name])

@@ -77,7 +77,7 @@ class Attribution:
     ) -> Labels:
         """The cause of every false track, missed object and identity switch.
 
-        In every estimate.
+        Covers every estimate of the run.
         manipulations: those of all interposers; their series are those of `scores`
         truth:    of the frames of `scores`, with `agents` as its columns
         period_s: s, frame period
@@ -121,17 +121,17 @@ class _Attributor:
         cause, by = np.full(n, UNKNOWN), np.zeros((n, len(self.manipulations.culprits)), bool)
         false, missed = self.tracks.outcome == FALSE, self.truths.outcome == MISSED
         self.hidden = Hidden.of(self.manipulations)
-        track_cause, track_by = self._shown(false)
+        track_cause, track_by = self._attack_tracks(false)
         self._natural_tracks(false, track_cause)
         cause[self.tracks.row], by[self.tracks.row] = track_cause, track_by
-        truth_cause, truth_by = self._missed(missed, track_cause, track_by)
+        truth_cause, truth_by = self._missed_objects(missed, track_cause, track_by)
         cause[self.truths.row], by[self.truths.row] = truth_cause, truth_by
         switch_cause, switch_by = self._switches(track_cause, track_by)
         names = self.manipulations.culprits
         return Labels(cause, joined_names(names, by), switch_cause, joined_names(names, switch_by))
 
     def _switches(self, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
-        """Causes of the identity switches: hiding, a shown track, otherwise tracking."""
+        """Causes of the identity switches: hiding, a false object, otherwise tracking."""
         tracks, switches = self.tracks, self.scores.switches
         frame = self.scores.frames[switches.frame]
         cause, by = np.full(len(frame), UNKNOWN), np.zeros((len(frame), len(self.manipulations.culprits)), bool)
@@ -147,7 +147,7 @@ class _Attributor:
             cause[recent], by[recent] = track_cause[blamed[last[recent]]], track_by[blamed[last[recent]]]
         return np.where(cause == UNKNOWN, TRACKING, cause), by
 
-    def _shown(self, false: Bools) -> tuple[Ints, Bools]:
+    def _attack_tracks(self, false: Bools) -> tuple[Ints, Bools]:
         """Cause and culprits of track rows that follow an object shown by an adversary."""
         tracks, manipulations = self.tracks, self.manipulations
         cause, by = np.full(len(tracks.row), UNKNOWN), np.zeros((len(tracks.row), len(manipulations.culprits)), bool)
@@ -173,7 +173,7 @@ class _Attributor:
             if culprit >= 0:
                 same = explained & (nearest_kind == kind) & (distance <= best + self.limits.same_m)
                 by[false_rows[same], culprit] = True
-        # The track has the same cause while it coasts, and since it began, until it follows a real object.
+        # A cause extends to rows of the track up to `coast` frames later and earlier, but not past a real object.
         for later in (False, True):
             source = tracks.adjacent(cause >= 0, (cause >= 0) | (tracks.outcome == MATCHED), self.coast, later=later)
             extended = (false & (cause < 0) & (source >= 0)).nonzero()[0]
@@ -232,9 +232,9 @@ class _Attributor:
         missed = (truths.outcome == MISSED).nonzero()[0]
         astray, _ = nearest(places, truths.places(missed), limits.astray_m)
         # Whether the object of the track is still evaluated in this series and frame.
-        seen = (truths.outcome != UNEVALUATED).nonzero()[0]
+        rows = (truths.outcome != UNEVALUATED).nonzero()[0]
         keys = tracks.match[last], tracks.frame[free]
-        evaluated = occurs((tracks.series[free], *keys), (truths.series[seen], truths.id[seen], truths.frame[seen]))
+        evaluated = occurs((tracks.series[free], *keys), (truths.series[rows], truths.id[rows], truths.frame[rows]))
         exists = occurs(keys, (self.truth.boxes.id, self.truth_frame))
         coasting = last >= 0
         cause[free] = np.select(
@@ -257,7 +257,7 @@ class _Attributor:
         involved[group[rows]] = True
         return Histories.of(self.scores, np.flatnonzero(~judged.is_track & involved[group]), self.span)
 
-    def _missed(self, missed: Bools, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
+    def _missed_objects(self, missed: Bools, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the missed objects."""
         tracks, truths = self.tracks, self.truths
         n = len(truths.row)
@@ -286,7 +286,10 @@ class _Attributor:
         return cause, by
 
     def _tracked(self, rows: Histories, selected: Ints) -> Bools:
-        """Whether each row's estimate has its object in the input, a sensor or tracks."""
+        """Whether the input of each row's estimate contains its object.
+
+        The input is the agent's sensor for an estimate from its own sensor, else the local tracks of all agents.
+        """
         judged = self.scores.judged
         own = [row for (_, estimator), row in self.scores.every_series.items() if estimator == LOCAL]
         local = np.flatnonzero(np.isin(judged.series, own) & ~judged.is_track & (judged.outcome == MATCHED))

@@ -76,7 +76,7 @@ def over_scenes(values: Floats) -> Interval:
 
     Two-way analysis of variance with mean squares A between scenes, B between seeds and C of the residuals:
     the variance of the mean is estimated by (A + max(B - C, 0)) / (scenes * seeds), its degrees of freedom by
-    Satterthwaite's formula. The part of C is contained in A and in B and must count once. This is Hillis's interval
+    Satterthwaite's formula. C contributes to both A and B, but must count only once. This is Hillis's interval
     for readers and cases (2007, Statistics in Medicine 26:596), with the degrees of freedom of both factors as in
     Gaylor and Hopper (1969, Technometrics 11:691); Cameron, Gelbach and Miller (2011, JBES 29:238) add and subtract
     the same three terms. A t interval over the scenes' averages alone would overlook that scenes share their seeds.
@@ -105,9 +105,9 @@ def rate_interval(successes: Floats) -> Interval:
 
     The Clopper-Pearson interval (1934, Biometrika 26:404) for the effective number of trials of Korn and Graubard
     (1998, Survey Methodology 24:193): the number of independent trials whose rate would vary as much as the seeds'
-    averages do, corrected for the degrees of freedom. It is the number of seeds where fewer than MIN_CLUSTERS seeds
-    have a success, or a failure, since their spread is then not known. Conservative; it has a width even at rates 0
-    and 1.
+    averages do, corrected for the degrees of freedom. With a single scene, or if fewer than
+    MIN_CLUSTERS seeds have a success or a failure, the spread is unknown, and the number of seeds is used instead. The
+    interval is conservative, and has a width even at rates 0 and 1.
     """
     scenes, seeds = successes.shape[-2:]
     by_seed = successes.mean(axis=-2)

@@ -19,7 +19,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.links import FATES, PROFILES, Outcome, Passage, Rule, displaced, flipped, profile
 
 #: One valid dict of every rule.
-EVERY: dict[str, dict[str, Any]] = {
+RULES: dict[str, dict[str, Any]] = {
     "Bandwidth": dict(bits_per_s=1e6, queue_s=0.2),
     "ClockSkew": dict(offset_s=0.1, drift=0.01),
     "Corrupt": dict(probability=0.5, flips=2),
@@ -37,33 +37,33 @@ EVERY: dict[str, dict[str, Any]] = {
 
 
 def test_every_rule_is_tested_and_declares_its_fate() -> None:
-    ours = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
-    assert ours == EVERY.keys()
-    for name, given_ in EVERY.items():
-        assert build(type=name, **given_).fate in FATES
+    shipped = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
+    assert shipped == RULES.keys()
+    for name, parameters in RULES.items():
+        assert build(type=name, **parameters).fate in FATES
 
 
-def through(*rules: dict[str, Any], at_s: float = 0.0, **of_it: Any) -> Outcome:
+def outcome_of(*rules: dict[str, Any], at_s: float = 0.0, **message: Any) -> Outcome:
     """The outcome of one message."""
     time_ns = round(at_s * 1e9)
-    return chain(rules).carry(Passage(time_ns, time_ns, **of_it))
+    return chain(rules).carry(Passage(time_ns, time_ns, **message))
 
 
 def test_without_rules_every_message_passes_at_once() -> None:
-    outcome = through()
+    outcome = outcome_of()
     assert [after_s for _, after_s in outcome.leaving] == [0.0]
     assert outcome.fates == {}
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_a_rule_acts_from_its_start_until_before_its_end(name: str) -> None:
-    parameters = EVERY[name] | dict(probability=1.0) if "probability" in EVERY[name] else EVERY[name]
+@pytest.mark.parametrize("name", RULES)
+def test_a_rule_acts_from_its_start_and_no_longer_at_its_end(name: str) -> None:
+    parameters = RULES[name] | dict(probability=1.0) if "probability" in RULES[name] else RULES[name]
     if name == "GilbertElliott":
         parameters = dict(good_to_bad=1.0, bad_to_good=0.0)
     rule = dict(type=name, **(parameters | dict(at=1.0, until=2.0)))
     far = dict(size=1000, position=np.array([90.0, 0.0, 0.0]), referenced=True)
     for at_s, acts in ((0.9, False), (1.0, True), (1.9, True), (2.0, False)):
-        outcome = through(rule, at_s=at_s, **far)
+        outcome = outcome_of(rule, at_s=at_s, **far)
         plain = Passage(round(at_s * 1e9), round(at_s * 1e9), **far)
         untouched = len(outcome.leaving) == 1 and outcome.leaving[0][0] is not None
         untouched = untouched and outcome.leaving[0][0]._replace(position=None) == plain._replace(position=None)
@@ -72,7 +72,7 @@ def test_a_rule_acts_from_its_start_until_before_its_end(name: str) -> None:
 
 
 def test_a_drop_is_attributed_to_the_first_rule_that_drops() -> None:
-    assert through(dict(type="Loss", probability=0.0), dict(type="Cut"), dict(type="Cut")).fates == {"dropped": 1}
+    assert outcome_of(dict(type="Loss", probability=0.0), dict(type="Cut"), dict(type="Cut")).fates == {"dropped": 1}
 
 
 def test_a_message_is_not_dropped_if_a_copy_arrives() -> None:
@@ -81,9 +81,9 @@ def test_a_message_is_not_dropped_if_a_copy_arrives() -> None:
         assert ("dropped" in outcome.fates) is not bool(outcome.leaving)
 
 
-def test_delays_add_up_and_the_rule_with_the_longest_is_named() -> None:
+def test_delays_add_up_and_the_rule_with_the_longest_delay_is_named() -> None:
     rules = [dict(type="Delay", mean_s=s, distribution="constant") for s in (0.05, 0.3, 0.1)]
-    outcome = through(*rules)
+    outcome = outcome_of(*rules)
     assert outcome.delay_s == pytest.approx(0.45)
     assert outcome.fates == {"delayed": 1}
 
@@ -99,42 +99,42 @@ def test_a_message_does_not_overtake_its_predecessor() -> None:
 
 def test_a_reordered_message_is_overtaken_and_delays_no_other() -> None:
     wire = chain([dict(type="Reorder", probability=1.0, by_s=0.35, until=0.05)])
-    leaves = [i * 0.1 + wire.carry(Passage(i * PERIOD_NS, i * PERIOD_NS)).delay_s for i in range(5)]
-    assert leaves == pytest.approx([0.35, 0.1, 0.2, 0.3, 0.4])
+    departures = [i * 0.1 + wire.carry(Passage(i * PERIOD_NS, i * PERIOD_NS)).delay_s for i in range(5)]
+    assert departures == pytest.approx([0.35, 0.1, 0.2, 0.3, 0.4])
 
 
-@given(names=st.lists(st.sampled_from([n for n in EVERY if n != "Reorder"]), max_size=5), seed=st.integers(0, 20))
+@given(names=st.lists(st.sampled_from([n for n in RULES if n != "Reorder"]), max_size=5), seed=st.integers(0, 20))
 @settings(max_examples=30)
 def test_without_reordering_messages_leave_in_order_of_arrival(names: list[str], seed: int) -> None:
-    rules = [dict(type=name, **EVERY[name]) for name in names]
+    rules = [dict(type=name, **RULES[name]) for name in names]
     outcomes = carry(rules, 30, seed=seed, size=5000, position=np.zeros(3), referenced=True)
-    leaves = [i * PERIOD_NS + round(s * 1e9) for i, outcome in enumerate(outcomes) for _, s in outcome.leaving]
-    assert leaves == sorted(leaves)
+    departures = [i * PERIOD_NS + round(s * 1e9) for i, outcome in enumerate(outcomes) for _, s in outcome.leaving]
+    assert departures == sorted(departures)
     assert min(delays(outcomes), default=0.0) >= 0.0
 
 
 def test_held_messages_are_delivered_in_order_at_the_end() -> None:
     outcomes = carry([dict(type="Hold", at=0.2, until=0.55)], 8)
-    leaves = [i * 0.1 + outcome.delay_s for i, outcome in enumerate(outcomes)]
-    assert leaves == pytest.approx([0.0, 0.1, 0.55, 0.55, 0.55, 0.55, 0.6, 0.7])
+    departures = [i * 0.1 + outcome.delay_s for i, outcome in enumerate(outcomes)]
+    assert departures == pytest.approx([0.0, 0.1, 0.55, 0.55, 0.55, 0.55, 0.6, 0.7])
 
 
-@pytest.mark.parametrize(("x", "comes"), [(0.0, True), (49.0, True), (51.0, False), (160.0, True), (1e6, False)])
-def test_out_of_range_of_every_gateway_messages_are_dropped(x: float, comes: bool) -> None:
+@pytest.mark.parametrize(("x", "arrives"), [(0.0, True), (49.0, True), (51.0, False), (160.0, True), (1e6, False)])
+def test_messages_out_of_range_of_every_gateway_are_dropped(x: float, arrives: bool) -> None:
     rule = dict(type="RangeLimit", range_m=50.0, gateways=[[0.0, 0.0, 0.0], [200.0, 0.0, 5.0]])
-    assert bool(through(rule, position=np.array([x, 0.0, 0.0])).leaving) is comes
-    assert through(rule).leaving, "its position is unknown"
+    assert bool(outcome_of(rule, position=np.array([x, 0.0, 0.0])).leaving) is arrives
+    assert outcome_of(rule).leaving, "no message is dropped while the position is unknown"
 
 
 def test_clock_drift_increases_the_offset_over_time() -> None:
     rule = dict(type="ClockSkew", offset_s=-0.2, drift=0.1, at=1.0)
-    ahead = [through(rule, at_s=at_s).leaving[0][0].skew_ns for at_s in (0.0, 1.0, 3.0)]
+    ahead = [outcome_of(rule, at_s=at_s).leaving[0][0].skew_ns for at_s in (0.0, 1.0, 3.0)]
     assert ahead == [0, -200_000_000, 0]
-    assert through(rule, rule, at_s=1.0).leaving[0][0].skew_ns == -400_000_000
+    assert outcome_of(rule, rule, at_s=1.0).leaving[0][0].skew_ns == -400_000_000
 
 
 def test_a_pose_error_leaves_messages_without_a_frame_of_reference_unchanged() -> None:
-    outcome = through(dict(type="PoseError", bias_m=[1.0, 0.0]), referenced=False)
+    outcome = outcome_of(dict(type="PoseError", bias_m=[1.0, 0.0]), referenced=False)
     assert outcome.fates == {}
     assert outcome.leaving[0][0].shift == (0.0, 0.0)
 
@@ -148,21 +148,21 @@ def test_a_pose_error_moves_and_rotates_the_frame_of_reference_about_the_vertica
     assert displaced_body["id"] is body["id"]
 
 
-@given(payload=st.binary(max_size=50), places=st.lists(st.floats(0.0, 1.0), max_size=8))
+@given(payload=st.binary(max_size=50), positions=st.lists(st.floats(0.0, 1.0), max_size=8))
 @settings(max_examples=50)
-def test_the_configured_number_of_bits_is_flipped_reversibly(payload: bytes, places: list[float]) -> None:
-    once = flipped(payload, places)
+def test_the_configured_number_of_bits_is_flipped_reversibly(payload: bytes, positions: list[float]) -> None:
+    once = flipped(payload, positions)
     assert len(once) == len(payload)
-    assert flipped(once, places) == payload
+    assert flipped(once, positions) == payload
     differing = sum((a ^ b).bit_count() for a, b in zip(payload, once, strict=True))
-    assert differing <= len(places)
-    if payload and len(places) == 1:
+    assert differing <= len(positions)
+    if payload and len(positions) == 1:
         assert differing == 1
 
 
 def test_copies_are_numbered_and_have_independent_random_numbers() -> None:
     rules = [dict(type="Flood", copies=4), dict(type="Delay", mean_s=0.05, jitter_s=0.02), dict(type="Flood", copies=1)]
-    outcome = through(*rules)
+    outcome = outcome_of(*rules)
     copies = [passage.copy for passage, _ in outcome.leaving]
     assert sorted(copies) == list(range(10))
     assert len({passage.delay_ns for passage, _ in outcome.leaving}) == 5
@@ -170,14 +170,14 @@ def test_copies_are_numbered_and_have_independent_random_numbers() -> None:
 
 
 def test_the_number_of_copies_is_limited() -> None:
-    assert len(through(*[dict(type="Flood", copies=100)] * 3).leaving) <= 1001
+    assert len(outcome_of(*[dict(type="Flood", copies=100)] * 3).leaving) <= 1001
 
 
 @pytest.mark.parametrize("name", ["Loss", "GilbertElliott", "Duplicate", "Corrupt", "Reorder"])
 @pytest.mark.parametrize("other", ["Cut", "Delay", "Flood", "Loss"])
-def test_adding_a_rule_changes_no_draw_of_another(name: str, other: str) -> None:
-    rule = dict(type=name, **EVERY[name])
-    added = dict(type=other, **EVERY[other], at=1.0, until=3.0)
+def test_adding_a_rule_changes_no_random_draw_of_another(name: str, other: str) -> None:
+    rule = dict(type=name, **RULES[name])
+    added = dict(type=other, **RULES[other], at=1.0, until=3.0)
     alone = carry([rule], 600)
     kept = [i for i in range(600) if not 10 <= i < 30]
     for rules in ([rule, added], [added, rule]) if name != other else ([rule, added],):
@@ -189,11 +189,11 @@ def test_adding_a_rule_changes_no_draw_of_another(name: str, other: str) -> None
             assert len(alone[i].leaving) == len(mixed[i].leaving)
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", RULES)
 def test_a_rule_depends_only_on_seed_and_wire(name: str) -> None:
-    rules = [dict(type=name, **EVERY[name]), dict(type="Delay", mean_s=0.1, jitter_s=0.1)]
-    first, again, other = (carry(rules, 300, seed=seed, size=900, referenced=True) for seed in (3, 3, 4))
-    assert first == again
+    rules = [dict(type=name, **RULES[name]), dict(type="Delay", mean_s=0.1, jitter_s=0.1)]
+    first, repeated, other = (carry(rules, 300, seed=seed, size=900, referenced=True) for seed in (3, 3, 4))
+    assert first == repeated
     assert name == "Cut" or first != other
 
 
@@ -239,9 +239,9 @@ NAN, INF = math.nan, math.inf
 )
 def test_invalid_rule_parameters_are_refused_by_name(name: str, wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError) as caught:
-        build(type=name, **(EVERY[name] | wrong))
-    places = [f"link.rules_up[0]{separator}{parameter}" for parameter in wrong for separator in (".", f": {name}: ")]
-    assert str(caught.value).startswith(tuple(places))
+        build(type=name, **(RULES[name] | wrong))
+    prefixes = [f"link.rules_up[0]{separator}{parameter}" for parameter in wrong for separator in (".", f": {name}: ")]
+    assert str(caught.value).startswith(tuple(prefixes))
 
 
 def test_jitter_of_a_constant_delay_is_refused() -> None:
@@ -262,10 +262,8 @@ def test_a_profile_is_returned_as_a_copy() -> None:
     assert profile("wired").keys() == {"up", "down"}
 
 
-def test_an_unknown_profile_is_refused_with_the_nearest() -> None:
-    with pytest.raises(
-        ConfigurationError, match="no profile of a link named 'wirelss_v2x'; did you mean 'wireless_v2x'"
-    ):
+def test_an_unknown_profile_is_refused_with_the_nearest_name() -> None:
+    with pytest.raises(ConfigurationError, match="no link profile 'wirelss_v2x'; did you mean 'wireless_v2x'"):
         profile("wirelss_v2x")
 
 

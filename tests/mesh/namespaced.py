@@ -17,7 +17,7 @@ from mast_zenoh.launch.netns.namespaces import NAMESPACES, Owner
 
 
 def require(*needs: str) -> None:
-    """Skip unless this machine can do all of it; fail if MAST_TEST_NETWORK is set."""
+    """Skip the test, or fail if MAST_TEST_NETWORK is set, unless all needs are met."""
     try:
         machine.delays_by({need: ["this test"] for need in needs}, Owner.this_process())
     except BackendError as error:
@@ -28,7 +28,7 @@ def require(*needs: str) -> None:
 
 def leftovers_of(pid: int) -> list[str]:
     """The namespaces and folders left by the launcher with this pid."""
-    return [path.name for place in (NAMESPACES, Path(gettempdir())) for path in place.glob(f"mast-{pid}-*")]
+    return [path.name for folder in (NAMESPACES, Path(gettempdir())) for path in folder.glob(f"mast-{pid}-*")]
 
 
 def machine_network() -> list[str]:

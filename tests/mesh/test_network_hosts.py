@@ -75,7 +75,7 @@ def test_packet_loss_has_the_configured_share_in_each_direction(tmp_path: Path) 
     with hosts(tmp_path, {"type": "HostLoss", "probability": 0.2}) as namespaces, Echo(namespaces.command("c")):
         wait_for_steps(namespaces, 1)
         n_returned = len(Echo.ask(namespaces.command("a"), CENTRE, 400, 0.01))
-    # 0.8² of 400 are 256; binomial, σ = 9.6. A packet that took longer than 10 ms on a busy machine counts as lost.
+    # 0.8² of 400 is 256; binomial, σ = 9.6. A packet that took longer than 10 ms on a busy machine counts as lost.
     assert 400 * 0.64 - 80 < n_returned < 400 * 0.64 + 5 * 9.6
 
 
@@ -200,9 +200,9 @@ def test_a_run_that_this_machine_cannot_support_is_refused_before_any_process_st
 
 def test_a_run_in_one_process_refuses_host_faults(tmp_path: Path) -> None:
     path, loaded = scenario.load("two_hosts")
-    outcome = launcher.run(scenario.resolve(path, loaded, frames=5), tmp_path / "run", runtime="inproc")
-    assert isinstance(outcome.error, BackendError)
-    assert "one process has no network" in str(outcome.error)
+    run_result = launcher.run(scenario.resolve(path, loaded, frames=5), tmp_path / "run", runtime="inproc")
+    assert isinstance(run_result.error, BackendError)
+    assert "one process has no network" in str(run_result.error)
 
 
 def test_a_router_drops_an_unresponsive_link_before_its_lease_expires() -> None:

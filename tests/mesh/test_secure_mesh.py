@@ -106,7 +106,7 @@ def test_a_client_with_credentials_never_connects_unencrypted() -> None:
 def test_a_client_is_admitted_while_others_send_rubbish(
     sent: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The router serves slow clients for longer than this client's timeout."""
+    """After each failed handshake, the router accepts no client for 0.1 s."""
     monkeypatch.setattr(diagnosis, "_CONNECT_S", 0.2)
     with secure_router("acl") as (deployment, endpoint), ExitStack() as stack:
         host, _, port = endpoint.partition("/")[2].rpartition(":")

@@ -1,4 +1,4 @@
-"""Each false or missed object has a cause, each manipulation an adversary."""
+"""Each false or missed object has a cause; one due to an attack, an adversary."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def recorded(truth, picture, local=None, points=None) -> Record:
 
 
 def cause_table(truth, picture, manipulations: tuple[Row, ...] | list[Row] = (), local=None, points=None):
-    """The table of objects with its causes."""
+    """The table of objects, with the causes of their errors."""
     return explained(recorded(truth, picture, local, points), effects(*manipulations))
 
 
 def causes(table, estimator: str = "picture") -> list[tuple[int, str, str, str]]:
-    """Frame, kind, cause and adversary of every row of an estimate with a cause."""
+    """Frame, kind, cause and adversary of the rows of an estimate that have a cause."""
     selected = {name: column[table["estimator"] == estimator] for name, column in table.items()}
     names = ("frame", "kind", "cause", "by")
     return [tuple(row) for row in zip(*(selected[name].tolist() for name in names), strict=True) if row[2]]
@@ -224,7 +224,7 @@ def test_an_attack_on_one_agents_detections_does_not_affect_another_agents_own_t
     assert cause("ego", "local") == {"clutter"}
 
 
-def test_objects_inserted_by_a_link_are_faults_without_an_adversary() -> None:
+def test_objects_moved_by_a_link_are_faults_without_an_adversary() -> None:
     manipulations = [("link_1", 0, "moved", 0, (30.0, 0.0), (0.0, 0.0))]
     moved = effects(*manipulations, passages=[passage("link_1", "detections", "ego")], of=[0])
     table = explained(recorded([CAR], [cars((30.0, 0.5), id=[5])]), moved, {"link_1": "link"})

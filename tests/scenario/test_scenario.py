@@ -232,9 +232,9 @@ def test_more_adversaries_than_agents_are_refused() -> None:
 
 
 def test_a_node_file_beside_the_scenario_overrides_the_shipped_one(tmp_path: Path) -> None:
-    ours = (bundle.ROOT / "nodes" / "broker.py").read_text()
+    shipped = (bundle.ROOT / "nodes" / "broker.py").read_text()
     (tmp_path / "broker.py").write_text(
-        ours.replace("class Broker(Node):", "class MyBroker(Node):").replace("main(Broker)", "main(MyBroker)")
+        shipped.replace("class Broker(Node):", "class MyBroker(Node):").replace("main(Broker)", "main(MyBroker)")
     )
     resolved_scenario = resolved(paper_scenario(tmp_path))
     assert resolved_scenario.nodes["broker"].type == "MyBroker"
@@ -319,9 +319,9 @@ def test_the_command_centre_takes_a_user_defined_pipeline(tmp_path: Path, key: s
 
 
 def test_a_user_defined_algorithm_may_be_in_the_file_of_a_user_defined_node(tmp_path: Path) -> None:
-    ours = (bundle.ROOT / "nodes" / "adversary.py").read_text()
+    shipped = (bundle.ROOT / "nodes" / "adversary.py").read_text()
     own = OWN_ALGORITHMS.split("class MyTracker")[0]
-    head, main = ours.split('if __name__ == "__main__"')
+    head, main = shipped.split('if __name__ == "__main__"')
     (tmp_path / "shy_adversary.py").write_text(
         head + own.replace("from __future__", "#") + "\n\nif __name__ == '__main__'" + main
     )
@@ -349,7 +349,7 @@ def scenario_with(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
 
 INVALID_SCENARIOS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a key": (lambda s: s.update(agent={}), "agent: unknown key; did you mean 'agents'"),
-    "a key that is no string": (lambda s: s.update({3: {}}), "3: unknown key"),
+    "a key that is not a string": (lambda s: s.update({3: {}}), "3: unknown key"),
     "a string instead of a dict": (lambda s: s.update(broker="fast"), "broker: found 'fast', expected a dict"),
     "a list instead of a dict": (lambda s: s.update(agents=[1]), r"agents: found \[1\], expected a dict"),
     "a scene": (lambda s: s.update(scene="intersecton"), r"scene 'intersecton': unknown name .*'intersection'"),
@@ -384,7 +384,7 @@ INVALID_SCENARIOS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         lambda s: s["adversaries"]["adversary_1"].pop("agent"),
         r"adversaries\.adversary_1\.agent: no agent 'None'",
     ),
-    "an adversary that is no dict": (
+    "an adversary that is not a dict": (
         lambda s: s["adversaries"].update(eve="PassThrough"),
         r"adversaries\.eve: found 'PassThrough', expected a dict",
     ),
@@ -404,11 +404,11 @@ INVALID_SCENARIOS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         lambda s: s.update(nodes=dict(broker=dict(role="broker"))),
         "broker: another node has this name already",
     ),
-    "a node that is no dict": (lambda s: s.update(nodes=dict(tap=3)), "nodes.tap: found 3, expected a dict"),
+    "a node that is not a dict": (lambda s: s.update(nodes=dict(tap=3)), "nodes.tap: found 3, expected a dict"),
     "a run's key": (lambda s: s["run"].update(speed=2), "run.speed: unknown key"),
     "a mode": (lambda s: s["run"].update(mode="lock-step"), "run.mode: found 'lock-step'; did you mean 'lockstep'"),
     "a seed": (lambda s: s["run"].update(seed=-1), "run.seed: found -1, expected a whole number from 0"),
-    "a seed that is no number": (lambda s: s["run"].update(seed="x"), "run.seed: found 'x'"),
+    "a seed that is not a number": (lambda s: s["run"].update(seed="x"), "run.seed: found 'x'"),
     "a number of frames": (lambda s: s["run"].update(frames=0), "run.frames: found 0, expected a whole number from 1"),
     "a rate": (lambda s: s["run"].update(rate=0), "run.rate: found 0, expected a number above 0"),
     "an exit policy": (lambda s: s["broker"].update(on_exit="go on"), r"broker\.on_exit: found 'go on'"),
@@ -660,7 +660,7 @@ def test_a_node_that_would_receive_nothing_is_refused(tmp_path: Path) -> None:
         resolved(file)
 
 
-def test_classes_of_a_scenario_that_another_one_is_made_from_reach_other_processes(tmp_path: Path) -> None:
+def test_classes_of_a_scenario_on_which_another_is_based_reach_other_processes(tmp_path: Path) -> None:
     first, second = tmp_path / "first.py", tmp_path / "folder" / "second.py"
     first.write_text(
         "from mast_zenoh.attacks import PassThrough\n"
@@ -668,10 +668,10 @@ def test_classes_of_a_scenario_that_another_one_is_made_from_reach_other_process
         "class OnlyInTheFirst(PassThrough):\n"
         "    pass\n"
         "def scenario():\n"
-        "    _, ours = load('uncoordinated', ['n_adversaries=1'])\n"
-        "    for adversary in ours['adversaries'].values():\n"
+        "    _, base = load('uncoordinated', ['n_adversaries=1'])\n"
+        "    for adversary in base['adversaries'].values():\n"
         "        adversary['attack'] = dict(type='OnlyInTheFirst')\n"
-        "    return ours\n"
+        "    return base\n"
     )
     second.parent.mkdir()
     second.write_text(

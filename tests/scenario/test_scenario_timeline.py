@@ -233,7 +233,7 @@ def test_delivery_order_does_not_change_the_effect_of_faults() -> None:
             r"faults\[0\]\.type: no Rule named 'Los'",
         ),
         (dict(links={"infra_9": "wired"}), "links: no agent 'infra_9' in this scene; did you mean 'infra_"),
-        (dict(links={"*": "wierd"}), r"links\['\*'\]: no profile of a link named 'wierd'; did you mean 'wired'"),
+        (dict(links={"*": "wierd"}), r"links\['\*'\]: no link profile 'wierd'; did you mean 'wired'"),
         (dict(links={"*": dict(upp=[])}), r"links\['\*'\]\.upp: unknown key; did you mean 'up'"),
         (dict(links={"*": dict(up=[dict(type="Los")])}), r"links\['\*'\]\.up\[0\]\.type: no Rule named 'Los'"),
         (dict(links={"*": dict(up="Loss")}), r"links\['\*'\]\.up: found 'Loss', expected a list"),

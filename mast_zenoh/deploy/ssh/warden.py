@@ -8,7 +8,8 @@ It has one folder: `control` (its socket), logs/, tmp/NODE, and the launcher's f
     {"id", "do": "start", name, argv, env}        {"id", "do": "signal", names, number}
     {"id", "do": "end", grace_s}                  resume stopped nodes; SIGTERM, and SIGKILL after the grace period
     {"id", "do": "leave", grace_s}                the same, then it removes its folder and ends
-    {"id", "do": "state"}                         {"do": "alive"}
+    {"id", "do": "state"}                         answer with the states of all nodes, after the logs written so far
+    {"do": "alive"}                               the launcher is still there; no answer
 
     {"warden": pid}   {"answer": id, …}   {"node": name, "start": id, "pid", "exit"}   {"log": name, "offset", "text"}
 
@@ -80,7 +81,10 @@ class Warden:
         self.selector.register(self.listener, selectors.EVENT_READ)
 
     def serve(self) -> None:
-        """Serve until a leave command or a lost launcher; then remove the folder."""
+        """Serve until a leave command, SIGTERM, SIGINT or the loss of the launcher.
+
+        Then remove the folder.
+        """
         reader, writer = os.pipe()
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)

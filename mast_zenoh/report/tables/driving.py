@@ -19,7 +19,8 @@ class DrivingRow(NamedTuple):
     """Driving metrics of an estimate; in parentheses, the change from a reference.
 
     run: label of the run
-    false, missed: objects per frame in the vehicle's corridor;  overlapping: those that overlap the vehicle itself
+    objects, false, missed: all, false and missed objects in the vehicle's corridor, per frame
+    overlapping: objects per frame that overlap the vehicle itself
     ttc_s: minimum time to collision, s
     brake: share of the frames with braking;  needless, omitted: share with needless and with omitted braking, with the
            part due to attacks, and the unattributed increase over the reference
@@ -68,7 +69,7 @@ def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
 
 
 def _unattributed(summary: dict[str, Any], reference_summary: dict[str, Any], key: str) -> float:
-    """Unattributed increase of a share of frames over another run; 0: none."""
+    """Unattributed increase in a share of frames over the reference run; 0: none."""
     share, reference_share = summary.get(key), reference_summary.get(key)
     if share is None or reference_share is None:
         return 0.0
@@ -112,13 +113,13 @@ def _row(
 
 
 def braking_by_attack(run: RunFolder) -> str:
-    """Wrong braking of the ego with picture by attacks, in words; empty: none."""
+    """How attacks made the ego with picture brake wrongly, in words; or empty."""
     mission = _summaries(run).get("mission", {})
     return _braking({words: mission.get(f"{key}_attack") for key, words in _WRONG_BRAKING.items()})
 
 
 def unattributed_braking(run: RunFolder, reference: RunFolder, name: str) -> str:
-    """Unattributed increase of wrong braking over a run, in words; empty: none."""
+    """Unattributed increase in wrong braking over another run, in words; or empty."""
     own, other = (_summaries(each).get("mission", {}) for each in (run, reference))
     braking = _braking({words: _unattributed(own, other, key) for key, words in _WRONG_BRAKING.items()})
     return f"{braking} more than {name}, not attributed" if braking else ""
