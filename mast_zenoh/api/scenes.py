@@ -133,18 +133,17 @@ def prepare(
     """
     suffix = "" if isinstance(scene, Mapping) else Path(scene).suffix
     if suffix == ".npz":
-        given = {"seed": seed, "frames": frames} | parameters
-        if unused := [name for name, value in given.items() if value is not None]:
+        options = {"seed": seed, "frames": frames} | parameters
+        if unused := [name for name, value in options.items() if value is not None]:
             raise ConfigurationError(f"{scene}: is recorded already: found {', '.join(unused)}, expected nothing else")
         return PreparedScene(Recording.load(Path(str(scene))))
-    options = RUN_DEFAULTS
+    run = RUN_DEFAULTS
     if suffix == ".py":
         _, content = scenarios.load_values(str(scene), parameters)
-        options = options | dict(content.get("run", {}))
+        run = run | dict(content.get("run", {}))
         spec = scenarios.choose_scene(content.get("scene", "intersection"))
     else:
         spec = scenarios.choose_scene(scene if isinstance(scene, Mapping) else str(scene), **parameters)
-    made = registry.build(spec, scenes.Scene, "scene")
-    chosen = options["seed"] if seed is None else seed
-    recording = scenes.prepare(made, chosen, frames, json.dumps(spec, sort_keys=True))
+    built = registry.build(spec, scenes.Scene, "scene")
+    recording = scenes.prepare(built, run["seed"] if seed is None else seed, frames, json.dumps(spec, sort_keys=True))
     return PreparedScene(recording)

@@ -141,14 +141,14 @@ def class_defined_elsewhere(name: str, path: Path) -> type | None:
     A scenario that is made from another one, by `scenario.load`, uses classes of a file that it does not import.
     """
     imported = _SOURCES.get(module(path), {}) if path.suffix else {}
-    found = None
+    newest = None
     for loaded in list(_SOURCES):
         cls = vars(loaded).get(name)
         if isinstance(cls, type) and cls.__module__ == loaded.__name__ and _is_derived(cls):
             if file_of_class(cls) in imported:
                 return None
-            found = cls
-    return found
+            newest = cls
+    return newest
 
 
 def session_classes() -> dict[str, type]:

@@ -84,11 +84,12 @@ def build(spec: object, base: type, path: str) -> Any:
     name = ClassName(spec["type"]) if isinstance(spec["type"], type) else spec["type"]
     if isinstance(name, ClassName) and issubclass(name.cls, base):
         classes = {name: name.cls}  # several classes may have this name
-    if (unfinished := _abstract(base, str(name))) is not None and name not in classes:
-        methods = ", ".join(sorted(unfinished.__abstractmethods__))
-        raise ConfigurationError(f"{path}.type: {name} does not define {methods}, expected of every {base.__name__}")
     if not isinstance(name, str) or name not in classes:
-        raise ConfigurationError(f"{path}.type: no {base.__name__} named {name!r}{nearest(str(name), classes)}")
+        problem = f"no {base.__name__} named {name!r}{nearest(str(name), classes)}"
+        if (unfinished := _abstract(base, str(name))) is not None:
+            methods = ", ".join(sorted(unfinished.__abstractmethods__))
+            problem = f"{name} does not define {methods}, expected of every {base.__name__}"
+        raise ConfigurationError(f"{path}.type: {problem}")
     return construct(classes[name], {key: value for key, value in spec.items() if key != "type"}, path)
 
 

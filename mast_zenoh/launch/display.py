@@ -28,12 +28,10 @@ class Display:
         )
         self._task = self._bar.add_task(title, total=frames, rate="")
         self._live: Live | None = None
-        self._begun = 0.0
         self._printed_frame = 0
         self._first_frame_at: float | None = None
 
     def __enter__(self) -> Display:
-        self._begun = time.monotonic()
         if self.console.is_terminal:
             self._live = Live(self._bar, console=self.console, refresh_per_second=8, transient=True)
             self._live.__enter__()
