@@ -30,6 +30,7 @@ LAYERS: dict[str, str] = {
     "security": "certificates of a run, rights derived from the wiring, signing keys",
     "wiring": "key-expression maps, rewrites, and the key of every port",
     "pipelines": "processing stages of agents and of the command centre",
+    "integrity": "judges the agents' tracks: whom to trust, and what to withhold",
     "fusion": "fuses the tracks of many agents into one picture",
     "scenes": "ground truth: generated and recorded scenes",
     "messages": "schemas, codec, memory layout, validation",

@@ -12,6 +12,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Detections, ObjectStates, propagate
 from mast_zenoh.gather import Gather, LatestBefore
+from mast_zenoh.integrity.views import UNKNOWN_SPACE, view_columns
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import AgentPipeline, Pose
 from mast_zenoh.runtime.mesh.main import main
@@ -31,8 +32,14 @@ class Agent(Node):
     """
 
     role = "agent"
-    inputs = {"clock": "clock", "pose": "pose", "detections": "detections", "picture": "picture"}
-    outputs = {"tracks": "tracks", "mission": "tracks", "status": "status"}
+    inputs = {
+        "clock": "clock",
+        "pose": "pose",
+        "detections": "detections",
+        "sweep": "sweep",
+        "picture": "picture",
+    }
+    outputs = {"tracks": "tracks", "view": "view", "mission": "tracks", "status": "status"}
 
     def __init__(
         self,
@@ -56,6 +63,11 @@ class Agent(Node):
         self.last: tuple[Pose, Pose] | None = None  # latest pose and mount
         self.newest_ns = 0  # time of the tracker's last step
 
+    def start(self, context: Context) -> None:
+        """Wait for the sensor's sweep in each frame, if there is one."""
+        if any(source.port == "sweep" for source in context.subscriptions.values()):
+            self.sensed.expected.add("sweep")
+
     def on_clock(self, received: Received, context: Context) -> None:
         """Process frames whose pose or detections are missing with whatever has arrived."""
         for frame, items in self.sensed.expired(received.frame):
@@ -70,13 +82,17 @@ class Agent(Node):
         """The detections of its sensor."""
         self.sense("detections", received, context)
 
+    def on_sweep(self, received: Received, context: Context) -> None:
+        """How far its sensor sees in each direction."""
+        self.sense("sweep", received, context)
+
     def on_picture(self, received: Received, context: Context) -> None:
         """Store the common picture for the frames after its arrival, however late."""
         picture = (received.time_ns, ObjectStates.from_columns(received.body))
         self.pictures.add(context.frame, picture, received.frame)
 
     def sense(self, port: str, received: Received, context: Context) -> None:
-        """Process a frame once its clock, its pose and its detections have arrived."""
+        """Process a frame once its clock, its pose and all data of its sensor have arrived."""
         items = self.sensed.add(received.frame, port, received)
         if items is not None:
             self.perceive(received.frame, items, context)
@@ -106,6 +122,10 @@ class Agent(Node):
         tracks, origin, rotation = self.pipeline.track(time_ns, detections, pose, mount, self.lidar)
         reference = {"origin": origin, "rotation": rotation}
         context.publish("tracks", tracks.columns() | reference, frame=frame, time_ns=time_ns)
+        if context.connected("view"):
+            free = items["sweep"].body["free"] if "sweep" in items else UNKNOWN_SPACE
+            view = self.pipeline.view(pose, mount, self.lidar)
+            context.publish("view", view_columns(view, free), frame=frame, time_ns=time_ns)
         if context.connected("mission"):
             own = states_to_world(tracks, origin, rotation)
             mission = self.pipeline.mission.estimate(own, self.picture_at(frame, time_ns))

@@ -12,7 +12,8 @@ import numpy as np
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
 from mast_zenoh.gather import MAX_AGE_S, MAX_TRACK_VALUE, CollationBuffer
-from mast_zenoh.messages.schemas import text
+from mast_zenoh.integrity.views import check_view, collated_columns
+from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
 
@@ -29,8 +30,8 @@ class Broker(Node):
     """
 
     role = "broker"
-    inputs = {"clock": "clock", "tracks": "tracks", "status": "status"}
-    outputs = {"collated": "collated"}
+    inputs = {"clock": "clock", "tracks": "tracks", "view": "view", "status": "status"}
+    outputs = {"collated": "collated", "views": "views"}
 
     def __init__(
         self, latency_s: float = 0.0, patience: int = 0, capacity: int = 10, max_age_s: float = MAX_AGE_S
@@ -47,6 +48,8 @@ class Broker(Node):
         self.patience = patience
         self.max_age_ns = round(max_age_s * 1e9)
         self.buffer: CollationBuffer[tuple[int, ObjectStates]] = CollationBuffer(capacity)
+        self.views: CollationBuffer[tuple[int, Body]] | None = None  # None: agents send none
+        self.last_views: dict[str, tuple[int, Body]] = {}  # their times, ns, and views
         self.agents: set[str] = set()
         self.gone: set[str] = set()
         self.newcomers: set[str] = set()
@@ -54,6 +57,11 @@ class Broker(Node):
         self.open_frames: dict[int, int] = {}  # frames without a batch yet, and their times
         self.batches = {"complete": 0, "overdue": 0}
         self.absurd = 0
+
+    def start(self, context: Context) -> None:
+        """Collate views, too, if agents send any."""
+        if any(source.port == "view" for source in context.subscriptions.values()):
+            self.views = CollationBuffer(self.buffer.capacity)
 
     def joined(self, node: str, role: str, context: Context) -> None:
         """Wait for an agent from now on."""
@@ -86,6 +94,19 @@ class Broker(Node):
         self.buffer.push(received.subject, received.frame, (received.time_ns, states))
         self.emit_complete(context)
 
+    def on_view(self, received: Received, context: Context) -> None:
+        """Store what an agent's sensor covers."""
+        try:
+            check_view(received.body)
+        except ValueError as error:
+            context.reject(f"implausible: view: {error}")
+            return
+        if self.views is None or received.subject not in self.agents:
+            self.newcomers.add(received.subject)
+            return
+        self.views.push(received.subject, received.frame, (received.time_ns, received.body))
+        self.emit_complete(context)
+
     def on_clock(self, received: Received, context: Context) -> None:
         """Open a new frame, and emit incomplete older ones that have waited long enough."""
         overdue = received.time_ns - self.latency_ns
@@ -103,9 +124,14 @@ class Broker(Node):
         """Emit frames that are old enough and have all agents' tracks, oldest first."""
         for frame in sorted(self.open_frames):
             time_ns = self.open_frames[frame]
-            if time_ns > context.time_ns - self.latency_ns or not self.buffer.complete(frame, self.agents):
+            if time_ns > context.time_ns - self.latency_ns or not self.complete(frame):
                 return
             self.emit(frame, "complete", context)
+
+    def complete(self, frame: int) -> bool:
+        """Whether all agents have sent all they send for a frame."""
+        buffers = [self.buffer] if self.views is None else [self.buffer, self.views]
+        return all(buffer.complete(frame, self.agents) for buffer in buffers)
 
     def emit(self, frame: int, how: str, context: Context) -> None:
         """Publish a frame's batch: every agent's latest tracks, propagated to its time."""
@@ -126,6 +152,17 @@ class Broker(Node):
             frame=frame,
             time_ns=time_ns,
         )
+        if self.views is not None:
+            self.emit_views(self.views.pop(frame), frame, time_ns, context)
+
+    def emit_views(self, arrived: dict[str, tuple[int, Body]], frame: int, time_ns: int, context: Context) -> None:
+        """Publish every agent's latest view, unless it is too old."""
+        self.last_views |= arrived
+        self.last_views = {a: (t, v) for a, (t, v) in self.last_views.items() if abs(time_ns - t) <= self.max_age_ns}
+        names = sorted(self.last_views)
+        ages = np.array([time_ns - self.last_views[name][0] for name in names], np.int64)
+        columns = collated_columns([self.last_views[name][1] for name in names])
+        context.publish("views", {"agents": text(names), "age_ns": ages, **columns}, frame=frame, time_ns=time_ns)
 
     def finish(self, context: Context) -> dict[str, object]:
         """Numbers of complete and overdue batches, of late messages, and of rejected ones."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.integrity.views import views_of
+from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline
 from mast_zenoh.runtime.mesh.main import main
@@ -17,31 +19,61 @@ class CommandCenter(Node):
     """
 
     role = "command_center"
-    inputs = {"clock": "clock", "collated": "collated"}
-    outputs = {"picture": "picture"}
+    inputs = {"clock": "clock", "collated": "collated", "views": "views"}
+    outputs = {"picture": "picture", "trust": "trust"}
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
         self.processed: deque[int] = deque(maxlen=64)  # frames of the latest batches
         self.newest_ns = 0  # time of the pipeline's last step
+        self.expects_views = False
+        self.waiting: dict[int, Received] = {}  # batches without their views yet, by frame
+        self.views: dict[int, Received] = {}  # views without their batch yet
+
+    def start(self, context: Context) -> None:
+        """Wait for views with each batch, if agents send any."""
+        self.expects_views = any(source.port == "views" for source in context.subscriptions.values())
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """Do nothing: the broker applies the deadlines."""
+        """Process batches of the frame before whose views have not arrived; the broker applies all other deadlines."""
+        for frame in sorted(self.waiting):
+            self.process(self.waiting.pop(frame), context)
+        self.views.clear()
+
+    def on_views(self, received: Received, context: Context) -> None:
+        """Process the batch that the views belong to."""
+        if (batch := self.waiting.pop(received.frame, None)) is None:
+            self.views.setdefault(received.frame, received)
+        else:
+            self.process(batch, context, received)
 
     def on_collated(self, received: Received, context: Context) -> None:
-        """Publish one picture for each batch, about the same frame.
+        """Publish one picture for each batch, about the same frame, once its views have arrived.
 
         A second batch of a frame is ignored.
         A pipeline never goes back in time: a batch that is older than the previous one is rejected.
         """
-        if received.frame in self.processed:
+        if received.frame in self.processed or received.frame in self.waiting:
             return
+        views = self.views.pop(received.frame, None)
+        if self.expects_views and views is None:
+            self.waiting[received.frame] = received
+        else:
+            self.process(received, context, views)
+
+    def process(self, received: Received, context: Context, views: Received | None = None) -> None:
+        """Publish the picture of a batch, and the trust that the pipeline has in agents and objects."""
         if received.time_ns < self.newest_ns:
             least = f"{self.newest_ns}, that of the batch before"
             context.reject(f"old: collated: time_ns is {received.time_ns}, expected at least {least}")
             return
         self.processed.append(received.frame)
         self.newest_ns = received.time_ns
+        if views is not None:
+            try:
+                self.pipeline.look(views_of(views.body))
+            except ValueError as error:
+                context.reject(f"malformed: views: {error}")
         body = received.body
         picture, support = self.pipeline.step(
             received.time_ns, ObjectStates.from_columns(body), body["agent"], tuple(body["agents"])
@@ -49,6 +81,9 @@ class CommandCenter(Node):
         context.publish(
             "picture", picture.columns() | {"support": support}, frame=received.frame, time_ns=received.time_ns
         )
+        if self.pipeline.trust is not None:
+            texts = {name: text(list(self.pipeline.trust[name])) for name in ("agents", "reason")}
+            context.publish("trust", {**self.pipeline.trust, **texts}, frame=received.frame, time_ns=received.time_ns)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """A link: an agent's imperfect connection to the network.
 
-It is inserted before the broker on the wires that its agent publishes (tracks, status), and before its agent on those
-that it receives (the picture): see keyexpr_maps/network.toml. The rules act on every message in order: they forward,
-delay, drop, duplicate or change it.
+It is inserted before the broker on the wires that its agent publishes (tracks, status, view), and before its agent on
+those that it receives (the picture): see keyexpr_maps/network.toml. The rules act on every message in order: they
+forward, delay, drop, duplicate or change it.
 """
 
 from __future__ import annotations
@@ -83,6 +83,10 @@ class Link(Node):
     def on_picture(self, received: Received, context: Context) -> None:
         """The picture, on its way to the agent."""
         self.carry("picture", received, context)
+
+    def on_view(self, received: Received, context: Context) -> None:
+        """The agent's view."""
+        self.carry("view", received, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
         """The agent's detections, if a map inserts the link there."""

@@ -22,7 +22,7 @@ class Simulator(Source):
     """
 
     role = "simulator"
-    outputs = {"clock": "clock", "truth": "truth", "pose": "pose", "detections": "detections"}
+    outputs = {"clock": "clock", "truth": "truth", "pose": "pose", "detections": "detections", "sweep": "sweep"}
 
     def __init__(self, recording: Recording, frames: int | None = None) -> None:
         self.recording = recording
@@ -39,7 +39,7 @@ class Simulator(Source):
         self.rotations.setflags(write=False)
 
     def advance(self, context: Context) -> bool:
-        """Publish the next frame: clock, truth, and each agent's pose and detections."""
+        """Publish the next frame: clock, truth, and each agent's pose, detections and sweep."""
         frame = self.next_frame
         if frame >= self.frames:
             return False
@@ -63,6 +63,8 @@ class Simulator(Source):
                 | {"mount_position": mount_position, "mount_rotation": mount_rotation},
                 subject=agent.name,
             )
+            if context.connected("sweep", agent.name):
+                context.publish("sweep", {"free": scene.sweep_at(frame, index)}, subject=agent.name)
         truth = scene.truth_at(frame)
         context.publish(
             "truth",

@@ -46,6 +46,14 @@ class GroupTracker(ABC):
         The picture is sorted by id; support (n,) is the number of agents with a track in each object's cluster.
         """
 
+    @property
+    def clusters(self) -> Ints:
+        """(n,) int64: the cluster behind each object of the last picture; -1: none.
+
+        Integrity stages need it to withhold objects from the picture. Raises NotImplementedError by default.
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not define `clusters`, which integrity stages need")
+
     @abstractmethod
     def reset(self) -> None:
         """Return to the initial state."""

@@ -22,16 +22,23 @@ class GroupTrackerWrapper(GroupTracker):
     def __init__(self, *, fusion: Fusion, tracker: Tracker) -> None:
         self._fusion = fusion
         self._tracker = tracker
+        self._clusters = np.zeros(0, np.int64)
 
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
         fused = self._fusion.fuse(states, labels, weights)
         picture = self._tracker.step_states(time_ns, fused)
-        return picture, _support(labels, weights, fused.id, self._tracker.matched)
+        self._clusters = _clusters(fused.id, self._tracker.matched)
+        return picture, _support(labels, weights, self._clusters)
+
+    @property
+    def clusters(self) -> Ints:
+        return self._clusters
 
     def reset(self) -> None:
         self._tracker.reset()
+        self._clusters = np.zeros(0, np.int64)
 
 
 class UnfilteredGroupTracker(GroupTracker):
@@ -60,6 +67,7 @@ class UnfilteredGroupTracker(GroupTracker):
         self._objects = ObjectStates.empty()
         self._seen_ns = np.zeros(0, np.int64)
         self._next_id = 0
+        self._clusters = np.zeros(0, np.int64)
 
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
@@ -81,18 +89,27 @@ class UnfilteredGroupTracker(GroupTracker):
         picture = fused.with_(id=ids).select(order)
         self._objects = concatenate([picture, objects.select(unmatched)])
         self._seen_ns = np.concatenate([np.full(len(picture), time_ns), seen_ns[unmatched]])
-        return picture, _support(labels, weights, fused.id, order)
+        self._clusters = _clusters(fused.id, order)
+        return picture, _support(labels, weights, self._clusters)
+
+    @property
+    def clusters(self) -> Ints:
+        return self._clusters
 
 
-def _support(labels: Ints, weights: Floats | None, fused: Ints, matched: Ints) -> Ints:
-    """Number of members (n,) with positive weight in the cluster behind each object.
+def _clusters(fused: Ints, matched: Ints) -> Ints:
+    """(n,) cluster behind each object; -1: none.
 
-    0 for an object without a cluster.
+    fused: (c,) labels of the fused clusters; matched: (n,) rows of those, -1 for none
+    """
+    return np.where(matched >= 0, fused[matched], -1) if len(fused) else np.full(len(matched), -1, np.int64)
 
-    labels, weights: of the members; fused: (c,) labels of the fused clusters; matched: (n,) rows of those, -1 for none
+
+def _support(labels: Ints, weights: Floats | None, clusters: Ints) -> Ints:
+    """(n,) number of members with positive weight in the cluster behind each object; 0 without one.
+
+    labels, weights: of the members; clusters: (n,) see `_clusters`
     """
     counted = labels if weights is None else labels[weights > 0.0]
-    if len(fused) == 0:
-        return np.zeros(len(matched), np.int64)
-    count = np.bincount(counted, minlength=int(fused.max()) + 1)[fused]
-    return np.where(matched >= 0, count[matched], 0)
+    count = np.bincount(counted, minlength=int(clusters.max(initial=0)) + 1)
+    return np.where(clusters >= 0, count[clusters], 0)

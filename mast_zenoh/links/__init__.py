@@ -20,7 +20,7 @@ from mast_zenoh.links.profiles import PROFILES, profile
 from mast_zenoh.links.timing import Bandwidth, Delay, Hold, Reorder
 
 #: The ports of a link that messages pass through; link reports contain indices into this tuple.
-WIRES = ("tracks", "status", "picture", "detections", "collated")
+WIRES = ("tracks", "status", "picture", "detections", "collated", "view")
 #: The effects on a message; link reports contain indices into this tuple.
 FATES = ("dropped", "delayed", "duplicated", "corrupted", "altered")
 

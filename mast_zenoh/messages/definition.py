@@ -1,11 +1,10 @@
-"""Checks the definition of a message type: names, dtypes and shapes of columns.
-
-Each check raises ValueError."""
+"""What a message type is: named columns with dtypes and shapes, checked when they are defined."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from math import prod
 
 #: The dtypes that a column can have. `str` is text.
@@ -19,7 +18,55 @@ _INDICES = 256  # of uint8
 _MOST_VALUES = 1 << 59  # of eight bytes
 
 
-def check_column(name: object, dtype: object, shape: Sequence[object], below: object, least_length: object) -> None:
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column, as used by senders, receivers and the documentation.
+
+    name:  small letters, digits and _
+    dtype: float64, int64, int32, uint8, or str for text
+    shape: sizes; equal letters are equal sizes in one message: ("n", 3) is a row of three numbers for each of n objects
+    unit, meaning: for readers; "" where there is none
+    below: for indices (uint8): exclusive upper limit
+    least_length: for quaternions and matrices (float64): minimum square root of the sum of squares
+
+    Raises ValueError for anything else.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[str | int, ...]
+    unit: str = ""
+    meaning: str = ""
+    below: int = 256
+    least_length: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", tuple(self.shape))
+        for text in (self.unit, self.meaning):
+            if not isinstance(text, str):
+                raise ValueError(f"column {self.name!r}: unit and meaning: found {text!r:.40}, expected text")
+        _check_column(self.name, self.dtype, self.shape, self.below, self.least_length)
+
+
+@dataclass(frozen=True, slots=True)
+class Schema:
+    """One message type: name, version, meaning, columns.
+
+    A node names it in its ports: `outputs = {"gusts": GUSTS}`. Raises ValueError for a name that is none, and for two
+    columns of one name.
+    """
+
+    name: str
+    version: int
+    meaning: str
+    columns: tuple[Column, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", tuple(self.columns))
+        _check_schema(self.name, self.version, [column.name for column in self.columns])
+
+
+def _check_column(name: object, dtype: object, shape: Sequence[object], below: object, least_length: object) -> None:
     """Check one column; see `schemas.Column`."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(f"column {name!r}: expected a name of small letters, digits and _, at most 64")
@@ -48,7 +95,7 @@ def check_column(name: object, dtype: object, shape: Sequence[object], below: ob
         raise ValueError(f"column {name!r}: least_length: found {least_length!r}, expected 0 for {dtype}")
 
 
-def check_schema(name: object, version: object, columns: Collection[str]) -> None:
+def _check_schema(name: object, version: object, columns: Collection[str]) -> None:
     """Check a message type; columns: the names of its columns."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(f"message type {name!r}: expected a name of small letters, digits and _, at most 64")

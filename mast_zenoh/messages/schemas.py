@@ -9,14 +9,16 @@ A message is a header and a body of columns. In a shape, letters are sizes that 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.messages.definition import check_column, check_schema
+from mast_zenoh.messages.definition import Column, Schema
+
+__all__ = ["OURS", "SCHEMAS", "Body", "Column", "Header", "Message", "Schema", "same_columns", "text"]
 
 #: A message body: column name to array. Columns of text are arrays of dtype object holding str.
 Body = Mapping[str, NDArray[Any]]
@@ -53,54 +55,6 @@ def same_columns(one: Body, other: Body) -> bool:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column, as used by senders, receivers and the documentation.
-
-    name:  small letters, digits and _
-    dtype: float64, int64, int32, uint8, or str for text
-    shape: sizes; equal letters are equal sizes in one message: ("n", 3) is a row of three numbers for each of n objects
-    unit, meaning: for readers; "" where there is none
-    below: for indices (uint8): exclusive upper limit
-    least_length: for quaternions and matrices (float64): minimum square root of the sum of squares
-
-    Raises ValueError for anything else.
-    """
-
-    name: str
-    dtype: str
-    shape: tuple[str | int, ...]
-    unit: str = ""
-    meaning: str = ""
-    below: int = 256
-    least_length: float = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shape", tuple(self.shape))
-        for text in (self.unit, self.meaning):
-            if not isinstance(text, str):
-                raise ValueError(f"column {self.name!r}: unit and meaning: found {text!r:.40}, expected text")
-        check_column(self.name, self.dtype, self.shape, self.below, self.least_length)
-
-
-@dataclass(frozen=True, slots=True)
-class Schema:
-    """One message type: name, version, meaning, columns.
-
-    A node names it in its ports: `outputs = {"gusts": GUSTS}`. Raises ValueError for a name that is none, and for two
-    columns of one name.
-    """
-
-    name: str
-    version: int
-    meaning: str
-    columns: tuple[Column, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "columns", tuple(self.columns))
-        check_schema(self.name, self.version, [column.name for column in self.columns])
-
-
 def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tuple[Column, ...]:
     """Columns of object states; filtered: with covariance and existence probability."""
     columns = [
@@ -121,6 +75,18 @@ def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tupl
 
 
 _ROTATION: dict[str, Any] = {"least_length": 1e-3}  # receivers normalise it
+
+
+def _view(*size: str) -> tuple[Column, ...]:
+    """Columns of a sensor's field of view, or of those of `size` sensors."""
+    return (
+        Column("position", "float64", (*size, 3), "m", "of the sensor, world frame"),
+        Column("rotation", "float64", (*size, 4), "", "active quaternion w x y z, sensor to world", **_ROTATION),
+        Column("azimuth", "float64", (*size, 2), "rad", "that it covers, from and to, in the sensor frame"),
+        Column("elevation", "float64", (*size, 2), "rad", "that it covers, in the sensor frame"),
+        Column("max_range", "float64", size or (1,), "m", "that it covers"),
+    )
+
 
 _FRAME_OF_REFERENCE = (
     Column("origin", "float64", (3,), "m", "of the columns' frame of reference, in the world frame"),
@@ -218,7 +184,7 @@ OURS: Mapping[str, Schema] = {
             1,
             "what a link did to messages in the step before; for the evaluator only",
             (
-                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES", below=5),
+                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES", below=6),
                 Column("frame", "int64", ("n",), "", "frame of the message"),
                 Column("seq", "int64", ("n",), "", "sequence number of the message"),
                 Column("fate", "uint8", ("n",), "", "index into mast_zenoh.links.FATES", below=5),
@@ -238,6 +204,55 @@ OURS: Mapping[str, Schema] = {
                 Column("azimuth", "float64", (2,), "rad", "that its sensor covers, from and to, in the sensor frame"),
                 Column("elevation", "float64", (2,), "rad", "that its sensor covers, in the sensor frame"),
                 Column("max_range", "float64", (1,), "m", "that its sensor covers"),
+            ),
+        ),
+        Schema(
+            "sweep",
+            1,
+            "how far an agent's sensor sees before something returns",
+            (Column("free", "float64", ("m", "k"), "m", "by elevation band and azimuth sector; no rows: unknown"),),
+        ),
+        Schema(
+            "view",
+            1,
+            "what an agent's sensor covers",
+            (*_view(), Column("free", "float64", ("m", "k"), "m", "that each direction is free; no rows: unknown")),
+        ),
+        Schema(
+            "views",
+            1,
+            "what the sensors of all agents cover",
+            (
+                Column("agents", "str", ("a",), "", "names of the agents, sorted"),
+                Column("age_ns", "int64", ("a",), "ns", "of each agent's view"),
+                *_view("a"),
+                Column("grid", "int64", ("a", 2), "", "numbers of bands and sectors; 0, 0: unknown"),
+                Column("free", "float64", ("k",), "m", "that each direction is free: band by band, agent by agent"),
+            ),
+        ),
+        Schema(
+            "trust",
+            1,
+            "the command centre's assessment of agents and objects",
+            (
+                Column("agents", "str", ("a",), "", "names of the agents, sorted"),
+                Column("mean", "float64", ("a",), "", "how far each agent is trusted, 0 to 1"),
+                Column("log_odds", "float64", ("a",), "", "that it is honest"),
+                Column("state", "uint8", ("a",), "", "index into mast_zenoh.integrity.STATES", below=4),
+                Column("reason", "str", ("a",), "", "of its state; empty if there is none"),
+                Column("fault_offset", "float64", ("a", 2), "m", "estimated error of its tracks' position, x and y"),
+                Column("fault_turn", "float64", ("a",), "rad", "estimated error of its heading"),
+                Column("fault_delay", "float64", ("a",), "s", "by which its tracks are late"),
+                Column("fault_loss", "float64", ("a",), "", "share of the objects in view that it does not report"),
+                Column("id", "int64", ("n",), "", "of each object that the centre tracks, withheld or not"),
+                Column("position", "float64", ("n", 3), "m", ""),
+                Column("size", "float64", ("n", 3), "m", "length, width, height"),
+                Column("yaw", "float64", ("n",), "rad", ""),
+                Column("trust", "float64", ("n",), "", "how far the object is trusted, 0 to 1"),
+                Column("expected", "int64", ("n",), "", "agents that should see it"),
+                Column("confirming", "int64", ("n",), "", "agents that report it"),
+                Column("contradicting", "int64", ("n",), "", "agents that see free space in its place"),
+                Column("withheld", "uint8", ("n",), "", "1: not in the picture", below=2),
             ),
         ),
         Schema(

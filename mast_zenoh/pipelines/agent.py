@@ -122,6 +122,10 @@ class AgentPipeline:
         reference = Pose(_NO_OFFSET, _NO_TURN) if self.frame == "world" else pose
         return tracks, reference.position, reference.quaternion
 
+    def view(self, pose: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
+        """The field of view of the sensor, world frame."""
+        return self._view_from(pose, mount, lidar)
+
     def _view_from(self, base: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
         """The sensor's field of view; cached, because most agents are stationary."""
         parts = base.position, base.quaternion, mount.position, mount.quaternion

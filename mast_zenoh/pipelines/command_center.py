@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer, GroupTracker
+from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
 
 
 class Pipeline(ABC):
     """Turns the tracks of all agents into the picture."""
+
+    #: columns of the last step's `trust` message; None: the pipeline judges nobody
+    trust: Mapping[str, Any] | None = None
+
+    def look(self, views: Mapping[str, SweptView]) -> None:  # noqa: B027 (a hook: most pipelines need no views)
+        """Set what the agents' sensors cover, by agent, for the next step.
+
+        Called only where agents send views (keyexpr_maps/views.toml).
+        """
 
     @abstractmethod
     def step(
@@ -34,23 +46,73 @@ class Pipeline(ABC):
 
 
 class CommandCenterPipeline(Pipeline):
-    """Clustering, then fusion and tracking of the clusters.
+    """Clustering, then integrity, then fusion and tracking of the clusters.
 
     clustering: groups tracks by object; group_tracking: turns clusters into the picture
+    integrity: judges agents and objects; None: nobody is judged, and no trust is published
+
+    An object that is withheld is tracked on, so that it is in the picture as soon as it is trusted.
     """
 
-    def __init__(self, *, clustering: Clusterer, group_tracking: GroupTracker) -> None:
+    def __init__(
+        self, *, clustering: Clusterer, group_tracking: GroupTracker, integrity: Integrity | None = None
+    ) -> None:
         self._clustering = clustering
         self._group_tracking = group_tracking
+        self._integrity = integrity
+        self._views: Mapping[str, SweptView] = {}
+        self._withheld: dict[int, bool] = {}  # by id of the object
+
+    def look(self, views: Mapping[str, SweptView]) -> None:
+        self._views = views
 
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
         # Sorted by name, because the order of `agents` depends on the arrival of their messages.
-        rank = {name: row for row, name in enumerate(sorted(agents))}
+        names = tuple(sorted(agents))
+        rank = {name: row for row, name in enumerate(names)}
         agent = np.array([rank[name] for name in agents], np.int64)[agent]
+        if self._integrity is None:
+            labels = self._clustering.cluster(states, agent)
+            return self._group_tracking.step(time_ns, states, agent, labels, weights)
+        states = self._integrity.correct(time_ns, states, agent, names, self._views)
         labels = self._clustering.cluster(states, agent)
-        return self._group_tracking.step(time_ns, states, agent, labels, weights)
+        views = tuple(self._views.get(name) for name in names)
+        self._views = {}
+        assessment = self._integrity.assess(Batch(time_ns, states, agent, labels, names, views))
+        weights = combined(weights, assessment.weights)
+        picture, support = self._group_tracking.step(time_ns, states, agent, labels, weights)
+        return self._published(picture, support, names, assessment)
+
+    def _published(
+        self, picture: ObjectStates, support: Ints, names: tuple[str, ...], assessment: Assessment
+    ) -> tuple[ObjectStates, Ints]:
+        """The objects that are not withheld; updates `trust`."""
+        clusters = self._group_tracking.clusters
+        before = np.array([self._withheld.get(id_, False) for id_ in picture.id.tolist()], np.bool_)
+        withheld = before.copy()
+        matched = clusters >= 0
+        withheld[matched] = assessment.objects.withheld[clusters[matched]]
+        self._withheld = dict(zip(picture.id.tolist(), withheld.tolist(), strict=True))
+        self.trust = {
+            "agents": names,
+            "reason": assessment.agents.reason,
+            **trust_columns(assessment.agents, picture, clusters, assessment.objects, withheld),
+        }
+        return (picture.select(~withheld), support[~withheld]) if withheld.any() else (picture, support)
 
     def reset(self) -> None:
         self._group_tracking.reset()
+        self._withheld = {}
+        self._views = {}
+        self.trust = None
+        if self._integrity is not None:
+            self._integrity.reset()
+
+
+def combined(one: Floats | None, other: Floats | None) -> Floats | None:
+    """Products (n,) of weights; None stands for ones."""
+    if one is None or other is None:
+        return other if one is None else one
+    return one * other

@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh import scenes
 from mast_zenoh.config import bundle, loading, registry
-from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node
+from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
@@ -62,6 +62,9 @@ def resolve(
     messages = _messages(path, nodes)
     user_types.use(messages)
     wiring = _wiring(path, scenario, nodes, [REWRITE] if timeline.links else [])
+    if any(wire.message == "sweep" for wire in wiring.wires):
+        recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key, sweeps=True)
+        nodes[driver_of(nodes)].config["recording"] = recording
     return Resolved(
         name=checked_name(scenario.get("name", name_of_file(path.stem)), f"{path}: name"),
         seed=options["seed"],

@@ -18,16 +18,19 @@ from mast_zenoh.arrays import geometry, states
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.sweeps import with_sweeps
 from mast_zenoh.version import __version__
 
 #: Maximum size of the cache, bytes; the least recently used files are removed first.
 LIMIT = 2_000_000_000
 
 
-def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None) -> Recording:
+def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None, *, sweeps: bool = False) -> Recording:
     """The recording of a scene, from the disk cache or else recorded and cached.
 
-    cache_key: the scene's configuration as text, the same for equal scenes; None: do not cache.
+    cache_key: the scene's configuration as text, the same for equal scenes; None: do not cache
+    sweeps: with the free space around every sensor, see `with_sweeps`
+
     Scenes with parts defined in a notebook are not cached, because changes of their code cannot be detected.
 
     The cache is in $XDG_CACHE_HOME/mast-zenoh/scenes (or ~/.cache/...). Files are written atomically, so two processes
@@ -35,15 +38,16 @@ def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None) 
     that cannot be written is not an error. Raises what `Scene.record` raises.
     """
     if cache_key is None or _defined_in_session(scene):
-        return scene.record(seed, frames)
-    path = cache_folder() / f"{_digest(scene, seed, frames, cache_key)}.npz"
+        return with_sweeps(scene.record(seed, frames)) if sweeps else scene.record(seed, frames)
+    digest = _digest(scene, seed, frames, cache_key)
+    path = cache_folder() / f"{digest}{'.sweeps' if sweeps else ''}.npz"
     try:
         recording = Recording.load(path)
         with contextlib.suppress(OSError):
             os.utime(path)
         return recording
     except SceneError:
-        recording = scene.record(seed, frames)
+        recording = with_sweeps(prepare(scene, seed, frames, cache_key)) if sweeps else scene.record(seed, frames)
     with contextlib.suppress(OSError):
         _store(recording, path)
     return recording

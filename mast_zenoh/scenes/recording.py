@@ -60,6 +60,7 @@ class Recording:
     detection_truth_id: (D,) int64, id of the object detected, -1 for clutter; for scoring only, never an input
     buildings:          B outlines, each (k, 2) m, world frame, closed without repeating the first corner
     building_height:    (B,) m, z of each building's top in the world frame
+    sweeps:             for each agent (F, bands, sectors) float32, m, see `sensing.sweep`; (): unknown
     """
 
     name: str
@@ -77,6 +78,7 @@ class Recording:
     detection_truth_id: Ints
     buildings: tuple[Floats, ...]
     building_height: Floats
+    sweeps: tuple[NDArray[np.float32], ...] = ()
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -113,6 +115,13 @@ class Recording:
         """Truth ids (n,) of `detections_at`, -1 for clutter; for scoring only."""
         return self.detection_truth_id[self._detection_rows(frame, agent)]
 
+    def sweep_at(self, frame: int, agent: int) -> Floats:
+        """(bands, sectors) m that each direction of a sensor is free; (0, 0): unknown.
+
+        agent: row of `agents`
+        """
+        return self.sweeps[agent][frame].astype(np.float64) if self.sweeps else np.zeros((0, 0))
+
     def validate(self) -> None:
         """Raise SceneError for the first invalid shape, offset or number.
 
@@ -135,6 +144,8 @@ class Recording:
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise SceneError(f"{self.name}: {name} has shape {getattr(self, name).shape}, expected {shape}")
+        if self.sweeps and [sweep.shape[:1] for sweep in self.sweeps] != [(f,)] * a:
+            raise SceneError(f"{self.name}: sweeps of {len(self.sweeps)} agents, expected {f} frames of {a} agents")
         if len(set(self.agent_names)) != a:
             raise SceneError(f"{self.name}: agent names repeat: {', '.join(self.agent_names)}")
         late = np.flatnonzero(np.diff(self.times_ns) <= 0)
@@ -148,6 +159,8 @@ class Recording:
                 self._check_finite(f"{name}.{column}", values)
         for name in ("agent_position", "agent_rotation", "agent_velocity", "building_height"):
             self._check_finite(name, getattr(self, name))
+        for index, sweep in enumerate(self.sweeps):
+            self._check_finite(f"sweeps[{index}]", sweep)
         for index, outline in enumerate(self.buildings):
             self._check_finite(f"buildings[{index}]", outline)
             if outline.ndim != 2 or outline.shape[1:] != (2,) or len(outline) < 3:
@@ -178,6 +191,7 @@ class Recording:
         arrays |= {f"truth.{name}": getattr(self.truth, name) for name in TRUTH_COLUMNS}
         arrays |= {f"detections.{name}": getattr(self.detections, name) for name in DETECTION_COLUMNS}
         arrays |= {name: getattr(self, name) for name in _ARRAYS}
+        arrays |= {f"sweeps.{index}": sweep for index, sweep in enumerate(self.sweeps)}
         arrays["building_start"] = np.cumsum([0, *map(len, self.buildings)])
         arrays["building_corners"] = np.concatenate([np.zeros((0, 2)), *self.buildings])
         with path.open("wb") as file:
@@ -208,6 +222,7 @@ class Recording:
                 truth=truth_states({name: arrays[f"truth.{name}"] for name in TRUTH_COLUMNS}),
                 detections=Detections(*(arrays[f"detections.{name}"] for name in DETECTION_COLUMNS)),
                 buildings=tuple(np.split(arrays["building_corners"], start[1:-1])) if len(start) > 1 else (),
+                sweeps=tuple(arrays[f"sweeps.{i}"] for i in range(len(header["agents"])) if "sweeps.0" in arrays),
                 **{name: arrays[name] for name in _ARRAYS},
             )
         except (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, zipfile.BadZipFile) as error:
@@ -219,7 +234,7 @@ class Recording:
 _ARRAYS = tuple(
     field.name
     for field in fields(Recording)
-    if field.name not in ("name", "agents", "period_ns", "truth", "detections", "buildings")
+    if field.name not in ("name", "agents", "period_ns", "truth", "detections", "buildings", "sweeps")
 )
 
 

@@ -59,6 +59,42 @@ def lidar_points(
     own: row of the box that carries the lidar; it occludes nothing and has no returns. -1: none.
     """
     points = np.zeros(len(position), np.int32)
+    box, _, distance, direction = _nearest_hits(lidar, sensor_position, sensor_rotation, position, size, yaw, own)
+    visible = np.ones(len(box), bool)
+    if walls is not None and len(walls.top) and len(box):
+        ends = sensor_position + (direction * distance[:, None]) @ sensor_rotation.T
+        visible = ~_behind_walls(sensor_position, ends, box, walls)
+    points[:] = np.bincount(box[visible], minlength=len(position))
+    return points
+
+
+def first_hits(
+    lidar: LidarSensor,
+    sensor_position: Floats,
+    sensor_rotation: Floats,
+    position: Floats,
+    size: Floats,
+    yaw: Floats,
+    own: int = -1,
+) -> tuple[Ints, Floats]:
+    """Beams that hit a box, and the distance m of the first box.
+
+    The beams are numbered by azimuth, then channel, both ascending. The parameters are those of `lidar_points`.
+    """
+    _, beam, distance, _ = _nearest_hits(lidar, sensor_position, sensor_rotation, position, size, yaw, own)
+    return beam, distance
+
+
+def _nearest_hits(
+    lidar: LidarSensor,
+    sensor_position: Floats,
+    sensor_rotation: Floats,
+    position: Floats,
+    size: Floats,
+    yaw: Floats,
+    own: int,
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """The first box on each beam: box, beam, distance m, direction (sensor frame)."""
     # Directions and the sensor's origin in each box's frame: box <- world <- sensor.
     c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros(len(yaw)), np.ones(len(yaw))
     to_box = np.stack([np.stack([c, s, zero], 1), np.stack([-s, c, zero], 1), np.stack([zero, zero, one], 1)], 1)
@@ -70,19 +106,14 @@ def lidar_points(
         near[own] = False
     rows = np.flatnonzero(near)
     if not len(rows):
-        return points
+        return rows, rows, np.zeros(0), np.zeros((0, 3))
     corners = to_local(
         box_corners(position[rows], size[rows], yaw[rows]).reshape(-1, 3), sensor_position, sensor_rotation
     )
     box, azimuth, channels = _columns(lidar, corners.reshape(-1, 8, 3), nearest[rows])
     hits = _hits(lidar, to_box[rows] @ sensor_rotation, origin[rows], half[rows], box, azimuth, channels)
-    box, distance, direction = _nearest(*hits)
-    visible = np.ones(len(box), bool)
-    if walls is not None and len(walls.top) and len(box):
-        ends = sensor_position + (direction * distance[:, None]) @ sensor_rotation.T
-        visible = ~_behind_walls(sensor_position, ends, box, walls)
-    points[rows] = np.bincount(box[visible], minlength=len(rows))
-    return points
+    box, beam, distance, direction = _nearest(*hits)
+    return rows[box], beam, distance, direction
 
 
 def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints, Ints, Ints]:
@@ -153,11 +184,11 @@ def _hits(
     return box[column], azimuth[column] * lidar.channels + channel, enter[hit], directions
 
 
-def _nearest(box: Ints, beam: Ints, distance: Floats, direction: Floats) -> tuple[Ints, Floats, Floats]:
-    """The nearest hit of each beam: box, distance, direction."""
+def _nearest(box: Ints, beam: Ints, distance: Floats, direction: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+    """The nearest hit of each beam: box, beam, distance, direction."""
     order = np.lexsort((distance, beam))
     first = order[np.flatnonzero(np.diff(beam[order], prepend=-1))]
-    return box[first], distance[first], direction[first]
+    return box[first], beam[first], distance[first], direction[first]
 
 
 def _behind_walls(origin: Floats, ends: Floats, box: Ints, walls: Walls) -> NDArray[np.bool_]:

@@ -16,6 +16,7 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     input = "detections"
     output = "detections_out"
     node = "adversary_1"                  # optional: this node alone
+    optional = true                       # optional: ignore the entry if there is no such wire
 
     [[listen]]
     wire = "agent/*/pose"                 # every agent's; "agent/ego/pose": one; "agent/{agent}/pose": its own agent's
@@ -70,7 +71,7 @@ _ENDPOINT = re.compile(r"([a-z_]+)\.([a-z_]+)")
 #: The keys of an entry of each kind: required, optional.
 _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "wire": (("key", "message", "from", "to"), ()),
-    "insert": (("wire", "role", "input", "output"), ("to", "node")),
+    "insert": (("wire", "role", "input", "output"), ("to", "node", "optional")),
     "listen": (("wire", "role", "input"), ("leg", "node")),
 }
 
@@ -137,6 +138,8 @@ def resolve(
             wires[wire.key] = wire
             templates[entry["key"]].append(wire.key)
     for place, entry in _entries(sources, "insert"):
+        if entry.get("optional") and entry["wire"] not in templates:
+            continue
         template = _template_of(entry["wire"], templates, place)
         keys = templates[template] if entry["wire"] == template else [entry["wire"]]
         if "to" in entry and entry["to"] not in list(subscribing[template]):

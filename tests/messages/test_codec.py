@@ -28,7 +28,7 @@ def column_of(column: Column, sizes: dict[str, int], rng: np.random.Generator) -
         return rng.integers(0, sizes["a"], shape)
     if column.dtype == "float64":
         return rng.normal(size=shape) * 100
-    return rng.integers(0, 3, shape).astype(column.dtype)
+    return rng.integers(0, min(3, column.below), shape).astype(column.dtype)
 
 
 def message_of(schema: str, sizes: dict[str, int], seed: int = 0) -> Message:

@@ -9,6 +9,7 @@ from mast_zenoh import links
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.attacks import ACTIONS
 from mast_zenoh.config import bundle, loading
+from mast_zenoh.integrity import STATES
 from mast_zenoh.messages.schemas import SCHEMAS, text
 from mast_zenoh.node import Node
 from mast_zenoh.wiring.model import ANY
@@ -34,6 +35,7 @@ def test_every_message_type_describes_its_columns(name: str) -> None:
 
 def test_indices_are_limited_to_what_they_index() -> None:
     limits = {"class_id": CLASSES, "action": ACTIONS, "port": links.WIRES, "fate": links.FATES}
+    limits |= {"state": STATES, "withheld": (False, True)}
     for column in (column for schema in SCHEMAS.values() for column in schema.columns if column.dtype == "uint8"):
         known = next((known for name, known in limits.items() if column.name.endswith(name)), range(256))
         assert column.below == len(known), column.name

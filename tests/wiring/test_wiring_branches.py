@@ -223,5 +223,6 @@ def test_the_shipped_network_map_does_not_affect_the_evaluator() -> None:
     assert {(entry["wire"], entry["to"]) for entry in entries} == {
         ("agent/{agent}/tracks", "broker"),
         ("agent/{agent}/status", "broker"),
+        ("agent/{agent}/view", "broker"),
         ("cc/picture", "agent"),
     }

@@ -1,0 +1,208 @@
+"""Base class of integrity stages: judge the agents' tracks between clustering and group tracking."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.integrity.views import SweptView
+
+#: What the command centre thinks of an agent; trust messages contain indices into this tuple.
+STATES = ("unknown", "trusted", "faulty", "suspended")
+UNKNOWN, TRUSTED, FAULTY, SUSPENDED = range(4)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """The tracks of all agents at one time, clustered.
+
+    time_ns: ns, of all tracks
+    states: n tracks, world frame
+    agent:  (n,) int64, rows of `agents`
+    labels: (n,) int64, cluster of each track, 0 to c-1
+    agents: names of a agents, sorted
+    views:  (a) what each agent's sensor covers; None: unknown
+    """
+
+    time_ns: int
+    states: ObjectStates
+    agent: Ints
+    labels: Ints
+    agents: tuple[str, ...]
+    views: tuple[SweptView | None, ...]
+
+    @cached_property
+    def clusters(self) -> int:
+        """Number of clusters, c."""
+        return int(self.labels.max()) + 1 if len(self.labels) else 0
+
+    @cached_property
+    def member(self) -> Ints:
+        """(c, a) row of the track that each agent has in each cluster; -1: none."""
+        member = np.full((self.clusters, len(self.agents)), -1, np.int64)
+        member[self.labels, self.agent] = np.arange(len(self.labels))
+        return member
+
+    @cached_property
+    def reported(self) -> Bools:
+        """(c, a) whether the agent reports the object."""
+        return np.asarray(self.member >= 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AgentTrust:
+    """What a stage thinks of a agents.
+
+    mean: (a,) 0 to 1; log_odds: (a,) that the agent is honest
+    state: (a,) uint8, index into STATES; reason: (a) of the state, "" if there is none
+    offset: (a, 2) m, turn: (a,) rad, delay: (a,) s, loss: (a,) 0 to 1: estimated fault, see `FaultOrLie`
+    """
+
+    mean: Floats
+    log_odds: Floats
+    state: NDArray[np.uint8]
+    reason: tuple[str, ...]
+    offset: Floats
+    turn: Floats
+    delay: Floats
+    loss: Floats
+
+    @classmethod
+    def of(
+        cls,
+        mean: Floats,
+        state: NDArray[np.uint8] | None = None,
+        reason: tuple[str, ...] | None = None,
+        **other: Floats,
+    ) -> AgentTrust:
+        """Trust with a mean (a,) and no estimated fault; the log-odds default to those of the mean."""
+        a = len(mean)
+        clipped = np.clip(mean, 1e-12, 1.0 - 1e-12)
+        defaults: dict[str, Floats] = {
+            "log_odds": np.log(clipped / (1.0 - clipped)),
+            "offset": np.zeros((a, 2)),
+            "turn": np.zeros(a),
+            "delay": np.zeros(a),
+            "loss": np.zeros(a),
+        }
+        return cls(
+            mean=mean,
+            state=np.full(a, UNKNOWN, np.uint8) if state is None else state,
+            reason=("",) * a if reason is None else reason,
+            **defaults | other,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectTrust:
+    """What a stage thinks of c clusters.
+
+    trust: (c,) 0 to 1
+    expected, confirming, contradicting: (c,) int64, agents that should see the object, report it, and see through it
+    withheld: (c,) whether it stays out of the picture
+    """
+
+    trust: Floats
+    expected: Ints
+    confirming: Ints
+    contradicting: Ints
+    withheld: Bools
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """The result of a stage.
+
+    weights: (n,) >= 0, how far each track is trusted, see `Fusion.fuse`; None: all equal
+    """
+
+    weights: Floats | None
+    agents: AgentTrust
+    objects: ObjectTrust
+
+
+class Integrity(ABC):
+    """Judges agents and objects of each batch, without random numbers."""
+
+    def correct(
+        self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], views: Mapping[str, SweptView]
+    ) -> ObjectStates:
+        """The tracks without the faults that earlier batches have shown; by default unchanged.
+
+        states: n tracks of all agents, world frame; agent: (n,) rows of `agents`
+        """
+        return states
+
+    @abstractmethod
+    def assess(self, batch: Batch) -> Assessment:
+        """What is to be thought of the agents and clusters of a batch; called once for each, in order of time.
+
+        The result does not depend on the order of the rows.
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Return to the initial state."""
+
+
+class NoIntegrity(Integrity):
+    """Trusts everybody."""
+
+    def __init__(self) -> None:
+        pass
+
+    def assess(self, batch: Batch) -> Assessment:
+        confirming = batch.reported.sum(axis=1)
+        none = np.zeros(batch.clusters, np.int64)
+        everything = ObjectTrust(
+            np.ones(batch.clusters), confirming, confirming, none, np.zeros(batch.clusters, np.bool_)
+        )
+        return Assessment(None, AgentTrust.of(np.ones(len(batch.agents))), everything)
+
+    def reset(self) -> None:
+        pass
+
+
+def trust_columns(
+    trust: AgentTrust,
+    objects: ObjectStates,
+    cluster: Ints,
+    of_clusters: ObjectTrust,
+    withheld: Bools,
+) -> dict[str, Any]:
+    """The columns of a `trust` message, except the text.
+
+    objects: n tracked objects; cluster: (n,) of each, -1: none in this batch; withheld: (n,)
+    """
+    seen = cluster >= 0
+
+    def of_objects(values: NDArray[Any]) -> NDArray[Any]:
+        column = np.zeros(len(objects), values.dtype)
+        column[seen] = values[cluster[seen]]
+        return column
+
+    return {
+        "mean": trust.mean,
+        "log_odds": trust.log_odds,
+        "state": trust.state,
+        "fault_offset": trust.offset,
+        "fault_turn": trust.turn,
+        "fault_delay": trust.delay,
+        "fault_loss": trust.loss,
+        "id": objects.id,
+        "position": objects.position,
+        "size": objects.size,
+        "yaw": objects.yaw,
+        "trust": of_objects(of_clusters.trust),
+        "expected": of_objects(of_clusters.expected),
+        "confirming": of_objects(of_clusters.confirming),
+        "contradicting": of_objects(of_clusters.contradicting),
+        "withheld": withheld.astype(np.uint8),
+    }
