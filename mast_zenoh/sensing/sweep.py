@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.sensing.lidar import LidarSensor
 from mast_zenoh.sensing.raycast import Walls, first_hits
 
@@ -71,9 +71,12 @@ class SweepRays:
         directions = self.directions() @ rotation.T
         depth = np.full(len(directions), self.lidar.max_range_m)
         bearing = np.arctan2(directions[:, 1], directions[:, 0])
+        order = np.argsort(bearing)
         start, end = walls.start - position[:2], walls.end - position[:2]
         for row in np.flatnonzero(_distance_to(start, end) <= self.lidar.max_range_m):
-            _shorten(depth, directions, bearing, start[row], end[row], walls.top[row] - position[2])
+            rays = order[_within(bearing[order], start[row], end[row])]
+            distance = _distance_along(directions[rays], start[row], end[row], walls.top[row] - position[2])
+            depth[rays] = np.minimum(depth[rays], distance)
         return depth
 
     def sweep(
@@ -106,19 +109,24 @@ def _distance_to(start: Floats, end: Floats) -> Floats:
     return nearest
 
 
-def _shorten(depth: Floats, directions: Floats, bearing: Floats, start: Floats, end: Floats, top: float) -> None:
-    """Limit the depth of the rays that meet a wall from `start` to `end` (2,), m from the sensor.
+def _within(bearing: Floats, start: Floats, end: Floats) -> Ints:
+    """Rows of `bearing` (m,) rad, ascending, between the bearings of two points (2,)."""
+    first, last = np.arctan2(start[1], start[0]), np.arctan2(end[1], end[0])
+    low, high = min(first, last), max(first, last)
+    left, right = np.searchsorted(bearing, (low, high))
+    if high - low <= np.pi:
+        return np.arange(left, right)
+    return np.concatenate([np.arange(left), np.arange(right, len(bearing))])  # across the negative x axis
+
+
+def _distance_along(directions: Floats, start: Floats, end: Floats, top: float) -> Floats:
+    """(m,) m along unit vectors (m, 3) to a wall from `start` to `end` (2,), relative to the sensor; infinite: misses.
 
     top: m, height of its upper edge above the sensor
     """
-    first, last = np.arctan2(start[1], start[0]), np.arctan2(end[1], end[0])
-    turn = (last - first + np.pi) % (2 * np.pi) - np.pi
-    low, width = (first, turn) if turn >= 0 else (last, -turn)
-    rays = np.flatnonzero((bearing - low) % (2 * np.pi) <= width)
-    flat = directions[rays, :2]
     span = end - start
-    cross = flat[:, 0] * span[1] - flat[:, 1] * span[0]
+    cross = directions[:, 0] * span[1] - directions[:, 1] * span[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (start[0] * span[1] - start[1] * span[0]) / cross
-    met = np.isfinite(along) & (along > 0.0) & (along * directions[rays, 2] <= top)
-    depth[rays[met]] = np.minimum(depth[rays[met]], along[met])
+        met = (along > 0.0) & (along * directions[:, 2] <= top)
+    return np.where(met, along, np.inf)
