@@ -40,17 +40,21 @@ class Sightings:
     distance: Floats
 
 
-def sightings(position: Floats, size: Floats, yaw: Floats, views: Sequence[SweptView | None]) -> Sightings:
+def sightings(
+    position: Floats, size: Floats, yaw: Floats, views: Sequence[SweptView | None], error_m: Floats | None = None
+) -> Sightings:
     """What each of a sensors sees of c boxes.
 
     position: (c, 3) m, size: (c, 3) m, yaw: (c,) rad, world frame; views: (a), None: sees nothing
+    error_m: (c,) m, by which each position may be wrong, besides OUTSIDE_M
     """
     c, a = len(position), len(views)
     in_view, swept = np.zeros((c, a), np.bool_), np.zeros((c, a), np.bool_)
     distance = np.full((c, a), np.inf)
     if c == 0:
         return Sightings(in_view, swept, distance)
-    inner, outer = (_points(position, size, yaw, margin) for margin in (-INSIDE_M, OUTSIDE_M))
+    inner = _points(position, size, yaw, np.full(c, -INSIDE_M))
+    outer = _points(position, size, yaw, OUTSIDE_M + (np.zeros(c) if error_m is None else error_m))
     p = inner.shape[1]
     for column, view in enumerate(views):
         if view is None:
@@ -70,11 +74,11 @@ def sightings(position: Floats, size: Floats, yaw: Floats, views: Sequence[Swept
     return Sightings(in_view, swept, distance)
 
 
-def _points(position: Floats, size: Floats, yaw: Floats, margin_m: float) -> Floats:
-    """(c, p, 3) sample points of boxes that are larger by `margin_m` on each side."""
+def _points(position: Floats, size: Floats, yaw: Floats, margin_m: Floats) -> Floats:
+    """(c, p, 3) sample points of boxes that are larger by `margin_m` (c,) on each side."""
     x, y, z = (grid.ravel() for grid in np.meshgrid(_ACROSS, _ACROSS, _UP, indexing="ij"))
     half = 0.5 * size
-    flat = np.maximum(half[:, :2] + margin_m, 0.0)
+    flat = np.maximum(half[:, :2] + margin_m[:, None], 0.0)
     along, across = flat[:, :1] * x, flat[:, 1:] * y
     cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
     offset: Floats = np.stack([along * cos - across * sin, along * sin + across * cos, half[:, 2:] * z], axis=-1)

@@ -1,0 +1,68 @@
+"""Who contradicts whom: agents that report an object, see through its place, or should see it and stay silent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.integrity.visibility import Sightings
+
+#: Viewers without whom a dispute is settled by nobody: of two agents, either may be wrong.
+VIEWERS = 3
+#: sr; an object that looks smaller may go unnoticed (a lidar with 0.2 by 0.9 degrees has some 50 returns of this).
+CLEAR_SR = 2.5e-3
+#: m, farther away is not clear.
+CLEAR_M = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disputes:
+    """What the majority of the viewers of each of c objects says about each of a agents.
+
+    contradicted: (c, a) reports an object that the majority sees through
+    overlooked:   (c, a) sees through an object that the majority reports
+    silent:       (c, a) should clearly see an object that others report, and does not report it
+    inconsistent: (c, a) reports an object that its own sensor sees through
+    confirming, contradicting: (c,) sums of the weights of those that report the object, and see through it
+    """
+
+    contradicted: Bools
+    overlooked: Bools
+    silent: Bools
+    inconsistent: Bools
+    confirming: Floats
+    contradicting: Floats
+
+
+def disputes(reported: Bools, size: Floats, seen: Sightings, weight: Floats) -> Disputes:
+    """Settle the disputes about c objects by the majority of their viewers.
+
+    reported: (c, a) whether the agent reports the object; size: (c, 3) m; seen: what the sensors see
+    weight: (a,) 0 to 1, of each agent's vote
+
+    A dispute of fewer than VIEWERS agents counts against nobody, and so does a tie. An agent whose own sensor sees
+    through its object does not confirm it.
+    """
+    confirms = reported & ~seen.swept
+    denies = seen.swept & ~reported
+    voter = weight > 0.0
+    confirming, contradicting = confirms @ weight, denies @ weight
+    viewers = (confirms & voter).sum(axis=1) + (denies & voter).sum(axis=1)
+    settled = viewers >= VIEWERS
+    false, true = settled & (contradicting > confirming), settled & (confirming > contradicting)
+    return Disputes(
+        contradicted=false[:, None] & reported,
+        overlooked=true[:, None] & denies,
+        silent=true[:, None] & ~reported & ~seen.swept & seen.in_view & clear(size, seen.distance),
+        inconsistent=reported & seen.swept,
+        confirming=confirming,
+        contradicting=contradicting,
+    )
+
+
+def clear(size: Floats, distance: Floats) -> Bools:
+    """(c, a) whether objects of a size (c, 3) m are easy to see from (c, a) m."""
+    area = 0.5 * (size[:, 0] + size[:, 1]) * size[:, 2]
+    return np.asarray((distance <= CLEAR_M) & (area[:, None] >= CLEAR_SR * distance**2))
