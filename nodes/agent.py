@@ -12,7 +12,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Detections, ObjectStates, propagate
 from mast_zenoh.gather import Gather, LatestBefore
-from mast_zenoh.integrity.views import UNKNOWN_SPACE, view_columns
+from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import AgentPipeline, Pose
 from mast_zenoh.runtime.mesh.main import main
@@ -122,11 +122,13 @@ class Agent(Node):
         tracks, origin, rotation = self.pipeline.track(time_ns, detections, pose, mount, self.lidar)
         reference = {"origin": origin, "rotation": rotation}
         context.publish("tracks", tracks.columns() | reference, frame=frame, time_ns=time_ns)
+        free = items["sweep"].body["free"] if "sweep" in items else UNKNOWN_SPACE
         if context.connected("view"):
-            free = items["sweep"].body["free"] if "sweep" in items else UNKNOWN_SPACE
             view = self.pipeline.view(pose, mount, self.lidar)
             context.publish("view", view_columns(view, free), frame=frame, time_ns=time_ns)
         if context.connected("mission"):
+            if "sweep" in items:
+                self.pipeline.mission.look(SweptView(self.pipeline.view(pose, mount, self.lidar), free))
             own = states_to_world(tracks, origin, rotation)
             mission = self.pipeline.mission.estimate(own, self.picture_at(frame, time_ns))
             context.publish("mission", mission.columns() | WORLD, frame=frame, time_ns=time_ns)

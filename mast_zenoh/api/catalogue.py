@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
-from mast_zenoh import attacks, fusion, links, metrics, scenes, sensing, tracking
+from mast_zenoh import attacks, fusion, integrity, links, metrics, scenes, sensing, tracking
 from mast_zenoh.api.parameters import Parameter, parameters_of, summary, unit_of
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.errors import ConfigurationError, nearest
@@ -41,6 +41,7 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "fusions: fuse a cluster into one state": fusion.Fusion,
         "group trackers: clusters over time": fusion.GroupTracker,
     },
+    "defences": {"integrity stages: judge agents and objects": integrity.Integrity},
     "scenes": {
         "scenes: ground truth": scenes.Scene,
         "detectors: detections from lidar visibility": sensing.Detector,
@@ -180,7 +181,7 @@ def list_kind(kind: str) -> Listing:
 
     Entries have parameters with defaults and units.
 
-    kind: attacks, trackers, fusion, scenes, links, faults, metrics, messages, scenarios or studies
+    kind: attacks, trackers, fusion, defences, scenes, links, faults, metrics, messages, scenarios or studies
 
     Raises ConfigurationError for any other.
     """

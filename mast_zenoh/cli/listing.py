@@ -10,7 +10,7 @@ import typer
 from mast_zenoh.cli.options import out as _out
 
 _HELP = (
-    "attacks, trackers, fusion, scenes, links, faults, metrics, messages, scenarios or studies. "
+    "attacks, trackers, fusion, defences, scenes, links, faults, metrics, messages, scenarios or studies. "
     "Default: all their names."
 )
 

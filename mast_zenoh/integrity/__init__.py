@@ -3,8 +3,11 @@
 base       what a stage gets and returns; STATES of agents
 views      what the agents' sensors cover
 visibility who should see an object, and who sees through it
+memory     follows objects and agents from batch to batch
+clusters   one box for each cluster
+record     how often each agent's claims have held up
 
-
+Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate.
 """
 
 from mast_zenoh.integrity.base import (
@@ -17,6 +20,11 @@ from mast_zenoh.integrity.base import (
     ObjectTrust,
     trust_columns,
 )
+from mast_zenoh.integrity.free_space import FreeSpace
+from mast_zenoh.integrity.k_of_n import KOfN
+from mast_zenoh.integrity.mate import Mate
+from mast_zenoh.integrity.plausibility import Plausibility
+from mast_zenoh.integrity.robust_fusion import RobustFusion
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import Sightings, sightings
 
@@ -25,9 +33,14 @@ __all__ = [
     "AgentTrust",
     "Assessment",
     "Batch",
+    "FreeSpace",
     "Integrity",
+    "KOfN",
+    "Mate",
     "NoIntegrity",
     "ObjectTrust",
+    "Plausibility",
+    "RobustFusion",
     "Sightings",
     "SweptView",
     "sightings",

@@ -15,6 +15,7 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Detections, Floats, ObjectStates, concatenate
 from mast_zenoh.fusion.base import Clusterer, Fusion
+from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.view import SensorView
@@ -28,6 +29,12 @@ _NOWHERE = SensorView(_NO_OFFSET, np.eye(3), -np.pi, np.pi, -np.pi / 2, np.pi / 
 
 class MissionEstimator(ABC):
     """Makes the mission-critical estimate from own tracks and the newest picture."""
+
+    def look(self, view: SweptView) -> None:  # noqa: B027 (a hook: most estimators need no view)
+        """Set what the agent's own sensor covers, for the next estimate.
+
+        Called only where agents get the sweeps of their sensors (keyexpr_maps/views.toml).
+        """
 
     @abstractmethod
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:

@@ -7,6 +7,7 @@ comparison  equal values, unchanged inputs
 scenes      check_scene, check_detector
 perception  check_tracker, check_clusterer, check_fusion
 pipelines   check_pipeline, check_mission_estimator
+integrity   check_integrity
 attacks     check_attack
 measures    check_metric
 network     check_link_rule, check_fault
@@ -15,6 +16,7 @@ fixtures    for pytest: play
 """
 
 from mast_zenoh.testing.attacks import check_attack
+from mast_zenoh.testing.integrity import check_integrity
 from mast_zenoh.testing.measures import check_metric
 from mast_zenoh.testing.network import check_fault, check_link_rule
 from mast_zenoh.testing.perception import check_clusterer, check_fusion, check_tracker
@@ -28,6 +30,7 @@ __all__ = [
     "check_detector",
     "check_fault",
     "check_fusion",
+    "check_integrity",
     "check_link_rule",
     "check_metric",
     "check_mission_estimator",

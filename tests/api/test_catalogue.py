@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mast_zenoh as mast
-from mast_zenoh import attacks, faults, fusion, links, metrics, pipelines, scenes, sensing, tracking
+from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, tracking
 from mast_zenoh.api.catalogue import KINDS, Entry
 from mast_zenoh.api.parameters import described, unit_of
 from mast_zenoh.cli.app import app
@@ -29,6 +29,7 @@ BASES: dict[str, list[type]] = {
         *(pipelines.MissionEstimator, pipelines.Pipeline),
         *(fusion.Clusterer, fusion.Fusion, fusion.GroupTracker),
     ],
+    "defences": [integrity.Integrity],
     "scenes": [scenes.Scene, sensing.Detector],
     "links": [links.Rule],
     "faults": [faults.Fault],

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh import attacks, faults, fusion, links, metrics, pipelines, scenes, sensing, testing, tracking
+from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, testing, tracking
 from mast_zenoh.config import bundle, loading, registry
 
 #: Values of required parameters.
@@ -60,6 +60,7 @@ CHECKS: dict[type, Callable[[Any], None]] = {
     tracking.Tracker: testing.check_tracker,
     fusion.Clusterer: testing.check_clusterer,
     fusion.Fusion: testing.check_fusion,
+    integrity.Integrity: testing.check_integrity,
     metrics.Metric: testing.check_metric,
     links.Rule: testing.check_link_rule,
     faults.Fault: testing.check_fault,

@@ -1,0 +1,51 @@
+"""One box for each cluster of a batch, whatever the order of its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.integrity.base import Batch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClusterBoxes:
+    """Mean boxes of c clusters, world frame.
+
+    position: (c, 3) m, velocity: (c, 3) m/s, size: (c, 3) m, yaw: (c,) rad, of the length axis, in either direction
+
+    A member shifts the mean of two by half its error, which the clusterer's radius limits.
+    """
+
+    position: Floats
+    velocity: Floats
+    size: Floats
+    yaw: Floats
+
+    @classmethod
+    def of(cls, batch: Batch, use: Bools | None = None) -> ClusterBoxes:
+        """The mean boxes of the clusters of a batch.
+
+        use: (c, a) which agents' tracks count; None: all. A cluster without any has the mean of all.
+        """
+        states = batch.states
+        present: Bools = batch.reported
+        if use is not None:
+            used = present & use
+            present = np.asarray(np.where(used.any(axis=1, keepdims=True), used, present), np.bool_)
+        count = present.sum(axis=1)
+
+        def mean(values: Floats) -> Floats:
+            # Summed by agent, so that rounding does not depend on the order of the rows.
+            table = np.where(present[..., None], values[batch.member], 0.0)
+            return np.asarray(table.sum(axis=1) / count[:, None])
+
+        double = mean(np.column_stack([np.cos(2.0 * states.yaw), np.sin(2.0 * states.yaw)]))
+        return cls(
+            position=mean(states.position),
+            velocity=mean(states.velocity),
+            size=mean(states.size),
+            yaw=0.5 * np.arctan2(double[:, 1], double[:, 0]),
+        )

@@ -1,0 +1,83 @@
+"""Spoofing and removal, judged by the space that sensors sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools
+from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
+from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.record import Record
+from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.integrity.visibility import BEFORE_M, BEHIND_M, FAR_M, Sightings, sightings
+
+
+class FreeSpace(Integrity):
+    """Withholds objects whose place more agents see through than report or see occupied.
+
+    The idea of CAD (Zhang et al., USENIX Security 2024): an object inside free space is spoofed, and occupied space
+    that an agent reports no object in shows a removal. A claim that its agent's own sweep contradicts does not count,
+    and its track is left out of the fusion. An agent whose rays end at an object counts for it, even if it reports
+    none: then its silence is evidence of a removal and counts against it, as do claims in free space.
+
+    range_m: m, up to which silence about an object that the rays end at counts against an agent
+    record_s: s, after which evidence counts 1/e in an agent's trust
+
+    The tolerances of free space are those of `visibility`: an object is not seen through if it is displaced by less
+    than OUTSIDE_M. A dispute of one agent that reports and one that sees through counts against neither (TrustFlip,
+    arXiv 2605.22122).
+
+    Weaknesses: a liar that forges its view, too, needs as many honest views against it as liars report the object; a
+    phantom that no other agent sees the place of is accepted, as are displacements below the tolerance; liars that
+    claim free space at an object remove it where they outnumber its witnesses. Agents are never excluded.
+    """
+
+    def __init__(self, *, range_m: float = FAR_M, record_s: float = 30.0) -> None:
+        if not range_m > 0.0:
+            raise ValueError(f"range_m: found {range_m}, expected more than 0")
+        self._range_m = range_m
+        self._record = Record(memory_s=record_s)
+
+    def assess(self, batch: Batch) -> Assessment:
+        boxes = ClusterBoxes.of(batch)
+        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
+        reported = batch.reported
+        claims = reported & ~seen.swept
+        silent = occupied(boxes, seen, batch.views) & ~reported & (seen.distance <= self._range_m)
+        confirming, contradicting = (claims | silent).sum(axis=1), seen.swept.sum(axis=1)
+        withheld = np.asarray(contradicting > confirming)
+        # A removal needs two agents that report the object: a lone claim cannot accuse those that are silent about it.
+        removed = silent & (claims.sum(axis=1) > 1)[:, None]
+        spoofed = reported & withheld[:, None]
+        agreed = claims & (confirming > 1)[:, None] & ~withheld[:, None]
+        mean = self._record.update(
+            batch.time_ns,
+            batch.agents,
+            agreed.sum(axis=0, dtype=np.float64),
+            (spoofed | removed).sum(axis=0, dtype=np.float64),
+        )
+        trust = (1.0 + confirming) / (2.0 + confirming + contradicting)
+        expected = (seen.in_view | reported).sum(axis=1)
+        objects = ObjectTrust(trust, expected, confirming, contradicting, withheld)
+        # A cluster that nobody's view supports keeps all members: it is tracked on, in case it is real.
+        kept = claims | ~claims.any(axis=1, keepdims=True)
+        weights = kept[batch.labels, batch.agent].astype(np.float64)
+        return Assessment(weights, AgentTrust.of(mean), objects)
+
+    def reset(self) -> None:
+        self._record.reset()
+
+
+def occupied(boxes: ClusterBoxes, seen: Sightings, views: Sequence[SweptView | None]) -> Bools:
+    """(c, a) whether the rays of the agent's sensor towards the centre of a visible box end there."""
+    ends = np.zeros(seen.in_view.shape, np.bool_)
+    half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
+    for column, view in enumerate(views):
+        if view is None or view.free.size == 0 or len(half) == 0:
+            continue
+        distance, free, _ = view.ranges(boxes.position)
+        with np.errstate(invalid="ignore"):
+            ends[:, column] = (free >= distance - half - BEFORE_M) & (free <= distance + half + BEHIND_M)
+    return np.asarray(ends & seen.in_view & ~seen.swept)

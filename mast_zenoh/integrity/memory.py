@@ -1,0 +1,148 @@
+"""What a stage remembers of objects and agents from batch to batch.
+
+Both memories give each object or agent a row. The rows of the next batch may be others: `carry` takes a stage's own
+arrays along.
+
+    rows = memory.follow(time_ns, boxes.position, boxes.velocity)
+    self._doubt = memory.carry(self._doubt, new=0.0)    # one value for each remembered object
+    self._doubt[rows] += doubt                          # of the clusters of this batch
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.matching import greedy_matching
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Floats, Ints
+
+#: Most objects that are remembered besides those of the latest batch.
+MAX_OBJECTS = 4096
+#: Most agents that are remembered besides those of the latest batch.
+MAX_AGENTS = 1024
+
+_Number = TypeVar("_Number", bound=np.generic)
+
+
+class _Rows:
+    """Rows that are kept, dropped and added.
+
+    origin: (m,) int64, the row of each before the last update; -1: new
+    """
+
+    def __init__(self) -> None:
+        self.origin: Ints = np.zeros(0, np.int64)
+
+    def __len__(self) -> int:
+        return len(self.origin)
+
+    def carry(self, values: NDArray[_Number], new: Any, axis: int = 0) -> NDArray[_Number]:
+        """Values of the rows before the last update, as values of the rows after it.
+
+        values: any shape, with the rows before along `axis`; new: value of rows that were not there
+        """
+        values = np.moveaxis(values, axis, 0)
+        after = np.full((len(self.origin), *values.shape[1:]), new, values.dtype)
+        known = self.origin >= 0
+        after[known] = values[self.origin[known]]
+        return np.moveaxis(after, 0, axis)
+
+
+class ObjectMemory(_Rows):
+    """Follows clusters from batch to batch by predicted position, the nearest first.
+
+    gate_m: m, in the bird's-eye view, greatest distance of a cluster from the predicted position; the clusterer's
+        radius by default: tracks of one object at one time are not farther apart
+    acceleration_mps2: m/s², by which an object may accelerate; widens the gate with the time without a cluster
+    forget_s: s, after which an object without a cluster is forgotten
+
+    position: (m, 3) m, velocity: (m, 3) m/s, of the last cluster of each object
+    first_ns, seen_ns: (m,) ns, times of its first and its last cluster; frames: (m,) number of batches with one
+    """
+
+    def __init__(self, *, gate_m: float = 2.0, acceleration_mps2: float = 4.5, forget_s: float = 2.0) -> None:
+        super().__init__()
+        self.position: Floats = np.zeros((0, 3))
+        self.velocity: Floats = np.zeros((0, 3))
+        self.first_ns: Ints = np.zeros(0, np.int64)
+        self.seen_ns: Ints = np.zeros(0, np.int64)
+        self.frames: Ints = np.zeros(0, np.int64)
+        self._gate_m = gate_m
+        self._acceleration = acceleration_mps2
+        self._forget_ns = round(forget_s * 1e9)
+
+    def follow(self, time_ns: int, position: Floats, velocity: Floats) -> Ints:
+        """(c,) row of each cluster at `time_ns`, which is not before that of the last call.
+
+        position: (c, 3) m, velocity: (c, 3) m/s. The order of the clusters decides between equal distances.
+        """
+        self._keep(_newest(self.seen_ns, time_ns - self._forget_ns, MAX_OBJECTS))
+        known, c = len(self), len(position)
+        gap = (time_ns - self.seen_ns) * 1e-9
+        predicted = self.position + self.velocity * gap[:, None]
+        gate = self._gate_m + 0.5 * self._acceleration * gap * gap
+        i, j, dx, dy = neighbours(predicted, position, gate)
+        chosen = greedy_matching(i, j, np.hypot(dx, dy))
+        rows = np.full(c, -1, np.int64)
+        rows[j[chosen]] = i[chosen]
+        new = np.flatnonzero(rows < 0)
+        rows[new] = known + np.arange(len(new))
+        self.origin = np.concatenate([self.origin, np.full(len(new), -1)])
+        self.position = np.concatenate([self.position, position[new]])
+        self.velocity = np.concatenate([self.velocity, velocity[new]])
+        self.position[rows], self.velocity[rows] = position, velocity
+        self.first_ns = np.concatenate([self.first_ns, np.full(len(new), time_ns)])
+        self.seen_ns = np.concatenate([self.seen_ns, np.full(len(new), time_ns)])
+        self.seen_ns[rows] = time_ns
+        self.frames = np.concatenate([self.frames, np.zeros(len(new), np.int64)])
+        self.frames[rows] += 1
+        return rows
+
+    def age_s(self, time_ns: int) -> Floats:
+        """(m,) s since the first cluster of each object."""
+        return np.asarray((time_ns - self.first_ns) * 1e-9)
+
+    def _keep(self, rows: Ints) -> None:
+        self.origin = rows
+        self.position, self.velocity = self.position[rows], self.velocity[rows]
+        self.first_ns, self.seen_ns, self.frames = self.first_ns[rows], self.seen_ns[rows], self.frames[rows]
+
+
+class AgentMemory(_Rows):
+    """Remembers agents by name.
+
+    forget_s: s, after which an absent agent is forgotten
+
+    names: of the m agents that are remembered
+    """
+
+    def __init__(self, *, forget_s: float = 60.0) -> None:
+        super().__init__()
+        self.names: tuple[str, ...] = ()
+        self._seen_ns: Ints = np.zeros(0, np.int64)
+        self._forget_ns = round(forget_s * 1e9)
+
+    def meet(self, time_ns: int, names: tuple[str, ...]) -> Ints:
+        """(a,) row of each agent in a batch at `time_ns`."""
+        kept = _newest(self._seen_ns, time_ns - self._forget_ns, MAX_AGENTS)
+        remembered = [self.names[row] for row in kept.tolist()]
+        row_of = {name: row for row, name in enumerate(remembered)}
+        new = [name for name in names if name not in row_of]
+        row_of |= {name: len(remembered) + row for row, name in enumerate(new)}
+        self.names = (*remembered, *new)
+        self.origin = np.concatenate([kept, np.full(len(new), -1, np.int64)])
+        self._seen_ns = np.concatenate([self._seen_ns[kept], np.full(len(new), time_ns)])
+        rows = np.array([row_of[name] for name in names], np.int64)
+        self._seen_ns[rows] = time_ns
+        return rows
+
+
+def _newest(seen_ns: Ints, since_ns: int, most: int) -> Ints:
+    """Rows that were seen at `since_ns` or later, at most the `most` newest, in their order."""
+    rows = np.flatnonzero(seen_ns >= since_ns)
+    if len(rows) > most:
+        rows = np.sort(rows[np.argsort(-seen_ns[rows], kind="stable")[:most]])
+    return rows

@@ -1,0 +1,216 @@
+"""Physical limits, overlap and sudden appearance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
+from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.memory import ObjectMemory
+from mast_zenoh.integrity.record import INDEPENDENT_S, Record
+from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.integrity.visibility import OWN_M
+from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
+
+#: m, length, width and height of road users: from a small child to the longest and highest vehicles that Directive
+#: 96/53/EC allows (18.75, 2.6 and 4.0 m), with half a metre for errors.
+SMALLEST_M, LARGEST_M = (0.1, 0.1, 0.3), (19.25, 3.1, 4.5)
+#: Steepest slope of the ground, and m by which the lower edge of a box may be off.
+SLOPE, HEIGHT_ERROR_M = 0.12, 1.5
+#: Standard deviations that an error may have.
+_SIGMAS = 3.0
+#: Directions in which the surroundings of a new object are checked, and how many must be in view: the object itself may
+#: hide one.
+_AROUND, _IN_VIEW = 8, 7
+#: s after the first batch before which every object is new.
+_START_S = 1.0
+#: Alarms above which an object is withheld: one is a mistake, two in a row are not. They do not count on beyond MOST.
+_ALARMS, _MOST_ALARMS = 1.5, 3.0
+
+
+class Plausibility(Integrity):
+    """Withholds objects that move, overlap or appear as no road user does.
+
+    The checks of F2MD (Kamel et al.: Simulation Framework for Misbehavior Detection in Vehicular Networks, IEEE
+    Transactions on Vehicular Technology 2020), with its limits, for objects instead of beacons:
+
+    - A track that is too fast, too large, too small or in the air is left out; an object of such tracks is withheld.
+    - Speed and position a second apart must fit the greatest acceleration and braking, within three standard deviations
+      of the tracks. Of two boxes that overlap too far, the one that fewer agents report is odd, then the younger. Each
+      such alarm counts one, and one leaks away in `gap_s`: two in a row withhold an object.
+    - An object that appears where an agent had it and its surroundings in view, and did not report it, is withheld for
+      `gap_s`, or until a second agent reports it.
+
+    speed_mps: m/s, acceleration_mps2, braking_mps2: m/s², greatest values; gap_s: s, within which messages are related
+    approach_m: m around a new object that must be in view: 0.5 s, which trackers need to confirm it, at 60 km/h
+    range_m: m, up to which an agent is expected to see new objects
+    record_s: s, after which an outcome counts 1/e in an agent's trust
+
+    F2MD also compares claims with the true positions of other vehicles, which no receiver knows: that is left out.
+
+    Weaknesses: phantoms that keep to the limits are accepted `gap_s` after they appear; a real object that comes out
+    of a blind spot which no view shows is withheld for as long; agents are never excluded.
+    """
+
+    def __init__(
+        self,
+        *,
+        speed_mps: float = 40.0,
+        acceleration_mps2: float = 3.0,
+        braking_mps2: float = 4.5,
+        gap_s: float = 3.1,
+        approach_m: float = 8.0,
+        range_m: float = 40.0,
+        record_s: float = 30.0,
+    ) -> None:
+        for name, value in (("speed_mps", speed_mps), ("gap_s", gap_s), ("approach_m", approach_m)):
+            if not value > 0.0:
+                raise ValueError(f"{name}: found {value}, expected more than 0")
+        self._speed = speed_mps
+        self._acceleration, self._braking = acceleration_mps2, braking_mps2
+        self._gap_s = gap_s
+        self._approach_m, self._range_m = approach_m, range_m
+        self._record = Record(memory_s=record_s)
+        self.reset()
+
+    def reset(self) -> None:
+        self._record.reset()
+        self._objects = ObjectMemory()
+        self._alarms: Floats = np.zeros(0)
+        self._checked_ns: Ints = np.zeros(0, np.int64)  # time of the state that the next one is compared to
+        self._state: Floats = np.zeros((0, 8))  # that state, see `_states`
+        self._sudden_ns: Ints = np.zeros(0, np.int64)  # time until which an object is withheld
+        self._first_ns: int | None = None
+        self._last_ns = 0
+
+    def assess(self, batch: Batch) -> Assessment:
+        time_ns, reported = batch.time_ns, batch.reported
+        possible = self._possible(batch.states)
+        table = np.where(reported, possible[batch.member] if len(possible) else False, False)
+        boxes = ClusterBoxes.of(batch, table)
+        rows = self._follow(time_ns, boxes)
+        witnesses = table.sum(axis=1)
+        elapsed: Floats = (time_ns - self._checked_ns[rows]) * np.float64(1e-9)
+        due = elapsed >= INDEPENDENT_S
+        state = _states(batch, boxes, table)
+        odd = self._moves_oddly(state, elapsed, self._state[rows])
+        odd |= overlapping(boxes, witnesses, self._objects.age_s(time_ns)[rows])
+        self._alarms[rows] = np.minimum(self._alarms[rows] + (odd & due), _MOST_ALARMS)
+        due |= self._objects.frames[rows] == 1
+        self._state[rows[due]], self._checked_ns[rows[due]] = state[due], time_ns
+        unexpected = self._appears(batch, boxes, rows)
+        self._sudden_ns[rows[unexpected]] = time_ns + round(self._gap_s * 1e9)
+        self._sudden_ns[rows[witnesses > 1]] = 0
+        impossible = witnesses == 0
+        withheld = impossible | (self._alarms[rows] > _ALARMS) | (self._sudden_ns[rows] > time_ns)
+        mean = self._record.update(
+            time_ns,
+            batch.agents,
+            (table & (~withheld & (witnesses > 1))[:, None]).sum(axis=0, dtype=np.float64),
+            ((reported & ~table) | (reported & withheld[:, None])).sum(axis=0, dtype=np.float64),
+        )
+        trust = np.where(withheld, 0.25, np.where(witnesses > 1, 0.75, 0.5))
+        members = reported.sum(axis=1)
+        objects = ObjectTrust(trust, members, witnesses, members - witnesses, np.asarray(withheld))
+        kept = table | impossible[:, None]
+        return Assessment(kept[batch.labels, batch.agent].astype(np.float64), AgentTrust.of(mean), objects)
+
+    def _follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
+        """(c,) rows of the objects; carries what is remembered of them."""
+        if self._first_ns is None:
+            self._first_ns = self._last_ns = time_ns
+        rows = self._objects.follow(time_ns, boxes.position, boxes.velocity)
+        leaked = (time_ns - self._last_ns) * 1e-9 / self._gap_s
+        self._alarms = np.maximum(self._objects.carry(self._alarms, 0.0) - leaked, 0.0)
+        self._checked_ns = self._objects.carry(self._checked_ns, time_ns)
+        self._state = self._objects.carry(self._state, np.nan)
+        self._sudden_ns = self._objects.carry(self._sudden_ns, 0)
+        self._last_ns = time_ns
+        return rows
+
+    def _possible(self, states: ObjectStates) -> Bools:
+        """(n,) tracks within the physical limits."""
+        fine = np.hypot(states.velocity[:, 0], states.velocity[:, 1]) <= self._speed
+        fine &= ((states.size >= SMALLEST_M) & (states.size <= LARGEST_M)).all(axis=1)
+        if len(states) > 2:
+            bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
+            middle = np.median(states.position[:, :2], axis=0)
+            away = np.hypot(*(states.position[:, :2] - middle).T)
+            fine &= np.abs(bottom - np.median(bottom)) <= HEIGHT_ERROR_M + SLOPE * away
+        return np.asarray(fine)
+
+    def _moves_oddly(self, state: Floats, elapsed: Floats, before: Floats) -> Bools:
+        """(c,) whether objects cannot have come from the states before, see `_states`, in `elapsed` (c,) s."""
+        dt = np.maximum(elapsed, 1e-3)
+        variance = state[:, 4:] + before[:, 4:]
+        gained = (np.hypot(state[:, 2], state[:, 3]) - np.hypot(before[:, 2], before[:, 3])) / dt
+        noise = _SIGMAS * np.sqrt(variance[:, 2:].sum(axis=1)) / dt
+        odd = (gained > self._acceleration + noise) | (gained < -self._braking - noise)
+        # Between the mean of both velocities and the fastest change from one to the other.
+        offset = state[:, :2] - before[:, :2] - 0.5 * dt[:, None] * (state[:, 2:4] + before[:, 2:4])
+        variance = variance[:, :2].sum(axis=1) + 0.25 * dt * dt * variance[:, 2:].sum(axis=1)
+        reach = 0.25 * self._braking * dt * dt + _SIGMAS * np.sqrt(variance)
+        return np.asarray(odd | (np.hypot(offset[:, 0], offset[:, 1]) > reach))
+
+    def _appears(self, batch: Batch, boxes: ClusterBoxes, rows: Ints) -> Bools:
+        """(c,) new objects of one agent that another would have seen before."""
+        new = (self._objects.frames[rows] == 1) & (batch.reported.sum(axis=1) == 1)
+        assert self._first_ns is not None
+        new &= (batch.time_ns - self._first_ns) * 1e-9 >= _START_S
+        result = np.zeros(len(rows), np.bool_)
+        index = np.flatnonzero(new)
+        watched = surroundings_in_view(boxes.position[index], self._approach_m, self._range_m, batch.views)
+        result[index] = (watched & ~batch.reported[index]).any(axis=1)
+        return result
+
+
+def _states(batch: Batch, boxes: ClusterBoxes, use: Bools) -> Floats:
+    """(c, 8) x y vx vy of boxes, and the mean variances of their members' x y vx vy."""
+    variance = batch.states.covariance[:, [0, 1, 6, 7], [0, 1, 6, 7]]
+    used = np.where(use.any(axis=1, keepdims=True), use, batch.reported)
+    count = np.maximum(used.sum(axis=1), 1)[:, None]
+    mean = np.where(used[..., None], variance[batch.member], 0.0).sum(axis=1) / count
+    return np.column_stack([boxes.position[:, :2], boxes.velocity[:, :2], mean])
+
+
+def overlapping(boxes: ClusterBoxes, witnesses: Ints, age_s: Floats) -> Bools:
+    """(c,) boxes that overlap one which more agents report; among equals, one that is older.
+
+    witnesses: (c,) number of agents; age_s: (c,) s
+    """
+    result = np.zeros(len(age_s), np.bool_)
+    reach = ONE_OBJECT * np.maximum(boxes.size[:, 0], boxes.size[:, 1])
+    i, j, dx, dy = neighbours(boxes.position, boxes.position, reach)
+    distinct = i != j
+    i, j, offset = i[distinct], j[distinct], np.column_stack([dx[distinct], dy[distinct]])
+    same = overlap(offset, boxes.size[i], boxes.yaw[i], boxes.size[j], boxes.yaw[j], ONE_OBJECT)
+    i, j = i[same], j[same]
+    first = (witnesses[i] > witnesses[j]) | (
+        (witnesses[i] == witnesses[j]) & ((age_s[i] > age_s[j]) | ((age_s[i] == age_s[j]) & (i < j)))
+    )
+    result[np.where(first, j, i)] = True
+    return result
+
+
+def surroundings_in_view(position: Floats, radius_m: float, range_m: float, views: Sequence[SweptView | None]) -> Bools:
+    """(c, a) whether an agent sees the places around positions (c, 3), up to `range_m`."""
+    c = len(position)
+    watched = np.zeros((c, len(views)), np.bool_)
+    if c == 0:
+        return watched
+    angle = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
+    around = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_AROUND)]) * radius_m
+    points = (position[:, None, :] + around).reshape(-1, 3)
+    for column, view in enumerate(views):
+        if view is None:
+            continue
+        distance, free, inside = view.ranges(points)
+        with np.errstate(invalid="ignore"):
+            clear = (inside & ~(free < distance)).reshape(c, _AROUND).sum(axis=1) >= _IN_VIEW
+        away = np.hypot(*(position[:, :2] - view.view.position[:2]).T)
+        watched[:, column] = clear & (away > OWN_M) & (away <= range_m)
+    return watched

@@ -1,0 +1,34 @@
+"""The agent's own free space has the last word on the picture."""
+
+from __future__ import annotations
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.integrity import SweptView, sightings
+from mast_zenoh.pipelines.agent import MissionEstimator
+
+
+class FreeSpaceVeto(MissionEstimator):
+    """Leaves out objects of the picture whose place the agent's own sensor sees through.
+
+    mission: makes the estimate of own tracks and the objects that are left
+
+    The idea of CAD (Zhang et al., USENIX Security 2024), applied by the receiver, which trusts its own sensor.
+    Own tracks are never left out. Agents must have a sweep in each frame (keyexpr_maps/views.toml); without one,
+    nothing is left out.
+
+    Weaknesses: objects that the sensor does not see the place of, or that are displaced by less than 0.8 m, stay.
+    """
+
+    def __init__(self, *, mission: MissionEstimator) -> None:
+        self.mission = mission
+        self._view: SweptView | None = None
+
+    def look(self, view: SweptView) -> None:
+        self._view = view
+        self.mission.look(view)
+
+    def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
+        """The objects of both, world frame; see `MissionEstimator.estimate`."""
+        seen = sightings(picture.position, picture.size, picture.yaw, (self._view,))
+        self._view = None
+        return self.mission.estimate(own, picture.select(~seen.swept[:, 0]))
