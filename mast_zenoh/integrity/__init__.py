@@ -5,9 +5,12 @@ views      what the agents' sensors cover
 visibility who should see an object, and who sees through it
 memory     follows objects and agents from batch to batch
 clusters   one box for each cluster
+disputes   who contradicts whom
+offsets    how far each agent's tracks are from the others'
+cumulative sums of evidence, and when they are alarms
 record     how often each agent's claims have held up
 
-Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate.
+Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate, SequentialConsistency.
 """
 
 from mast_zenoh.integrity.base import (
@@ -25,6 +28,7 @@ from mast_zenoh.integrity.k_of_n import KOfN
 from mast_zenoh.integrity.mate import Mate
 from mast_zenoh.integrity.plausibility import Plausibility
 from mast_zenoh.integrity.robust_fusion import RobustFusion
+from mast_zenoh.integrity.sequential import SequentialConsistency
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import Sightings, sightings
 
@@ -41,6 +45,7 @@ __all__ = [
     "ObjectTrust",
     "Plausibility",
     "RobustFusion",
+    "SequentialConsistency",
     "Sightings",
     "SweptView",
     "sightings",

@@ -1,0 +1,200 @@
+"""Sequential tests of each agent against what the others report and see."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.integrity.base import (
+    SUSPENDED,
+    TRUSTED,
+    UNKNOWN,
+    AgentTrust,
+    Assessment,
+    Batch,
+    Integrity,
+    ObjectTrust,
+)
+from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.cumulative import Tail, accumulate, discoveries
+from mast_zenoh.integrity.disputes import Disputes, disputes
+from mast_zenoh.integrity.memory import AgentMemory
+from mast_zenoh.integrity.offsets import Offsets, offsets
+from mast_zenoh.integrity.track_sums import TrackSums
+from mast_zenoh.integrity.visibility import sightings
+
+#: Standard deviations of a claim's position within which others need not see it.
+ERROR_SD = 2.0
+#: Standard deviations at which one offset stops to count for more.
+CLIP = 2.5
+#: s, greatest step of the sums: a batch after a gap is no more evidence than one.
+MAX_STEP_S = 0.5
+#: Log-odds are limited to this, either way.
+MAX_LOG_ODDS = 20.0
+
+#: Tails of both statistics on unattacked junctions, see docs/defences.md.
+LIES_TAIL = Tail(per_hour=2000.0, scale=0.15)
+OFFSET_TAIL = Tail(per_hour=600.0, scale=6.0)
+
+
+class SequentialConsistency(Integrity):
+    """Suspends agents whose claims the others contradict for too long, or whose positions are off.
+
+    Two statistics for each agent: the cumulative sum (Page 1954) of its lies in progress, which are objects that the
+    majority of their viewers sees through, that the agent does not report although it clearly sees their place, that
+    it claims to see through, or that its own sensor contradicts; and the greatest whitened offset of one of its tracks
+    from the median of the agents, summed over `offset_memory_s`. Each counts as an alarm by how rarely an honest agent
+    exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995).
+
+    An object is withheld while more trusted agents see through it than report it, or none reports it.
+
+    false_alarms_per_hour: of all agents together
+    drift: lies in progress that an honest agent has for a moment
+    offset_memory_s: s, over which offsets are summed
+    release_s: s without evidence after which a suspended agent is trusted again, at first; doubled each time
+    lies_tail, offset_tail: (per hour, scale) of the statistics of an honest agent
+
+    Needs views for all but the offsets. A dispute between two agents without a third counts against neither.
+    """
+
+    def __init__(
+        self,
+        *,
+        false_alarms_per_hour: float = 1.0,
+        drift: float = 0.25,
+        offset_memory_s: float = 5.0,
+        release_s: float = 30.0,
+        lies_tail: tuple[float, float] = (LIES_TAIL.per_hour, LIES_TAIL.scale),
+        offset_tail: tuple[float, float] = (OFFSET_TAIL.per_hour, OFFSET_TAIL.scale),
+    ) -> None:
+        for name, value in (("false_alarms_per_hour", false_alarms_per_hour), ("offset_memory_s", offset_memory_s)):
+            if not value > 0.0:
+                raise ValueError(f"{name}: found {value}, expected more than 0")
+        self._per_hour = false_alarms_per_hour
+        self._drift = drift
+        self._release_s = release_s
+        self._tails = (Tail(*lies_tail), Tail(*offset_tail))
+        self._sums = TrackSums(5, offset_memory_s)
+        self.reset()
+
+    def reset(self) -> None:
+        self._agents = AgentMemory(forget_s=600.0)
+        self._numbers: dict[str, int] = {}
+        self._sums.reset()
+        self._time_ns: int | None = None
+        self._lies = np.zeros(0)
+        self._clean_s = np.zeros(0)  # since the last alarm or evidence
+        self._suspensions = np.zeros(0, np.int64)
+        self._suspended = np.zeros(0, np.bool_)
+        self._seen_s = np.zeros(0)  # for which the agent has been observed
+        self._reasons: dict[str, str] = {}
+
+    @property
+    def statistics(self) -> tuple[Floats, Floats]:
+        """(a,) cumulative lies, object-seconds, and greatest summed offsets, of the agents of the last batch."""
+        return self._last
+
+    def assess(self, batch: Batch) -> Assessment:
+        dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
+        self._time_ns = batch.time_ns
+        rows = self._meet(batch)
+        vote = ~self._suspended[rows]
+        boxes = ClusterBoxes.of(batch, np.broadcast_to(vote, (batch.clusters, len(vote))))
+        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, ERROR_SD * position_error(batch))
+        dispute = disputes(batch.reported, boxes.size, seen, vote.astype(np.float64))
+        lies = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
+        offset = self._offset_statistics(batch, offsets(batch, boxes, np.ones_like(vote)))
+        self._lies[rows] = accumulate(self._lies[rows], lies.sum(axis=0), self._drift, dt)
+        self._last = self._lies[rows].copy(), offset
+        rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
+        alarms = discoveries(rates, self._per_hour)
+        self._judge(batch, rows, alarms, dispute, dt)
+        return self._assessment(batch, rows, rates, seen.in_view | batch.reported, dispute)
+
+    def _meet(self, batch: Batch) -> Bools:
+        """Rows (a,) of the agents of a batch; new ones have no record."""
+        rows = self._agents.meet(batch.time_ns, batch.agents)
+        for name in batch.agents:
+            self._numbers.setdefault(name, len(self._numbers))
+        carry = self._agents.carry
+        self._lies, self._clean_s = carry(self._lies, 0.0), carry(self._clean_s, 0.0)
+        self._suspensions, self._seen_s = carry(self._suspensions, 0), carry(self._seen_s, 0.0)
+        self._suspended = carry(self._suspended, False)
+        return rows
+
+    def _offset_statistics(self, batch: Batch, measured: Offsets) -> Floats:
+        """(a,) greatest likelihood ratio statistic of a constant offset of one track; 0 without any."""
+        greatest = np.zeros(len(batch.agents))
+        cluster, agent = measured.valid.nonzero()
+        if len(cluster) == 0:
+            return greatest
+        offset, information = measured.offset[cluster, agent], measured.information[cluster, agent]
+        score = np.einsum("kij,kj->ki", information, offset)
+        distance = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, score), 1e-12))
+        score *= np.minimum(1.0, CLIP / distance)[:, None]
+        number = np.array([self._numbers[name] for name in batch.agents], np.int64)[agent]
+        track = batch.states.id[batch.member[cluster, agent]]
+        a, b, c = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
+        total = self._sums.add(batch.time_ns, number, track, np.column_stack([score, a, b, c]))
+        (x, y, a, b, c) = total.T
+        statistic = (c * x * x - 2.0 * b * x * y + a * y * y) / np.maximum(a * c - b * b, 1e-12)
+        np.maximum.at(greatest, agent, statistic)
+        return greatest
+
+    def _judge(self, batch: Batch, rows: Bools, alarms: Bools, dispute: Disputes, dt: float) -> None:
+        """Suspend and release agents."""
+        self._seen_s[rows] += dt
+        alarmed = alarms.any(axis=1)
+        self._clean_s[rows] = np.where(alarmed | (self._last[0] > 0.0), 0.0, self._clean_s[rows] + dt)
+        patience = self._release_s * 2.0 ** np.maximum(self._suspensions[rows] - 1, 0)
+        released = self._suspended[rows] & (self._clean_s[rows] >= patience)
+        new = alarmed & ~self._suspended[rows]
+        self._suspensions[rows] += new
+        self._suspended[rows] = (self._suspended[rows] | new) & ~released
+        for row in np.flatnonzero(released):
+            self._reasons.pop(batch.agents[row], None)
+        for row in np.flatnonzero(new):
+            self._reasons[batch.agents[row]] = self._reason(row, alarms[row], dispute)
+
+    def _reason(self, row: int, alarms: Bools, dispute: Disputes) -> str:
+        """Why an agent is suspended."""
+        if not alarms[0]:
+            return f"position of a track off from the other agents', statistic {self._last[1][row]:.0f}"
+        kinds = {
+            "reports objects that others see through": dispute.contradicted,
+            "reports objects in space that its own sensor sees through": dispute.inconsistent,
+            "claims to see through objects that others report": dispute.overlooked,
+            "does not report objects that it should see": dispute.silent,
+        }
+        most = max(kinds, key=lambda kind: int(kinds[kind][:, row].sum()))
+        return f"{most}, {self._last[0][row]:.1f} object-seconds"
+
+    def _assessment(self, batch: Batch, rows: Bools, rates: Floats, expected: Bools, dispute: Disputes) -> Assessment:
+        suspended = self._suspended[rows]
+        log_odds = np.clip(np.log(rates / self._per_hour).min(axis=1), -MAX_LOG_ODDS, MAX_LOG_ODDS)
+        log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)
+        state = np.where(suspended, SUSPENDED, np.where(self._seen_s[rows] >= 1.0, TRUSTED, UNKNOWN))
+        reasons = tuple(self._reasons.get(name, "") for name in batch.agents)
+        agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state.astype(np.uint8), reasons, log_odds=log_odds)
+        believed = batch.reported & ~dispute.inconsistent & ~suspended
+        withheld = (dispute.contradicting > dispute.confirming) | ~believed.any(axis=1)
+        trust = (1.0 + dispute.confirming) / (2.0 + dispute.confirming + dispute.contradicting)
+        objects = ObjectTrust(
+            trust,
+            expected.sum(axis=1),
+            (believed).sum(axis=1),
+            dispute.contradicting.astype(np.int64),
+            withheld,
+        )
+        # A cluster that nobody trusted reports keeps all its members: it is tracked on, but withheld.
+        kept = believed | ~believed.any(axis=1, keepdims=True)
+        return Assessment(kept[batch.labels, batch.agent].astype(np.float64), agents, objects)
+
+
+def position_error(batch: Batch) -> Floats:
+    """(c,) m, greatest horizontal standard deviation among the members of each cluster."""
+    covariance = batch.states.covariance
+    deviation = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
+    greatest = np.zeros(batch.clusters)
+    np.maximum.at(greatest, batch.labels, deviation)
+    return greatest
