@@ -1,6 +1,6 @@
 """The broker: collates the tracks of all agents at one time, in the world frame.
 
-It discovers agents by their presence on the mesh and their first status, and forgets those that leave. A batch is
+It discovers agents by their presence on the mesh and their first status, and forgets agents that leave. A batch is
 emitted when all agents have sent their tracks, or when the clock of the next frame arrives: a dead or silent agent
 does not stall it. An agent's last tracks stay in later batches, propagated, until they are too old.
 """

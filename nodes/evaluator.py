@@ -45,7 +45,7 @@ class Evaluator(Node):
     agents:  their names
     scorer:  None: Scorer()
     attribution, cut_off: rules for the causes of errors, None: Attribution(), CutOff()
-    The other parameters are those of `evaluation.Evaluation`.
+    The other parameters are described in `evaluation.Evaluation`.
     """
 
     role = "evaluator"

@@ -18,7 +18,7 @@ def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
 def outsider():
     """Attacks by an outsider.
 
-    shows: the certificate that the attacker presents: nothing, one of its own authority (foreign), an expired one,
+    shows: the certificate that the attacker presents: nothing, one from its own authority (foreign), an expired one,
     or that of a node that it has taken over. wire: the key on which it forges messages.
     """
     return [

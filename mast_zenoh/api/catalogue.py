@@ -220,7 +220,7 @@ def _special(kind: str) -> Iterator[Entry]:
 
 
 def _messages() -> Iterator[Entry]:
-    """Our message types, and those that nodes declare which are loaded now."""
+    """Our message types, and the types that currently loaded nodes declare."""
     declared: dict[str, Schema] = {}
     for node in registry.known_types(Node).values():
         assert issubclass(node, Node)
@@ -242,7 +242,7 @@ def _rule(rule: Mapping[str, Any]) -> str:
 
 
 def _files(kind: str, function: str) -> Iterator[Entry]:
-    """The shipped files of a kind; undocumented parameters are those of `baseline`."""
+    """The shipped files of a kind; undocumented parameters are described in `baseline`."""
     files = []
     for name in bundle.names(kind):
         path, definition = loading.function(kind, name, function)

@@ -1,6 +1,6 @@
 """Parameters of a class or function: defaults, units and docstring descriptions.
 
-A docstring describes parameters as `name: text` or `name, name: text`, on lines of their own or after a full stop or a
+A docstring describes parameters as `name: text` or `name, name: text`, on separate lines or after a full stop or a
 semicolon. A class inherits the descriptions of its bases.
 """
 

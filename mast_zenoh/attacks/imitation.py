@@ -139,7 +139,7 @@ class VictimLike(Imitation):
     def _next_errors(self, numbers: Ints, independent: Floats) -> Floats:
         """Errors (k, _COLUMNS) in units of σ.
 
-        Correlated with those of the previous frame for the same objects.
+        For the same objects, correlated with the errors in the previous frame.
         """
         correlation = self._statistics.correlation
         errors = independent

@@ -55,7 +55,7 @@ class UncoordinatedSelection(Selection):
     fraction_translations:    fraction of the objects to displace, none of them hidden; counted in the same way
     position_std_m:           σ per axis of false objects about the victim, projected to the ground; not for "ego_path"
     velocity_std_mps:         σ per axis of their velocity, which gives their heading. Except for "paper", directions
-                              are those of the traffic, and objects with a short free path are slower
+                              follow the traffic, and objects with a short free path are slower
     box:                      m, length, width and height of false objects
     object_class:             one of states.CLASSES, the class of false objects
     translation_m:            m, displacement of moved objects, in a random direction for each

@@ -24,7 +24,7 @@ def check_convergence(evidence: Evidence) -> Check:
     """Check that the picture is close to that without links and faults at the end.
 
     converged_after_s is the time from the last heal until the distance stays below the threshold. The check is skipped
-    if nothing was healed, if a fault or a link with rules of its own lasts to the end, and if an adversary or a
+    if nothing was healed, if a fault or a link with its own rules lasts to the end, and if an adversary or a
     coordinator was restarted, because it then chooses its targets anew.
     """
     heals = evidence.heals_s()

@@ -168,7 +168,7 @@ def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
 def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
     """Run every configuration at every security level, with its attackers.
 
-    The attackers are those that the scenario file lists.
+    The scenario file lists the attackers.
     """
     from mast_zenoh.report.tables import attempts
     from mast_zenoh.study.rogue import comparison

@@ -152,13 +152,13 @@ def encode_extension(value: Any) -> Any:
     raise TypeError(f"a result holds a {type(value).__name__}, expected plain values and arrays")
 
 
-def _decode(code: int, data: bytes, texts: list[int]) -> Any:
-    """Decode a column of text or an array; texts: the remaining number of texts."""
+def _decode(code: int, data: bytes, strings: list[int]) -> Any:
+    """Decode a column of text or an array; strings: the remaining number of strings."""
     if code == _TEXTS:
-        items = _flat(data, texts[0])
+        items = _flat(data, strings[0])
         if not {*map(type, items)} <= {str}:
             raise MessageError("a result: found a column of text that holds something else")
-        texts[0] -= len(items)
+        strings[0] -= len(items)
         column = np.empty(len(items), dtype=object)
         column[:] = items
         return column

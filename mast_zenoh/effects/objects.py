@@ -160,6 +160,6 @@ def _has(body: Body, reference: tuple[str, str]) -> bool:
 def _bit_names(bits: Ints, names: tuple[str, ...]) -> np.ndarray:
     """(k,) object: the names of the set bits."""
     masks, index = np.unique(bits, return_inverse=True)
-    texts = np.empty(len(masks), object)
-    texts[:] = [" ".join(name for bit, name in enumerate(names) if mask >> bit & 1) for mask in masks.tolist()]
-    return texts[index.reshape(-1)]
+    strings = np.empty(len(masks), object)
+    strings[:] = [" ".join(name for bit, name in enumerate(names) if mask >> bit & 1) for mask in masks.tolist()]
+    return strings[index.reshape(-1)]

@@ -32,7 +32,7 @@ _APPEARANCE, _CONFIRMING = ("class_id", "size"), ("score", "covariance")
 
 
 class _Columns(NamedTuple):
-    """The columns of a message type: those with a row for each object, and the others."""
+    """The columns of a message type: columns with a row for each object, and others."""
 
     rows: tuple[str, ...]
     others: tuple[str, ...]

@@ -191,7 +191,7 @@ def _kind_and_node(query: zenoh.Query) -> tuple[str, str]:
 def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:
     """The files that a node needs: (name there, content or the file here).
 
-    Paths inside scenario.json are those on the node.
+    Paths inside scenario.json refer to the node's host.
     """
     spec = resolved.nodes[node]
     folders: dict[Path, str] = {}

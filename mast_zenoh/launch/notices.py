@@ -67,7 +67,7 @@ def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> list[dic
     if metrics.get("settled") is not False:
         return notices
     frames = "the only frame is" if count == 1 else f"all {count} frames are"
-    text = f"too short to score settled frames alone: {frames} scored, those in which tracks begin included"
+    text = f"too short to score settled frames alone: {frames} scored, including frames in which tracks begin"
     return [*notices, {"kind": "unsettled", "count": count, "text": text}]
 
 

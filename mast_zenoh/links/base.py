@@ -18,7 +18,7 @@ MAX_DELAY_S = 600.0  #: upper limit of the delay by one rule
 class Passage(NamedTuple):
     """One copy of a message in transit through a link, with the effects so far.
 
-    Effects are those of the rules that were already applied.
+    Effects are from the rules that were already applied.
 
     time_ns:  scene time of its passage, that of the newest clock
     now_ns:   time on the clock for delays: the same in lock-step, the wall clock in real time

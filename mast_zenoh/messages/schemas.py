@@ -79,7 +79,7 @@ class Column:
         object.__setattr__(self, "shape", tuple(self.shape))
         for text in (self.unit, self.meaning):
             if not isinstance(text, str):
-                raise ValueError(f"column {self.name!r}: unit and meaning: found {text!r:.40}, expected text")
+                raise ValueError(f"column {self.name!r}: unit and meaning: found {text!r:.40}, expected a string")
         check_column(self.name, self.dtype, self.shape, self.below, self.least_length)
 
 
@@ -254,7 +254,7 @@ OURS: Mapping[str, Schema] = {
     )
 }
 
-#: All that the codec knows: ours, and those that nodes of the scenario in use declare (`user_types.use`).
+#: All schemas that the codec knows: ours, and the types that the scenario's nodes declare (`user_types.use`).
 SCHEMAS: dict[str, Schema] = dict(OURS)
 
 

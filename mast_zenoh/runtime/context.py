@@ -209,7 +209,7 @@ class NodeContext:
             return self._outputs.get((port, subject))
         keys = self._keys_of_port.get(port, [])
         if len(keys) > 1:
-            raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: say which by subject=…")
+            raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: choose one with subject=…")
         return keys[0] if keys else None
 
     def _send_message(self, key: str, message: Message, after_s: float = 0.0) -> None:

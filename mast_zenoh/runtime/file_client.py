@@ -38,7 +38,7 @@ Answer = TypeVar("Answer")
 
 
 class FileClient:
-    """Fetches a node's files from the launcher, and hands in those that it writes.
+    """Fetches a node's files from the launcher, and hands in the files that it writes.
 
     clock: offset_ms, this host's clock minus the launcher's, and round_trip_ms, the round trip of that measurement
     """

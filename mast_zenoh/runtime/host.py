@@ -263,7 +263,7 @@ class Host(NodeContext):
             return call(*arguments)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
+        except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
             self._note_failure(name, call, arguments, error)
             return None
 

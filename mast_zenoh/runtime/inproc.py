@@ -107,7 +107,7 @@ class InProcess:
             host.start(self._peers(name))
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
+        except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
             (line,) = lines({name: [host.failures["start"].entry()]})
             raise StartError(line) from error
 
@@ -118,7 +118,7 @@ class InProcess:
             return source.node.advance(source)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
+        except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
             where = location(error, source.node.advance)
             what = f"{source.name}.advance failed before frame {frame}"
             raise NodeDied(f"{what}: {described(error)} ({where})") from error

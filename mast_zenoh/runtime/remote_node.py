@@ -3,7 +3,7 @@
     mast-node --name infra_1 --run ID --endpoint tcp/HOST:7447 [--credentials DIR] [--patience S]
     mast-node --router --run ID --listen tcp/0.0.0.0:7447 [--settings FILE] [--patience S]
 
-There is no run folder here: a node fetches its files from the launcher, and sends it those that it writes
+There is no run folder here: a node fetches its files from the launcher, and sends it the files that it writes
 (`runtime.file_client`). It leaves when the launcher has been away for a while (`mesh.launcher_watch`).
 """
 

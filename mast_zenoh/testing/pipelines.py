@@ -90,7 +90,7 @@ def _check_agent(pipeline: AgentPipeline, subject: str, n: int) -> None:
         expect(
             shapes == ((3,), (4,)), f"{subject}: origin and rotation have the shapes {shapes}, expected (3,) and (4,)"
         )
-        expect(abs(np.linalg.norm(rotation) - 1.0) < 1e-6, f"{subject}: rotation is no quaternion of length 1")
+        expect(abs(np.linalg.norm(rotation) - 1.0) < 1e-6, f"{subject}: rotation is not a quaternion of length 1")
         again = shuffled.track(time_ns, detections.select(order), pose, mount, lidar)
         expect_same(result, again, f"{subject}: depends on the order of the rows")
 

@@ -49,7 +49,7 @@ def _check_recording(subject: str, recording: Recording) -> None:
     turned = recording.agent_rotation @ np.swapaxes(recording.agent_rotation, -1, -2)
     right_handed = np.linalg.det(recording.agent_rotation) > 0.0
     sound = np.allclose(turned, np.eye(3), atol=_TOLERANCE) and right_handed.all()
-    expect(sound, f"{subject}: agent_rotation has a matrix that is no rotation")
+    expect(sound, f"{subject}: agent_rotation has a matrix that is not a rotation")
     expect((recording.truth.size > 0.0).all(), f"{subject}: truth.size has a length that is not more than 0")
     expect((recording.truth.class_id < len(CLASSES)).all(), f"{subject}: truth.class_id: expected below {len(CLASSES)}")
     expect((recording.points >= 0).all(), f"{subject}: points has negative numbers")
@@ -104,6 +104,6 @@ def _detected(detector: Detector, objects: ObjectStates, points: np.ndarray) -> 
 
 
 def _sorted(found: Detections, ids: Ints) -> tuple[Detections, Ints]:
-    """In an order of their own: detections of one score may be in any."""
+    """In a canonical order: detections with equal scores may come in any order."""
     order = np.lexsort((*found.position.T, found.score, ids))
     return found.select(order), ids[order]

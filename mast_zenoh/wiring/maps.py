@@ -74,7 +74,7 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "listen": (("wire", "role", "input"), ("leg", "node")),
 }
 
-#: Rewrites of earlier versions, and those that replace them.
+#: Rewrites of earlier versions, and their replacements.
 RENAMED = {
     "uncoordinated.toml": ("on_detections.toml",),
     "coordinated.toml": ("on_tracks.toml", "coordination.toml"),
@@ -241,7 +241,7 @@ def _overhearers(nodes: Mapping[str, NodeOptions]) -> tuple[Endpoint, ...]:
     )
     for end in ends:
         if len(nodes[end.node].inputs) > 1 or nodes[end.node].outputs:
-            raise WiringError(f"node {end.node!r}: a node that hears every key ({end.port!r}) has no other port")
+            raise WiringError(f"node {end.node!r}: a node that subscribes to every key ({end.port!r}) has no other port")
     return ends
 
 

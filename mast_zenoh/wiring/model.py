@@ -59,7 +59,7 @@ class Wire:
     subject: the name in its key (the agent of agent/{agent}/pose), or empty
     legs:      the trunk, common to all subscribers; its last leg has the wire's key, and leads to the subscribers
                without a branch and to the entrances of the branches
-    listeners: further subscribers, not among those of its legs
+    listeners: further subscribers, which are not subscribers of its legs
     """
 
     key: str
@@ -285,7 +285,7 @@ def to_text(wiring: Wiring) -> str:
                 for leg in wire.every_leg
             ]
     lines += ["", f"{len(wiring.wires)} wires; * rewritten, [node] inserted"]
-    return "\n".join([*lines, *(f"{end.node} hears every key" for end in wiring.overhearers)])
+    return "\n".join([*lines, *(f"{end.node} subscribes to every key" for end in wiring.overhearers)])
 
 
 def to_mermaid(wiring: Wiring) -> str:

@@ -167,7 +167,7 @@ def test_reason_for_changes_in_unscored_frames(attacked: RunFolder) -> None:
 
 HIDDEN: dict[str, tuple[dict[str, Any], str]] = {
     "others": ({"seen_by_others": True}, "other agents still saw what it removed, all the time"),
-    "clutter": ({"object": -1}, "what it removed was no object of the scene, but clutter"),
+    "clutter": ({"object": -1}, "what it removed was clutter, not part of the scene"),
     "nobody": (
         {"judged_centre": False, "judged_ego": False},
         "what it removed is not scored: no agent sees it, or it is out of range of every agent",
@@ -266,7 +266,7 @@ def test_terminal_and_page_show_limited_effects(attacked: RunFolder) -> None:
 
 def test_reason_for_moved_objects_without_displacement(attacked: RunFolder) -> None:
     nothing = {"moved": 1, "moved_share_centre": 0.0, "moved_share_ego": 0.0, "moved_error_m_centre": 0.4}
-    reason = "the tracks of what it {} are 0.40 m off on average, which is no displacement"
+    reason = "the tracks of what it {} are 0.40 m off on average, which does not count as a displacement"
     for kind, done in (("moved", "moved"), ("altered", "altered")):
         table = targets(kind, error_m_centre=0.4)
         nothing |= {f"{kind}_share_centre": 0.0, f"{kind}_error_m_centre": 0.4}

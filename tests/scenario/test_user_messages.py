@@ -1,4 +1,4 @@
-"""A node's own message type is sent, recorded, measured and compared like ours."""
+"""A node's own message type is sent, recorded, measured and compared like a built-in type."""
 
 from __future__ import annotations
 
@@ -89,14 +89,14 @@ from mast_zenoh.scenario import load
 
 
 def scenario(strength=1.0, moved=False):
-    _, ours = load("baseline", ["n_infrastructure=1"])
+    _, base = load("baseline", ["n_infrastructure=1"])
     wind = dict(key="wind", message="wind", **{"from": "station.wind", "to": ["listener.wind"]})
     rewrite = dict(wire=[wind], listen=[dict(wire="clock", role="station", input="clock")])
     nodes = dict(station=dict(role="station", strength=strength), listener=dict(role="listener"))
     if moved:
         nodes["mover"] = dict(role="mover")
         rewrite["insert"] = [dict(wire="wind", role="mover", input="wind", output="wind_out")]
-    return ours | dict(nodes=nodes, keyexpr=dict(map="testbed.toml", rewrites=[rewrite]))
+    return base | dict(nodes=nodes, keyexpr=dict(map="testbed.toml", rewrites=[rewrite]))
 """
 FILES = {
     "weather_types.py": TYPES,

@@ -125,7 +125,7 @@ class Nowhere(AgentPipeline):
 
 
 def stages() -> dict[str, Any]:
-    """Those of a command centre."""
+    """The parts of a command centre's pipeline."""
     grouped = GroupTrackerWrapper(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D())
     return {"clustering": SampledAssignmentClusterer(), "group_tracking": grouped}
 
@@ -135,7 +135,7 @@ def stages() -> dict[str, Any]:
     [
         (testing.check_scene, Drifting(), "Drifting.record: two recordings of one seed differ"),
         (testing.check_scene, Endless(), "Endless.record: found 4 frames, expected at most 3"),
-        (testing.check_scene, Mirrored(), "Mirrored.record: agent_rotation has a matrix that is no rotation"),
+        (testing.check_scene, Mirrored(), "Mirrored.record: agent_rotation has a matrix that is not a rotation"),
         (testing.check_scene, Twins(), "Twins.record: .*frame 0 has two truth rows with the same id"),
         (testing.check_scene, Phantoms(), "Phantoms.record: detection_truth_id of ego in frame 0: no object 7"),
         (testing.check_scene, Flat(), "Flat.record: .*points has shape"),
@@ -154,7 +154,7 @@ def stages() -> dict[str, Any]:
         (
             testing.check_pipeline,
             Nowhere(tracker=KalmanBoxTracker3D(), mission=PictureFirst()),
-            "Nowhere.track .*: rotation is no quaternion of length 1",
+            "Nowhere.track .*: rotation is not a quaternion of length 1",
         ),
         (
             testing.check_pipeline,

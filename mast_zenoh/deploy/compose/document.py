@@ -135,7 +135,7 @@ def document(
 
 
 def text(resolved: Resolved, run: str, **options: Any) -> str:
-    """The compose file of a run; the options are those of `document`."""
+    """The compose file of a run; the options are the same as for `document`."""
     secure = options.get("secure", "open")
     comment = (
         f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` has written this\n"

@@ -46,7 +46,7 @@ _SETTINGS = "router.json"
 class Startup:
     """Starts a run step by step. Callbacks on the stack remove all that it makes.
 
-    hosts_file: the content of hosts.toml; hosts: those of them that are used
+    hosts_file: the content of hosts.toml; hosts: the hosts that are used
     """
 
     def __init__(

@@ -111,7 +111,7 @@ class Swarm(Engine):
 
     @classmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """Print logs; those of a removed stack are in the run folder."""
+        """Print logs; a removed stack's logs are in the run folder."""
         tasks_by_node = tasks.of(record["deployment"]["stack"])
         names = [node] if node else sorted({*tasks_by_node, *(path.stem for path in (folder / "logs").glob("*.log"))})
         if follow and node in tasks_by_node:

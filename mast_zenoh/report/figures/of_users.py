@@ -86,7 +86,7 @@ def _drawn(kind: type[RunFigure], context: FigureContext, taken: Container[str])
             raise ValueError(f"after: found {kind.after!r}, expected one of {', '.join(SECTIONS)}")
         picture = rendered(kind(), context)
         if picture is not None and not (isinstance(picture.alt, str) and isinstance(picture.caption, str)):
-            raise ValueError("alt and caption: expected text")
+            raise ValueError("alt and caption: expected a string")
     except (Exception, SystemExit) as error:
         problem = f"{kind.__name__} could not be drawn: {described(error)} ({location(error, kind.draw)})"
         return UserFigure(f"{kind.__module__}.{kind.__name__}", kind.__name__, RunFigure.after, None, problem)
@@ -125,5 +125,5 @@ def _stored(folder: Path) -> list[UserFigure]:
 def _text(entry: Any, key: str) -> str:
     value = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(value, str):
-        raise ValueError(f"{key}: found {value!r:.40}, expected text")
+        raise ValueError(f"{key}: found {value!r:.40}, expected a string")
     return value

@@ -196,7 +196,7 @@ def settled(run: RunFolder, frames: Ints) -> Bools:
 def _weighted_errors(run: RunFolder, estimate: str) -> tuple[Ints, Floats] | None:
     """(frames (n,), weighted sum of all the ego's errors in each (n,)).
 
-    Weights are those of `changes`.
+    Weights are the same as in `changes`.
     """
     counts = run.counts_of(estimate)
     if counts is None:

@@ -172,7 +172,7 @@ def _reasons_not_missed(run: RunFolder, targets: Table, achieved: Mapping[str, A
         return []
     known = targets["object"] >= 0
     if not known.any():
-        return [f"{objects} {were} no object of the scene, but clutter"]
+        return [f"{objects} {were} clutter, not part of the scene"]
     if not _judged(targets).any():
         return [f"{objects} {are} not scored: no agent sees it, or it is out of range of every agent"]
     if _only_downlink(run, targets):  # other agents' observations are in the picture, from which the object was removed
@@ -206,7 +206,7 @@ def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[
     if not known:
         return [f"what it {manipulated} is not scored: no agent sees it, or it is out of range of every agent"]
     if max(known) < DISPLACED_M:
-        return [f"the tracks of what it {manipulated} are {max(known):.2f} m off on average, which is no displacement"]
+        return [f"the tracks of what it {manipulated} are {max(known):.2f} m off on average, which does not count as a displacement"]
     return []
 
 

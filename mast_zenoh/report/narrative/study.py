@@ -171,7 +171,7 @@ def comparisons_made(comparisons: Comparisons) -> str:
     count = comparisons.count
     others = f" table.csv has {comparisons.others} more, which are not counted." if comparisons.others else ""
     return (
-        f"{plural(count, 'comparison')} with the baseline, each with a 95 % interval of its own: "
+        f"{plural(count, 'comparison')} with the baseline, each with its own 95 % interval: "
         f"{LEVEL * count:.1f} of them would exclude 0 by chance if no attack did anything. "
         f"They hold together at 95 % if each is held to a level of {comparisons.bonferroni:.2g} (Bonferroni). "
         f"* marks the {comparisons.remaining()} that remain distinguishable from 0 after Holm's procedure.{others}"

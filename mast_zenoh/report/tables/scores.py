@@ -167,7 +167,7 @@ def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]
 
 
 def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
-    """Estimates with a column: those in ALWAYS, and those that differ from all others."""
+    """Estimates with a column: those in ALWAYS, and any that differ from all others."""
     names = set(ALWAYS)
     for summary in metrics:
         same = summary.get("same_as", {}).get(agent, {})

@@ -27,7 +27,7 @@ class WireRow:
     taps:     key expressions of the hidden legs
     links:    interposers that model the network
     when:     frames of live interposers, in words
-    branches: subscribers with interposers of their own
+    branches: subscribers with their own interposers
     before:   the subscribers behind each interposer that serves only some of them
     """
 

@@ -2,7 +2,7 @@
 
     python -P -m mast_zenoh.runtime nodes/agent.py --run-folder DIR --run ID --name infra_1 --endpoint TCP
 
-The file needs no `main` of its own. One that ends with `main(TheNode)` can also be started directly:
+The file needs no `main`. A file that ends with `main(TheNode)` can also be started directly:
 `python nodes/agent.py --run-folder DIR …`.
 
 The process ends when it is told to stop, when it gets SIGTERM, and when its standard input closes. The launcher holds

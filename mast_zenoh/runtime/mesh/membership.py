@@ -26,7 +26,7 @@ class Presence(NamedTuple):
         return Presence(self.gone or newer.gone, newer.present)
 
     def remaining(self) -> Presence | None:
-        """A node's return, which the driver takes after its loss, in an event of its own."""
+        """A node's return, which the driver handles after its loss, as a separate event."""
         return Presence(False, True) if self.gone and self.present else None
 
 
