@@ -1,4 +1,4 @@
-"""The order of the package's layers, written once: imports go down this list only.
+"""The order of the package's layers, written once: imports only go down this list.
 
 The import test, docs/architecture.md and the fingerprint of a version read it.
 """

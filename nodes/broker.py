@@ -20,8 +20,8 @@ from mast_zenoh.runtime.mesh.main import main
 class Broker(Node):
     """Collates the agents' tracks, one batch a frame.
 
-    latency_s: age at which frames are emitted; patience: further clocks to wait for a missing message, beyond that of
-    its own frame; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
+    latency_s: age at which frames are emitted; patience: number of clocks, after that of its own frame, to wait for a
+    missing message; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
 
     The header gives the frame of a message and its time: an agent whose clock is wrong still completes its batches,
     and its tracks are propagated from the time in the header, forward or back, to that of the batch. A time that is

@@ -49,7 +49,7 @@ def report_results(plan_results: Iterable[PlanResult], seed: int, *more: str) ->
 
     For such runs, also print the command that repeats them.
 
-    more: further arguments of that command
+    more: other arguments of that command
     """
     endings: Counter[str] = Counter()
     failed = 0

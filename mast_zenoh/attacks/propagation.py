@@ -32,7 +32,7 @@ class Propagation(ABC):
         """Move false objects by `elapsed_s` seconds, world frame.
 
         `age_s` is the time from their selection to `states`. Called once with both zero right after the selection, so
-        that the model's velocities apply from the first frame on.
+        that the model's velocities apply from the first frame.
         """
 
 

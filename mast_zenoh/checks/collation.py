@@ -43,7 +43,7 @@ def check_collation(evidence: Evidence) -> Check:
             continue
         chain = _chain(evidence, key)
         if any(evidence.resolved.nodes[name].role not in _KNOWN_ROLES for name in chain):
-            excepted["behind a user-defined node"] += len(evidence.sent.get(key, ()))
+            excepted["after a user-defined node"] += len(evidence.sent.get(key, ()))
             continue
         n_in_frame = Counter(
             frame for frame, _ in {(message.frame, message.seq) for message in evidence.sent.get(key, ())}
@@ -51,7 +51,7 @@ def check_collation(evidence: Evidence) -> Check:
         for message in evidence.sent.get(key, ()):
             reason = _exemption(message, input_.subject, broker, bool(chain), batches, evidence)
             if n_in_frame[message.frame] > 1:
-                reason = "beside another one of its frame"
+                reason = "in addition to another message of its frame"
             if reason:
                 excepted[reason] += 1
                 continue

@@ -94,7 +94,7 @@ def _with_scene(resolved: Resolved, folder: Path) -> Resolved:
 
 
 def _without_branches(wire: Wire, links: set[str]) -> Wire:
-    """The wire without the branches that consist of links only."""
+    """The wire without the branches that consist only of links."""
     bypassed = {
         branch.entrance: branch.subscriber
         for branch in wire.branches

@@ -219,7 +219,7 @@ def diff(
     for line in explain(difference):
         _out.print(line, markup=False, highlight=False)
     if reason and difference.first is None:
-        _err.print(f"not comparable from frame {before} on: {reason}", markup=False, highlight=False)
+        _err.print(f"not comparable from frame {before} onwards: {reason}", markup=False, highlight=False)
         raise typer.Exit(2)
     raise typer.Exit(0 if difference.first is None else 1)
 

@@ -59,7 +59,8 @@ def up(
         typer.Option(metavar="NODES=LABEL", help="Swarm: run nodes on the machine with this label mast.host."),
     ] = None,
     option: Annotated[
-        list[str] | None, typer.Option(metavar="KEY=VALUE", help="A parameter of the engine, for example of your own engine.")
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="A parameter of the engine, such as your own engine's."),
     ] = None,
     patience: Annotated[float | None, typer.Option(help="Seconds that nodes run without this launcher.")] = None,
     report: Report = True,

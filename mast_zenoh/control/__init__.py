@@ -1,7 +1,7 @@
 """Encoders and decoders of the control messages of a run; pure functions.
 
 A decoder returns a value or raises MessageError, whatever bytes it is given: types, ranges and sizes are checked, and
-nothing more than expected is accepted. Each encoder stands beside its decoder.
+nothing more than expected is accepted. Each encoder is next to its decoder.
 
 fields         strict readers of parts: numbers, names, keys, strings
 flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change

@@ -70,7 +70,7 @@ def checked(value: Any) -> dict[str, Any]:
     _check(value, None)
     count = sum(_json_size(part) for name, part in value.items() if name != "tables")
     if count > MAX_VALUES:
-        raise TypeError(f"results: found arrays of {count} items, expected at most {MAX_VALUES} beside those of tables")
+        raise TypeError(f"results: found arrays of {count} items, expected at most {MAX_VALUES} outside tables")
     return value
 
 

@@ -16,7 +16,7 @@ from mast_zenoh.messages.schemas import OURS, SCHEMAS, Body, Schema
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
-#: Code of an unchanged object, beside the kinds of manipulation.
+#: Code of an unchanged object, in addition to the kinds of manipulation.
 UNCHANGED = -1
 
 #: Absolute and relative tolerance of comparisons, so that rounding is not an effect.
@@ -27,7 +27,7 @@ SAME_OBJECT_M = 2.0
 #: m; likewise for rows whose appearance is not unique.
 SAME_APPEARANCE_M = 30.0
 
-#: Columns that identify a moved object without an id, and further ones that confirm it.
+#: Columns that identify a moved object without an id, and other columns that confirm it.
 _APPEARANCE, _CONFIRMING = ("class_id", "size"), ("score", "covariance")
 
 

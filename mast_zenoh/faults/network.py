@@ -67,7 +67,7 @@ class LinkState:
 
 
 class LinkStep(NamedTuple):
-    """A change of the links: their states from `at_s` (s of scene time) on."""
+    """A change of the links: their states from `at_s` (s of scene time) onwards."""
 
     at_s: float
     states: dict[str, LinkState]

@@ -99,7 +99,7 @@ class RunContext:
     signatures: Signatures = field(init=False)
     invalid: InvalidMessages = field(init=False)
     stop: Stop = field(default_factory=Stop, init=False)
-    _refusals: queue.SimpleQueue[str] = field(default_factory=queue.SimpleQueue, init=False)  # filled by Zenoh's threads
+    _refusals: queue.SimpleQueue[str] = field(default_factory=queue.SimpleQueue, init=False)  # from Zenoh's threads
 
     def __post_init__(self) -> None:
         self.signatures = Signatures(self.run_id)

@@ -162,7 +162,7 @@ def of_recording(record: Mapping[str, Any]) -> list[str]:
     recording = record.get("recording", {})
     if recording.get("complete", True):
         return []
-    return [f"the recording is incomplete from frame {recording['from_frame']} on"]
+    return [f"the recording is incomplete from frame {recording['from_frame']} onwards"]
 
 
 def _first(sentences: Sequence[str]) -> tuple[int, str]:

@@ -52,7 +52,7 @@ def collected() -> Iterator[list[int]]:
 
 @contextmanager
 def second_interrupts(received: list[int]) -> Iterator[None]:
-    """Append stop signals to `received`; from the second on, raise KeyboardInterrupt."""
+    """Append stop signals to `received`; from the second onwards, raise KeyboardInterrupt."""
 
     def collect(number: int, frame: FrameType | None) -> None:
         received.append(number)

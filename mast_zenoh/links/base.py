@@ -80,7 +80,7 @@ class Rule(ABC):
         return np.empty((count, 0))
 
     def sample_copy(self, row: Sequence[float], rng: np.random.Generator) -> Sequence[float]:
-        """Random numbers for a further copy of the message with the random numbers `row`."""
+        """Random numbers for an additional copy of the message with the random numbers `row`."""
         sampled: Sequence[float] = self.sample(rng, 1)[0].tolist()
         return sampled
 

@@ -35,7 +35,7 @@ def wire_and_key(key: str) -> tuple[str, str]:
 def metadata(key: str, message: str, publisher: str, *, malformed: bool) -> dict[str, str]:
     """The metadata of a channel; MCAP metadata is text.
 
-    publisher: the wire's publisher, which headers name, also on legs behind an interposer
+    publisher: the wire's publisher, which headers name, also on legs after an interposer
     """
     wire = wire_of(key)
     flags = {"tap": wire != key, "malformed": malformed}

@@ -3,7 +3,7 @@
 docs/messages.md is generated from it.
 
 A message is a header and a body of columns. In a shape, letters are sizes that must agree within one message
-(`n` rows are n objects, `a` rows are a agents); numbers are fixed. Nodes of users declare further ones (`user_types`).
+(`n` rows are n objects, `a` rows are a agents); numbers are fixed. Users' nodes declare others (`user_types`).
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ class Driving:
     def ahead(self, vehicle: Vehicle, objects: Objects) -> Ahead:
         """The objects in the corridor, and the objects that overlap the vehicle itself.
 
-        The corridor follows the path that the vehicle drove from each frame on, and continues straight beyond its end.
+        The corridor follows the path that the vehicle drove after each frame, and continues straight beyond its end.
         Overlapping objects are left out: they are the vehicle itself, or a collision that has already happened.
         """
         path, heading, along = _path(vehicle, self.horizon_m)

@@ -17,7 +17,7 @@ from mast_zenoh.metrics.record import rank_of
 Table = dict[str, NDArray[Any]]
 Texts = NDArray[Any]  # of str
 
-#: The columns of the table per frame, and the further entries of a summary.
+#: The columns of the table per frame, and the other entries of a summary.
 COLUMNS = (
     *("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
     *("completeness", "causes", "fn_split", "fp_split", "id_switches_split"),
@@ -114,7 +114,7 @@ class Scores:
     seen:          a row per series, frame and evaluated truth object
     switches:      a row per identity switch
     judged:        every box of every series
-    same_as:       further series, each with the one of `series` that has the same messages and therefore scores; they
+    same_as:       other series, each with the one of `series` that has the same messages and therefore scores; they
                    are in the table per frame and in the summary, but have no separate boxes
     """
 

@@ -40,8 +40,8 @@ def reference(run: RunFolder, other: Path) -> Reference:
         raise NotComparable(f"{folders}: found {frames[0]} and {frames[1]} frames, expected the same number in both")
     if difference := _scoring_difference(run, second):
         raise NotComparable(
-            f"{folders}: {difference}: expected runs that were scored the same way; run one of them again with the evaluator "
-            "of the other"
+            f"{folders}: {difference}: expected runs that were scored the same way; run one of them again with the "
+            "evaluator of the other"
         )
     seeds = [each.run.get("seed") for each in (run, second)]
     if seeds[0] != seeds[1] or not _same_scene(run, second):

@@ -49,7 +49,7 @@ def write_report(
 
     frame:   the frame that pictures show; by default that of `view.choose_frame`
     against: folder of a reference run of the same scene
-    figures: Python files whose figures are drawn besides (`RunFigure`)
+    figures: Python files whose figures are added (`RunFigure`)
     Returns the path of the report. Raises RunFolderError if the folder is not a run folder, or has no such frame;
     NotComparable if the runs cannot be compared.
     """

@@ -269,5 +269,5 @@ class NodeContext:
         """Count rejected messages by key and kind, the reason's part before the colon."""
         if key not in self.first_rejected:
             self.first_rejected[key] = self.frame, " ".join(reason.split())[:_MAX_REASON]
-            self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)
+            self.log.warning("rejected a message on %s: %s (more on this key will only be counted)", key, reason)
         self.rejected[key, reason.split(":", 1)[0]] += count

@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--credentials", type=Path, help="folder of credentials: a secure mesh")
     parser.add_argument("--router", action="store_true", help="be the router of the run")
     parser.add_argument("--listen", default="tcp/0.0.0.0:7447", help="where the router listens")
-    parser.add_argument("--settings", type=Path, help="the router's further settings: a JSON file")
+    parser.add_argument("--settings", type=Path, help="additional settings of the router: a JSON file")
     parser.add_argument("--patience", type=float, default=PATIENCE_S, help="seconds to stay without the launcher")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)

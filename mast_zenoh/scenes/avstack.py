@@ -44,7 +44,7 @@ class AVstackScene(Scene):
     detector:         the model that generates detections from lidar visibility
     max_unpacked_mb:  limit on the files unpacked from an archive, 10^6 bytes
 
-    The first mobile agent is "ego", further ones are "mobile_k", static ones "infra_k", where k is their number in the
+    The first mobile agent is "ego", other ones are "mobile_k", static ones "infra_k", where k is their number in the
     files. An object's lidar returns come from `visibility.jsonl`. Without it, the objects in a lidar's object files
     are seen, with the returns that ray casting gives, scaled by their visible fraction, at least 5. For a lidar without
     object files, ray casting alone decides.

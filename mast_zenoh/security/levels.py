@@ -22,7 +22,7 @@ SECURE = "acl"
 
 _TLS = "transport/link/tls"
 
-#: A session with credentials uses TLS only: it must not connect to a TCP endpoint unencrypted.
+#: A session with credentials uses only TLS: it must not connect to a TCP endpoint unencrypted.
 _ONLY_TLS: dict[str, Any] = {"transport/link/protocols": ["tls"]}
 
 
@@ -61,7 +61,9 @@ def router_settings(level: str, credentials: Credentials, access: Mapping[str, A
     settings = {**_ONLY_TLS, _TLS: tls}
     if level == "acl":
         if access is None:
-            raise ConfigurationError("security level acl: found no access rules, expected the rules derived from the wiring")
+            raise ConfigurationError(
+                "security level acl: found no access rules, expected rules derived from the wiring"
+            )
         settings["access_control"] = dict(access)
     return settings
 

@@ -111,7 +111,7 @@ def carry_out(
     options = [name for name in inspect.signature(carry_out).parameters if name not in ("study", "parameters")]
     loaded = definition.load_values(str(study), parameters, options)
     if loaded.security:
-        raise ConfigurationError(f"{loaded.path}: a security study runs from the command line only: mast study {study}")
+        raise ConfigurationError(f"{loaded.path}: a security study runs only from the command line: mast study {study}")
     if runtime not in definition.RUNTIMES:
         raise ConfigurationError(f"runtime: found {runtime!r}, expected inproc or mesh")
     folder = None if out is None else Path(out)

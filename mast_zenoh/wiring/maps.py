@@ -241,7 +241,8 @@ def _overhearers(nodes: Mapping[str, NodeOptions]) -> tuple[Endpoint, ...]:
     )
     for end in ends:
         if len(nodes[end.node].inputs) > 1 or nodes[end.node].outputs:
-            raise WiringError(f"node {end.node!r}: a node that subscribes to every key ({end.port!r}) has no other port")
+            name, port = end.node, end.port
+            raise WiringError(f"node {name!r}: a node that subscribes to every key ({port!r}) has no other port")
     return ends
 
 

@@ -33,7 +33,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """The interposers of one subscriber, from the trunk at `entrance` on."""
+    """The interposers of one subscriber, from the trunk at `entrance` onwards."""
 
     entrance: Endpoint
     subscriber: Endpoint
@@ -59,7 +59,7 @@ class Wire:
     subject: the name in its key (the agent of agent/{agent}/pose), or empty
     legs:      the trunk, common to all subscribers; its last leg has the wire's key, and leads to the subscribers
                without a branch and to the entrances of the branches
-    listeners: further subscribers, which are not subscribers of its legs
+    listeners: other subscribers, which are not subscribers of its legs
     """
 
     key: str

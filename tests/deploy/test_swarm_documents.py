@@ -316,7 +316,7 @@ def test_killing_a_node_on_another_machine_is_refused_with_the_reason(
     supervisor.running()
     for doing in (supervisor.kill, supervisor.pause):
         with pytest.raises(
-            EngineError, match=r"infra_2 cannot be .*: Docker does that on its own machine only.*on there"
+            EngineError, match=r"infra_2 cannot be .*: Docker does that only on its own machine.*on there"
         ):
             doing(child)
     assert dockerd.told == []

@@ -47,7 +47,7 @@ class FinishedCommand:
         """Assert that the ending matches a row of the table, and common rules."""
         assert (self.status, self.code) == row, self.text
         assert "Traceback" not in self.text
-        reserve = {".reserve"} if row.status == "running" else set()  # reserves space for a run.json that was never written
+        reserve = {".reserve"} if row.status == "running" else set()  # space for a run.json that was never written
         assert {path.name for path in self.out.glob(".*")} <= reserve, "no temporary file remains"
         if (self.out / "messages.mcap").is_file():
             list(read(self.out))

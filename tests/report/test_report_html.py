@@ -218,7 +218,9 @@ def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Pa
         assert f"{name}/report.html" in study.links
 
 
-def test_a_study_report_with_an_unscored_run_names_the_missing_file(run_folder: RunFolderFixture, tmp_path: Path) -> None:
+def test_a_study_report_with_an_unscored_run_names_the_missing_file(
+    run_folder: RunFolderFixture, tmp_path: Path
+) -> None:
     runs = {"baseline": run_folder(), "uncoordinated": run_folder("uncoordinated")}
     for path in [*runs["uncoordinated"].glob("*.parquet"), runs["uncoordinated"] / "metrics.json"]:
         path.unlink()

@@ -177,7 +177,7 @@ def test_result_of_an_attack_that_reduces_something_says_fewer() -> None:
             "in the picture, too few seeds for an interval: in a the picture has 4.00 more false",
         ),
         (Estimate(0.0, 0.0, 0.0, seeds=20), "No attack changes false or missed objects in any trial"),
-        (None, "No trial has the results of its baseline beside it"),
+        (None, "No trial has results for its baseline"),
     ],
 )
 def test_result_without_a_significant_change_is_stated(estimates: Estimate | None, text: str) -> None:

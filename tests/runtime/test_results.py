@@ -63,7 +63,7 @@ def test_arrays_have_at_most_eight_dimensions() -> None:
 )
 def test_large_arrays_are_allowed_only_in_tables(array: np.ndarray) -> None:
     results.checked({"tables": {"t": {"x": array}}})
-    with pytest.raises(TypeError, match="beside those of tables"):
+    with pytest.raises(TypeError, match="outside tables"):
         results.checked({"x": [{"y": array}]})
 
 

@@ -143,7 +143,7 @@ def scenario():
     return baseline(n_infrastructure=1) | dict(name="metric", evaluator=dict(metrics=metrics))
 """,
     },
-    # Two further nodes that hear only the clock, and return would-be metrics and tables.
+    # Two more nodes, which receive only the clock and return fake metrics and tables.
     "second": {
         "second.py": """
 from mast_zenoh.config import loading

@@ -195,5 +195,5 @@ def test_a_node_that_hears_every_key_hears_tap_legs_and_is_on_no_wire() -> None:
 @pytest.mark.parametrize("more", [dict(outputs="tracks:tracks"), dict(inputs="everything:* clock:clock")])
 def test_a_node_that_hears_every_key_has_no_other_port(more: dict[str, str]) -> None:
     ear = node("recorder", **(dict(inputs="everything:*") | more))
-    with pytest.raises(WiringError, match=r"node 'ear': a node that subscribes to every key \('everything'\) has no other"):
+    with pytest.raises(WiringError, match=r"node 'ear': a node that subscribes to every key .* has no other"):
         resolve({"simulator": SIMULATOR, "ego": AGENT, "broker": BROKER, "ear": ear})

@@ -185,7 +185,7 @@ async def make_folder(sftp: asyncssh.SFTPClient, path: str) -> None:
 
 
 async def write_file(sftp: asyncssh.SFTPClient, path: str, content: bytes) -> None:
-    """Write a new file that only its owner may read, from its first byte on."""
+    """Write a new file that only its owner can ever read."""
     import asyncssh
 
     async with sftp.open(path, "xb", asyncssh.SFTPAttrs(permissions=0o600)) as file:

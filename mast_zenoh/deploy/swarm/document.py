@@ -79,7 +79,7 @@ def document(
     here:   id of that machine in the swarm: the router and the nodes `pinned` run there
     place:  by node, the value of the label `mast.host` that its machine must have
     absent: nodes that do not start with the run
-    options: further ones of the compose file: environment, patience_s, cpus, memory
+    options: other settings of the compose file: environment, patience_s, cpus, memory
 
     Raises ConfigurationError for a node's name that a swarm does not allow.
     """

@@ -61,7 +61,7 @@ class Camera(RunFigure):
 
 
 class Counts(RunFigure):
-    """Missed and false objects and RMSE over time, beside those of the reference."""
+    """Missed and false objects and RMSE over time, next to the reference run's."""
 
     def draw(self, context: FigureContext) -> Figure | None:
         reference = context.reference

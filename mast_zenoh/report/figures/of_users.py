@@ -45,7 +45,7 @@ class UserFigure:
 def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[UserFigure]:
     """The figures of users for the report of a run, by their names.
 
-    files: to load; besides, those of the scenario that are loaded already are looked at
+    files: files to load; the scenario's files that are already loaded are searched too
     Raises ConfigurationError for a file that cannot be loaded.
     """
     named = context.run.scenario.get("modules", ())
@@ -53,7 +53,7 @@ def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[Use
     modules += [loading.module(file) for file in files]
     kinds = loading.concrete((module for module in modules if module is not None), RunFigure)
     if kinds:
-        context = copy.deepcopy(context)  # no figure can change what the page shows besides
+        context = copy.deepcopy(context)  # so that no figure can change the rest of the page
     drawn: dict[str, UserFigure] = {}
     for kind in kinds:
         if (each := _drawn(kind, context, drawn)) is not None:

@@ -206,7 +206,8 @@ def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[
     if not known:
         return [f"what it {manipulated} is not scored: no agent sees it, or it is out of range of every agent"]
     if max(known) < DISPLACED_M:
-        return [f"the tracks of what it {manipulated} are {max(known):.2f} m off on average, which does not count as a displacement"]
+        error_text = f"{max(known):.2f} m off on average"
+        return [f"the tracks of what it {manipulated} are {error_text}, which does not count as a displacement"]
     return []
 
 
@@ -228,7 +229,7 @@ def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
 
     No adversary changes the agent's report of the target in that frame.
 
-    `seen_by_others` excludes the agents of one adversary only; this also excludes those of other adversaries that
+    `seen_by_others` excludes the agents of one adversary; this also excludes those of other adversaries that
     change the same object. Without the scene, an object changed by several adversaries counts as not seen.
     """
     seen = targets["seen_by_others"].astype(bool)

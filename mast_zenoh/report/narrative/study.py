@@ -74,7 +74,7 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
         return f"The largest change of {_compared(headline)}: {_sentence(headline)}."
     any_change = _largest(attacked, ("fp_iob", "fn_iob"), None)
     if not any_change:
-        return "No trial has the results of its baseline beside it, so there is nothing to compare."
+        return "No trial has results for its baseline, so there is nothing to compare."
     greatest = any_change[1].of(any_change[0])
     if greatest.trial_mean == 0.0 and math.isnan(greatest.low):
         return "No attack changes false or missed objects in any trial."
