@@ -62,7 +62,7 @@ _MEASURES = {
     "fp": "Tracks in range of the agent that match no object, per frame",
     "tp": "Objects in range of the agent that a track matches, per frame",
     "rmse_m": "Root mean square distance of the centres of matched pairs, in m",
-    "id_switches": "Number of times that an object is matched by another track than before",
+    "id_switches": "Number of times that an object is matched by a different track than before",
     "completeness": "Share of an object's frames in which it is matched, 0 to 1, mean over objects",
     "ospa_m": "OSPA: distance between the set of objects and the set of tracks, per object, in m",
     "gospa_m": "GOSPA: the same summed over the objects, in m",

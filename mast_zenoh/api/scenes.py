@@ -100,7 +100,7 @@ class PreparedAgent:
 
         Columns as `Agent.detections` of a run.
 
-        `truth_id`: of the object that it is of; -1 for clutter. No agent gets to know it.
+        `truth_id`: id of the detected object; -1 for clutter. No agent ever sees it.
         """
         scene, index = self._scene.recording, self._index
         return self._scene._table(

@@ -145,7 +145,7 @@ class Follower:
         self._tracks[~np.isin(self._tracks[:, TARGET], numbers), TARGET] = -1.0
 
     def _lost(self, targets: ObjectStates, track: Ints) -> Bools:
-        """(k,) which targets have lost their objects; releases their tracks (k,)."""
+        """(k,) whether targets have lost their objects; releases their tracks (k,)."""
         attached = (track >= 0).nonzero()[0]
         tracks = self._tracks[track[attached]]
         offset = tracks[:, PLACE][:, :2] - targets.position[attached, :2]

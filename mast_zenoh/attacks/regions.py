@@ -118,7 +118,7 @@ class _Checked(Region):
 
     @abstractmethod
     def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
-        """(k,) which boxes are in the region; `real` objects occlude what is behind them."""
+        """(k,) whether boxes are in the region; `real` objects occlude what is behind them."""
 
     def _choose(
         self, candidates: _Candidates, allowed: np.ndarray, shape: Shape, coverage: Coverage

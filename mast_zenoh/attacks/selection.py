@@ -137,7 +137,7 @@ class CoordinatedSelection(UncoordinatedSelection):
     """Selects false objects, and objects to hide and move, for all adversaries.
 
     The objects of the adversaries are merged into clusters with at most one object of each, nearest first and at most
-    `cluster_radius_m` apart; a target is hidden (moved) for every adversary. The other parameters are those of
+    `cluster_radius_m` apart; a target is hidden (moved) for every adversary. The other parameters are as in
     UncoordinatedSelection, counted for all adversaries together.
 
     cluster_radius_m: maximum distance between rows of different adversaries for the same object

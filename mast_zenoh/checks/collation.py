@@ -112,7 +112,7 @@ def _exemption(
     """Why a message may be missing from the collation; None: it must be there."""
     frame = message.frame
     if evidence.times_ns.get(frame) != message.time_ns:
-        return "of another time than its frame's"
+        return "with a time that is not its frame's"
     step = max(frame, message.step)
     closed = _closed(frame, broker, evidence)
     if closed is None:

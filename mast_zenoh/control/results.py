@@ -43,7 +43,7 @@ def pack(value: Any) -> bytes:
 
 def unpack(payload: bytes) -> Any:
     """Unpack what `pack` packed; raises MessageError for anything else or too much."""
-    count = fields.at_most(MAX_VALUES, "a result, arrays and columns of text apart")
+    count = fields.at_most(MAX_VALUES, "a result, not counting arrays and columns of text")
     remaining_texts = [max(MAX_TEXTS, len(payload) // 4)]
     try:
         return msgpack.unpackb(

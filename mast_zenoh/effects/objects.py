@@ -35,7 +35,7 @@ class ObjectChanges(NamedTuple):
 
     frame, seq, step: (k,) of the message, and the frame of the run in which the interposer received it
     effect:   (k,) index into KINDS; UNCHANGED: the object moves with the frame of reference of its message
-    columns:  (k,) object, names of the columns that were changed, separated by blanks
+    columns:  (k,) object, names of the columns that were changed, separated by spaces
     id:       (k,) of the object in the message, -1: messages of this type have no ids
     before, after: (k, 3) m, the object's position in the received and in the sent message; NaN: absent
     velocity: (k, 3) m/s, as sent, or as received for a removed object; NaN: messages have none

@@ -38,7 +38,7 @@ class _Columns(NamedTuple):
     others: tuple[str, ...]
 
 
-#: Dtype and shape of columns by which objects are told apart. A user's type in which they are others has no objects.
+#: Dtype and shape of columns by which objects are told apart. A user's type in which they differ has no objects.
 _OF_OBJECTS = {
     "position": ("float64", ("n", 3)),
     "velocity": ("float64", ("n", 3)),
@@ -53,7 +53,7 @@ def _columns(schema: Schema) -> _Columns:
     usual = all((c.dtype, c.shape) == _OF_OBJECTS.get(c.name, (c.dtype, c.shape)) for c in schema.columns)
     if "position" not in names or not usual:
         return _Columns((), names)
-    # Other letters are constant in a run of ours (agents), but may differ between messages of a user's type.
+    # Our types' other letters (agents) are constant in a run, but may differ between messages of a user's type.
     rows = tuple(
         column.name
         for column in schema.columns
@@ -164,7 +164,7 @@ def _differ(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _rows_differ(a: NDArray[Any], b: NDArray[Any]) -> Bools:
-    """(k,) which of k rows differ by more than rounding."""
+    """(k,) whether each of k rows differs by more than rounding."""
     return np.asarray(_differ(a, b).reshape(len(a), -1).any(axis=1)) if len(a) else np.zeros(0, bool)
 
 

@@ -23,9 +23,9 @@ class CovarianceIntersectionFusion(Fusion):
 
     Consistent, whatever the correlation of the members' errors, for any weights.
 
-    weights: "uniform", or "optimised": those of the least trace of the horizontal position's covariance. The optimum is
-    the best bound for unknown correlation and drops members that do not tighten it; where the agents' errors are in
-    fact nearly independent, uniform weights average more of them and err less.
+    weights: "uniform", or "optimised": the least trace of the horizontal position's covariance. The optimum is the best
+    bound for unknown correlation and drops members that do not tighten it; where the agents' errors are in fact nearly
+    independent, uniform weights average more of them and err less.
     """
 
     def __init__(self, *, weights: Literal["uniform", "optimised"] = "uniform") -> None:

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: interrupt a command, or end a run in good order.
+"""Ctrl-C, SIGTERM and SIGHUP: interrupt a command, or end a run in an orderly way.
 
 Imports nothing that takes time: the command line handles signals from its first moment.
 """

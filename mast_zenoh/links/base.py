@@ -50,7 +50,7 @@ class Passage(NamedTuple):
 class Rule(ABC):
     """Acts on the messages of one wire for a time.
 
-    at, until: s of scene time from which on it acts, and before which it ends; None: to the end
+    at, until: s of scene time at which it starts to act, and at which it stops; None: to the end
 
     A rule may have state (a queue, a channel); every wire has its own instances. Its random numbers are passed in: one
     row for every message on the wire, even while the rule is inactive, so that rules do not affect each other's random
@@ -90,7 +90,7 @@ class Rule(ABC):
 
     @abstractmethod
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """Apply the rule; returns no, one or several copies, the message itself first."""
+        """Apply the rule; returns zero or more copies, the message itself first."""
 
 
 def expect(name: str, value: object, condition: bool, expected: str) -> None:

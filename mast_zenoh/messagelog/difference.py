@@ -52,7 +52,7 @@ def compare(
         if difference.first is None:
             difference.first = left, right
     if difference.first is None and not difference.equal:
-        raise RunFolderError(f"{a}, {b}: not one message to compare")
+        raise RunFolderError(f"{a}, {b}: no messages to compare")
     return difference
 
 

@@ -57,7 +57,7 @@ def same_columns(one: Body, other: Body) -> bool:
 class Column:
     """One column, as used by senders, receivers and the documentation.
 
-    name:  small letters, digits and _
+    name:  lower-case letters, digits and _
     dtype: float64, int64, int32, uint8, or str for text
     shape: sizes; equal letters are equal sizes in one message: ("n", 3) is a row of three numbers for each of n objects
     unit, meaning: for readers; "" where there is none
@@ -87,8 +87,8 @@ class Column:
 class Schema:
     """One message type: name, version, meaning, columns.
 
-    A node names it in its ports: `outputs = {"gusts": GUSTS}`. Raises ValueError for a name that is none, and for two
-    columns of one name.
+    A node names it in its ports: `outputs = {"gusts": GUSTS}`. Raises ValueError for an invalid name, and for two
+    columns with the same name.
     """
 
     name: str

@@ -88,7 +88,7 @@ class Judged(NamedTuple):
 
 
 class Switches(NamedTuple):
-    """k identity switches: a truth object is matched by another track than before.
+    """k identity switches: a truth object is matched by a different track than before.
 
     series, frame: (k,) rows of `Scores.series` and `Scores.frames`; truth_id: (k,) of the object
     before, after: (k,) ids of the tracks

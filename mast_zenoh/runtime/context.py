@@ -142,7 +142,7 @@ class NodeContext:
             raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {received.schema!r}")
         if payload is not None and (body is not None or time_ns is not None):
             raise ConfigurationError(
-                f"{self.name}: port {port!r}: a payload is sent as it is: no body or time_ns with it"
+                f"{self.name}: port {port!r}: a payload is sent unchanged: expected no body or time_ns"
             )
         key = self._outputs.get((port, received.subject))
         if key is None:

@@ -1,7 +1,7 @@
 """Runs all nodes in one process, deterministic: for studies, tests and debugging.
 
-The nodes, hosts and wiring are those of the mesh; only the transport is a list. Messages are not encoded, but checked
-as the decoder would check them.
+The nodes, hosts and wiring are the same as on a mesh; only the transport is a list. Messages are not encoded, but are
+checked as the decoder would check them.
 """
 
 from __future__ import annotations

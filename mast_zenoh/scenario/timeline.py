@@ -68,7 +68,7 @@ def timeline_of(
         name = f"link_{agent}"
         if name in nodes:
             raise ConfigurationError(
-                f"{path}: {name}: another node has this name already, and the link of {agent!r} needs it"
+                f"{path}: {name}: another node already has this name, and the link of {agent!r} needs it"
             )
         permanent_rules, timed_rules = profiles.get(agent, {}), fault_plan.rules.get(agent, {})
         rules = {f"rules_{way}": [*permanent_rules.get(way, ()), *timed_rules.get(way, ())] for way in DIRECTIONS}

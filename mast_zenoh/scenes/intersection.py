@@ -129,7 +129,7 @@ class Intersection(Scene):
         traffic = Traffic(network, movers, seed, f"intersection/{self.scene_index}")
         traffic.run(round(_WARM_UP_S * self.rate_hz), steps, dt)
         window, search = round(_WINDOW_S * self.rate_hz), round(_SEARCH_S * self.rate_hz)
-        # The choice depends on the window alone, so that a shorter recording is the start of a longer one.
+        # The choice depends only on the window, so that a shorter recording is the start of a longer one.
         motion = traffic.run(search + max(window, frames), steps, dt)
         motorised = np.flatnonzero(movers.user == ROAD)
         cars = motorised[movers.size_class[motorised] == 0]

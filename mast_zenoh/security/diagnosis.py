@@ -129,7 +129,7 @@ def _router_reasons(facts: Facts, router: Router) -> Iterator[str]:
     if certificate is not None:
         yield from _validity("the router's certificate", facts.host, certificate, facts.now)
         if not certificate.trusted:
-            yield f"the router at {facts.host} has a certificate of another authority: it may be a rogue"
+            yield f"the router at {facts.host} has a certificate from another authority: it may be a rogue"
         elif facts.host not in certificate.names:
             text = ", ".join(certificate.names) or "no host at all"
             yield f"the router's certificate is not for {facts.host!r}, but for {text}"
@@ -140,7 +140,7 @@ def _router_reasons(facts: Facts, router: Router) -> Iterator[str]:
 
 def _validity(what: str, where: str, certificate: Certificate, now: datetime) -> Iterator[str]:
     if now > certificate.not_after:
-        yield f"{where}: {what} has expired at {_utc_text(certificate.not_after)}, now it is {_utc_text(now)}"
+        yield f"{where}: {what} expired at {_utc_text(certificate.not_after)}, now it is {_utc_text(now)}"
     if now < certificate.not_before:
         yield f"{where}: {what} is not valid before {_utc_text(certificate.not_before)}, now it is {_utc_text(now)}"
 

@@ -23,7 +23,7 @@ _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 def check_pipeline(pipeline: Pipeline | AgentPipeline) -> None:
     """Check that a pipeline, of the command centre or an agent, fulfils its contract.
 
-    With zero, one and a thousand tracks or detections. The mission estimator of an agent's pipeline is checked, too.
+    With zero, one and a thousand tracks or detections. The mission estimator of an agent's pipeline is checked too.
 
     pipeline: as newly made; it is copied, and not changed
     Raises AssertionError.
@@ -50,7 +50,7 @@ def _check_center(pipeline: Pipeline, subject: str, n: int, weighted: bool) -> N
             picture, support = straight.step(time_ns, states, agent, _AGENTS, weights)
         _check_ids(subject, picture)
         expect(
-            support.shape == (len(picture),), f"{subject}: support has the shape {support.shape}, expected one a row"
+            support.shape == (len(picture),), f"{subject}: support has the shape {support.shape}, expected one per row"
         )
         expect(support.dtype == np.int64, f"{subject}: support is {support.dtype}, expected int64")
         expect(
@@ -113,7 +113,7 @@ def check_mission_estimator(estimator: MissionEstimator) -> None:
             expect(len(set(ids)) == len(ids), f"{subject}: ids are not unique")
             of_picture = result.id % 2 == 0
             known = np.where(of_picture, np.isin(result.id // 2, picture.id), np.isin(result.id // 2, own.id))
-            expect(known.all(), f"{subject}: an id is neither 2 i of the picture nor 2 i + 1 of an own track")
+            expect(known.all(), f"{subject}: an id is neither 2 i of the picture nor 2 i + 1 of the agent's own tracks")
             random = np.random.default_rng(own_count + count)
             rows, others = (random.permutation(n) for n in (own_count, count))
             again = estimator.estimate(own.select(rows), picture.select(others))

@@ -50,7 +50,7 @@ def _check_recording(subject: str, recording: Recording) -> None:
     right_handed = np.linalg.det(recording.agent_rotation) > 0.0
     sound = np.allclose(turned, np.eye(3), atol=_TOLERANCE) and right_handed.all()
     expect(sound, f"{subject}: agent_rotation has a matrix that is not a rotation")
-    expect((recording.truth.size > 0.0).all(), f"{subject}: truth.size has a length that is not more than 0")
+    expect((recording.truth.size > 0.0).all(), f"{subject}: truth.size has a length that is not greater than 0")
     expect((recording.truth.class_id < len(CLASSES)).all(), f"{subject}: truth.class_id: expected below {len(CLASSES)}")
     expect((recording.points >= 0).all(), f"{subject}: points has negative numbers")
     known: set[int] = set()
@@ -84,14 +84,14 @@ def check_detector(detector: Detector) -> None:
             found, ids = _detected(detector, objects, points)
         count = len(ids)
         expect(isinstance(found, Detections), f"{subject}: found {type(found).__name__}, expected Detections")
-        expect(len(found) == count, f"{subject}: {len(found)} detections and {count} ids, expected as many")
+        expect(len(found) == count, f"{subject}: {len(found)} detections and {count} ids, expected equal numbers")
         expect_finite(found, subject)
         expect((np.diff(found.score) <= 0.0).all(), f"{subject}: the best score is not first")
         expect(((found.score >= 0.0) & (found.score <= 1.0)).all(), f"{subject}: a score is not from 0 to 1")
-        expect((found.size > 0.0).all(), f"{subject}: a size is not more than 0")
+        expect((found.size > 0.0).all(), f"{subject}: a size is not greater than 0")
         seen = objects.id[points > 0]
         expect(np.isin(ids, np.append(seen, -1)).all(), f"{subject}: detects an object without lidar returns")
-        text = f"{subject}: two of the same random stream do different things"
+        text = f"{subject}: two runs with the same random stream differ"
         expect_same((found, ids), _detected(detector, objects, points), text)
         order = np.random.default_rng(n).permutation(n)
         shuffled = _detected(detector, objects.select(order), points[order])

@@ -15,14 +15,14 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     role = "adversary"                    # every node of the role whose option `agent` is the wire's agent
     input = "detections"
     output = "detections_out"
-    node = "adversary_1"                  # optional: this node alone
+    node = "adversary_1"                  # optional: only this node
 
     [[listen]]
     wire = "agent/*/pose"                 # every agent's; "agent/ego/pose": one; "agent/{agent}/pose": its own agent's
     role = "adversary"
     input = "poses"
     leg = "source"                        # optional: what the publisher sends, before any interposer
-    node = "adversary_1"                  # optional: this node alone
+    node = "adversary_1"                  # optional: only this node
 
 `{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means the node that the
 placeholder names, if it has that role; else the nodes of the role whose option with the placeholder's name has its
@@ -44,7 +44,7 @@ That makes a branch, `K -> node -> K/@tap/{subscriber}/0 -> node -> K/@tap/{subs
 the order of the rewrites; only the key of that one subscriber changes. A branch begins where the trunk ends: nodes on
 the trunk come before all branches.
 
-All wires are resolved first, then the inserts in order, then the listeners. A listener receives K, behind the trunk's
+All wires are resolved first, then the inserts in order, then the listeners. A listener receives K, after the trunk's
 interposers and before the branches, unless it asks for the source.
 """
 
@@ -115,8 +115,8 @@ def resolve(
     A node with an input port of the type `ANY` receives every key without being named in a map.
 
     Raises WiringError, naming the file and the entry, for unknown keys, roles, nodes, ports or messages, invalid key
-    expressions, a wire with several publishers, a node twice on one wire, a rewrite of no wire, one for a role that
-    does not subscribe to the wire, a node that would receive its own messages, and an entry that affects no node.
+    expressions, a wire with several publishers, a node twice on one wire, a rewrite that matches no wire, or is for a
+    role that does not subscribe to the wire, a node that would receive its own messages, and an entry without any node.
     """
     for name in nodes:
         if not _CHUNK.fullmatch(name):

@@ -44,7 +44,7 @@ class Branch:
 class Listener:
     """A subscriber that a rewrite adds to a wire.
 
-    source: it receives what the publisher sends, before any interposer; else what is sent on the wire's key, behind
+    source: it receives what the publisher sends, before any interposer; else what is sent on the wire's key, after
             the interposers of the trunk and before the branches
     """
 
@@ -121,7 +121,7 @@ class Passage:
     """An interposer's two keys on one wire: for received and for forwarded messages.
 
     wire, subject, message: of the wire, see `Wire`; port: the output port of the wire's publisher
-    before: the only subscriber behind it; empty: it is before all of them
+    before: the only subscriber that it serves; empty: it serves all of them
     """
 
     node: str

@@ -343,7 +343,7 @@ def test_docker_may_be_unavailable_for_a_short_time_only(
 @pytest.mark.parametrize(
     ("swarm_state", "reason"),
     [
-        ("inactive false", r"in no swarm: make one by `docker swarm init --advertise-addr 127\.0\.0\.1`"),
+        ("inactive false", r"not in a swarm: create one with `docker swarm init --advertise-addr 127\.0\.0\.1`"),
         ("locked false", "the swarm of this machine is locked"),
         ("active false", "is a worker of its swarm"),
         ("active true", None),

@@ -217,7 +217,7 @@ def test_services_of_a_killed_launcher_end_and_down_removes_the_remainder(
 
 def test_an_impossible_run_is_refused_before_anything_is_written(tmp_path: Path, image: str) -> None:
     resolved = swarm_launch.resolved()
-    with pytest.raises(EngineError, match=r"there is no image mast-zenoh:nowhere: build it by `mast deploy image`"):
+    with pytest.raises(EngineError, match=r"there is no image mast-zenoh:nowhere: build it with `mast deploy image`"):
         launcher.run(resolved, tmp_path / "run", engine=Swarm("mast-zenoh:nowhere"))
     with pytest.raises(EngineError, match=r"has the label mast\.host=moon"):
         launcher.run(resolved, tmp_path / "run", engine=Swarm(image, place={"infra_*": "moon"}))

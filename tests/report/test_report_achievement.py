@@ -250,7 +250,7 @@ def test_an_agent_with_an_adversary_that_leaves_the_object_alone_sees_it(attacke
 def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: RunFolder) -> None:
     legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
     attacked.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
-    assert why(attacked, None) == "it sat on the picture's way to infra_1, not to the ego"
+    assert why(attacked, None) == "it sat on the picture's path to infra_1, not to the ego"
 
 
 def test_terminal_and_page_show_limited_effects(attacked: RunFolder) -> None:

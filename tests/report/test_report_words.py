@@ -253,7 +253,7 @@ def test_silent_and_lying_adversaries_are_named(run_folder: Callable[..., Path])
     edit(folder / "metrics.json", change)
     sentences = reading(RunFolder.load(folder))
     assert "adversary_1 changed messages and reported nothing." in sentences
-    assert "What adversary_2 reported is not what was measured." in sentences
+    assert "What adversary_2 reported does not match what was measured." in sentences
 
 
 def test_false_objects_during_the_attack_are_also_counted(run_folder: Callable[..., Path]) -> None:

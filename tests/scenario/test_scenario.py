@@ -394,15 +394,15 @@ INVALID_SCENARIOS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "an adversary with the name of an agent": (
         lambda s: s["adversaries"].update(ego=dict(agent="ego", attack=dict(type="PassThrough"))),
-        "ego: another node has this name already",
+        "ego: another node already has this name",
     ),
     "an adversary with the name of the evaluator": (
         lambda s: s["adversaries"].update(evaluator=dict(agent="ego", attack=dict(type="PassThrough"))),
-        "evaluator: another node has this name already",
+        "evaluator: another node already has this name",
     ),
     "a duplicate node name": (
         lambda s: s.update(nodes=dict(broker=dict(role="broker"))),
-        "broker: another node has this name already",
+        "broker: another node already has this name",
     ),
     "a node that is not a dict": (lambda s: s.update(nodes=dict(tap=3)), "nodes.tap: found 3, expected a dict"),
     "a run's key": (lambda s: s["run"].update(speed=2), "run.speed: unknown key"),

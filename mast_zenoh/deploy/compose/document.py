@@ -138,8 +138,8 @@ def text(resolved: Resolved, run: str, **options: Any) -> str:
     """The compose file of a run; the options are the same as for `document`."""
     secure = options.get("secure", "open")
     comment = (
-        f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` has written this\n"
-        "# and starts it: a node gets what it needs from the launcher, over the mesh, and gives back what it found.\n"
+        f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` wrote this file\n"
+        "# and starts it: a node gets what it needs from the launcher, over the mesh, and returns its results.\n"
     )
     return comment + dump(document(resolved, run, **options))
 

@@ -121,15 +121,15 @@ def text(resolved: Resolved, run: str, **options: Any) -> str:
     comment = (
         f"# The run {run} of the scenario {resolved.name}, security level {secure}: written by `mast deploy up`,\n"
         f"# which deploys it as the stack {stack(run)}, gives every node what it needs over the mesh, and collects\n"
-        "# what they have found. Docker places the nodes.\n"
+        "# their results. Docker places the nodes.\n"
     )
     return comment + dump(document(resolved, run, **options))
 
 
 def router_exit(mode: str) -> str:
-    """The router's `on_exit`: in lock-step its end is the run's, as messages are lost.
+    """The router's `on_exit`: in lock-step it ends the run, as messages are lost.
 
-    The run would take disconnected nodes for gone, and play the scene on without them.
+    The run would treat disconnected nodes as gone, and continue the scene without them.
     """
     return "restart" if mode == "realtime" else "fail"
 

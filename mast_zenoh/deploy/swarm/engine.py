@@ -149,8 +149,8 @@ def check_manager() -> None:
     )
     if state == "inactive":
         raise EngineError(
-            "this machine is in no swarm: make one by `docker swarm init --advertise-addr 127.0.0.1`, or with an "
-            "address that other machines reach"
+            "this machine is not in a swarm: create one with `docker swarm init --advertise-addr 127.0.0.1`, or "
+            "with an address that other machines reach"
         )
     if state != "active":
         raise EngineError(f"the swarm of this machine is {state}: expected active; see `docker info`")

@@ -3,7 +3,7 @@
 They are drawn if their files are loaded; otherwise the report shows the pictures drawn before.
 
 A report never runs the files that a run folder names, which may come from somebody else. They are loaded in the process
-that has run the scenario; a later report shows what that one has drawn, unless it is told which file to load.
+that ran the scenario; a later report shows what that process drew, unless it is told which file to load.
 """
 
 from __future__ import annotations

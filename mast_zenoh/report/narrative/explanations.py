@@ -53,8 +53,8 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
     if interposer.before and run.ego not in interposer.before:
         agents = ", ".join(interposer.before)
         if set(interposer.wires) == {"clock"}:
-            return [f"it sat on the clock before {agents}, not before the ego"]
-        return [f"it sat on the picture's way to {agents}, not to the ego"]
+            return [f"it delayed the clock of {agents}, not of the ego"]
+        return [f"it sat on the picture's path to {agents}, not to the ego"]
     if run.targets is None:
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
@@ -78,7 +78,7 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
         explanation = explain(run, group, achieved)
         others = _other_interposers(run, interposer)
         if others and explanation and "the fusion rejected" in explanation[0]:
-            explanation = [f"no track followed it; {others} on the same wire may have taken it out"]
+            explanation = [f"no track followed it; {others} on the same wire may have removed it"]
         reasons += explanation if name == "removed" else [f"{name}: {reason}" for reason in explanation]
     return reasons
 
@@ -142,7 +142,7 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
             return ["the ego's fusion rejected everything that it inserted: no track followed it"]
         return ["the fusion rejected everything that it inserted: no track of the picture followed it"]
     if achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
-        reasons.append("the picture had what it inserted, but the ego did not take it over")
+        reasons.append("the picture had what it inserted, but the ego did not adopt it")
     return reasons
 
 

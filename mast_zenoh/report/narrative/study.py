@@ -80,7 +80,7 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
         return "No attack changes false or missed objects in any trial."
     if comparisons.count:
         comparison_count = plural(comparisons.count, "comparison")
-        return f"No attack changes false or missed objects distinguishably, of {comparison_count} with the baseline."
+        return f"No attack changes false or missed objects distinguishably, in {comparison_count} with the baseline."
     return f"The largest change of {_compared(any_change)}, too few seeds for an interval: {_sentence(any_change)}."
 
 
@@ -183,8 +183,8 @@ def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
     sentences = []
     if facts.other_scenes:
         sentences.append(
-            f"{', '.join(facts.other_scenes)}: not the baseline's scene, or other agents in it, so differences from "
-            "the baseline are not the attack's alone."
+            f"{', '.join(facts.other_scenes)}: a different scene from the baseline's, or different agents, "
+            "so differences from the baseline are not due to the attack alone."
         )
     names = {(column.estimator, column.metric): column.heading for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
     for row in rows:

@@ -90,5 +90,5 @@ class Membership:
                 self.churn.append({"frame": frame, "node": name, "what": BACK})
             self.churn.append({"frame": frame, "node": name, "what": LOST})
             if sum(each["node"] == name for each in self.churn) > 2 * MAX_LOSSES:
-                return f"{name} has gone and come back more than {MAX_LOSSES} times"
+                return f"{name} was lost and came back more than {MAX_LOSSES} times"
         return ""
