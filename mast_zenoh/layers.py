@@ -37,7 +37,7 @@ LAYERS: dict[str, str] = {
     "metrics": "compares estimates with the truth",
     "tracking": "turns detections into tracks",
     "sensing": "lidar and detector models",
-    "gather": "collects messages of many publishers by frame",
+    "gather": "collects messages from many publishers by frame",
     "arrays": "states, geometry, matching, neighbours",
     "version": "version number and fingerprint of the sources",
     "kernels": "compiled versions of a few functions",

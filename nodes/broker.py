@@ -24,7 +24,7 @@ class Broker(Node):
     missing message; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
 
     The header gives the frame of a message and its time: an agent whose clock is wrong still completes its batches,
-    and its tracks are propagated from the time in the header, forward or back, to that of the batch. A time that is
+    and its tracks are propagated from the time in the header, forward or back, to the batch's time. A time that is
     off by more than `max_age_s`, either way, counts as too old.
     """
 
@@ -68,7 +68,7 @@ class Broker(Node):
         self.emit_complete(context)
 
     def on_status(self, received: Received, context: Context) -> None:
-        """Add the agent from the next frame on, whether or not its presence was announced."""
+        """Add the agent from the next frame onwards, whether or not its presence was announced."""
         self.newcomers.add(received.subject)
 
     def on_tracks(self, received: Received, context: Context) -> None:

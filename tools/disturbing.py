@@ -21,7 +21,7 @@ GONE_S = 10.0  # from the end of the launcher to the end of its last node
 class PlanResult(NamedTuple):
     """The outcome of a plan.
 
-    number: of the plan; done: what was done; how: how the run ended; broken: promises that it broke
+    number: of the plan; done: the disturbances; how: how the run ended; broken: promises that it broke
     """
 
     number: int

@@ -220,7 +220,7 @@ def _special(kind: str) -> Iterator[Entry]:
 
 
 def _messages() -> Iterator[Entry]:
-    """Our message types, and the types that currently loaded nodes declare."""
+    """Built-in message types, and the types that currently loaded nodes declare."""
     declared: dict[str, Schema] = {}
     for node in registry.known_types(Node).values():
         assert issubclass(node, Node)

@@ -89,7 +89,7 @@ def check_collation(evidence: Evidence) -> Check:
 
 
 def _chain(evidence: Evidence, key: str) -> list[str]:
-    """The interposers that a message passes on its way to a key, in order."""
+    """The interposers that a message passes before a key, in order."""
     for wire in evidence.wiring.wires:
         trunk = [leg.publisher.node for leg in wire.legs[1:]]
         if key == wire.key:

@@ -83,7 +83,7 @@ def run(
             "real time needs the mesh: a single process has no network latency", param_hint="--mode"
         )
     if secure != "open" and (runtime == "inproc" or endpoint):
-        problem = f"the router at {endpoint} is not ours" if endpoint else "one process has no mesh"
+        problem = f"the router at {endpoint} belongs to another process" if endpoint else "one process has no mesh"
         raise typer.BadParameter(f"a secure mesh has its own router: {problem}", param_hint="--secure")
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}

@@ -51,7 +51,7 @@ def up(
     out: Out = None,
     secure: Secure = "open",
     image: Annotated[
-        str | None, typer.Option(help="Image of all containers. Default: that of `mast deploy image`.")
+        str | None, typer.Option(help="Image of all containers. Default: the one built by `mast deploy image`.")
     ] = None,
     hosts: Annotated[Path | None, typer.Option(help="SSH: file with the hosts. Default: deploy/hosts.toml.")] = None,
     place: Annotated[

@@ -68,6 +68,6 @@ def _code() -> str:
 
 
 def size_over_base(tag: str = TAG, base: str = BASE) -> int:
-    """Size of the image minus that of its base, bytes."""
+    """Size of the image minus the size of its base, bytes."""
     sizes = [int(docker("image", "inspect", "--format", "{{.Size}}", name)) for name in (tag, base)]
     return sizes[0] - sizes[1]

@@ -63,7 +63,7 @@ def covariance_intersection(covariance: Floats, state: Floats, weight: Floats, s
 def least_trace_weights(members: Members) -> Floats:
     """Covariance intersection weights (n,) that minimise the trace.
 
-    The trace is that of the horizontal position's covariance.
+    Only the trace of the horizontal position's covariance counts.
 
     Multiplicative ascent for A-optimality (Silvey, Titterington, Torsney, Communications in Statistics, 1978): w_i
     grows by the root of tr(P A_i P), A_i the member's information. Monotone, and never leaves the simplex.

@@ -12,7 +12,7 @@ from mast_zenoh.messagelog import churn
 #: Other counters of a broker, and what they count.
 _DROPPED = {
     "overflowed": "messages dropped by a broker whose buffers were full (capacity)",
-    "duplicates": "messages that an agent had sent for the same frame before, left out by a broker",
+    "duplicates": "duplicate messages of an agent for the same frame, left out by a broker",
     "absurd": "tracks that are not physical, left out by a broker",
 }
 _MAX_KEYS = 3  # that a notice names

@@ -142,7 +142,7 @@ class Watch:
             self._hosts.heal()
 
     def _handle_exit(self, child: Child) -> None:
-        """Handle the end of a process; if it is unexpected, as the node's `on_exit` says."""
+        """Handle the end of a process; if it is unexpected, as the node's `on_exit` specifies."""
         self.take_reports()
         if child.exit_expected or (child.exit == 0 and (child.handed_in or self._stop.requested)):
             return

@@ -20,7 +20,7 @@ class Passage(NamedTuple):
 
     Effects are from the rules that were already applied.
 
-    time_ns:  scene time of its passage, that of the newest clock
+    time_ns:  scene time of its passage: the newest clock's
     now_ns:   time on the clock for delays: the same in lock-step, the wall clock in real time
     size:     bytes of the message; 0 unless a rule of the link needs it
     position: (3,) m, world frame, of the link's agent in an earlier frame; None if unknown

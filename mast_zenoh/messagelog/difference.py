@@ -17,7 +17,7 @@ class Difference:
     """The result of a comparison. Two recordings are equal if `first` is None.
 
     equal:          number of equal messages
-    first:          the first message that differs, as (that of A, that of B); None on a side where it is missing
+    first:          the first message that differs, as (A's, B's); None on a side where it is missing
     differing:      number of messages that are in both and differ, by wire
     only_a, only_b: number of messages that are missing in the other recording, by wire
     """

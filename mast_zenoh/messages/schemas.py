@@ -127,7 +127,7 @@ _FRAME_OF_REFERENCE = (
     Column("rotation", "float64", (4,), "", "active quaternion w x y z, frame of reference to world", **_ROTATION),
 )
 
-#: Our message types by name.
+#: The built-in message types by name.
 OURS: Mapping[str, Schema] = {
     schema.name: schema
     for schema in (
@@ -254,7 +254,7 @@ OURS: Mapping[str, Schema] = {
     )
 }
 
-#: All schemas that the codec knows: ours, and the types that the scenario's nodes declare (`user_types.use`).
+#: All schemas that the codec knows: built-in ones, and the types that the scenario's nodes declare (`user_types.use`).
 SCHEMAS: dict[str, Schema] = dict(OURS)
 
 

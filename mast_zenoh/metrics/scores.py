@@ -193,8 +193,8 @@ class Scores:
         Over the run: rmse_m of all pairs, the number of id_switches, and completeness, the mean over truth objects of
         the fraction of their evaluated frames in which they are matched.
 
-        scored: the frames that count, such as all except the first ones. The standard deviation is that of the frames
-        themselves (divided by their number). Values that are undefined, without frames or pairs, are None (JSON null).
+        scored: the frames that count, such as all except the first ones. The standard deviation is over the frames
+        (divided by their number). Values that are undefined, without frames or pairs, are None (JSON null).
         """
         result: dict[str, dict[str, dict[str, Any]]] = {}
         complete = self.seen.completeness(len(self.series), np.arange(len(self.frames))[scored])

@@ -56,7 +56,7 @@ class RunFigure(ABC):
 
     A subclass in a scenario's file, or imported by it, is drawn for all runs of the scenario.
 
-    name:    of its file under figures/; by default that of the class, in lower case with underscores
+    name:    of its file under figures/; by default the class's, in lower case with underscores
     heading: of its section; by default made from the name
     after:   the section that it follows, one of SECTIONS
     vector:  the page shows it as SVG, not as PNG

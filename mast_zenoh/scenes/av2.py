@@ -49,7 +49,7 @@ class AV2Log(Scene):
     detector:         the model that generates detections from lidar visibility
 
     The world's origin is on the ground below the ego's first position. The ego's visibility is the number of lidar
-    returns in the data set; that of the poles comes from ray casting against the other boxes (the data has no
+    returns in the data set; the poles' comes from ray casting against the other boxes (the data has no
     buildings). Traffic signs, cones and similar objects are left out (`av2_files.LEFT_OUT`).
     """
 

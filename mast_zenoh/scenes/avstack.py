@@ -28,7 +28,7 @@ EGO_ID = 99999
 _MIN_SEEN_POINTS = 5  # returns of an object that counts as seen
 _MAX_MOUNT_ERROR_M = 0.05  # between a sensor's position in its calibration and according to the agent's state
 _DETECTOR = DetectionModel()
-#: Converts a camera's optical axes (x right, y down, z forward) to ours (x forward, y left, z up).
+#: Converts a camera's optical axes (x right, y down, z forward) to x forward, y left, z up.
 _OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 

@@ -150,7 +150,7 @@ def _exits(arms: tuple[Arm, ...], a: int, slot: int) -> list[tuple[int, int]]:
         exits += [(b, 0) for b in left]
     if slot == arm.lanes - 1:
         exits += [(b, arms[b].lanes - 1) for b in right]
-    # A middle lane of a road that ends here turns left beside the inner one.
+    # A middle lane of a road that ends here turns left next to the inner one.
     return exits or [(b, min(slot, arms[b].lanes - 1)) for b in (left or right)[:1]]
 
 

@@ -25,7 +25,7 @@ def check_pipeline(pipeline: Pipeline | AgentPipeline) -> None:
 
     With zero, one and a thousand tracks or detections. The mission estimator of an agent's pipeline is checked too.
 
-    pipeline: as newly made; it is copied, and not changed
+    pipeline: a new instance; it is copied, and not changed
     Raises AssertionError.
     """
     for n in samples.COUNTS:
@@ -65,7 +65,7 @@ def _check_center(pipeline: Pipeline, subject: str, n: int, weighted: bool) -> N
         results.append((picture, support, states, agent, weights))
     straight.reset()
     for frame, (picture, support, states, agent, weights) in enumerate(results):
-        text = f"{subject}: after `reset` it is not as newly made"
+        text = f"{subject}: after `reset` it differs from a new instance"
         try:
             after = straight.step(frame * samples.PERIOD_NS, states, agent, _AGENTS, weights)
         except ValueError as error:

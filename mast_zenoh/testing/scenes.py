@@ -20,7 +20,7 @@ _TOLERANCE = 1e-6  # of rotations that data sets give in single precision
 def check_scene(scene: Scene, *, frames: int = 3, seed: int = 0) -> None:
     """Check that a scene is repeatable, valid and of the requested length.
 
-    scene:  as newly made; it is copied, and not changed
+    scene:  a new instance; it is copied, and not changed
     frames: how many are recorded, at least 2;  seed: of its random draws
     Raises AssertionError.
     """

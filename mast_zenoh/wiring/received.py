@@ -77,7 +77,7 @@ class Overheard:
 
     For nodes with an input port of the type `model.ANY`. Content is decoded on access, so a node can skip messages.
 
-    key:     its key, which may be that of a tap leg
+    key:     its key, possibly a tap leg's
     wire:    properties of that key: subject, message type, publisher of the wire
     step:    the run's frame when the message was sent; -1: unknown
     """

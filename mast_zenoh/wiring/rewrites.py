@@ -60,7 +60,9 @@ def listen(wire: Wire, listeners: list[Listener], place: str, *, every: bool) ->
             wire = replace(wire, listeners=(*wire.listeners, listener))
         elif not every and received[node] != listener:
             where = f"its port {received[node].end.port!r}{' at the source' if received[node].source else ''}"
-            raise WiringError(f"{place}: {node} hears {wire.key!r} already, on {where}: a node hears a wire once")
+            raise WiringError(
+                f"{place}: {node} already receives {wire.key!r} on {where}: a node can receive a wire only once"
+            )
     return wire
 
 

@@ -73,7 +73,7 @@ def test_docker_restarts_only_nodes_with_a_restart_policy(resolved: Resolved) ->
     assert {policy["condition"] for policy in policies.values()} == {"none"}
 
 
-def test_the_router_is_restarted_in_real_time_only(resolved: Resolved) -> None:
+def test_the_router_is_restarted_only_in_real_time(resolved: Resolved) -> None:
     for mode, condition in (("lockstep", "none"), ("realtime", "on-failure")):
         router = stacked(replace(resolved, mode=mode))["services"]["router"]
         assert router["deploy"]["restart_policy"]["condition"] == condition
@@ -322,7 +322,7 @@ def test_killing_a_node_on_another_machine_is_refused_with_the_reason(
     assert dockerd.told == []
 
 
-def test_docker_may_be_unavailable_for_a_short_time_only(
+def test_docker_may_be_unavailable_only_for_a_short_time(
     resolved: Resolved, tmp_path: Path, dockerd: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -349,9 +349,7 @@ def test_docker_may_be_unavailable_for_a_short_time_only(
         ("active true", None),
     ],
 )
-def test_worker_node_cannot_deploy_a_stack(
-    monkeypatch: pytest.MonkeyPatch, swarm_state: str, reason: str | None
-) -> None:
+def test_a_worker_cannot_deploy_a_stack(monkeypatch: pytest.MonkeyPatch, swarm_state: str, reason: str | None) -> None:
     monkeypatch.setattr(engine, "docker", lambda *words: swarm_state + "\n")
     if reason is None:
         engine.check_manager()

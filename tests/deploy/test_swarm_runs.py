@@ -196,7 +196,7 @@ def test_a_stopped_real_time_run_keeps_its_results_and_leaves_nothing_running(
     assert stack.left(record["deployment"]["stack"]) == {}
 
 
-def test_services_of_a_killed_launcher_end_and_down_removes_the_remainder(
+def test_services_of_a_killed_launcher_end_and_down_removes_the_rest(
     launch: Callable[..., Launched],
 ) -> None:
     run = launch(frames=900, mode="realtime", secure="tls")

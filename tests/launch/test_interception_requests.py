@@ -79,7 +79,7 @@ def test_an_adversary_gets_the_wire_the_clock_its_agents_pose_and_a_report_key(r
     assert place_of(json.loads(json.dumps(place_json(place)))) == place
 
 
-def test_an_adversary_on_the_picture_hears_the_pose_of_its_target_agent(
+def test_an_adversary_on_the_picture_receives_the_pose_of_its_target_agent(
     resolved: Resolved,
 ) -> None:
     settings = ("attack.type=PassThrough", "agent=ego")
@@ -99,9 +99,7 @@ def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Pat
         plan(resolved, "cc/picture", two)
 
 
-def test_a_node_that_declares_another_message_type_of_a_name_of_the_run_is_refused(
-    resolved: Resolved, tmp_path: Path
-) -> None:
+def test_a_node_that_redefines_a_message_type_of_the_run_is_refused(resolved: Resolved, tmp_path: Path) -> None:
     text = (
         "from mast_zenoh.messages import Schema\nfrom mast_zenoh.node import Node\n"
         "class Mine(Node):\n    role = 'link'\n    inputs = {'a': 'tracks'}\n"

@@ -103,7 +103,7 @@ def test_a_client_with_credentials_never_connects_unencrypted() -> None:
 
 
 @pytest.mark.parametrize("sent", [b"GET / HTTP/1.0\r\n\r\n", bytes.fromhex("1603010200010001fc0303"), b""])
-def test_a_client_is_admitted_while_others_send_rubbish(
+def test_a_client_is_admitted_while_others_send_invalid_data(
     sent: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """After each failed handshake, the router accepts no client for 0.1 s."""

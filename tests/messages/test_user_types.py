@@ -1,4 +1,4 @@
-"""User-defined message types are checked like ours, as are their definitions."""
+"""User-defined message types and their definitions are checked like built-in ones."""
 
 from __future__ import annotations
 

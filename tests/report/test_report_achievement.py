@@ -189,7 +189,7 @@ NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
 
 
 @pytest.mark.parametrize("first_dropped", [15, 25])
-def test_dropped_messages_have_reasons_of_their_own(attacked: RunFolder, first_dropped: int) -> None:
+def test_dropped_messages_have_their_own_reasons(attacked: RunFolder, first_dropped: int) -> None:
     effects = attacked.effects
     assert effects is not None
     selected = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
@@ -260,7 +260,7 @@ def test_terminal_and_page_show_limited_effects(attacked: RunFolder) -> None:
     assert "  limited effect: removed: other agents still saw what it removed, all the time\n" in page.getvalue()
     assert "no effect" not in page.getvalue()
     html = write_page(attacked).read_text()
-    assert "What had limited effect, and why" in html
+    assert "Changes with limited effect, and why" in html
     assert "no effect" not in html
 
 

@@ -189,7 +189,7 @@ def test_simultaneous_faults_use_separate_lanes_and_surplus_is_counted() -> None
 @pytest.mark.parametrize(
     ("start", "end", "x", "align"), [(1.0, 9.0, 1.07, "left"), (1.0, 1.2, 1.27, "left"), (9.5, 9.7, 9.43, "right")]
 )
-def test_a_name_is_inside_its_band_or_beside_it(start: float, end: float, x: float, align: str) -> None:
+def test_a_name_is_inside_its_band_or_next_to_it(start: float, end: float, x: float, align: str) -> None:
     ((only,), _) = place_bands([Band("Kill infra_1", False, start, end)], 0.0, 10.0, 10.0)
     assert (only.x, only.align) == (pytest.approx(x), align)
 

@@ -106,7 +106,7 @@ def test_a_run_report_states_the_result_and_how_every_node_ended(run_folder: Run
     assert "adversary_1" in hostile[2]
 
 
-def test_the_speed_is_that_of_the_run_not_the_rate_of_the_scene(run_folder: RunFolderFixture) -> None:
+def test_the_speed_shown_is_the_runs_not_the_scenes_frame_rate(run_folder: RunFolderFixture) -> None:
     folder = run_folder()
     assert "frames/s" not in Page(write_report(folder)).text
     run = json.loads((folder / "run.json").read_text())

@@ -161,7 +161,7 @@ def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> N
     )
 
 
-def test_result_of_an_attack_that_reduces_something_says_fewer() -> None:
+def test_result_of_an_attack_that_reduces_something_is_worded_with_fewer() -> None:
     fewer = row("a", {}, -2.0)
     assert "2.00 fewer false objects a frame [1.50, 2.50]" in result(
         [BASELINE, fewer], facts([BASELINE, fewer]), compare([BASELINE, fewer], "baseline")

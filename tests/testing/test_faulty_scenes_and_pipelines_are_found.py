@@ -150,7 +150,7 @@ def stages() -> dict[str, Any]:
             FirstAgentOnly(**stages()),
             "FirstAgentOnly.step .*: depends on the order of the rows or of the agents",
         ),
-        (testing.check_pipeline, Lasting(**stages()), "Lasting.step .*: after `reset` it is not as newly made"),
+        (testing.check_pipeline, Lasting(**stages()), "Lasting.step .*: after `reset` it differs from a new instance"),
         (
             testing.check_pipeline,
             Nowhere(tracker=KalmanBoxTracker3D(), mission=PictureFirst()),
@@ -164,6 +164,6 @@ def stages() -> dict[str, Any]:
     ],
     ids=lambda value: type(value).__name__ if not callable(value) and not isinstance(value, str) else "",
 )
-def test_what_a_class_does_wrong_is_named(check: Callable[[Any], None], faulty: Any, message: str) -> None:
+def test_the_mistake_of_a_faulty_class_is_named(check: Callable[[Any], None], faulty: Any, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check(faulty)

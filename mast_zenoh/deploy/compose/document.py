@@ -21,7 +21,7 @@ from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, CONTROL, KEY
 
 FILE = "compose.yml"
-CREDENTIALS = "credentials"  # folder beside the file
+CREDENTIALS = "credentials"  # folder next to the file
 ROUTER = "router"
 ROUTER_SETTINGS = "router.json"
 PORT = 7447
@@ -145,7 +145,7 @@ def text(resolved: Resolved, run: str, **options: Any) -> str:
 
 
 def check_names(resolved: Resolved) -> None:
-    """Raise ConfigurationError for a node whose name cannot be that of a service."""
+    """Raise ConfigurationError for a node whose name is not a valid service name."""
     for name in resolved.nodes:
         if not _NAME.fullmatch(name) or name == ROUTER:
             problem = "the router's name" if name == ROUTER else "no name for a container"

@@ -40,7 +40,7 @@ class Host:
     """How to reach a host, and which nodes run there.
 
     address:     name or address, port: of its SSH server
-    user:        login name; empty: that of the user who runs `mast`
+    user:        login name; empty: the name of the user who runs `mast`
     key:         file of the private key; empty: keys of the SSH agent and the usual files
     known_hosts: file with the keys of known hosts; a host whose key is not in it is refused
     python:      its Python, 3.11 or newer; folder: for installed files, below the home directory unless absolute

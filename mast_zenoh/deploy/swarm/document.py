@@ -1,6 +1,6 @@
 """A resolved scenario as a stack file: the compose file, converted for a swarm.
 
-Docker restarts a node after a failure if its `on_exit` says so, as often as a launcher would; other nodes are never
+Docker restarts a node after a failure if its `on_exit` requests it, as often as a launcher would; other nodes are never
 restarted. Names are resolved by DNS only (`dnsrr`): each service has one task, and virtual addresses would need a
 kernel with IPVS. Pure functions.
 """

@@ -105,7 +105,7 @@ def _names(kind: type[RunFigure]) -> tuple[str, str]:
 
 
 def _stored(folder: Path) -> list[UserFigure]:
-    """The figures that a report before this one has drawn; a broken one is left out."""
+    """The figures that an earlier report has drawn; a broken one is left out."""
     try:
         content = json.loads((folder / FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError):

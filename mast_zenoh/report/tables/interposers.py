@@ -82,7 +82,7 @@ class Interposer:
     @property
     def place(self) -> str:
         """Its wires, and the subscribers that it serves, if not all."""
-        before = f" before {', '.join(self.before)} alone" if self.before else ""
+        before = f" only before {', '.join(self.before)}" if self.before else ""
         return ", ".join(self.wires) + before
 
     @property

@@ -42,7 +42,7 @@ def main(node: type[Node] | None = None) -> None:
     _wake_when_orphaned()
     parser = argparse.ArgumentParser(description=(node.__doc__ or "").strip() if node else "A node of a run.")
     if node is None:
-        parser.add_argument("file", type=Path, help="of the node; files beside it can be imported by name")
+        parser.add_argument("file", type=Path, help="file of the node; files next to it can be imported by name")
     parser.add_argument("--run-folder", type=Path, required=True, help="holds scenario.json, wiring.json, scene.npz")
     parser.add_argument("--name", required=True, help="which node of the scenario this is")
     parser.add_argument("--endpoint", required=True, help="of the router, e.g. tcp/127.0.0.1:7447")
