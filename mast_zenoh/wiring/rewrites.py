@@ -30,7 +30,7 @@ def insert(
             continue
         on_wire = {wire.legs[0].publisher.node, *wire.interposers, *(end.node for end in wire.subscribers)}
         if entrance.node in on_wire:
-            raise WiringError(f"{place}: {entrance.node} is on the wire {wire.key!r} already: that would be a loop")
+            raise WiringError(f"{place}: {entrance.node} is already on the wire {wire.key!r}: that would be a loop")
         if subscriber is not None:
             wire = _on_branch(wire, entrance, exit_, subscriber)
         else:

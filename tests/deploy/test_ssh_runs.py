@@ -236,7 +236,7 @@ def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tm
     expected = {
         "key": "its host key is not the one in",
         "unknown": "its host key is not the one in",
-        "refused": "does not let us in with",
+        "refused": "refuses our login with",
         "port": "out of reach",
         "nowhere": "out of reach",
         "python": "there is no python4",

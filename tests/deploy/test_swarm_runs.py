@@ -119,7 +119,7 @@ class Patient(Agent):
 
     def on_clock(self, received, context):
         if received.frame > 8 and self.seen < 2:
-            threading.Event().wait(0.5)  # a slow step, until it has come again
+            threading.Event().wait(0.5)  # a slow step, until it has joined again
         super().on_clock(received, context)
 """
 SCENARIO = """

@@ -75,7 +75,7 @@ def test_a_client_without_a_valid_certificate_is_refused_with_the_reason(level: 
         foreign = Authority("r").issue("a")
         assert "another authority" in refusal(endpoint, Credentials(authority.pem, foreign.certificate, foreign.key))
         expired = authority.issue("a", begins=now - timedelta(hours=2), ends=now - timedelta(hours=1))
-        assert "has expired" in refusal(endpoint, expired)
+        assert "expired at" in refusal(endpoint, expired)
         assert "none was presented" in refusal(endpoint, Credentials(authority.pem))
 
 

@@ -150,7 +150,7 @@ def test_objects_inserted_on_a_real_object_match_it(attacked: RunFolder) -> None
 def test_reason_for_objects_rejected_by_the_fusion(attacked: RunFolder) -> None:
     assert "the fusion rejected everything" in why(attacked, targets("inserted", x=30.0, y=40.0), **NOT_ACCEPTED)
     half = NOT_ACCEPTED | {"inserted_share_centre": 1.0}
-    assert "the ego did not take it over" in why(attacked, targets("inserted", x=30.0, y=40.0), **half)
+    assert "the ego did not adopt it" in why(attacked, targets("inserted", x=30.0, y=40.0), **half)
 
 
 def test_accepted_objects_need_no_reason(attacked: RunFolder) -> None:

@@ -171,7 +171,7 @@ def test_result_of_an_attack_that_reduces_something_is_worded_with_fewer() -> No
 @pytest.mark.parametrize(
     ("estimates", "text"),
     [
-        (estimate(0.1, 0.5, p=0.6), "No attack changes false or missed objects distinguishably, of 1 comparison"),
+        (estimate(0.1, 0.5, p=0.6), "No attack changes false or missed objects distinguishably, in 1 comparison"),
         (
             Estimate(4.0, 1.0, 4.0, seeds=3),
             "in the picture, too few seeds for an interval: in a the picture has 4.00 more false",

@@ -330,7 +330,7 @@ def test_a_node_inserted_during_a_run_is_before_the_wires_listeners() -> None:
     assert changed.ports("guard") == wiring.ports("guard")
     assert ("agent/ego/tracks", "mallory", "guard") in set(changed.flows())
     assert remove(changed, "mallory") == wiring
-    with pytest.raises(WiringError, match="guard is on the wire 'agent/ego/tracks' already"):
+    with pytest.raises(WiringError, match="guard is already on the wire 'agent/ego/tracks'"):
         insert(wiring, "guard", Place("agent/ego/tracks", "in", "out"))
 
 

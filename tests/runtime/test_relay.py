@@ -299,8 +299,8 @@ def test_an_invalid_delay_loses_one_message(after_s: float, caplog: pytest.LogCa
 @pytest.mark.parametrize(
     ("how", "problem"),
     [
-        (dict(payload=b"", time_ns=1), "no body or time_ns with it"),
-        (dict(payload=b"", body={}), "no body or time_ns with it"),
+        (dict(payload=b"", time_ns=1), "expected no body or time_ns"),
+        (dict(payload=b"", body={}), "expected no body or time_ns"),
     ],
 )
 def test_contradictory_arguments_of_relay_are_refused(how: dict[str, Any], problem: str) -> None:

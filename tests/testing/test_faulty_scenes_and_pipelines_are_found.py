@@ -142,7 +142,7 @@ def stages() -> dict[str, Any]:
         (testing.check_detector, WorstFirst(), "WorstFirst.detect with 1000 objects: the best score is not first"),
         (testing.check_detector, Clairvoyant(), "Clairvoyant.detect .*: detects an object without lidar returns"),
         (testing.check_detector, RowByRow(), "RowByRow.detect with 1000 objects: depends on the order of the rows"),
-        (testing.check_detector, Countless(), "Countless.detect .*detections and .* ids, expected as many"),
+        (testing.check_detector, Countless(), "Countless.detect .*detections and .* ids, expected equal numbers"),
         (testing.check_mission_estimator, TwoOfEach(), "TwoOfEach.estimate .*: ids are not unique"),
         (testing.check_mission_estimator, OwnIds(), "OwnIds.estimate .*: an id is neither 2 i of the picture nor"),
         (

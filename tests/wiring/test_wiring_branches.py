@@ -138,7 +138,7 @@ def test_a_link_before_one_of_several_subscribers_must_name_the_subscriber() -> 
 def test_a_node_is_on_a_wire_only_once() -> None:
     nodes = world("ego", link_1=node("link", *PORTS, agent="ego"))
     for rewrites in ((up(), up()), (up(), up(to="evaluator")), (up(to=None), up()), (up(), up(to=None))):
-        with pytest.raises(WiringError, match="link_1 is on the wire 'agent/ego/tracks' already"):
+        with pytest.raises(WiringError, match="link_1 is already on the wire 'agent/ego/tracks'"):
             resolve(nodes, *rewrites)
 
 
