@@ -1,6 +1,6 @@
 """Compiles the kernels (`mast_zenoh/kernels/*.pyx`) for a wheel or a checkout.
 
-In an editable install, they are beside their sources.
+In an editable install, they are next to their sources.
 Without a C compiler, the package is installed without them and uses NumPy instead.
 """
 

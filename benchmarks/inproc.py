@@ -5,7 +5,7 @@ Runs include all roles and the evaluation.
     python benchmarks/inproc.py [--scene avstack:PATH] [--repeats 7] [--trials 140] [--rounds 3]
 
 Runs are timed from building the nodes to the evaluator's results, in CPU time of one core (without other work on the
-machine) and on the wall clock. The best repeat shows what the code can do, the median the typical run.
+machine) and on the wall clock. The best repetition shows what the code can do, the median a typical run.
 
 Jobs are compared by trials per second of wall clock: for all trials with the start of the workers, and without it (from
 the first outcomes to the last), as in a study of many trials. Runs alternate, and the medians are compared. This needs

@@ -1,19 +1,17 @@
 """Latency that a link node adds to a message, compared with a bare Python relay.
 
-Messages pass through a router.
-
-The same message, real tracks of 20 objects, goes from a publisher to a subscriber in this process
+The same message, tracks of 20 objects, goes from a publisher to a subscriber in this process on five paths:
 
     direct      through the router
     callback    through the router, a process that forwards messages in Zenoh's own thread, and the router again:
-                the lower limit, for a program that does nothing else
+                the lower limit, reached by a program that does nothing else
     relay       the same with a plain loop: `for sample in subscriber: publisher.put(sample.payload)`
     link        the same with a link node, as in a real-time run, without rules
-    wired       and with the rules of the profile `wired`; the delays that they draw are subtracted
+    wired       the same with the rules of the profile `wired`; the delays that they draw are subtracted
 
-one message after the other, over all paths in turn. Results are medians of one-way times over blocks of messages, and
-the latency added to the direct path as a multiple of that of the relay. The multiple is the median of the blocks'
-ratios, because the load of the machine differs between blocks.
+Messages are sent one at a time, on all paths in turn. The results are medians of one-way times over blocks of messages,
+and the latency added to the direct path, as a multiple of what the relay adds. The multiple is the median of the
+blocks' ratios, because the load of the machine differs between blocks.
 
     python benchmarks/link.py [--messages 200] [--repeats 10] [--objects 20]
 """
@@ -47,7 +45,7 @@ from mast_zenoh.streams import stream
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import Wiring
 
-WAYS = ("direct", "callback", "relay", "link", "wired")
+PATHS = ("direct", "callback", "relay", "link", "wired")
 BARE = ("callback", "relay")
 KEY = "agent/ego/tracks"
 PERIOD_NS = 100_000_000
@@ -67,7 +65,7 @@ MAP = {
 
 
 def wiring() -> Wiring:
-    """A link before the broker, and nothing else."""
+    """The wiring of a link before the broker, and nothing else."""
     link = link_class()
     nodes = {
         "simulator": endpoints.NodeOptions("simulator", {}, {}, {"clock": "clock"}),
@@ -83,9 +81,9 @@ def link_class() -> type:
     return loading.node_class(bundle.ROOT / "nodes" / "link.py")
 
 
-def rules(way: str) -> list[dict]:
+def rules(path: str) -> list[dict]:
     """The rules of the link."""
-    return links.profile("wired")["up"] if way == "wired" else []
+    return links.profile("wired")["up"] if path == "wired" else []
 
 
 def message(objects: int) -> bytes:
@@ -105,32 +103,32 @@ def message(objects: int) -> bytes:
     return codec.encode(codec.conform(Header("tracks", "ego", 0, 0, 0), states.columns() | reference))
 
 
-def relay(endpoint: str, way: str) -> None:
+def relay(endpoint: str, path: str) -> None:
     """Main function of a bare relay."""
     with open_client(endpoint) as session:
         out = session.declare_publisher(
-            f"{prefix(way)}/out", congestion_control=zenoh.CongestionControl.BLOCK, express=True
+            f"{prefix(path)}/out", congestion_control=zenoh.CongestionControl.BLOCK, express=True
         )
 
         def pass_on(sample: zenoh.Sample) -> None:
             out.put(sample.payload, attachment=sample.attachment)
 
-        if way == "callback":
-            session.declare_subscriber(f"{prefix(way)}/in", zenoh.handlers.Callback(pass_on, indirect=False))
+        if path == "callback":
+            session.declare_subscriber(f"{prefix(path)}/in", zenoh.handlers.Callback(pass_on, indirect=False))
             sys.stdin.read()
         else:
-            subscriber = session.declare_subscriber(f"{prefix(way)}/in")
+            subscriber = session.declare_subscriber(f"{prefix(path)}/in")
             for sample in subscriber:
                 pass_on(sample)
 
 
-def link(endpoint: str, way: str) -> None:
+def link(endpoint: str, path: str) -> None:
     """Main function of the link node's process."""
     with open_client(endpoint) as session:
-        built_rules = tuple(registry.build(rule, Rule, way) for rule in rules(way))
+        built_rules = tuple(registry.build(rule, Rule, path) for rule in rules(path))
         node = link_class()("ego", built_rules)
-        more = {"signatures": Signatures(way), "period_ns": PERIOD_NS, "lockstep": False}
-        hosted = MeshNode(way, "link_ego", node, wiring(), 0, session, **more)
+        options = {"signatures": Signatures(path), "period_ns": PERIOD_NS, "lockstep": False}
+        hosted = MeshNode(path, "link_ego", node, wiring(), 0, session, **options)
         hosted.note_arrivals()
         gc.freeze()  # as runtime/mesh/main.py does
         gc.set_threshold(50_000, 20, 20)
@@ -146,17 +144,17 @@ def drawn_delay_us(sizes: int, count: int) -> float:
 
 
 class Bench:
-    """The publisher and the subscriber of every way."""
+    """The publisher and the subscriber of every path."""
 
     def __init__(self, session: zenoh.Session, listening_session: zenoh.Session, payload: bytes) -> None:
         self.session = session  # messages between ports of one session would not pass through the router
         self.payload = payload
         self.arrivals_ns: queue.SimpleQueue[int] = queue.SimpleQueue()
         (branch,) = next(wire for wire in wiring().wires if wire.key == KEY).branches
-        ends = {way: (f"{prefix(way)}/{KEY}", f"{prefix(way)}/{branch.legs[-1].key}") for way in WAYS}
-        ends |= {way: (f"{prefix(way)}/in", f"{prefix(way)}/out") for way in BARE}
+        ends = {path: (f"{prefix(path)}/{KEY}", f"{prefix(path)}/{branch.legs[-1].key}") for path in PATHS}
+        ends |= {path: (f"{prefix(path)}/in", f"{prefix(path)}/out") for path in BARE}
         ends["direct"] = ("direct/key", "direct/key")
-        self.out = {way: self.publisher(key) for way, (key, _) in ends.items()}
+        self.out = {path: self.publisher(key) for path, (key, _) in ends.items()}
         for _, key in ends.values():
             listening_session.declare_subscriber(key, zenoh.handlers.Callback(self.take, indirect=False))
 
@@ -169,30 +167,30 @@ class Bench:
         """Store the time of arrival of a message."""
         self.arrivals_ns.put(time.perf_counter_ns())
 
-    def begin(self, way: str) -> None:
+    def begin(self, path: str) -> None:
         """Have the node join and start its first frame, as driver and simulator do."""
         epoch = msgpack.packb([1, ROLES])
         clock = codec.encode(codec.conform(Header("clock", "simulator", 0, 0, 0), {}))
-        self.session.put(f"{prefix(way)}/@control/epoch", epoch)
-        self.session.put(f"{prefix(way)}/clock", clock, attachment=ATTACHED)
+        self.session.put(f"{prefix(path)}/@control/epoch", epoch)
+        self.session.put(f"{prefix(path)}/clock", clock, attachment=ATTACHED)
 
-    def once(self, way: str, seconds: float = 1.0) -> float | None:
-        """One-way time of one message, µs; None where it was lost."""
-        begun = time.perf_counter_ns()
-        self.out[way].put(self.payload, attachment=ATTACHED)
+    def send_one(self, path: str, seconds: float = 1.0) -> float | None:
+        """One-way time of one message, µs; None if it was lost."""
+        start_ns = time.perf_counter_ns()
+        self.out[path].put(self.payload, attachment=ATTACHED)
         try:
-            return (self.arrivals_ns.get(timeout=seconds) - begun) * 1e-3
+            return (self.arrivals_ns.get(timeout=seconds) - start_ns) * 1e-3
         except queue.Empty:
             return None
 
-    def until_through(self, way: str) -> None:
+    def wait_until_connected(self, path: str) -> None:
         """Wait until messages arrive."""
         deadline = time.monotonic() + 30.0
-        while self.once(way, 0.2) is None:
+        while self.send_one(path, 0.2) is None:
             if time.monotonic() > deadline:
-                raise TimeoutError(f"{way}: no message arrives")
-            if way not in ("direct", *BARE):
-                self.begin(way)
+                raise TimeoutError(f"{path}: no message arrives")
+            if path not in ("direct", *BARE):
+                self.begin(path)
         try:
             while True:  # messages that waited for the node to start
                 self.arrivals_ns.get(timeout=0.5)
@@ -209,47 +207,47 @@ def main() -> None:
     parser.add_argument("--node", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.node:
-        endpoint, way = arguments.node
-        relay(endpoint, way) if way in BARE else link(endpoint, way)
+        endpoint, path = arguments.node
+        relay(endpoint, path) if path in BARE else link(endpoint, path)
         return
     payload = message(arguments.objects)
     router, endpoint = open_router()
     processes = {
-        way: subprocess.Popen([sys.executable, __file__, "--node", endpoint, way], stdin=subprocess.PIPE)
-        for way in WAYS[1:]
+        path: subprocess.Popen([sys.executable, __file__, "--node", endpoint, path], stdin=subprocess.PIPE)
+        for path in PATHS[1:]
     }
     try:
         with router, open_client(endpoint) as session, open_client(endpoint) as listening_session:
             bench = Bench(session, listening_session, payload)
-            for way in WAYS:
-                bench.until_through(way)
-            medians: dict[str, list[float]] = {way: [] for way in WAYS}
+            for path in PATHS:
+                bench.wait_until_connected(path)
+            medians: dict[str, list[float]] = {path: [] for path in PATHS}
             for _ in range(arguments.repeats):
-                times: dict[str, list[float]] = {way: [] for way in WAYS}
+                times: dict[str, list[float]] = {path: [] for path in PATHS}
                 for _ in range(arguments.messages):
-                    for way in WAYS:
-                        if (took := bench.once(way)) is not None:
-                            times[way].append(took)
-                for way in WAYS:
-                    medians[way].append(statistics.median(times[way]))
-            for way in WAYS[3:]:
-                session.put(f"{prefix(way)}/@control/stop", b"done")
+                    for path in PATHS:
+                        if (took := bench.send_one(path)) is not None:
+                            times[path].append(took)
+                for path in PATHS:
+                    medians[path].append(statistics.median(times[path]))
+            for path in PATHS[3:]:
+                session.put(f"{prefix(path)}/@control/stop", b"done")
     finally:
         for process in processes.values():
             process.kill()
             process.wait()
     medians["wired"] = [value - drawn_delay_us(len(payload), 10_000) for value in medians["wired"]]
-    p50 = {way: statistics.median(value) for way, value in medians.items()}
-    added = {way: [a - b for a, b in zip(medians[way], medians["direct"], strict=True)] for way in WAYS[1:]}
+    p50 = {path: statistics.median(value) for path, value in medians.items()}
+    added = {path: [a - b for a, b in zip(medians[path], medians["direct"], strict=True)] for path in PATHS[1:]}
     size = f"{arguments.objects} objects, {len(payload)} bytes"
     print(f"one way through a router, {size}, p50 of {arguments.messages} messages in each block")
     print(f"{'':8}{'µs (median)':>12}{'added':>8}{'of relay':>10}{'of callback':>13}   blocks")
-    for way in WAYS:
-        beside = " " * 31
-        if way in added:
-            of = {bare: statistics.median(map(truediv, added[way], added[bare])) for bare in BARE}
-            beside = f"{statistics.median(added[way]):8.0f}{of['relay']:10.2f}{of['callback']:13.2f}"
-        print(f"{way:8}{p50[way]:12.0f}{beside}   {', '.join(f'{value:.0f}' for value in medians[way])}")
+    for path in PATHS:
+        comparison = " " * 31
+        if path in added:
+            of = {bare: statistics.median(map(truediv, added[path], added[bare])) for bare in BARE}
+            comparison = f"{statistics.median(added[path]):8.0f}{of['relay']:10.2f}{of['callback']:13.2f}"
+        print(f"{path:8}{p50[path]:12.0f}{comparison}   {', '.join(f'{value:.0f}' for value in medians[path])}")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ the simulator begins the next frame:
     bare, lock-step     when every process has acknowledged all messages of this frame (one empty message each)
     bare, no barrier    when it receives the picture, even if other nodes are still busy: the limit of the transport
 
-The difference to the testbed is the cost of its computations. It runs without a recorder here.
+The difference from the testbed is the cost of its computations. It runs without a recorder here.
 
     python benchmarks/lockstep.py [--frames 150] [--repeats 3]
 """

@@ -20,11 +20,11 @@ Each error that can end a command has its own exit code (docs/exit_codes.md).
         ├── NotRunning           26   the run to be changed is not running
         ├── EngineError          27   an engine, a host or an image is missing, unreachable or has failed
         ├── DiskFull             28   there is no space for the files of a run
-        ├── VersionMismatch      29   a remote node has another version than the launcher
+        ├── VersionMismatch      29   a remote node's version differs from the launcher's
         ├── HandlerFailed        30   a node's handler raised an exception, so the numbers may be wrong
         ├── ImplausibleCounts    31   a node reports impossible message counts
         ├── ServiceDied          32   a service of the launcher has ended
-        ├── NodeLost             33   a node was lost in lock-step, unplanned
+        ├── NodeLost             33   a node was unexpectedly lost in lock-step
         └── Interrupted         130   Ctrl-C, SIGTERM or SIGHUP
 
 A usage error on the command line exits with 2, as usual.
@@ -173,7 +173,7 @@ class DiskFull(RunError):
 
 
 class VersionMismatch(RunError):
-    """A remote node has another version than the launcher: names both."""
+    """A remote node's version differs from the launcher's; names both."""
 
     exit_code = 29
 
@@ -233,7 +233,7 @@ def is_disk_full(error: BaseException) -> bool:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A hint for messages: `; did you mean 'x'?`, or the known names if none is near."""
+    """A hint for messages: `; did you mean 'x'?`, or the known names if none is similar."""
     names = sorted(known)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     if close:

@@ -1,4 +1,4 @@
-"""Collects messages of many publishers by frame.
+"""Collects messages from many publishers by frame.
 
 The results depend on the set of messages, not on their order. Deadlines are checked when the next clock arrives, never
 by a timer.
@@ -17,18 +17,18 @@ Item = TypeVar("Item")
 #: s, default age up to which the newest message of a publisher is used.
 MAX_AGE_S = 0.25
 
-#: Limit of every value of a track that the broker collates, SI units: propagating one beyond could overflow the batch.
+#: Limit on each value, in SI units, of a track that the broker collates: propagating a larger one could overflow.
 MAX_TRACK_VALUE = 1e8
 
-#: Frames for which the items of an agent are remembered to recognise duplicates.
+#: Number of recent frames of an agent that are remembered, to recognise duplicates.
 _REMEMBERED = 64
 
 
 class Gather(Generic[Member, Item]):
     """Collects one item per frame from each expected member.
 
-    A frame is complete when all items have arrived.
-    An incomplete frame expires after `patience` further frames: `expired` then returns it.
+    A frame is complete when all items have arrived. An incomplete frame expires after `patience` more frames: `expired`
+    then yields it.
     """
 
     def __init__(self, expected: Iterable[Member] = (), patience: int = 0) -> None:
@@ -40,7 +40,7 @@ class Gather(Generic[Member, Item]):
         self._complete: set[int] = set()
 
     def add(self, frame: int, member: Member, item: Item) -> dict[Member, Item] | None:
-        """Add an item; returns all items of `frame` if it completes it, else None.
+        """Add an item; returns all items of `frame` if that completes it, else None.
 
         Late and duplicate items are dropped.
         """
@@ -60,7 +60,7 @@ class Gather(Generic[Member, Item]):
         return None
 
     def expired(self, clock_frame: int) -> Iterator[tuple[int, dict[Member, Item]]]:
-        """Remove and yield frames that expire with a clock, oldest first."""
+        """Remove and yield the frames that have expired at `clock_frame`, oldest first."""
         limit = clock_frame - self.patience - 1
         for frame in sorted(frame for frame in self._frames if frame <= limit):
             yield frame, self._frames.pop(frame)
@@ -81,7 +81,7 @@ class LatestBefore(Generic[Item]):
     def add(self, frame: int, item: Item, about: int | None = None) -> None:
         """Add an item that arrived in a frame.
 
-        Of two such items, the one about the later frame is kept, else the first.
+        Of two items that arrived in the same frame, the one about the later frame is kept, or else the first.
 
         about: the frame that it describes, if different because of a delay
         """
@@ -93,10 +93,9 @@ class LatestBefore(Generic[Item]):
             del self._items[min(self._items)]
 
     def get(self, frame: int) -> tuple[int, Item] | None:
-        """(frame of arrival, item) about the latest frame, of items from before `frame`.
+        """(frame of arrival, item) about the latest frame, among items from before `frame`.
 
-        None if there is none.
-        Of several about the same frame, the first to arrive counts.
+        None if there are none. Of several about the same frame, the first to arrive counts.
         """
         earlier = [(about, -arrival) for arrival, (about, _) in self._items.items() if arrival < frame]
         if not earlier:
@@ -154,7 +153,7 @@ class CollationBuffer(Generic[Item]):
     def pop(self, frame: int) -> dict[str, Item]:
         """Remove and return every agent's newest item up to `frame`.
 
-        Older items are dropped; items for these frames that arrive later count as late.
+        Older items are dropped. Items for these frames that arrive afterwards count as late.
         """
         batch: dict[str, Item] = {}
         for agent in sorted(self._heaps):

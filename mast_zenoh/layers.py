@@ -1,4 +1,4 @@
-"""The order of the package's layers, written once: imports go down this list only.
+"""The order of the package's layers, written once: imports only go down this list.
 
 The import test, docs/architecture.md and the fingerprint of a version read it.
 """
@@ -38,7 +38,7 @@ LAYERS: dict[str, str] = {
     "metrics": "compares estimates with the truth",
     "tracking": "turns detections into tracks",
     "sensing": "lidar and detector models",
-    "gather": "collects messages of many publishers by frame",
+    "gather": "collects messages from many publishers by frame",
     "arrays": "states, geometry, matching, neighbours",
     "version": "version number and fingerprint of the sources",
     "kernels": "compiled versions of a few functions",

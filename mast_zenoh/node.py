@@ -122,7 +122,7 @@ class Node:
     """
 
     role: ClassVar[str] = ""
-    #: input ports and output ports: name to message type. A subclass may give a `Schema` of its own as the type: this
+    #: input ports and output ports: name to message type. A subclass may give its own `Schema` as the type: this
     #: declares it, and the port then has its name.
     inputs: ClassVar[Mapping[str, Any]] = {}
     outputs: ClassVar[Mapping[str, Any]] = {}
@@ -181,7 +181,7 @@ class Source(Node, ABC):
 
 
 def _declare(types: dict[str, Schema], schema: Schema, place: str) -> None:
-    """Add a message type to those of a node.
+    """Add a message type to a node's types.
 
     Raises TypeError if a different type has its name.
     """

@@ -1,8 +1,8 @@
 """An adversary on a wire: receives messages and forwards manipulated ones.
 
 It sits on `detections` (between an agent's sensors and its perception), on `tracks` (between the agent and the
-command centre) or on `picture` (between the command centre and the agent), as the key-expression map says. Neither end
-can detect it: keys, headers and untouched rows are forwarded unchanged.
+command centre) or on `picture` (between the command centre and the agent), as the key-expression map specifies.
+Neither end can detect it: keys, headers and untouched rows are forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -87,15 +87,15 @@ class Adversary(Node):
             self.proceed(queue, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
-        """The victim's detections, on their way to it."""
+        """The victim's detections, in transit to it."""
         self.on_message(received, context)
 
     def on_tracks(self, received: Received, context: Context) -> None:
-        """The victim's tracks, on their way to the command centre."""
+        """The victim's tracks, in transit to the command centre."""
         self.on_message(received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """The command centre's picture, on its way to the agent."""
+        """The command centre's picture, in transit to the agent."""
         self.on_message(received, context)
 
     def on_directive(self, received: Received, context: Context) -> None:

@@ -1,4 +1,4 @@
-"""An agent: tracks its own sensor's detections, and sees more through the picture.
+"""An agent: tracks its own sensor's detections, and extends its view with the picture.
 
 It has two estimators. The safety-critical one (`tracks`) uses only the agent's own detections and pose; no message
 from outside reaches it. The mission-critical one (`mission`) also uses the latest picture that arrived in an earlier
@@ -101,7 +101,7 @@ class Agent(Node):
         """Publish both estimates of one frame; always one message each, even if empty."""
         time_ns = items.get("clock", next(iter(items.values()))).time_ns
         if time_ns < self.newest_ns:
-            least = f"{self.newest_ns}, that of the frame before"
+            least = f"{self.newest_ns}, the time of the previous frame"
             context.reject(f"old: frame {frame}: time_ns is {time_ns}, expected at least {least}")
             return
         detections = Detections.empty()

@@ -1,6 +1,6 @@
 """The broker: collates the tracks of all agents at one time, in the world frame.
 
-It discovers agents by their presence on the mesh and their first status, and forgets those that leave. A batch is
+It discovers agents by their presence on the mesh and their first status, and forgets agents that leave. A batch is
 emitted when all agents have sent their tracks, or when the clock of the next frame arrives: a dead or silent agent
 does not stall it. An agent's last tracks stay in later batches, propagated, until they are too old.
 """
@@ -21,11 +21,11 @@ from mast_zenoh.runtime.mesh.main import main
 class Broker(Node):
     """Collates the agents' tracks, one batch a frame.
 
-    latency_s: age at which frames are emitted; patience: further clocks to wait for a missing message, beyond that of
-    its own frame; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
+    latency_s: age at which frames are emitted; patience: number of clocks, after that of its own frame, to wait for a
+    missing message; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
 
     The header gives the frame of a message and its time: an agent whose clock is wrong still completes its batches,
-    and its tracks are propagated from the time in the header, forward or back, to that of the batch. A time that is
+    and its tracks are propagated from the time in the header, forward or back, to the batch's time. A time that is
     off by more than `max_age_s`, either way, counts as too old.
     """
 
@@ -76,7 +76,7 @@ class Broker(Node):
         self.emit_complete(context)
 
     def on_status(self, received: Received, context: Context) -> None:
-        """Add the agent from the next frame on, whether or not its presence was announced."""
+        """Add the agent from the next frame onwards, whether or not its presence was announced."""
         self.newcomers.add(received.subject)
 
     def on_tracks(self, received: Received, context: Context) -> None:

@@ -15,7 +15,7 @@ from mast_zenoh.runtime.mesh.main import main
 class CommandCenter(Node):
     """Turns each batch into a picture.
 
-    pipeline: from the agents' tracks to the picture; `CommandCenterPipeline` is that of the paper's listing
+    pipeline: from the agents' tracks to the picture; `CommandCenterPipeline` is the one in the paper's listing
     """
 
     role = "command_center"
@@ -64,7 +64,7 @@ class CommandCenter(Node):
     def process(self, received: Received, context: Context, views: Received | None = None) -> None:
         """Publish the picture of a batch, and the trust that the pipeline has in agents and objects."""
         if received.time_ns < self.newest_ns:
-            least = f"{self.newest_ns}, that of the batch before"
+            least = f"{self.newest_ns}, the time of the previous batch"
             context.reject(f"old: collated: time_ns is {received.time_ns}, expected at least {least}")
             return
         self.processed.append(received.frame)

@@ -45,7 +45,7 @@ class Evaluator(Node):
     agents:  their names
     scorer:  None: Scorer()
     attribution, cut_off: rules for the causes of errors, None: Attribution(), CutOff()
-    The other parameters are those of `evaluation.Evaluation`.
+    The other parameters are described in `evaluation.Evaluation`.
     """
 
     role = "evaluator"
@@ -88,11 +88,11 @@ class Evaluator(Node):
         self.follow(context, 0)
 
     def rewired(self, context: Context) -> None:
-        """Follow a changed wiring from the next frame on."""
+        """Follow a changed wiring from the next frame onwards."""
         self.follow(context, context.frame + 1)
 
     def joined(self, node: str, role: str, context: Context) -> None:
-        """Note that a node is present from the next frame on."""
+        """Note that a node is present from the next frame onwards."""
         self.data.roles[node] = role
         self.data.presence.note(node, role, context.frame + 1, True)
 
@@ -101,7 +101,7 @@ class Evaluator(Node):
         self.data.presence.note(node, role, context.frame + 1, False)
 
     def follow(self, context: Context, first_frame: int) -> None:
-        """Use the current wiring from a frame on."""
+        """Use the current wiring from a frame onwards."""
         wiring = context.wiring
         self.data.meter.follow(wiring, first_frame)
         self.routes = routes(wiring, self.agents)
@@ -200,8 +200,8 @@ class Evaluator(Node):
 def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
     """The route of each key of a wiring.
 
-    Keys that the evaluator does not need are left out.
-    Wires are identified by the port of their publisher, not by the keys that a map gives them.
+    Keys that the evaluator does not need are left out. Wires are identified by the port of their publisher, not by the
+    keys that a map gives them.
     """
     series: dict[str, list[Series]] = defaultdict(list)
     takes: dict[str, str] = {}

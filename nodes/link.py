@@ -81,7 +81,7 @@ class Link(Node):
         self.carry("status", received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """The picture, on its way to the agent."""
+        """The picture, in transit to the agent."""
         self.carry("picture", received, context)
 
     def on_view(self, received: Received, context: Context) -> None:

@@ -59,7 +59,7 @@ class Recorder(Node):
         self.log.close()
         recorded = {name: getattr(self.log, name) for name in ("messages", "malformed", "lost")}
         if self.log.problem:
-            context.log.error("%s: %d messages are lost", self.log.problem, self.log.lost)
+            context.log.error("%s: %d messages were lost", self.log.problem, self.log.lost)
             recorded |= {"problem": self.log.problem, "disk_full": self.log.disk_full}
         return {"recorded": recorded}
 

@@ -1,7 +1,7 @@
 """The simulator: replays a prepared scene to sensors and evaluator, by frame.
 
 It drives the run: the runtime requests the next frame when the mesh is quiet (lock-step) or
-when the frame is due (real time). It sends the truth to the evaluator only.
+when the frame is due (real time). It sends the truth only to the evaluator.
 """
 
 from __future__ import annotations

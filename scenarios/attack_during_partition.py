@@ -24,7 +24,7 @@ def scenario(
 
     attack_start_s: when the attack begins; partition_s, partition_until_s: when the partition begins and is healed;
 
-    kill_s: when the last agent is killed; restart_after_s: how long it stays away. All in scene time.
+    kill_s: when the last agent is killed; restart_after_s: how long it stays down. All in scene time.
     """
     attacked = uncoordinated(
         n_adversaries=n_adversaries,
@@ -36,7 +36,7 @@ def scenario(
     )
     cut_off = agents_of(attacked["scene"])[1:][-2:]
     if not cut_off:
-        raise ConfigurationError("the scene has no agent but the ego: expected one more, to be cut off")
+        raise ConfigurationError("the scene has no agent except the ego: expected another one, to be cut off")
     return attacked | dict(
         name="attack_during_partition",
         faults=[

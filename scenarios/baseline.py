@@ -1,4 +1,4 @@
-"""No attack: undisturbed collaboration, as the reference for other scenarios."""
+"""No attack: undisturbed collaboration, the reference for other scenarios."""
 
 from mast_zenoh.scenario import choose_scene
 

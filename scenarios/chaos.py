@@ -21,7 +21,7 @@ def scenario(
 
     chaos_seed: seed of the faults; duration_s: length of the run; settle_s: fault-free time at its end;
     most_faults: maximum number of faults; servers: other nodes that may be targets;
-    n_infrastructure: None: two on a generated junction, else all that the scene has.
+    n_infrastructure: None: two on a generated junction, else all of the scene.
 
     The scene, and all draws in it, use the run's own seed, so runs with different chaos seeds differ only in faults.
     """

@@ -18,9 +18,9 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """As `uncoordinated`.
+    """Parameters as in `uncoordinated`, and:
 
-    reselect_every_s: interval at which the coordinator makes a new plan.
+    reselect_every_s: s between the coordinator's plans
     """
     attack = dict(
         type="CoordinatedAttack",

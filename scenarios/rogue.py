@@ -18,8 +18,8 @@ def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
 def outsider():
     """Attacks by an outsider.
 
-    shows: the certificate that the attacker presents: nothing, one of its own authority (foreign), an expired one,
-    or that of a node that it has taken over. wire: the key on which it forges messages.
+    shows: the certificate that the attacker presents: nothing, one from its own authority (foreign), an expired one,
+    or the certificate of a node that it has taken over. wire: the key on which it forges messages.
     """
     return [
         dict(type="Inject", name="no certificate", shows="nothing", wire="agent/infra_1/tracks"),
@@ -39,7 +39,7 @@ def outsider():
 
 
 def insiders():
-    """One compromised node of each role but the simulator's, with forged messages."""
+    """One compromised node of each role except the simulator, with forged messages."""
     nodes = dict(
         agent="infra_1",
         broker="broker",

@@ -16,7 +16,7 @@ def test_a_generated_page_is_up_to_date(name: str) -> None:
     assert (DOCS / name).read_text(encoding="utf-8") == generate_docs.PAGES[name](), "run `make docs`"
 
 
-def test_every_error_has_an_exit_code_of_its_own() -> None:
+def test_every_error_has_its_own_exit_code() -> None:
     codes = {error.__name__: error.exit_code for error in generate_docs.error_types()}
     assert len(set(codes.values())) == len(codes), codes
     assert 2 not in codes.values(), "2 is a usage error on the command line"

@@ -1,4 +1,4 @@
-"""Requirements are in pyproject.toml, and exact hashes in lock files."""
+"""Requirements are in pyproject.toml, and exact versions with hashes in lock files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOCKS = {
     "requirements-tools.txt": PROJECT["dependency-groups"]["tools"],
 }
 
-#: Their major versions follow the calendar (or, setuptools, every removal): a bound would only exclude fixes.
+#: Their major versions follow the calendar (setuptools: every removal of a feature): a bound would only exclude fixes.
 UNBOUNDED = {"cryptography", "rich", "pyarrow", "pillow", "dask", "setuptools"}
 
 
@@ -45,13 +45,13 @@ def locked(name: str) -> list[Requirement]:
 
 
 def pins(name: str, python: str) -> dict[str, str]:
-    """Version by package for a Python version on Linux; duplicates fail."""
+    """Version by package for a Python version on Linux; fails for duplicates."""
     here = {**default_environment(), "python_version": python, "python_full_version": f"{python}.0"}
     versions: dict[str, str] = {}
     for entry in locked(name):
         if entry.marker is None or entry.marker.evaluate(here):
             package = canonicalize_name(entry.name)
-            assert package not in versions, f"{package} is twice in {name} for Python {python}"
+            assert package not in versions, f"{package} occurs twice in {name} for Python {python}"
             (specifier,) = entry.specifier
             versions[package] = specifier.version
     return versions
@@ -77,11 +77,11 @@ def test_a_lock_file_names_no_index_and_no_path(name: str) -> None:
 def test_the_lock_file_satisfies_all_requirements_of_pyproject(name: str, python: str) -> None:
     versions = pins(name, python)
     for text in LOCKS[name]:
-        asked = Requirement(text)
-        version = versions.get(canonicalize_name(asked.name))
-        assert version is not None, f"{asked.name} is not in {name}: run `make lock`"
-        assert asked.specifier.contains(version), (
-            f"{name} has {asked.name} {version}, expected {asked}: run `make lock`"
+        requirement = Requirement(text)
+        version = versions.get(canonicalize_name(requirement.name))
+        assert version is not None, f"{requirement.name} is not in {name}: run `make lock`"
+        assert requirement.specifier.contains(version), (
+            f"{name} has {requirement.name} {version}, expected {requirement}: run `make lock`"
         )
 
 
@@ -93,9 +93,11 @@ def test_running_and_development_use_the_same_versions(python: str) -> None:
 
 
 def test_running_and_development_accept_the_same_hashes() -> None:
-    hashes = {entry.partition(" ;")[0]: of for entry, of in hashes_by_entry("requirements-dev.txt").items()}
-    for entry, of in hashes_by_entry("requirements.txt").items():
-        assert of == hashes[entry.partition(" ;")[0]], entry
+    development = {
+        entry.partition(" ;")[0]: hashes for entry, hashes in hashes_by_entry("requirements-dev.txt").items()
+    }
+    for entry, hashes in hashes_by_entry("requirements.txt").items():
+        assert hashes == development[entry.partition(" ;")[0]], entry
 
 
 def test_the_lock_file_for_running_can_build_the_package() -> None:
@@ -104,7 +106,7 @@ def test_the_lock_file_for_running_can_build_the_package() -> None:
 
 
 @pytest.mark.parametrize("tool", ["pytest", "ruff", "mypy", "hypothesis", "dask", "stonesoup"])
-def test_running_installs_no_development_tool(tool: str) -> None:
+def test_the_lock_file_for_running_contains_no_development_tool(tool: str) -> None:
     assert tool not in pins("requirements.txt", "3.11")
 
 
@@ -122,7 +124,7 @@ def test_running_installs_no_development_tool(tool: str) -> None:
     ],
 )
 def test_requirements_have_upper_bounds_where_a_major_version_could_break_the_package(text: str) -> None:
-    asked = Requirement(text)
-    operators = {specifier.operator for specifier in asked.specifier}
+    requirement = Requirement(text)
+    operators = {specifier.operator for specifier in requirement.specifier}
     assert ">=" in operators
-    assert ("<" in operators) != (asked.name in UNBOUNDED)
+    assert ("<" in operators) != (requirement.name in UNBOUNDED)

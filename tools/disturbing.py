@@ -21,7 +21,7 @@ GONE_S = 10.0  # from the end of the launcher to the end of its last node
 class PlanResult(NamedTuple):
     """The outcome of a plan.
 
-    number: of the plan; done: what was done; how: how the run ended; broken: promises that it broke
+    number: of the plan; done: the disturbances; how: how the run ended; broken: promises that it broke
     """
 
     number: int
@@ -49,7 +49,7 @@ def report_results(plan_results: Iterable[PlanResult], seed: int, *more: str) ->
 
     For such runs, also print the command that repeats them.
 
-    more: further arguments of that command
+    more: other arguments of that command
     """
     endings: Counter[str] = Counter()
     failed = 0

@@ -82,7 +82,7 @@ def exit_codes_page() -> str:
         "# Exit codes",
         "",
         _GENERATED.format(source="mast_zenoh/errors.py"),
-        "Look up here what the exit code of a command means. [troubleshooting.md](troubleshooting.md) says what to do.",
+        "Look up what a command's exit code means. [troubleshooting.md](troubleshooting.md) explains what to do.",
         "",
         "| code | error | meaning |",
         "|---:|---|---|",
@@ -135,7 +135,7 @@ def api_page() -> str:
         "",
         _GENERATED.format(source="mast_zenoh/__init__.py and mast_zenoh/api/surface.py"),
         "After reading this page you know every public name. [python.md](python.md) shows how they work together,",
-        "[stability.md](stability.md) says what is stable.",
+        "[stability.md](stability.md) lists what is stable.",
         "",
         "## import mast_zenoh as mast",
         "",
@@ -193,7 +193,7 @@ PAGES = {
 
 
 def main(folder: Path) -> None:
-    """Write all pages, and the examples in deploy/compose/ beside the folder."""
+    """Write all pages, and the examples in deploy/compose/ next to the folder."""
     for name, page in PAGES.items():
         (folder / name).write_text(page(), encoding="utf-8")
     for name in EXAMPLES:

@@ -63,7 +63,7 @@ _MEASURES = {
     "fp": "Tracks in range of the agent that match no object, per frame",
     "tp": "Objects in range of the agent that a track matches, per frame",
     "rmse_m": "Root mean square distance of the centres of matched pairs, in m",
-    "id_switches": "Number of times that an object is matched by another track than before",
+    "id_switches": "Number of times that an object is matched by a different track than before",
     "completeness": "Share of an object's frames in which it is matched, 0 to 1, mean over objects",
     "ospa_m": "OSPA: distance between the set of objects and the set of tracks, per object, in m",
     "gospa_m": "GOSPA: the same summed over the objects, in m",
@@ -221,7 +221,7 @@ def _special(kind: str) -> Iterator[Entry]:
 
 
 def _messages() -> Iterator[Entry]:
-    """Our message types, and those that nodes declare which are loaded now."""
+    """Built-in message types, and the types that currently loaded nodes declare."""
     declared: dict[str, Schema] = {}
     for node in registry.known_types(Node).values():
         assert issubclass(node, Node)
@@ -243,7 +243,7 @@ def _rule(rule: Mapping[str, Any]) -> str:
 
 
 def _files(kind: str, function: str) -> Iterator[Entry]:
-    """The shipped files of a kind; undocumented parameters are those of `baseline`."""
+    """The shipped files of a kind; undocumented parameters are described in `baseline`."""
     files = []
     for name in bundle.names(kind):
         path, definition = loading.function(kind, name, function)

@@ -93,8 +93,8 @@ def as_text(tables: RenderableType) -> str:
 
 
 def compare(*runs: Run) -> Comparison:
-    """Compare runs with the first of them: a baseline, say.
+    """Compare runs with the first one, such as a baseline.
 
-    Raises NotComparable unless all played the same scene, seed and frames, and were scored alike.
+    Raises NotComparable unless all played the same scene, seed and frames, and were scored in the same way.
     """
     return Comparison(runs)

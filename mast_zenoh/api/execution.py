@@ -45,7 +45,7 @@ def run(
     runtime:    "inproc": everything in this process; "mesh": a process for each node
     mode, rate: "lockstep" is exact; "realtime" follows the clock, `rate` times faster, and needs the mesh
     record:     write every message, for `Run.messages`, `.truth` and `.picture`
-    report:     write report.html as well
+    report:     also write report.html
     endpoint:   address of a running Zenoh router, tcp/HOST:PORT
     secure:     security level of the mesh: certificates and access control (docs/security.md)
     allow_failures, allow_churn: count a run as ok although a handler failed, or a node was lost
@@ -113,7 +113,7 @@ def _check_runtime(path: Path, resolved: Resolved, *, runtime: str, secure: str,
     if unloadable:
         raise ConfigurationError(
             f"{path}: {', '.join(unloadable)}: defined in this session, but nodes on a mesh load classes from files: "
-            "expected a class in a Python file beside the scenario, or runtime='inproc'"
+            "expected a class in a Python file next to the scenario, or runtime='inproc'"
         )
 
 

@@ -1,6 +1,6 @@
 """Parameters of a class or function: defaults, units and docstring descriptions.
 
-A docstring describes parameters as `name: text` or `name, name: text`, on lines of their own or after a full stop or a
+A docstring describes parameters as `name: text` or `name, name: text`, on separate lines or after a full stop or a
 semicolon. A class inherits the descriptions of its bases.
 """
 
@@ -68,7 +68,7 @@ def summary(cls: type) -> str:
 def parameters_of(of: Callable[..., Any], further: Iterable[Callable[..., Any]] = ()) -> tuple[Parameter, ...]:
     """The parameters of a class or function, in the order of its signature.
 
-    further: functions whose docstrings describe parameters that its own does not
+    further: other functions whose docstrings describe parameters that its own does not
     """
     signature = inspect.signature(of)
     meanings: dict[str, str] = {}
@@ -137,7 +137,7 @@ def _entries(text: str, names: Iterable[str]) -> list[re.Match[str]]:
 def _first_part(raw: str, before: str) -> str:
     """A description up to the next paragraph or sentence that is not part of it.
 
-    Such a sentence begins on a line with no further indentation.
+    Such a sentence begins on a line without more indentation.
     """
     line = before.rpartition("\n")[2]
     indent = len(line) - len(line.lstrip())

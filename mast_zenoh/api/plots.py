@@ -46,7 +46,7 @@ class Plots:
         Bold lines are means over the last five frames, pale lines the values of single frames.
 
         metric:   a numeric column of `Run.metrics`, such as "fp", "fn", "rmse_m", or several for stacked charts
-        others:   further runs to draw
+        others:   other runs to draw
         estimate: the one to draw for several runs; for one run, all are drawn
         """
         runs = {label: _with_all_columns(run) for label, run in (self._runs | labelled(others, self._runs)).items()}

@@ -100,7 +100,7 @@ class PreparedAgent:
 
         Columns as `Agent.detections` of a run.
 
-        `truth_id`: of the object that it is of; -1 for clutter. No agent gets to know it.
+        `truth_id`: id of the detected object; -1 for clutter. No agent ever sees it.
         """
         scene, index = self._scene.recording, self._index
         return self._scene._table(
@@ -125,8 +125,8 @@ def prepare(
 
     scene:      a short name ("intersection", "intersection:2", "avstack:PATH", "av2:PATH"), a dict(type=…) with the
                 parameters of a scene, the Python file of a scenario, whose scene it is, or a scene.npz of a run
-    seed:       of its random draws; None: that of the scenario, otherwise 0
-    frames:     how many; None: all that it has
+    seed:       seed of its random draws; None: the scenario's seed, otherwise 0
+    frames:     number of frames; None: all of the scene
     parameters: of the scene; with a file, of its `scenario` function
 
     Raises ConfigurationError, and SceneError for missing or damaged data.

@@ -17,7 +17,7 @@ def pairs_near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
     squared = dx * dx + dy * dy
     upper = (i < j).nonzero()[0]
     if n * n > MAX_TABLE:
-        # Above that size, neighbours are limited to the nearest, so a pair may be found from one side only.
+        # Above that size, neighbours are limited to the nearest, so a pair may be found from only one side.
         i, j = np.minimum(i, j), np.maximum(i, j)
         upper = np.unique(i * n + j, return_index=True)[1]
         upper = upper[i[upper] < j[upper]]

@@ -85,7 +85,7 @@ class ObjectStates:
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
-        """The states in a message body (further columns are left out)."""
+        """The states in a message body (other columns are left out)."""
         return cls(*_pick_states(columns))
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -144,7 +144,7 @@ class Detections:
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Detections:
-        """The detections in a message body (further columns are left out)."""
+        """The detections in a message body (other columns are left out)."""
         return cls(*_pick_detections(columns))
 
     def columns(self) -> dict[str, NDArray[Any]]:

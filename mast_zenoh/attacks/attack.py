@@ -41,7 +41,7 @@ class Attack(ABC):
     def look(self, view: SensorView, *, fused: bool) -> None:  # noqa: B027 (a hook)
         """Set the victim's field of view for the next step.
 
-        fused: whether the objects are those of several agents
+        fused: whether the objects combine several agents' tracks
         """
 
     def counts(self) -> dict[str, int]:
@@ -168,7 +168,7 @@ class UncoordinatedAttack(_TargetedAttack):
     selection:        which objects to add, hide and move; None: UncoordinatedSelection()
     propagation:      motion of false objects; None: TrajectoryPropagation()
     reselect_every_s: s, interval between selections of new targets; None: select once
-    The other parameters are those of _TargetedAttack: start_s, max_range_m, assign_radius_m, imitation, id_gap.
+    The other parameters come from _TargetedAttack: start_s, max_range_m, assign_radius_m, imitation, id_gap.
     """
 
     _attach_m = OWN_TARGET_M

@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Ints, ObjectStates
 def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> ObjectStates:
     """Merge the observations of several adversaries into one row per object.
 
-    Position and velocity are means, other columns are those of one member.
+    Position and velocity are means; other columns come from one member.
 
     source (n,) int64: the observer of each row. The nearest two rows of different sources are merged first, if they
     are at most `radius_m` apart in the bird's-eye view and the cluster has at most one row per source.

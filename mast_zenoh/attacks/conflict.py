@@ -112,7 +112,7 @@ class ConflictSelection(Selection):
     ) -> Bools:
         """Objects (n, s) out of the ego's sight at each second ahead.
         Out of range or field of view, or occluded by buildings or by the predicted positions of other objects.
-        positions: (n, t, 2) m; occluders: (n,) which objects can occlude others: all except the ego
+        positions: (n, t, 2) m; occluders: (n,) whether an object can occlude others: all can except the ego
         """
         boxes, columns = boxes_of(objects), []
         for sample in range(0, positions.shape[1], round(1.0 / STEP_S)):

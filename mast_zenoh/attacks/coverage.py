@@ -47,12 +47,12 @@ class Coverage:
     def visible_outside_objects(
         self, false_objects: ObjectStates, real_objects: ObjectStates, view: SensorView
     ) -> Bools:
-        """(k,) which false objects are visible, outside buildings and real objects."""
+        """(k,) whether false objects are visible, outside buildings and real objects."""
         boxes = boxes_of(false_objects)
         return self.visible(view, boxes, boxes_of(real_objects)) & self._free(boxes, false_objects, real_objects)
 
     def plausible(self, false_objects: ObjectStates, real_objects: ObjectStates, view: SensorView) -> Bools:
-        """(k,) which false objects are plausible for the victim; see `fused`."""
+        """(k,) whether false objects are plausible for the victim; see `fused`."""
         return (
             self._free(boxes_of(false_objects), false_objects, real_objects)
             if self.fused
@@ -78,7 +78,7 @@ def boxes_of(states: ObjectStates) -> Floats:
 
 
 def touching(false_objects: ObjectStates, real_objects: ObjectStates) -> Bools:
-    """(k,) which of k objects overlap with one of n others in the bird's-eye view."""
+    """(k,) whether each of k objects overlaps one of n others in the bird's-eye view."""
     touches = np.zeros(len(false_objects), bool)
     i, j, dx, dy = neighbours(false_objects.position, real_objects.position, np.full(len(false_objects), TOUCH_M))
     if len(i):

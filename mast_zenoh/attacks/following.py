@@ -26,11 +26,11 @@ COLUMNS = columns.FOLLOWED_COLUMNS
 
 
 class Limits(NamedTuple):
-    """How far and how long an object is track_observations.
+    """How far and how long an object is tracked.
 
     gate_m, gate_growth_mps: m, gate of an object whose velocity is known; m per s without being seen, by which it grows
     fastest_mps: m/s, the fastest road user: the gate of an object seen once grows with it
-    forgotten_s, clutter_s: s, after which an object that is no target is forgotten; and one that was seen only once
+    forgotten_s, clutter_s: s, after which an object that is not a target is forgotten; and one that was seen only once
     same_id_m: m; a row with the id of a track is that track unless it is farther from it than this: the victim's
                tracker mixes up neighbours at times
     least_alpha, least_beta: least gains of the filter for position and velocity
@@ -102,7 +102,7 @@ class Follower:
     def locate(self, targets: ObjectStates, attach_m: float) -> tuple[ObjectStates, Ints]:
         """The targets at their objects' positions, and their rows (k,); -1: missing.
 
-        The rows are those of the newest message.
+        The rows belong to the newest message.
 
         A target without an object takes the nearest free one within `attach_m` m: any object in the first call with
         this target, later only one that has just appeared or is at the same position.
@@ -145,7 +145,7 @@ class Follower:
         self._tracks[~np.isin(self._tracks[:, TARGET], numbers), TARGET] = -1.0
 
     def _lost(self, targets: ObjectStates, track: Ints) -> Bools:
-        """(k,) which targets have lost their objects; releases their tracks (k,)."""
+        """(k,) whether targets have lost their objects; releases their tracks (k,)."""
         attached = (track >= 0).nonzero()[0]
         tracks = self._tracks[track[attached]]
         offset = tracks[:, PLACE][:, :2] - targets.position[attached, :2]

@@ -1,6 +1,6 @@
 """False objects that resemble the victim's own.
 
-Imitated are noise, misses, covariance, score and identity.
+Noise, misses, covariance, score and identity are imitated.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class VictimLike(Imitation):
     def _next_errors(self, numbers: Ints, independent: Floats) -> Floats:
         """Errors (k, _COLUMNS) in units of σ.
 
-        Correlated with those of the previous frame for the same objects.
+        For the same objects, correlated with the errors in the previous frame.
         """
         correlation = self._statistics.correlation
         errors = independent
@@ -194,7 +194,7 @@ def imitate_rows(
     has_velocity: whether the rows have velocities
     limits:    TYPICAL_FACTOR, MAX_SIZE_ERROR
 
-    The covariance is that of the typical row nearest in range; the score is drawn by rank from the typical rows.
+    The covariance comes from the typical row nearest in range; the score is drawn by rank from the typical rows.
     """
     position, velocity, size, yaw = false
     positions, covariance, score, sensor_position = real

@@ -32,7 +32,7 @@ class Propagation(ABC):
         """Move false objects by `elapsed_s` seconds, world frame.
 
         `age_s` is the time from their selection to `states`. Called once with both zero right after the selection, so
-        that the model's velocities apply from the first frame on.
+        that the model's velocities apply from the first frame.
         """
 
 
@@ -91,7 +91,7 @@ class TrajectoryPropagation(Propagation):
 
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
         if age_s > 0.0 and age_s + elapsed_s <= self.duration_s:
-            return propagate(states, elapsed_s)  # the heading has been that of the velocity since the first step
+            return propagate(states, elapsed_s)  # the heading has followed the velocity since the first step
         speed, yaw = _speed_and_heading(states)
         cruising = min(max(self.duration_s - age_s, 0.0), elapsed_s)
         final_speed = np.maximum(speed - self.braking_mps2 * (elapsed_s - cruising), 0.0)
@@ -102,7 +102,7 @@ class TrajectoryPropagation(Propagation):
 def _speed_and_heading(states: ObjectStates) -> tuple[Floats, Floats]:
     """Speeds (n,) m/s over ground, and headings (n,) rad.
 
-    The heading is that of the velocity, or of the box for objects at rest.
+    The heading follows the velocity, or the box for objects at rest.
     """
     vx, vy = states.velocity[:, 0], states.velocity[:, 1]
     speed = np.hypot(vx, vy)

@@ -25,7 +25,7 @@ PATH_AHEAD_M, LATERAL_STD_M = (10.0, 60.0), 0.3
 LANE_M = 1.75
 #: Maximum speed of an object on the ego's path as a fraction of the ego's speed, so that the ego closes in.
 MAX_SPEED_FRACTION = 0.5
-#: m, minimum length of a vehicle, whose heading is that of its lane.
+#: m, minimum length of a vehicle; vehicles have the heading of their lane.
 VEHICLE_M = 2.5
 
 
@@ -118,7 +118,7 @@ class _Checked(Region):
 
     @abstractmethod
     def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
-        """(k,) which boxes are in the region; `real` objects occlude what is behind them."""
+        """(k,) whether boxes are in the region; `real` objects occlude what is behind them."""
 
     def _choose(
         self, candidates: _Candidates, allowed: np.ndarray, shape: Shape, coverage: Coverage

@@ -55,7 +55,7 @@ class UncoordinatedSelection(Selection):
     fraction_translations:    fraction of the objects to displace, none of them hidden; counted in the same way
     position_std_m:           σ per axis of false objects about the victim, projected to the ground; not for "ego_path"
     velocity_std_mps:         σ per axis of their velocity, which gives their heading. Except for "paper", directions
-                              are those of the traffic, and objects with a short free path are slower
+                              follow the traffic, and objects with a short free path are slower
     box:                      m, length, width and height of false objects
     object_class:             one of states.CLASSES, the class of false objects
     translation_m:            m, displacement of moved objects, in a random direction for each
@@ -137,7 +137,7 @@ class CoordinatedSelection(UncoordinatedSelection):
     """Selects false objects, and objects to hide and move, for all adversaries.
 
     The objects of the adversaries are merged into clusters with at most one object of each, nearest first and at most
-    `cluster_radius_m` apart; a target is hidden (moved) for every adversary. The other parameters are those of
+    `cluster_radius_m` apart; a target is hidden (moved) for every adversary. The other parameters are as in
     UncoordinatedSelection, counted for all adversaries together.
 
     cluster_radius_m: maximum distance between rows of different adversaries for the same object

@@ -45,7 +45,7 @@ class Route:
     def at(self, time_s: float) -> tuple[Floats, Floats]:
         """Position (3,) m and rotation (3, 3) at a time.
 
-        The position is interpolated linearly, the rotation is that of the last row up to `time_s`.
+        The position is interpolated linearly, the rotation comes from the last row up to `time_s`.
         """
         row = max(0, int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1)
         position = np.array([np.interp(time_s, self.time_s, self.position[:, axis]) for axis in range(3)])

@@ -28,7 +28,7 @@ class Targets:
     move:        real objects to displace (translations), at their predicted positions
     move_offset: (k, 3) m, displacement of each row of `move`
     time_ns:     ns, scene time of the states; None: the frame before they are used
-    wanted:      number of false objects drawn at the selection, including those that could not be placed; None: the
+    wanted:      number of false objects drawn at the selection, including objects that could not be placed; None: the
                  number of rows of `add`
     """
 

@@ -1,12 +1,12 @@
-"""Checks of a finished run's record that must pass under any faults.
+"""Checks on the record of a finished run, which must pass whatever faults occurred.
 
 See docs/faults.md.
 
 base         the outcome of a check
 evidence     the record of a run, read once
 collation    messages delivered in time are in the collation
-convergence  after the last heal the picture converges to the reference picture
-reference    the reference picture: that of the same run without links and faults
+convergence  after the last heal, the picture converges to the reference picture
+reference    the reference picture: the picture of the same run without links and faults
 sequences    every gap and every duplicate is explained
 processes    no process is left running
 user_checks  checks in the files of a scenario
@@ -33,14 +33,14 @@ FILE = "checks.json"
 
 
 def is_checked(resolved: Resolved) -> bool:
-    """Whether a scenario is checked: if it has links, faults or user-defined checks."""
+    """Whether a scenario is checked: it has links, faults or user-defined checks."""
     return any(entry["kind"] != "attack" for entry in resolved.timeline) or bool(of_scenario(resolved))
 
 
 def run(folder: Path, resolved: Resolved) -> list[Check]:
     """Check the run in a folder, and write checks.json there.
 
-    Without a recording, only the check of processes and the user's checks run.
+    Without a recording, only the process check and the user's checks run.
     """
     heals: list[float] = []
     try:

@@ -43,7 +43,7 @@ def check_collation(evidence: Evidence) -> Check:
             continue
         chain = _chain(evidence, key)
         if any(evidence.resolved.nodes[name].role not in _KNOWN_ROLES for name in chain):
-            excepted["behind a user-defined node"] += len(evidence.sent.get(key, ()))
+            excepted["after a user-defined node"] += len(evidence.sent.get(key, ()))
             continue
         n_in_frame = Counter(
             frame for frame, _ in {(message.frame, message.seq) for message in evidence.sent.get(key, ())}
@@ -51,7 +51,7 @@ def check_collation(evidence: Evidence) -> Check:
         for message in evidence.sent.get(key, ()):
             reason = _exemption(message, input_.subject, broker, bool(chain), batches, evidence)
             if n_in_frame[message.frame] > 1:
-                reason = "beside another one of its frame"
+                reason = "in addition to another message of its frame"
             if reason:
                 excepted[reason] += 1
                 continue
@@ -89,7 +89,7 @@ def check_collation(evidence: Evidence) -> Check:
 
 
 def _chain(evidence: Evidence, key: str) -> list[str]:
-    """The interposers that a message passes on its way to a key, in order."""
+    """The interposers that a message passes before a key, in order."""
     for wire in evidence.wiring.wires:
         trunk = [leg.publisher.node for leg in wire.legs[1:]]
         if key == wire.key:
@@ -112,7 +112,7 @@ def _exemption(
     """Why a message may be missing from the collation; None: it must be there."""
     frame = message.frame
     if evidence.times_ns.get(frame) != message.time_ns:
-        return "of another time than its frame's"
+        return "with a time that is not its frame's"
     step = max(frame, message.step)
     closed = _closed(frame, broker, evidence)
     if closed is None:

@@ -1,4 +1,4 @@
-"""Checks that the picture converges to that of a run without faults."""
+"""Checks that the picture converges to the picture of a run without faults."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def check_convergence(evidence: Evidence) -> Check:
     """Check that the picture is close to that without links and faults at the end.
 
     converged_after_s is the time from the last heal until the distance stays below the threshold. The check is skipped
-    if nothing was healed, if a fault or a link with rules of its own lasts to the end, and if an adversary or a
-    coordinator was restarted, because it then chooses its targets anew.
+    if nothing was healed, if a fault or a link with its own rules lasts to the end, and if an adversary or a
+    coordinator was restarted, because it then chooses its targets again.
     """
     heals = evidence.heals_s()
     reason = _undefined(evidence)
@@ -71,7 +71,7 @@ def _undefined(evidence: Evidence) -> str | None:
             return f"{name} has rules that last to the end"
     for step in resolved.steps:
         if resolved.nodes[step.node].role in ("adversary", "coordinator"):
-            return f"{step.node} chose its targets anew"
+            return f"{step.node} chose its targets again"
     return None
 
 

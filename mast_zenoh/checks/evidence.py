@@ -203,7 +203,7 @@ class Evidence:
         return disconnected and self.down(node, frame, frame)
 
     def heals_s(self) -> list[float]:
-        """When faults were healed, s of scene time, without those that last until the end."""
+        """Times at which faults were healed, s of scene time; faults that last to the end have none."""
         return sorted({float(band["until_s"]) for band in self._faults() if band["until_s"] is not None})
 
     def open_faults(self) -> list[str]:

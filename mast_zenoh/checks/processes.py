@@ -15,7 +15,7 @@ def check_processes(folder: Path) -> Check:
     """Check that no process has the id and folder of the run on its command line."""
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     if run.get("runtime") == "inproc":
-        return Check.skipped(NAME, "the run was in one process")
+        return Check.skipped(NAME, "the run was a single process")
     if not _PROC.is_dir():
         return Check.skipped(NAME, "this system does not show its processes under /proc")
     remaining = _running(str(folder), str(run.get("id", "")))

@@ -26,8 +26,8 @@ _cache: tuple[str, dict[int, Floats]] = ("", {})
 def without_faults(resolved: Resolved) -> Resolved:
     """The scenario in lock-step, with perfect links and without faults.
 
-    Recorders, evaluators and visualizers are removed unless they are on a branch. Links before one subscriber are
-    removed; those that a user's map inserts elsewhere forward everything unchanged.
+    Recorders, evaluators and visualizers are removed unless they are on a branch. Links before a single subscriber are
+    removed. Links that a user's map inserts elsewhere forward everything unchanged.
     """
     wiring = Wiring.from_json(resolved.wiring)
     links = {name for name, spec in resolved.nodes.items() if spec.role == "link"}
@@ -79,7 +79,7 @@ def _run(resolved: Resolved) -> dict[int, Floats]:
 
 
 def _with_scene(resolved: Resolved, folder: Path) -> Resolved:
-    """A copy in which nodes load the scene from the run folder."""
+    """A copy whose nodes load the scene from the run folder."""
     nodes = {
         name: replace(
             spec,
@@ -94,7 +94,7 @@ def _with_scene(resolved: Resolved, folder: Path) -> Resolved:
 
 
 def _without_branches(wire: Wire, links: set[str]) -> Wire:
-    """The wire without the branches that consist of links only."""
+    """The wire without the branches that consist only of links."""
     bypassed = {
         branch.entrance: branch.subscriber
         for branch in wire.branches

@@ -56,7 +56,7 @@ def check_sequences(evidence: Evidence) -> Check:
 
 
 def _hops(wire: Wire) -> Iterator[tuple[Leg, Leg]]:
-    """(the leg before, the leg behind) of every interposer of a wire."""
+    """(the leg before, the leg after) of every interposer of a wire."""
     yield from pairwise(wire.legs)
     for branch in wire.branches:
         yield from pairwise((wire.legs[-1], *branch.legs))
@@ -96,7 +96,7 @@ def _check_publisher(wire: Wire, evidence: Evidence, account: _Account) -> None:
 
 
 def _check_interposer(wire: Wire, before: Leg, leg: Leg, evidence: Evidence, account: _Account) -> None:
-    """Compare the leg behind an interposer with the one before it."""
+    """Compare the leg after an interposer with the leg before it."""
     received = Counter((message.frame, message.seq) for message in evidence.sent.get(before.key, ()))
     sent = Counter((message.frame, message.seq) for message in evidence.sent.get(leg.key, ()))
     account.messages += sent.total()

@@ -83,7 +83,7 @@ def run(
             "real time needs the mesh: a single process has no network latency", param_hint="--mode"
         )
     if secure != "open" and (runtime == "inproc" or endpoint):
-        problem = f"the router at {endpoint} is not ours" if endpoint else "one process has no mesh"
+        problem = f"the router at {endpoint} belongs to another process" if endpoint else "one process has no mesh"
         raise typer.BadParameter(f"a secure mesh has its own router: {problem}", param_hint="--secure")
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
@@ -168,7 +168,7 @@ def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
 def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
     """Run every configuration at every security level, with its attackers.
 
-    The attackers are those that the scenario file lists.
+    The scenario file lists the attackers.
     """
     from mast_zenoh.report.tables import attempts
     from mast_zenoh.study.rogue import comparison
@@ -219,7 +219,7 @@ def diff(
     for line in explain(difference):
         _out.print(line, markup=False, highlight=False)
     if reason and difference.first is None:
-        _err.print(f"not comparable from frame {before} on: {reason}", markup=False, highlight=False)
+        _err.print(f"not comparable from frame {before} onwards: {reason}", markup=False, highlight=False)
         raise typer.Exit(2)
     raise typer.Exit(0 if difference.first is None else 1)
 

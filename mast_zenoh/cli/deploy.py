@@ -51,7 +51,7 @@ def up(
     out: Out = None,
     secure: Secure = "open",
     image: Annotated[
-        str | None, typer.Option(help="Image of all containers. Default: that of `mast deploy image`.")
+        str | None, typer.Option(help="Image of all containers. Default: the one built by `mast deploy image`.")
     ] = None,
     hosts: Annotated[Path | None, typer.Option(help="SSH: file with the hosts. Default: deploy/hosts.toml.")] = None,
     place: Annotated[
@@ -59,7 +59,8 @@ def up(
         typer.Option(metavar="NODES=LABEL", help="Swarm: run nodes on the machine with this label mast.host."),
     ] = None,
     option: Annotated[
-        list[str] | None, typer.Option(metavar="KEY=VALUE", help="A parameter of the engine, such as one of your own.")
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="A parameter of the engine, such as your own engine's."),
     ] = None,
     patience: Annotated[float | None, typer.Option(help="Seconds that nodes run without this launcher.")] = None,
     report: Report = True,

@@ -35,7 +35,9 @@ def intercept(
 def release(
     run_folder: RunFolder,
     name: Annotated[str | None, typer.Option(help="The node to release.")] = None,
-    wire: Annotated[str | None, typer.Option(help="Or the wire whose only node is released.")] = None,
+    wire: Annotated[
+        str | None, typer.Option(help="Instead of a name: the wire whose only inserted node is released.")
+    ] = None,
 ) -> None:
     """Release a node from its wires during a run, after its messages are forwarded."""
     from mast_zenoh.launch.interception import client

@@ -17,8 +17,8 @@ _HELP = (
 
 def list_kind(
     kind: Annotated[str | None, typer.Argument(help=_HELP)] = None,
-    name: Annotated[str | None, typer.Argument(help="One of the kind: shows this one alone.")] = None,
-    file: Annotated[Path | None, typer.Option(help="A Python file of yours: what it defines is listed, too.")] = None,
+    name: Annotated[str | None, typer.Argument(help="One entry of this kind; shows only that entry.")] = None,
+    file: Annotated[Path | None, typer.Option(help="Your own Python file: its definitions are listed too.")] = None,
 ) -> None:
     """List what a scenario can name, with parameters, defaults and units."""
     from mast_zenoh.api import catalogue  # every package of algorithms: commands that need none do not load them

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mast_zenoh.report.runfolder import RunFolder
 
 
-#: Control characters except tab and line feed, and those that change the direction of text.
+#: Control characters except tab and line feed, and characters that change the direction of text.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 

@@ -1,6 +1,6 @@
 """Paths of the shipped files that users read and copy.
 
-They are beside the package in a checkout, and inside it when installed.
+They are next to the package in a checkout, and inside it when installed.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def loaded_module(path: Path) -> ModuleType | None:
 
 
 def concrete(modules: Iterable[ModuleType], base: type) -> list[Any]:
-    """The concrete subclasses of a base in users' modules, without ours."""
+    """The concrete subclasses of a base in users' modules, without built-in ones."""
     values = [value for each in modules for value in vars(each).values() if isinstance(value, type)]
     return [
         value

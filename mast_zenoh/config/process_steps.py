@@ -8,7 +8,7 @@ from typing import NamedTuple
 #: pause, resume: stopped and continued by signals; disconnect, connect: from and to its networks.
 ACTIONS = ("kill", "leave", "start", "pause", "resume", "disconnect", "connect")
 
-#: Actions for real time only: in lock-step, the run waits for every node.
+#: Actions only for real time: in lock-step, the run waits for every node.
 REALTIME = ("pause", "resume", "disconnect", "connect")
 
 #: Actions that last until another one ends them, with that other action.

@@ -42,7 +42,7 @@ def from_values(
     """(parameters of the function, dotted settings) from Python values.
 
     function: None for a scenario given as a dict
-    known: further names to suggest in place of an unknown one
+    known: other names to suggest in place of an unknown one
     """
     accepted = inspect.signature(function).parameters if function is not None else {}
     parameters = {

@@ -1,9 +1,9 @@
 """Encoders and decoders of the control messages of a run; pure functions.
 
 A decoder returns a value or raises MessageError, whatever bytes it is given: types, ranges and sizes are checked, and
-nothing more than expected is accepted. Each encoder stands beside its decoder.
+nothing more than expected is accepted. Each encoder is next to its decoder.
 
-fields         strict readers of parts: numbers, names, keys, texts
+fields         strict readers of parts: numbers, names, keys, strings
 flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change
 files          fetch, file: files between a node on another host and the launcher
 interception   intercept, release: requests of a user

@@ -98,9 +98,9 @@ def fields(value: object, names: Collection[str], what: str, optional: Collectio
 
 
 def mapping(value: object, what: str) -> dict[str, Any]:
-    """A map whose keys are texts."""
+    """A map whose keys are strings."""
     if type(value) is not dict or not {*map(type, value)} <= _ONE_STR:
-        raise MessageError(f"{what}: found {abbreviated(value)}, expected a map of texts")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a map of strings")
     return value
 
 
@@ -128,14 +128,14 @@ def flag(value: object, what: str) -> bool:
 def text(value: object, what: str, limit: int = 4096) -> str:
     """A text of at most `limit` characters."""
     if type(value) is not str or len(value) > limit:
-        raise MessageError(f"{what}: found {abbreviated(value)}, expected a text of at most {limit} characters")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a string of at most {limit} characters")
     return value
 
 
 def line(value: object, what: str, limit: int = 4096) -> str:
     """A text of one line, of at most `limit` characters."""
     if len(text(value, what, limit).splitlines()) > 1:
-        raise MessageError(f"{what}: found text of several lines, expected one")
+        raise MessageError(f"{what}: found several lines, expected one")
     return value  # type: ignore[return-value]
 
 
@@ -167,9 +167,9 @@ def key(value: object, what: str) -> str:
 
 
 def counters(value: object, what: str) -> dict[str, int]:
-    """A map from texts to whole numbers from 0. Called for every frame, so optimised."""
+    """A map from strings to whole numbers from 0. Called for every frame, so optimised."""
     try:
-        "".join(value)  # type: ignore[arg-type]  # the fastest check that all are texts
+        "".join(value)  # type: ignore[arg-type]  # the fastest check that all are strings
         if type(value) is dict and _are_counts(value.values()):
             return value
     except TypeError:

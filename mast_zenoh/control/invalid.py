@@ -6,7 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 
-MAX_KEYS = 256  #: counted separately; all further ones together
+MAX_KEYS = 256  #: counted separately; all others are counted together
 OTHERS = "(others)"
 _MAX_REASON = 200
 
@@ -34,7 +34,7 @@ class InvalidMessages:
             self.reasons.setdefault(key, line)
             self.counts[key] += 1
         if first:
-            self._log(f"refused a control message on {key}: {line} (further ones on this key are only counted)")
+            self._log(f"refused a control message on {key}: {line} (more on this key will only be counted)")
 
     def entry(self) -> dict[str, list[int | str]]:
         """[number of refused messages, reason of the first] by key, for run.json."""

@@ -43,7 +43,7 @@ def pack(value: Any) -> bytes:
 
 def unpack(payload: bytes) -> Any:
     """Unpack what `pack` packed; raises MessageError for anything else or too much."""
-    count = fields.at_most(MAX_VALUES, "a result, arrays and columns of text apart")
+    count = fields.at_most(MAX_VALUES, "a result, not counting arrays and columns of text")
     remaining_texts = [max(MAX_TEXTS, len(payload) // 4)]
     try:
         return msgpack.unpackb(
@@ -70,7 +70,7 @@ def checked(value: Any) -> dict[str, Any]:
     _check(value, None)
     count = sum(_json_size(part) for name, part in value.items() if name != "tables")
     if count > MAX_VALUES:
-        raise TypeError(f"results: found arrays of {count} items, expected at most {MAX_VALUES} beside those of tables")
+        raise TypeError(f"results: found arrays of {count} items, expected at most {MAX_VALUES} outside tables")
     return value
 
 
@@ -152,13 +152,13 @@ def encode_extension(value: Any) -> Any:
     raise TypeError(f"a result holds a {type(value).__name__}, expected plain values and arrays")
 
 
-def _decode(code: int, data: bytes, texts: list[int]) -> Any:
-    """Decode a column of text or an array; texts: the remaining number of texts."""
+def _decode(code: int, data: bytes, strings: list[int]) -> Any:
+    """Decode a column of text or an array; strings: the remaining number of strings."""
     if code == _TEXTS:
-        items = _flat(data, texts[0])
+        items = _flat(data, strings[0])
         if not {*map(type, items)} <= {str}:
             raise MessageError("a result: found a column of text that holds something else")
-        texts[0] -= len(items)
+        strings[0] -= len(items)
         column = np.empty(len(items), dtype=object)
         column[:] = items
         return column

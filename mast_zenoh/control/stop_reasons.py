@@ -4,8 +4,8 @@ The driver reports it, and the launcher turns it into the run's error.
 
     end                      all frames have been played
     stall: TEXT              the mesh did not become quiet
-    start: TEXT              not every node was there in time
-    implausible: TEXT        a node's counters cannot be true
+    start: TEXT              not every node joined in time
+    implausible: TEXT        a node's counters are impossible
     anything else            a stop request with this text
 """
 

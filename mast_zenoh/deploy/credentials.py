@@ -23,7 +23,7 @@ def deployment(context: RunContext) -> Deployment:
 def write_settings(folder: Path, router: dict[str, Any]) -> Path:
     """Write the router's settings, which hold its key, with modes 0700 and 0600.
 
-    Their folder is beside those of the nodes.
+    Their folder is next to the nodes' folders.
     """
     router_folder = folder / ROUTER
     router_folder.mkdir(mode=0o700)

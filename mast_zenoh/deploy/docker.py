@@ -47,5 +47,5 @@ def check() -> str:
         return docker("version", "--format", "{{.Server.Version}}", timeout=20.0).strip()
     except EngineError as error:
         raise EngineError(
-            f"the Docker engine cannot be reached ({error}): start it, or get the right to use it"
+            f"the Docker engine cannot be reached ({error}): start it, or get permission to use it"
         ) from None

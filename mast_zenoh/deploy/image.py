@@ -53,12 +53,12 @@ def check(tag: str = TAG) -> None:
     """Raise EngineError if the image is missing or was built from other sources."""
     ids = docker("image", "ls", "--format", "{{.ID}}", tag)
     if not ids.strip():
-        raise EngineError(f"there is no image {tag}: build it by `mast deploy image`")
+        raise EngineError(f"there is no image {tag}: build it with `mast deploy image`")
     code = docker("image", "inspect", "--format", f'{{{{index .Config.Labels "{LABEL}"}}}}', tag).strip()
     if code != _code():
         raise EngineError(
             f"the image {tag} holds mast-zenoh {version.__version__} (sources {code or 'unknown'}), this is "
-            f"{version.version_string()}: build it again by `mast deploy image`"
+            f"{version.version_string()}: rebuild it with `mast deploy image`"
         )
 
 
@@ -68,6 +68,6 @@ def _code() -> str:
 
 
 def size_over_base(tag: str = TAG, base: str = BASE) -> int:
-    """Size of the image minus that of its base, bytes."""
+    """Size of the image minus the size of its base, bytes."""
     sizes = [int(docker("image", "inspect", "--format", "{{.Size}}", name)) for name in (tag, base)]
     return sizes[0] - sizes[1]

@@ -31,7 +31,7 @@ class MessageEffect(NamedTuple):
     step:    frame in which the interposer received it (forged: sent it)
     frames_late: delay in frames
     time_ns: ns, change of the time in its header
-    columns: names of the changed columns, except those with a row for each object
+    columns: names of the changed columns, except columns with a row for each object
     """
 
     effect: str

@@ -32,7 +32,7 @@ class Meter:
         return self._into.keys() | self._out_of.keys()
 
     def follow(self, wiring: Wiring, first_step: int) -> None:
-        """Use a wiring from frame `first_step` on."""
+        """Use a wiring from frame `first_step` onwards."""
         now = dict.fromkeys(wiring.passages())
         for passage in self._active.keys() - now.keys():
             meter = self._active.pop(passage)

@@ -35,7 +35,7 @@ class ObjectChanges(NamedTuple):
 
     frame, seq, step: (k,) of the message, and the frame of the run in which the interposer received it
     effect:   (k,) index into KINDS; UNCHANGED: the object moves with the frame of reference of its message
-    columns:  (k,) object, names of the columns that were changed, separated by blanks
+    columns:  (k,) object, names of the columns that were changed, separated by spaces
     id:       (k,) of the object in the message, -1: messages of this type have no ids
     before, after: (k, 3) m, the object's position in the received and in the sent message; NaN: absent
     velocity: (k, 3) m/s, as sent, or as received for a removed object; NaN: messages have none
@@ -160,6 +160,6 @@ def _has(body: Body, reference: tuple[str, str]) -> bool:
 def _bit_names(bits: Ints, names: tuple[str, ...]) -> np.ndarray:
     """(k,) object: the names of the set bits."""
     masks, index = np.unique(bits, return_inverse=True)
-    texts = np.empty(len(masks), object)
-    texts[:] = [" ".join(name for bit, name in enumerate(names) if mask >> bit & 1) for mask in masks.tolist()]
-    return texts[index.reshape(-1)]
+    strings = np.empty(len(masks), object)
+    strings[:] = [" ".join(name for bit, name in enumerate(names) if mask >> bit & 1) for mask in masks.tolist()]
+    return strings[index.reshape(-1)]

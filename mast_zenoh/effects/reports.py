@@ -20,7 +20,7 @@ from mast_zenoh.metrics.lookup import find, occurs
 from mast_zenoh.metrics.manipulations import KINDS
 from mast_zenoh.metrics.places import Places
 
-#: m, maximum distance between the position in a report and that of the effect on the wire.
+#: m, maximum distance between the position in a report and the effect's position on the wire.
 SAME_PLACE_M = 0.05
 #: Effects on objects, in the order of `attacks.ACTIONS`.
 _ACTIONS = ("inserted", "removed", "moved")

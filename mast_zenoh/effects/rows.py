@@ -16,7 +16,7 @@ from mast_zenoh.messages.schemas import OURS, SCHEMAS, Body, Schema
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
-#: Code of an unchanged object, beside the kinds of manipulation.
+#: Code of an unchanged object, in addition to the kinds of manipulation.
 UNCHANGED = -1
 
 #: Absolute and relative tolerance of comparisons, so that rounding is not an effect.
@@ -27,18 +27,18 @@ SAME_OBJECT_M = 2.0
 #: m; likewise for rows whose appearance is not unique.
 SAME_APPEARANCE_M = 30.0
 
-#: Columns that identify a moved object without an id, and further ones that confirm it.
+#: Columns that identify a moved object without an id, and other columns that confirm it.
 _APPEARANCE, _CONFIRMING = ("class_id", "size"), ("score", "covariance")
 
 
 class _Columns(NamedTuple):
-    """The columns of a message type: those with a row for each object, and the others."""
+    """The columns of a message type: columns with a row for each object, and others."""
 
     rows: tuple[str, ...]
     others: tuple[str, ...]
 
 
-#: Dtype and shape of columns by which objects are told apart. A user's type in which they are others has no objects.
+#: Dtype and shape of columns by which objects are told apart. A user's type in which they differ has no objects.
 _OF_OBJECTS = {
     "position": ("float64", ("n", 3)),
     "velocity": ("float64", ("n", 3)),
@@ -53,7 +53,7 @@ def _columns(schema: Schema) -> _Columns:
     usual = all((c.dtype, c.shape) == _OF_OBJECTS.get(c.name, (c.dtype, c.shape)) for c in schema.columns)
     if "position" not in names or not usual:
         return _Columns((), names)
-    # Other letters are constant in a run of ours (agents), but may differ between messages of a user's type.
+    # Our types' other letters (agents) are constant in a run, but may differ between messages of a user's type.
     rows = tuple(
         column.name
         for column in schema.columns
@@ -164,7 +164,7 @@ def _differ(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _rows_differ(a: NDArray[Any], b: NDArray[Any]) -> Bools:
-    """(k,) which of k rows differ by more than rounding."""
+    """(k,) whether each of k rows differs by more than rounding."""
     return np.asarray(_differ(a, b).reshape(len(a), -1).any(axis=1)) if len(a) else np.zeros(0, bool)
 
 

@@ -1,4 +1,4 @@
-"""Base class of faults: a time, targets, and the effects on links or processes."""
+"""Base class of faults: a time, targets, and effects on links or processes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-#: (scene time in s, action): the action is one of process_steps.ACTIONS
+#: (scene time in s, action): the action is one of process_steps.ACTIONS.
 Event = tuple[float, str]
-#: a rule of a link as a plain dict(type=…), without `at` and `until`
+#: A rule of a link as a plain dict(type=…), without `at` and `until`.
 Rule = dict[str, Any]
 
 #: The two directions of an agent's link: to the command centre and from it.
@@ -20,10 +20,11 @@ LATEST_S = 1e9  #: upper limit of the duration of a run
 
 @dataclass(frozen=True, kw_only=True)
 class Fault(ABC):
-    """A failure at a given time of one or several nodes.
+    """A failure of one or more nodes at a given time.
 
-    at:    s of scene time; it begins before the first frame at or after this time
-    node, nodes: its targets, one of the two: names, roles, or "one", "minority", "majority" of the agents (targets.py)
+    at:    s of scene time; the fault begins before the first frame at or after this time
+    node, nodes: its targets; give one of the two: names, roles, or "one", "minority", "majority" of the agents
+                 (targets.py)
 
     A subclass overrides `rules` to act on messages or `events` to act on processes.
     Raises ValueError for invalid times and values.
@@ -56,7 +57,7 @@ class Fault(ABC):
         return DIRECTIONS
 
     def rules(self, lockstep: bool) -> Sequence[Rule]:
-        """Link rules of its targets during the fault; empty for process faults."""
+        """Rules for the links of its targets during the fault; empty for process faults."""
         return ()
 
     def events(self) -> Sequence[Event]:

@@ -137,7 +137,7 @@ class Unplug(ProcessFault):
 
     until: s of scene time at which they are connected again
 
-    In real time only, and only if nodes have their own networks: in the containers of engine compose. Elsewhere, use
+    Only in real time, and only if nodes have their own networks: in the containers of engine compose. Elsewhere, use
     Partition.
     """
 

@@ -103,7 +103,7 @@ class Delay(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class SlowNode(LinkFault):
-    """Delays the messages that a node publishes, but not those that it receives.
+    """Delays the messages that a node publishes, but not the messages that it receives.
 
     delay_s: delay of each message
 

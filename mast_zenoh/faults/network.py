@@ -67,7 +67,7 @@ class LinkState:
 
 
 class LinkStep(NamedTuple):
-    """A change of the links: their states from `at_s` (s of scene time) on."""
+    """A change of the links: their states from `at_s` (s of scene time) onwards."""
 
     at_s: float
     states: dict[str, LinkState]
@@ -88,7 +88,7 @@ def resolve(
 
     hosts: a scenario's `hosts`: name → dict(nodes=[names or patterns], delay_ms, jitter_ms, loss, bits_per_s, delay_by)
     faults: (place in the scenario, fault) for faults of the types HOST_FAULTS
-    nodes: the names of all nodes of the run; those without a host run at the centre
+    nodes: the names of all nodes of the run; nodes without a host run at the centre
     beside: node → the node whose host it shares unless a host claims it by name or pattern (links: their agent)
 
     Raises ConfigurationError.

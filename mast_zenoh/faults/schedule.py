@@ -30,7 +30,7 @@ def random_schedule(
 
     duration_s: of the run, s of scene time;  settle_s: fault-free time at the end, s
     agents:     possible targets
-    servers:    further targets to kill, restart or cut off: "broker", "command_center"
+    servers:    other targets to kill, restart or cut off: "broker", "command_center"
     kinds:      types of faults to draw from; None: all
 
     The list is consistent: it never kills a stopped node. Raises ValueError if there is no time for a fault.

@@ -46,7 +46,7 @@ def resolve_names(
 
     Names take precedence over roles, roles over words.
 
-    roles: role of every node;  more: further valid targets, for the error message
+    roles: role of every node;  more: other valid targets, for the error message
 
     Raises ConfigurationError.
     """

@@ -1,4 +1,4 @@
-"""Fusion at the command centre: tracks of many agents to one picture.
+"""Fusion at the command centre: combines the tracks of many agents into one picture.
 
 See docs/tracking.md.
 """

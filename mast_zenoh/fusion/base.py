@@ -35,7 +35,7 @@ class Fusion(ABC):
 
 
 class GroupTracker(ABC):
-    """Turns clusters of tracks into the picture, one object with a lasting id each."""
+    """Turns clusters of tracks into the picture: objects with persistent ids."""
 
     @abstractmethod
     def step(

@@ -23,9 +23,9 @@ class CovarianceIntersectionFusion(Fusion):
 
     Consistent, whatever the correlation of the members' errors, for any weights.
 
-    weights: "uniform", or "optimised": those of the least trace of the horizontal position's covariance. The optimum is
-    the best bound for unknown correlation and drops members that do not tighten it; where the agents' errors are in
-    fact nearly independent, uniform weights average more of them and err less.
+    weights: "uniform", or "optimised": the least trace of the horizontal position's covariance. The optimum is the best
+    bound for unknown correlation and drops members that do not tighten it; where the agents' errors are in fact nearly
+    independent, uniform weights average more of them and err less.
     """
 
     def __init__(self, *, weights: Literal["uniform", "optimised"] = "uniform") -> None:
@@ -63,7 +63,7 @@ def covariance_intersection(covariance: Floats, state: Floats, weight: Floats, s
 def least_trace_weights(members: Members) -> Floats:
     """Covariance intersection weights (n,) that minimise the trace.
 
-    The trace is that of the horizontal position's covariance.
+    Only the trace of the horizontal position's covariance counts.
 
     Multiplicative ascent for A-optimality (Silvey, Titterington, Torsney, Communications in Statistics, 1978): w_i
     grows by the root of tr(P A_i P), A_i the member's information. Monotone, and never leaves the simplex.

@@ -1,4 +1,4 @@
-"""Group tracking: from clusters to fused objects with lasting ids."""
+"""Group tracking: from clusters to fused objects with persistent ids."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from mast_zenoh.tracking.tracks import known_class
 
 @dataclass(frozen=True, slots=True)
 class Members:
-    """n members of c clusters; those of a cluster are adjacent.
+    """n members of c clusters; members of the same cluster are adjacent.
 
     states: n rows; their covariances are positive definite
     weight: (n,) > 0, sums to 1 over a cluster

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import (
     SUSPENDED,
     TRUSTED,
@@ -111,7 +111,7 @@ class SequentialConsistency(Integrity):
         self._judge(batch, rows, alarms, dispute, dt)
         return self._assessment(batch, rows, rates, seen.in_view | batch.reported, dispute)
 
-    def _meet(self, batch: Batch) -> Bools:
+    def _meet(self, batch: Batch) -> Ints:
         """Rows (a,) of the agents of a batch; new ones have no record."""
         rows = self._agents.meet(batch.time_ns, batch.agents)
         for name in batch.agents:
@@ -141,7 +141,7 @@ class SequentialConsistency(Integrity):
         np.maximum.at(greatest, agent, statistic)
         return greatest
 
-    def _judge(self, batch: Batch, rows: Bools, alarms: Bools, dispute: Disputes, dt: float) -> None:
+    def _judge(self, batch: Batch, rows: Ints, alarms: Bools, dispute: Disputes, dt: float) -> None:
         """Suspend and release agents."""
         self._seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
@@ -151,9 +151,9 @@ class SequentialConsistency(Integrity):
         new = alarmed & ~self._suspended[rows]
         self._suspensions[rows] += new
         self._suspended[rows] = (self._suspended[rows] | new) & ~released
-        for row in np.flatnonzero(released):
+        for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
-        for row in np.flatnonzero(new):
+        for row in np.flatnonzero(new).tolist():
             self._reasons[batch.agents[row]] = self._reason(row, alarms[row], dispute)
 
     def _reason(self, row: int, alarms: Bools, dispute: Disputes) -> str:
@@ -169,7 +169,7 @@ class SequentialConsistency(Integrity):
         most = max(kinds, key=lambda kind: int(kinds[kind][:, row].sum()))
         return f"{most}, {self._last[0][row]:.1f} object-seconds"
 
-    def _assessment(self, batch: Batch, rows: Bools, rates: Floats, expected: Bools, dispute: Disputes) -> Assessment:
+    def _assessment(self, batch: Batch, rows: Ints, rates: Floats, expected: Bools, dispute: Disputes) -> Assessment:
         suspended = self._suspended[rows]
         log_odds = np.clip(np.log(rates / self._per_hour).min(axis=1), -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)

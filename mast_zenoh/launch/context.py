@@ -69,20 +69,20 @@ class Stop:
 
 @dataclass
 class RunContext:
-    """State of one run on a mesh that the parts of the launcher share.
+    """State of one run on a mesh, shared by the parts of the launcher.
 
     resolved: the current scenario; an interception replaces it
     record:   run.json so far; an engine sets `endpoint` and `deployment` in it
-    show:     prints a permanent line, with the markup of rich
+    show:     prints a permanent line, with Rich markup
     secure:   one of `security.levels.LEVELS`
     signals:  stop signals received so far
-    detours:  by node, another endpoint under which it reaches the router; set these before the run starts
+    detours:  by node, another endpoint at which it reaches the router; set these before the run starts
 
     The launcher sets these during the run:
 
     frame:    the newest frame that has begun; -1 before the first
     mesh:     None before it is joined
-    signatures: signs control messages; with the run's keys once the mesh is joined
+    signatures: signs control messages, with the run's keys once the mesh is joined
     invalid:  counts the control messages that the launcher has refused
     stop:     the request to stop, and the error
     """
@@ -99,7 +99,7 @@ class RunContext:
     signatures: Signatures = field(init=False)
     invalid: InvalidMessages = field(init=False)
     stop: Stop = field(default_factory=Stop, init=False)
-    _refusals: queue.SimpleQueue[str] = field(default_factory=queue.SimpleQueue, init=False)  # by Zenoh's threads
+    _refusals: queue.SimpleQueue[str] = field(default_factory=queue.SimpleQueue, init=False)  # from Zenoh's threads
 
     def __post_init__(self) -> None:
         self.signatures = Signatures(self.run_id)

@@ -1,7 +1,7 @@
 """Exchanges files with nodes that live elsewhere; see runtime.file_client.
 
 A node gets scenario.json and wiring.json, the scene if the node drives it, and the user's Python files that it needs:
-its own and those that define algorithms, with the modules beside them that they import. It may send back only the
+its own and those that define algorithms, with the modules next to them that they import. It may send back only the
 files that its own parameters name.
 """
 
@@ -191,7 +191,7 @@ def _kind_and_node(query: zenoh.Query) -> tuple[str, str]:
 def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:
     """The files that a node needs: (name there, content or the file here).
 
-    Paths inside scenario.json are those on the node.
+    Paths inside scenario.json refer to the node's host.
     """
     spec = resolved.nodes[node]
     folders: dict[Path, str] = {}
@@ -222,7 +222,7 @@ def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tupl
 
 
 def with_local_imports(file: Path) -> set[Path]:
-    """A Python file and, recursively, files and packages beside it that it imports."""
+    """A Python file and, recursively, files and packages next to it that it imports."""
     visited: set[Path] = set()
     pending = [file]
     while pending:

@@ -141,7 +141,7 @@ def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measur
     files at the top of the run folder. Everything else goes to results/<node>/: `tables` as <table>.parquet, the rest
     as results.json.
 
-    measured: entries of metrics.json beside the evaluator's metrics; wall-clock values replace those of the evaluator
+    measured: entries of metrics.json in addition to the evaluator's metrics; wall-clock values replace the evaluator's
     """
     refused: list[str] = []
     for node, result in results.items():

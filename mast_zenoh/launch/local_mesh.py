@@ -1,4 +1,4 @@
-"""Joins the mesh of a run whose nodes are processes of this machine.
+"""Joins the mesh of a run whose nodes are processes on this machine.
 
 The router is in this process, an existing one, or in the network namespaces of the run.
 """
@@ -18,8 +18,8 @@ from mast_zenoh.security import levels
 def join(context: RunContext, stack: ExitStack, endpoint: str | None, listen: str) -> tuple[Mesh, Hosts | None]:
     """Join the mesh; create network namespaces if the scenario has hosts.
 
-    stack: closes all of it
-    endpoint: of an existing router; None: start one in this process, listening at `listen`
+    stack: closes everything that is opened here
+    endpoint: an existing router's; None: start a router in this process, listening at `listen`
     Raises BackendError for an impossible combination.
     """
     network = context.resolved.network
@@ -34,7 +34,7 @@ def join(context: RunContext, stack: ExitStack, endpoint: str | None, listen: st
 
 
 def _join_hosts(context: RunContext, stack: ExitStack) -> tuple[Mesh, Hosts]:
-    """Join a mesh of nodes in network namespaces, with the router in one of its own."""
+    """Join a mesh of nodes in network namespaces, with the router in a separate one."""
     hosts = stack.enter_context(Hosts(context.resolved.network, context.resolved.rate, context.folder / "logs"))
     context.record["endpoint"] = hosts.endpoint
     session = stack.enter_context(open_client(hosts.endpoint))

@@ -12,7 +12,7 @@ from mast_zenoh.messagelog import churn
 #: Other counters of a broker, and what they count.
 _DROPPED = {
     "overflowed": "messages dropped by a broker whose buffers were full (capacity)",
-    "duplicates": "messages that an agent had sent for the same frame before, left out by a broker",
+    "duplicates": "duplicate messages of an agent for the same frame, left out by a broker",
     "absurd": "tracks that are not physical, left out by a broker",
 }
 _MAX_KEYS = 3  # that a notice names
@@ -67,7 +67,7 @@ def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> list[dic
     if metrics.get("settled") is not False:
         return notices
     frames = "the only frame is" if count == 1 else f"all {count} frames are"
-    text = f"too short to score settled frames alone: {frames} scored, those in which tracks begin included"
+    text = f"too short to score settled frames alone: {frames} scored, including frames in which tracks begin"
     return [*notices, {"kind": "unsettled", "count": count, "text": text}]
 
 
@@ -162,7 +162,7 @@ def of_recording(record: Mapping[str, Any]) -> list[str]:
     recording = record.get("recording", {})
     if recording.get("complete", True):
         return []
-    return [f"the recording is incomplete from frame {recording['from_frame']} on"]
+    return [f"the recording is incomplete from frame {recording['from_frame']} onwards"]
 
 
 def _first(sentences: Sequence[str]) -> tuple[int, str]:

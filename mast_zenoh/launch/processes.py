@@ -40,7 +40,7 @@ class Processes(Supervisor[Process]):
     The launcher holds a pipe to each node's standard input: it closes when the launcher ends, and the node leaves.
 
     inside: what to put before the command of a node; it must become that command, in the same process
-    extra_arguments: further arguments of a node's command
+    extra_arguments: additional arguments of a node's command
     """
 
     def __init__(

@@ -39,7 +39,7 @@ class Run:
 
     @property
     def failures(self) -> dict[str, list[failures.Entry]]:
-        """The failures of handlers by node, including those that were allowed."""
+        """The failures of handlers by node, including allowed ones."""
         nodes = self.record["nodes"]
         return {name: node["failures"] for name, node in nodes.items() if node.get("failures")}
 

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: interrupt a command, or end a run in good order.
+"""Ctrl-C, SIGTERM and SIGHUP: interrupt a command, or end a run in an orderly way.
 
 Imports nothing that takes time: the command line handles signals from its first moment.
 """
@@ -52,7 +52,7 @@ def collected() -> Iterator[list[int]]:
 
 @contextmanager
 def second_interrupts(received: list[int]) -> Iterator[None]:
-    """Append stop signals to `received`; from the second on, raise KeyboardInterrupt."""
+    """Append stop signals to `received`; from the second onwards, raise KeyboardInterrupt."""
 
     def collect(number: int, frame: FrameType | None) -> None:
         received.append(number)

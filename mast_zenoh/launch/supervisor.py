@@ -115,7 +115,7 @@ class Supervisor(ABC, Generic[C]):
         """Suspend a running node."""
 
     def resume(self, children: Iterable[C]) -> None:
-        """Resume those of the nodes that are paused."""
+        """Resume the nodes that are paused."""
         paused = [child for child in children if child.paused]
         for child in paused:
             child.paused = False
@@ -130,7 +130,7 @@ class Supervisor(ABC, Generic[C]):
         raise BackendError(f"{child.name} cannot be disconnected: only engine compose gives nodes their own networks")
 
     def connect(self, children: Iterable[C]) -> None:
-        """Reconnect those of the nodes that have been disconnected."""
+        """Reconnect the nodes that were disconnected."""
         assert not any(child.cut_off for child in children)
 
     @abstractmethod

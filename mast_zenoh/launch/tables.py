@@ -72,8 +72,8 @@ def to_arrow(columns: Mapping[str, Any]) -> Any:
 
     def arrow(values: Any) -> Any:
         # As a NumPy array of text, every item would be as wide as the longest.
-        texts = isinstance(values, (list, tuple)) and any(isinstance(value, str) for value in values)
-        array = np.fromiter(values, object, len(values)) if texts else np.asarray(values)
+        strings = isinstance(values, (list, tuple)) and any(isinstance(value, str) for value in values)
+        array = np.fromiter(values, object, len(values)) if strings else np.asarray(values)
         if array.dtype.kind == "U":
             array = array.astype(object)
         if array.dtype.kind == "O":

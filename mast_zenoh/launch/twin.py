@@ -125,7 +125,7 @@ def _is_up_to_date(folder: Path, sources: dict[str, Any]) -> bool:
 
 
 def _digests(twin: Resolved) -> dict[str, str]:
-    """By path, digests of the files of nodes and algorithms, and of files beside them."""
+    """By path, digests of the files of nodes and algorithms, and of files next to them."""
     paths = {Path(path) for path in (*(spec.file for spec in twin.nodes.values()), *twin.modules)}
     files = {file for path in paths for file in (path, *path.parent.glob("*.py")) if file.is_file()}
     return {str(file): hashlib.blake2b(file.read_bytes(), digest_size=20).hexdigest() for file in sorted(files)}

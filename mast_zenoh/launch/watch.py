@@ -142,7 +142,7 @@ class Watch:
             self._hosts.heal()
 
     def _handle_exit(self, child: Child) -> None:
-        """Handle the end of a process; if it is unexpected, as the node's `on_exit` says."""
+        """Handle the end of a process; if it is unexpected, as the node's `on_exit` specifies."""
         self.take_reports()
         if child.exit_expected or (child.exit == 0 and (child.handed_in or self._stop.requested)):
             return
@@ -151,11 +151,11 @@ class Watch:
             text = f"{child.name} ended before the first frame: {child.ended}{self._last_log_line(child)}"
             self._stop.fail(StartError(text), "a node did not start")
         elif child.spec.on_exit == "continue":
-            self._context.show(f"[yellow]{event}; going on without it")
+            self._context.show(f"[yellow]{event}; continuing without it")
         elif child.spec.on_exit == "restart" and not self._stop.requested:
             restarted = self._steps.restart(child)
             self._context.show(
-                f"[yellow]{event}; {'restarted' if restarted else 'restarted too often, going on without it'}"
+                f"[yellow]{event}; {'restarted' if restarted else 'restarted too often, continuing without it'}"
             )
         elif self._stop.problem is None:
             text = f"{event}; see logs/{child.name}.log{self._last_log_line(child)}"

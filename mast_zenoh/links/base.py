@@ -18,9 +18,9 @@ MAX_DELAY_S = 600.0  #: upper limit of the delay by one rule
 class Passage(NamedTuple):
     """One copy of a message in transit through a link, with the effects so far.
 
-    Effects are those of the rules that were already applied.
+    Effects are from the rules that were already applied.
 
-    time_ns:  scene time of its passage, that of the newest clock
+    time_ns:  scene time of its passage: the newest clock's
     now_ns:   time on the clock for delays: the same in lock-step, the wall clock in real time
     size:     bytes of the message; 0 unless a rule of the link needs it
     position: (3,) m, world frame, of the link's agent in an earlier frame; None if unknown
@@ -50,7 +50,7 @@ class Passage(NamedTuple):
 class Rule(ABC):
     """Acts on the messages of one wire for a time.
 
-    at, until: s of scene time from which on it acts, and before which it ends; None: to the end
+    at, until: s of scene time at which it starts to act, and at which it stops; None: to the end
 
     A rule may have state (a queue, a channel); every wire has its own instances. Its random numbers are passed in: one
     row for every message on the wire, even while the rule is inactive, so that rules do not affect each other's random
@@ -80,7 +80,7 @@ class Rule(ABC):
         return np.empty((count, 0))
 
     def sample_copy(self, row: Sequence[float], rng: np.random.Generator) -> Sequence[float]:
-        """Random numbers for a further copy of the message with the random numbers `row`."""
+        """Random numbers for an additional copy of the message with the random numbers `row`."""
         sampled: Sequence[float] = self.sample(rng, 1)[0].tolist()
         return sampled
 
@@ -90,7 +90,7 @@ class Rule(ABC):
 
     @abstractmethod
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """Apply the rule; returns no, one or several copies, the message itself first."""
+        """Apply the rule; returns zero or more copies, the message itself first."""
 
 
 def expect(name: str, value: object, condition: bool, expected: str) -> None:

@@ -68,7 +68,7 @@ class Delay(Rule):
 
 
 class Bandwidth(Rule):
-    """Transmits messages one after the other; drops those that would wait too long.
+    """Transmits messages one after the other; drops messages that would wait too long.
 
     The queue is limited by time (tail drop).
     bits_per_s: bandwidth; queue_s: s, longest time that a message may wait for transmission.

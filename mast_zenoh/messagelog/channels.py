@@ -13,7 +13,7 @@ PROFILE = "mast-zenoh"
 ENCODING = "msgpack"
 SCHEMA_ENCODING = "jsonschema"
 
-#: Key of a schema's JSON with the whole definition of a message type that is not ours, by which it is decoded.
+#: Key of a schema's JSON with the whole definition of a user's message type, which readers need for decoding.
 DEFINITION = "definition"
 
 #: Last part of the topic for messages of a key without a valid header.
@@ -35,7 +35,7 @@ def wire_and_key(key: str) -> tuple[str, str]:
 def metadata(key: str, message: str, publisher: str, *, malformed: bool) -> dict[str, str]:
     """The metadata of a channel; MCAP metadata is text.
 
-    publisher: the wire's publisher, which headers name, also on legs behind an interposer
+    publisher: the wire's publisher, which headers name, also on legs after an interposer
     """
     wire = wire_of(key)
     flags = {"tap": wire != key, "malformed": malformed}
@@ -62,7 +62,7 @@ def json_schema(schema: Schema) -> str:
 
 
 def user_schema(content: bytes) -> Schema | None:
-    """The user's message type that `json_schema` described; None: one of ours.
+    """The user's message type that `json_schema` described; None: a built-in one.
 
     Raises ValueError for anything else.
     """
@@ -72,7 +72,7 @@ def user_schema(content: bytes) -> Schema | None:
     except (TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
     if schema is not None and schema.name in OURS:
-        raise ValueError(f"message type {schema.name!r}: found a definition, expected ours")
+        raise ValueError(f"message type {schema.name!r}: found a definition, expected the built-in type")
     return schema
 
 

@@ -26,7 +26,7 @@ def sentence(churn: Churn) -> str:
 def error(churn: Churn) -> NodeLost:
     """The error of a lock-step run with churn that is not allowed."""
     hint = "the results are kept; `mast run --allow-churn` makes this a warning"
-    return NodeLost(f"{sentence(churn)}: in lock-step a run without it is another run\n{hint}")
+    return NodeLost(f"{sentence(churn)}: in lock-step this makes it a different run\n{hint}")
 
 
 def first_frames(churn: Churn, node: str) -> list[int]:

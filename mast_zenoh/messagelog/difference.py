@@ -17,7 +17,7 @@ class Difference:
     """The result of a comparison. Two recordings are equal if `first` is None.
 
     equal:          number of equal messages
-    first:          the first message that differs, as (that of A, that of B); None on a side where it is missing
+    first:          the first message that differs, as (A's, B's); None on a side where it is missing
     differing:      number of messages that are in both and differ, by wire
     only_a, only_b: number of messages that are missing in the other recording, by wire
     """
@@ -52,7 +52,7 @@ def compare(
         if difference.first is None:
             difference.first = left, right
     if difference.first is None and not difference.equal:
-        raise RunFolderError(f"{a}, {b}: not one message to compare")
+        raise RunFolderError(f"{a}, {b}: no messages to compare")
     return difference
 
 

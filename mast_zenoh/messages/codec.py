@@ -30,7 +30,7 @@ _HEADER_LIMIT = 1 << 62
 def conform(header: Header, body: Body) -> Message:
     """A message with exactly the columns of its schema, read-only and contiguous.
 
-    Raises MessageError where a column is missing, unknown, or of the wrong dtype or shape.
+    Raises MessageError if a column is missing or unknown, or has the wrong dtype or shape.
     """
     schema = SCHEMAS[header.schema]
     if len(body) != len(schema.columns):
@@ -64,13 +64,13 @@ def conform(header: Header, body: Body) -> Message:
 
 
 def _converted(schema: str, column: str, array: Any, wire: np.dtype[Any]) -> NDArray[Any]:
-    """A contiguous array of another dtype; raises MessageError if values change."""
+    """A contiguous array converted to dtype `wire`; raises MessageError if values change."""
     original = np.asarray(array)
     if original.dtype.kind not in "biuf":
         raise MessageError(f"{schema}.{column}: found {original.dtype}, expected {wire}")
     with np.errstate(all="ignore"):
         converted = np.ascontiguousarray(original, dtype=wire)
-        # rounding to float64 is no error
+        # rounding to float64 is not an error
         if wire.kind != "f" and not np.array_equal(original, converted):
             raise MessageError(f"{schema}.{column}: found {original.dtype} values that {wire} cannot represent")
     return converted
@@ -88,7 +88,7 @@ def check_values(message: Message) -> None:
     for column in SCHEMAS[header.schema].columns:
         array = message.body[column.name]
         if column.dtype == "str":
-            validation.check_texts(header.schema, column, array)
+            validation.check_strings(header.schema, column, array)
         validation.check_values(header.schema, column, array)
     validation.check_references(message)
 
@@ -111,7 +111,7 @@ def encode(message: Message) -> bytes:
 def decode(payload: bytes, expected: str | Schema) -> Message:
     """Decode a message of type `expected`: its name, or the schema of a recording.
 
-    Raises MessageError for anything else: truncated, oversized, another version, a missing or unknown
+    Raises MessageError for anything else: a truncated or oversized message, another version, a missing or unknown
     column, a forged shape, a value that is not finite.
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
@@ -126,7 +126,7 @@ def decode(payload: bytes, expected: str | Schema) -> Message:
 class LazyBody(Mapping[str, NDArray[Any]]):
     """The columns of a message, decoded on first access.
 
-    Every access raises MessageError if `decode` would have.
+    Every access raises MessageError if `decode` would have done so.
     """
 
     __slots__ = ("_columns", "_expected", "_payload")
@@ -158,7 +158,7 @@ def decode_lazily(payload: bytes, expected: str | Schema) -> Message:
 def decode_header_only(payload: bytes, expected: str | Schema) -> Header:
     """Decode the header of a message without checking its body.
 
-    Raises MessageError if `decode` would because of the header.
+    Raises MessageError if `decode` would do so because of the header.
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
     return _quick_header(payload, schema) or _unpack(payload, schema)[0]
@@ -182,9 +182,9 @@ def _quick_header(payload: bytes, expected: Schema) -> Header | None:
 
 
 def decode_header(payload: bytes, expected: str | Schema) -> Header:
-    """Decode the header of a message, whose body may be anything.
+    """Decode the header of a message, whatever its body.
 
-    Raises MessageError if `decode` would for any reason but the body's columns.
+    Raises MessageError if `decode` would do so for any reason other than the body's columns.
     """
     return _unpack(payload, SCHEMAS[expected] if isinstance(expected, str) else expected)[0]
 

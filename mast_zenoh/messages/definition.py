@@ -22,7 +22,7 @@ _MOST_VALUES = 1 << 59  # of eight bytes
 class Column:
     """One column, as used by senders, receivers and the documentation.
 
-    name:  small letters, digits and _
+    name:  lower-case letters, digits and _
     dtype: float64, int64, int32, uint8, or str for text
     shape: sizes; equal letters are equal sizes in one message: ("n", 3) is a row of three numbers for each of n objects
     unit, meaning: for readers; "" where there is none
@@ -44,7 +44,7 @@ class Column:
         object.__setattr__(self, "shape", tuple(self.shape))
         for text in (self.unit, self.meaning):
             if not isinstance(text, str):
-                raise ValueError(f"column {self.name!r}: unit and meaning: found {text!r:.40}, expected text")
+                raise ValueError(f"column {self.name!r}: unit and meaning: found {text!r:.40}, expected a string")
         _check_column(self.name, self.dtype, self.shape, self.below, self.least_length)
 
 
@@ -52,8 +52,8 @@ class Column:
 class Schema:
     """One message type: name, version, meaning, columns.
 
-    A node names it in its ports: `outputs = {"gusts": GUSTS}`. Raises ValueError for a name that is none, and for two
-    columns of one name.
+    A node names it in its ports: `outputs = {"gusts": GUSTS}`. Raises ValueError for an invalid name, and for two
+    columns with the same name.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Schema:
 def _check_column(name: object, dtype: object, shape: Sequence[object], below: object, least_length: object) -> None:
     """Check one column; see `schemas.Column`."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ValueError(f"column {name!r}: expected a name of small letters, digits and _, at most 64")
+        raise ValueError(f"column {name!r}: expected a name of lower-case letters, digits and _, at most 64")
     if dtype not in DTYPES:
         raise ValueError(f"column {name!r}: dtype: found {dtype!r}, expected one of {', '.join(DTYPES)}")
     if len(shape) > MAX_AXES:
@@ -81,7 +81,7 @@ def _check_column(name: object, dtype: object, shape: Sequence[object], below: o
         if not letter and not (type(size) is int and 1 <= size <= MAX_SIZE):
             expected = f"1 to {MAX_SIZE}, or a letter such as 'n'"
             raise ValueError(f"column {name!r}: shape: found {size!r}, expected {expected}")
-    # What a shape may at most hold must have a number, or else a forged message is an error of NumPy.
+    # The largest array of a shape must be possible, or a forged message would raise an error of NumPy.
     largest = prod(size if isinstance(size, int) else MAX_SIZE for size in shape)
     if largest >= _MOST_VALUES:
         raise ValueError(f"column {name!r}: shape: found {tuple(shape)}, expected fewer or smaller sizes")
@@ -98,11 +98,11 @@ def _check_column(name: object, dtype: object, shape: Sequence[object], below: o
 def _check_schema(name: object, version: object, columns: Collection[str]) -> None:
     """Check a message type; columns: the names of its columns."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ValueError(f"message type {name!r}: expected a name of small letters, digits and _, at most 64")
+        raise ValueError(f"message type {name!r}: expected a name of lower-case letters, digits and _, at most 64")
     if type(version) is not int or not 1 <= version < 1 << 31:
         raise ValueError(f"message type {name!r}: version: found {version!r}, expected a whole number from 1")
     if len(columns) > MAX_COLUMNS:
         raise ValueError(f"message type {name!r}: {len(columns)} columns, expected at most {MAX_COLUMNS}")
     twice = sorted({column for column in columns if list(columns).count(column) > 1})
     if twice:
-        raise ValueError(f"message type {name!r}: column {twice[0]!r} is there twice, expected different names")
+        raise ValueError(f"message type {name!r}: column {twice[0]!r} occurs twice, expected different names")

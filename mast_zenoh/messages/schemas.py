@@ -3,7 +3,7 @@
 docs/messages.md is generated from it.
 
 A message is a header and a body of columns. In a shape, letters are sizes that must agree within one message
-(`n` rows are n objects, `a` rows are a agents); numbers are fixed. Nodes of users declare further ones (`user_types`).
+(`n` rows are n objects, `a` rows are a agents); numbers are fixed. Users' nodes declare others (`user_types`).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ _FRAME_OF_REFERENCE = (
     Column("rotation", "float64", (4,), "", "active quaternion w x y z, frame of reference to world", **_ROTATION),
 )
 
-#: Our message types by name.
+#: The built-in message types by name.
 OURS: Mapping[str, Schema] = {
     schema.name: schema
     for schema in (
@@ -269,7 +269,7 @@ OURS: Mapping[str, Schema] = {
     )
 }
 
-#: All that the codec knows: ours, and those that nodes of the scenario in use declare (`user_types.use`).
+#: All schemas that the codec knows: built-in ones, and the types that the scenario's nodes declare (`user_types.use`).
 SCHEMAS: dict[str, Schema] = dict(OURS)
 
 

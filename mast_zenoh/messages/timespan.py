@@ -28,7 +28,7 @@ class Timespan(NamedTuple):
 
         step: the current frame of the run, -1 if unknown
 
-        A message is about a frame of the run that has begun. Its time is between that of its frame and that of `step`.
+        A message is about a frame of the run that has begun. Its time is between the times of its frame and of `step`.
         Both may be off by the leeway.
         """
         _, _, frame, time_ns, _ = header

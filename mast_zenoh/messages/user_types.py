@@ -12,7 +12,7 @@ from mast_zenoh.messages.schemas import OURS, SCHEMAS, Column, Schema
 
 
 def use(schemas: Iterable[Schema]) -> None:
-    """Have the codec know these message types besides ours, and no others."""
+    """Make the codec know these message types in addition to the built-in ones, and no others."""
     wanted = {schema.name: schema for schema in schemas}
     for name in SCHEMAS.keys() - OURS.keys() - wanted.keys():
         del SCHEMAS[name], LAYOUTS[name]

@@ -35,10 +35,10 @@ def array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) ->
     if column.dtype == "str":
         if not isinstance(data, list) or [len(data)] != shape:
             raise MessageError(f"{schema}.{column.name}: not a list of {shape[0]} short strings")
-        check_texts(schema, column, data)
-        texts = np.empty(len(data), dtype=object)
-        texts[:] = data
-        return texts
+        check_strings(schema, column, data)
+        strings = np.empty(len(data), dtype=object)
+        strings[:] = data
+        return strings
     wire = WIRE_DTYPE[column.dtype]
     if not isinstance(data, bytes) or len(data) != prod(shape) * wire.itemsize:
         raise MessageError(f"{schema}.{column.name}: data do not fill the shape {shape}")
@@ -60,10 +60,10 @@ def check_shape(schema: str, column: Column, shape: tuple[int, ...], sizes: dict
     raise MessageError(f"{schema}.{column.name}: shape {shape}, expected {expected}")
 
 
-def check_texts(schema: str, column: Column, texts: Sequence[object] | NDArray[Any]) -> None:
+def check_strings(schema: str, column: Column, strings: Sequence[object] | NDArray[Any]) -> None:
     """Check that all items are text of at most MAX_TEXT characters."""
-    if not all(isinstance(item, str) and len(item) <= MAX_TEXT for item in texts):
-        raise MessageError(f"{schema}.{column.name}: not a list of {len(texts)} short strings")
+    if not all(isinstance(item, str) and len(item) <= MAX_TEXT for item in strings):
+        raise MessageError(f"{schema}.{column.name}: not a list of {len(strings)} short strings")
 
 
 def check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
@@ -76,7 +76,7 @@ def check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
         if not squares <= MAX_SQUARES * max(len(flat), 1):
             raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")
         if squares < limit_of(column):
-            raise MessageError(f"{schema}.{column.name}: a quaternion of length 0 is no rotation")
+            raise MessageError(f"{schema}.{column.name}: a quaternion of length 0 is not a rotation")
     elif column.dtype == "uint8" and array.size and int(array.max()) >= column.below:
         raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {column.below}")
 

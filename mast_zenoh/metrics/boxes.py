@@ -64,7 +64,7 @@ class Boxes:
 def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
     """Rows (i, j) of all pairs in a group at most `radius` m apart.
 
-    The distance is that of the centres in the bird's-eye view. Sorted by i, then j. Rounding may add slightly more
+    The distance is between centres in the bird's-eye view. Sorted by i, then j. Rounding may add slightly more
     distant pairs: callers apply their own limit.
     """
     if len(a) == 0 or len(b) == 0:

@@ -34,7 +34,7 @@ class BrakingRule(ABC):
 class SafeDistance(BrakingRule):
     """Brake below the minimum safe longitudinal distance.
 
-    The distance is that of Responsibility-Sensitive Safety.
+    The distance is defined by Responsibility-Sensitive Safety.
 
     Source: Shalev-Shwartz, Shammah and Shashua, On a Formal Model of Safe and Scalable Self-driving Cars (2017),
     Definition 1: the vehicle accelerates for its response time, then brakes with at least its minimum deceleration; the
@@ -72,7 +72,7 @@ class TimeToCollision(BrakingRule):
     """Brake when the time to collision at constant speeds is below a threshold.
 
     Sources: Hayward, Near-miss determination through use of a scale of danger (Highway Research Record 384, 1972); the
-    threshold is that of van der Horst, A time-based analysis of road user behaviour in normal and critical encounters
+    threshold is from van der Horst, A time-based analysis of road user behaviour in normal and critical encounters
     (TU Delft, 1990), below which an encounter is critical.
 
     threshold_s: s

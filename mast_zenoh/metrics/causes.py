@@ -73,7 +73,7 @@ class Hidden:
 
     @classmethod
     def of(cls, manipulations: Manipulations) -> Hidden:
-        """The manipulations of known truth objects; those by links are faults."""
+        """The manipulations of known truth objects; manipulations by links are faults."""
         parts = []
         hidden = manipulations.select(((manipulations.kind != INSERTED) & (manipulations.object >= 0)).nonzero()[0])
         for passage in np.unique(hidden.passage).tolist():

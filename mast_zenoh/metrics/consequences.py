@@ -88,7 +88,7 @@ def _vehicle(truth: TruthTable, agent: int, n_frames: int) -> Vehicle | None:
 
 
 def _errors(scores: Scores, labels: Labels, series: int, outcome: int, frame: Ints, id_: Ints) -> tuple[Bools, Bools]:
-    """Objects (n,) of a series with this outcome, and those of them due to an attack."""
+    """Objects (n,) of a series with this outcome, and which of them are due to an attack."""
     judged = scores.judged
     rows = np.flatnonzero((judged.series == series) & (judged.outcome == outcome))
     at = find((scores.frames[frame], id_), (judged.frame[rows], judged.id[rows]))

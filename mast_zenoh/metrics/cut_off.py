@@ -145,7 +145,7 @@ class Presence:
         self._roles: dict[str, str] = {}
 
     def note(self, node: str, role: str, frame: int, present: bool) -> None:
-        """Record that a node is present, or absent, from a frame on."""
+        """Record that a node is present, or absent, from a frame onwards."""
         self._changes.setdefault(node, []).append((frame, present))
         self._roles[node] = role
 

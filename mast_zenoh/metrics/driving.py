@@ -85,9 +85,9 @@ class Driving:
             raise ValueError(f"margin_m: found {self.margin_m}, expected 0 or more")
 
     def ahead(self, vehicle: Vehicle, objects: Objects) -> Ahead:
-        """The objects in the corridor, and those that overlap the vehicle itself.
+        """The objects in the corridor, and the objects that overlap the vehicle itself.
 
-        The corridor follows the path that the vehicle drove from each frame on, and continues straight beyond its end.
+        The corridor follows the path that the vehicle drove after each frame, and continues straight beyond its end.
         Overlapping objects are left out: they are the vehicle itself, or a collision that has already happened.
         """
         path, heading, along = _path(vehicle, self.horizon_m)

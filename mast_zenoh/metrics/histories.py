@@ -65,7 +65,7 @@ class Histories(NamedTuple):
     def adjacent(self, valid: Bools, stops: Bools, max_frames: int, *, later: bool = False) -> Ints:
         """The last row (n,) with `stops` up to each row, in its series and id.
 
-        later: the first one from each row on instead
+        later: the first one at or after each row instead
 
         -1 if there is none, if it is not `valid`, or if it is more than `max_frames` frames away.
         """

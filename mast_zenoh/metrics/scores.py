@@ -17,7 +17,7 @@ from mast_zenoh.metrics.record import rank_of
 Table = dict[str, NDArray[Any]]
 Texts = NDArray[Any]  # of str
 
-#: The columns of the table per frame, and the further entries of a summary.
+#: The columns of the table per frame, and the other entries of a summary.
 COLUMNS = (
     *("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
     *("completeness", "causes", "fn_split", "fp_split", "id_switches_split"),
@@ -88,7 +88,7 @@ class Judged(NamedTuple):
 
 
 class Switches(NamedTuple):
-    """k identity switches: a truth object is matched by another track than before.
+    """k identity switches: a truth object is matched by a different track than before.
 
     series, frame: (k,) rows of `Scores.series` and `Scores.frames`; truth_id: (k,) of the object
     before, after: (k,) ids of the tracks
@@ -114,7 +114,7 @@ class Scores:
     seen:          a row per series, frame and evaluated truth object
     switches:      a row per identity switch
     judged:        every box of every series
-    same_as:       further series, each with the one of `series` that has the same messages and therefore scores; they
+    same_as:       other series, each with the one of `series` that has the same messages and therefore scores; they
                    are in the table per frame and in the summary, but have no separate boxes
     """
 
@@ -193,8 +193,8 @@ class Scores:
         Over the run: rmse_m of all pairs, the number of id_switches, and completeness, the mean over truth objects of
         the fraction of their evaluated frames in which they are matched.
 
-        scored: the frames that count, such as all except the first ones. The standard deviation is that of the frames
-        themselves (divided by their number). Values that are undefined, without frames or pairs, are None (JSON null).
+        scored: the frames that count, such as all except the first ones. The standard deviation is over the frames
+        (divided by their number). Values that are undefined, without frames or pairs, are None (JSON null).
         """
         result: dict[str, dict[str, dict[str, Any]]] = {}
         complete = self.seen.completeness(len(self.series), np.arange(len(self.frames))[scored])

@@ -33,14 +33,14 @@ class Scorer:
     least `min_points` lidar points of at least one agent; tracks beyond the same range are left out. A pair of the
     assigner is a true positive (TP), a truth object without a track a false negative (FN), a track without a truth
     object a false positive (FP). RMSE is over the bird's-eye centre distances of the pairs. An identity switch is
-    counted when the track that matches an object has another id than the previous one.
+    counted when the track that matches an object has a different id from the previous one.
 
     assigner:      matches tracks with truth; None: CenterDistanceAssigner()
     distance:      parameters of OSPA and GOSPA; None: SetDistance()
     include_self:  whether the agent's own object counts as truth for it. If not, a track of it is not false either but
                    unevaluated
     ignore_unseen: whether tracks of objects that are not evaluated (unseen by all agents, or out of range) are
-                   unevaluated as well; by default they are false
+                   unevaluated too; by default they are false
     Raises ValueError for invalid values.
     """
 

@@ -67,10 +67,10 @@ class Estimate:
 class Metric(ABC):
     """Base class of user-defined metrics; subclass FrameMetric or RunMetric instead.
 
-    The class is in a scenario's file or in a file beside it, and named in the scenario:
+    The class is in a scenario's file or in a file next to it, and named in the scenario:
     `evaluator=dict(metrics=[dict(type="MyMetric")])`.
 
-    name: name in tables; by default that of the class, in lower case with underscores
+    name: name in tables; by default the class's, in lower case with underscores
     unit: of its values, for readers of the class; tables and figures do not print it
     """
 
@@ -124,7 +124,7 @@ class FrameMetric(Metric):
 
 
 def _describe(returned: object) -> str:
-    """Describe a returned value by its type and that of its first element."""
+    """Describe a returned value by its type and its first element's type."""
     first = next(iter(returned), None) if isinstance(returned, (list, tuple, np.ndarray)) else None
     return type(returned).__name__ if first is None else f"a {type(returned).__name__} of {type(first).__name__}"
 

@@ -71,7 +71,7 @@ class OwnAndPicture(MissionEstimator):
 class PictureFirst(MissionEstimator):
     """Takes the picture, and own tracks only where it has no object nearby.
 
-    radius: m, in the bird's-eye view, within which an own track is left out
+    radius: m, in the bird's-eye view, within which one of the agent's own tracks is left out
     """
 
     def __init__(self, *, radius: float = 2.0) -> None:

@@ -37,7 +37,7 @@ class Pipeline(ABC):
         agent: (n,) int64, rows of `agents`, the agents' names
         weights: (n,), see `Fusion.fuse`
 
-        The result does not depend on the order of the rows, nor on that of the agents.
+        The result does not depend on the order of the rows or of the agents.
         """
 
     @abstractmethod

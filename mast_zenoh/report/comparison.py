@@ -15,7 +15,7 @@ from mast_zenoh.report.runfolder import RunFolder
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The reference run of a comparison, and its name in words."""
+    """The reference run of a comparison, and the name that it has in the text."""
 
     run: RunFolder
     name: str
@@ -24,8 +24,8 @@ class Reference:
 def reference(run: RunFolder, other: Path) -> Reference:
     """Load the reference run with which `run` is compared.
 
-    Raises NotComparable if either has no results, or scene, seed, agents, length or scoring differ; RunFolderError if
-    the folder holds no run.
+    Raises NotComparable if either has no results, or if their scene, seed, agents, length or scoring differ, and
+    RunFolderError if the folder holds no run.
     """
     second = RunFolder.load(other)
     for each in (run, second):
@@ -37,11 +37,11 @@ def reference(run: RunFolder, other: Path) -> Reference:
         raise NotComparable(f"{folders}: {difference}: expected the same agents in both")
     frames = [each.metrics.get("frames") for each in (run, second)]
     if frames[0] != frames[1]:
-        raise NotComparable(f"{folders}: found {frames[0]} and {frames[1]} frames, expected as many in both")
+        raise NotComparable(f"{folders}: found {frames[0]} and {frames[1]} frames, expected the same number in both")
     if difference := _scoring_difference(run, second):
         raise NotComparable(
-            f"{folders}: {difference}: expected runs that were scored alike; run one of them again with the evaluator "
-            "of the other"
+            f"{folders}: {difference}: expected runs that were scored the same way; run one of them again with the "
+            "evaluator of the other"
         )
     seeds = [each.run.get("seed") for each in (run, second)]
     if seeds[0] != seeds[1] or not _same_scene(run, second):
@@ -74,7 +74,7 @@ def _agents_difference(one: RunFolder, other: RunFolder) -> str:
 def _scoring_difference(one: RunFolder, other: RunFolder) -> str:
     """How the scoring of two runs differs, in words; empty: no known difference.
 
-    User-defined metrics are ignored: they add rows and change none.
+    User-defined metrics are ignored: they add rows without changing the others.
     """
     configs = [each.evaluator_config for each in (one, other)]
     if all(config is not None for config in configs):

@@ -47,10 +47,10 @@ def write_report(
 ) -> Path:
     """Write `report.html` and `figures/*.png` into a run folder.
 
-    frame:   the frame that pictures show; by default that of `view.choose_frame`
+    frame:   the frame that pictures show; by default from `view.choose_frame`
     against: folder of a reference run of the same scene
-    figures: Python files whose figures are drawn besides (`RunFigure`)
-    Returns the path of the report. Raises RunFolderError if the folder is no run folder, or has no such frame;
+    figures: Python files whose figures are added (`RunFigure`)
+    Returns the path of the report. Raises RunFolderError if the folder is not a run folder, or has no such frame;
     NotComparable if the runs cannot be compared.
     """
     run = RunFolder.load(run_folder)
@@ -87,7 +87,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
 
     runs:  folders of runs of one scene and seed by label, in the order to show them; the one labelled `baseline`,
            or else the first, is what the others are compared with
-    frame: the frame that all pictures show; by default that of `view.choose_common_frame`
+    frame: the frame that all pictures show; by default from `view.choose_common_frame`
     Returns the path of the report. Raises RunFolderError like `write_report`.
     """
     folders = {label: RunFolder.load(path) for label, path in runs.items()}

@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # scenarios' files import this module, also in the processes 
     from mast_zenoh.report.figures.view import FrameView
     from mast_zenoh.report.runfolder import RunFolder
 
-#: The sections of a report behind which a figure can stand, in their order on the page.
+#: The sections of a report that a figure can follow, in their order on the page.
 SECTIONS = (
     *("scores", "achieved", "driving", "camera", "time", "blame"),
     *("checks", "interposers", "latency", "wiring", "nodes", "results"),
@@ -56,9 +56,9 @@ class RunFigure(ABC):
 
     A subclass in a scenario's file, or imported by it, is drawn for all runs of the scenario.
 
-    name:    of its file under figures/; by default that of the class, in lower case with underscores
+    name:    of its file under figures/; by default the class's, in lower case with underscores
     heading: of its section; by default made from the name
-    after:   the section behind which it stands, one of SECTIONS
+    after:   the section that it follows, one of SECTIONS
     vector:  the page shows it as SVG, not as PNG
     """
 

@@ -13,7 +13,7 @@ from mast_zenoh.report.study_facts import StudyFacts, plural
 from mast_zenoh.report.tables.study_rows import StudyRow
 from mast_zenoh.report.tables.study_sections import sections, side_by_side
 
-#: This many failed trials are listed; the others are folded.
+#: This many failed trials are listed; the others are collapsed.
 _SHOWN_AT_ONCE = 10
 
 

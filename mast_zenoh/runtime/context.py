@@ -142,7 +142,7 @@ class NodeContext:
             raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {received.schema!r}")
         if payload is not None and (body is not None or time_ns is not None):
             raise ConfigurationError(
-                f"{self.name}: port {port!r}: a payload is sent as it is: no body or time_ns with it"
+                f"{self.name}: port {port!r}: a payload is sent unchanged: expected no body or time_ns"
             )
         key = self._outputs.get((port, received.subject))
         if key is None:
@@ -209,7 +209,7 @@ class NodeContext:
             return self._outputs.get((port, subject))
         keys = self._keys_of_port.get(port, [])
         if len(keys) > 1:
-            raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: say which by subject=…")
+            raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: choose one with subject=…")
         return keys[0] if keys else None
 
     def _send_message(self, key: str, message: Message, after_s: float = 0.0) -> None:
@@ -269,5 +269,5 @@ class NodeContext:
         """Count rejected messages by key and kind, the reason's part before the colon."""
         if key not in self.first_rejected:
             self.first_rejected[key] = self.frame, " ".join(reason.split())[:_MAX_REASON]
-            self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)
+            self.log.warning("rejected a message on %s: %s (more on this key will only be counted)", key, reason)
         self.rejected[key, reason.split(":", 1)[0]] += count

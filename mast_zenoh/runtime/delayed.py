@@ -12,7 +12,7 @@ Item = TypeVar("Item")
 class Delayed(Generic[Item]):
     """Holds items until they are due.
 
-    Items due at the same time are ordered by `rank`, those of equal rank by insertion.
+    Items due at the same time are ordered by `rank`, items of equal rank by insertion.
     """
 
     def __init__(self) -> None:

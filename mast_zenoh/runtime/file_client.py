@@ -1,6 +1,6 @@
 """Transfers files between a node on another host and the launcher.
 
-A node fetches its files under @control/fetch/{node}, and hands in those that it writes, while they grow, under
+A node fetches its files under @control/fetch/{node}, and hands in the files that it writes, while they grow, under
 @control/file/{node}; both are queries of MessagePack maps:
 
     fetch  {do: "join", version, versions}   → {files: {path: bytes}, without: [nodes], written: [paths]}, or an error
@@ -38,7 +38,7 @@ Answer = TypeVar("Answer")
 
 
 class FileClient:
-    """Fetches a node's files from the launcher, and hands in those that it writes.
+    """Fetches a node's files from the launcher, and hands in the files that it writes.
 
     clock: offset_ms, this host's clock minus the launcher's, and round_trip_ms, the round trip of that measurement
     """
@@ -157,5 +157,5 @@ def _below(folder: Path, path: str) -> Path:
     """A path below a folder; raises RunError for one outside of it."""
     target = (folder / path).resolve()
     if not target.is_relative_to(folder.resolve()):
-        raise RunError(f"{path}: leads out of the folder of the run")
+        raise RunError(f"{path}: leads outside the run folder")
     return target

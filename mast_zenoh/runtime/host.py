@@ -263,14 +263,14 @@ class Host(NodeContext):
             return call(*arguments)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
+        except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
             self._note_failure(name, call, arguments, error)
             return None
 
     def _note_failure(self, name: str, call: Any, arguments: tuple[Any, ...], error: BaseException) -> None:
         handler = f"on_{name}" if self._handlers.get(name) is call else name
         if handler not in self.failures:
-            self.log.error("%s failed (further failures of it are only counted)", handler, exc_info=error)
+            self.log.error("%s failed (more failures of it will only be counted)", handler, exc_info=error)
             self.failures[handler] = Failure(handler, error, getattr(self.node, handler, call))
         self.failures[handler].note(self._frame_of(arguments[0] if arguments else None))
         self.on_failure(self.failures[handler])

@@ -1,7 +1,7 @@
 """Runs all nodes in one process, deterministic: for studies, tests and debugging.
 
-The nodes, hosts and wiring are those of the mesh; only the transport is a list. Messages are not encoded, but checked
-as the decoder would check them.
+The nodes, hosts and wiring are the same as on a mesh; only the transport is a list. Messages are not encoded, but are
+checked as the decoder would check them.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class InProcess:
             host.start(self._peers(name))
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
+        except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
             (line,) = lines({name: [host.failures["start"].entry()]})
             raise StartError(line) from error
 
@@ -118,7 +118,7 @@ class InProcess:
             return source.node.advance(source)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
+        except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
             where = location(error, source.node.advance)
             what = f"{source.name}.advance failed before frame {frame}"
             raise NodeDied(f"{what}: {described(error)} ({where})") from error

@@ -25,7 +25,7 @@ class Limit(NamedTuple):
 
 #: Messages that wait for the clock of their step: one frame of them, because the driver waits for all nodes.
 HELD = Limit(10_000, 32 * _MIB)
-#: Messages of an epoch that this node has not entered yet: those sent while the epoch message is on its way.
+#: Messages of an epoch that this node has not entered yet: messages sent while the epoch message is in transit.
 EARLY = Limit(10_000, 32 * _MIB)
 #: Messages in the inbox. Listeners may fall behind by `driver.SETTLE_EVERY` frames, of 1.8 MB for the largest source.
 INBOX = Limit(20_000, 128 * _MIB)

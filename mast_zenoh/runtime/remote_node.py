@@ -3,7 +3,7 @@
     mast-node --name infra_1 --run ID --endpoint tcp/HOST:7447 [--credentials DIR] [--patience S]
     mast-node --router --run ID --listen tcp/0.0.0.0:7447 [--settings FILE] [--patience S]
 
-There is no run folder here: a node fetches its files from the launcher, and sends it those that it writes
+There is no run folder here: a node fetches its files from the launcher, and sends it the files that it writes
 (`runtime.file_client`). It leaves when the launcher has been away for a while (`mesh.launcher_watch`).
 """
 
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--credentials", type=Path, help="folder of credentials: a secure mesh")
     parser.add_argument("--router", action="store_true", help="be the router of the run")
     parser.add_argument("--listen", default="tcp/0.0.0.0:7447", help="where the router listens")
-    parser.add_argument("--settings", type=Path, help="the router's further settings: a JSON file")
+    parser.add_argument("--settings", type=Path, help="additional settings of the router: a JSON file")
     parser.add_argument("--patience", type=float, default=PATIENCE_S, help="seconds to stay without the launcher")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)

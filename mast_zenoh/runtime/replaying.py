@@ -86,7 +86,7 @@ def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
 
 
 def _in_order_sent(messages: Iterable[tuple[int, Recorded]], changes: Sequence[int]) -> Iterator[tuple[int, Recorded]]:
-    """The messages; those with the same key and frame in the order of sending.
+    """The messages; messages with the same key and frame are in the order of sending.
 
     changes: frames after which the run changed, ascending; no message is moved across a change
     """

@@ -30,9 +30,11 @@ def nodes_of(
 
     def add(name: str, role: str, config: Mapping[str, Any]) -> None:
         if name == ALL:
-            raise ConfigurationError(f"{path}: {name}: this name means all adversaries together: choose another one")
+            raise ConfigurationError(
+                f"{path}: {name}: this name stands for all adversaries together: choose another one"
+            )
         if name in specs:
-            raise ConfigurationError(f"{path}: {name}: another node has this name already")
+            raise ConfigurationError(f"{path}: {name}: another node already has this name")
         specs[name] = node_spec(path, name, role, config)
 
     add("simulator", "simulator", {"recording": recording, "frames": frames})

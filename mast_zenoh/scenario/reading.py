@@ -82,7 +82,7 @@ def load_values(
     source: a file, the name of a shipped scenario, a dict or a function
     A dict, or a function that no file defines (of a notebook, say), has a path without suffix. Errors use it as the
     name, and its folder is searched for files.
-    known: further names to suggest in place of an unknown setting
+    known: other names to suggest in place of an unknown setting
     """
     if isinstance(source, Mapping):
         path, function = Path("scenario"), None

@@ -68,7 +68,7 @@ def timeline_of(
         name = f"link_{agent}"
         if name in nodes:
             raise ConfigurationError(
-                f"{path}: {name}: another node has this name already, and the link of {agent!r} needs it"
+                f"{path}: {name}: another node already has this name, and the link of {agent!r} needs it"
             )
         permanent_rules, timed_rules = profiles.get(agent, {}), fault_plan.rules.get(agent, {})
         rules = {f"rules_{way}": [*permanent_rules.get(way, ()), *timed_rules.get(way, ())] for way in DIRECTIONS}
@@ -138,7 +138,7 @@ def _profiles(
 def _rules_of(spec: object, place: str, gateways: list[list[float]]) -> dict[str, list[Rule]]:
     """The checked rules of one link, by direction.
 
-    Those of a profile come first, then its own.
+    The profile's rules come first, then the link's own.
     gateways: (x, y, z) m, from which ranges of radio links are measured, where a rule does not name its own
     """
     spec = {"type": spec} if isinstance(spec, str) else spec
@@ -171,7 +171,7 @@ def _name_of(spec: object) -> str:
 def _gateways(recording: Recording) -> list[list[float]]:
     """Positions where radio links reach the wired network, (x, y, z) m.
 
-    They are those of all static agents, or else of the first agent.
+    They belong to all static agents, or else to the first agent.
     """
     static = [i for i, agent in enumerate(recording.agents) if agent.kind == "static"] or [0]
     return [[float(value) for value in recording.agent_position[0, i]] for i in static]

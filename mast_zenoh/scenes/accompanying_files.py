@@ -1,4 +1,4 @@
-"""Optional files accompanying a recorded scene: detections, visibility, buildings.
+"""Reads optional files next to a recorded scene: detections, visibility, buildings.
 
 See docs/scenes.md.
 """
@@ -28,8 +28,8 @@ def read_detections(
 
     The result is `detections`, `detection_start` and `detection_truth_id`.
 
-    frames: F frame numbers; agents: A agent numbers; sensor_rotation: (F, A, 3, 3) active, sensor to world, for
-    detections with an attitude in the sensor's frame instead of a yaw.
+    frames: F frame numbers; agents: A agent numbers; sensor_rotation: (F, A, 3, 3) active, sensor to world; needed for
+    detections that have an attitude in the sensor's frame instead of a yaw
     """
     rows: dict[tuple[int, int], tuple[Detections, Ints]] = {}
     for place, frame, agent, data in _lines(path, frames, agents, "detections"):

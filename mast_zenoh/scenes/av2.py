@@ -45,11 +45,11 @@ class AV2Log(Scene):
     path:             the folder of a log, with annotations*.feather and city_SE3_egovehicle.feather
     n_infrastructure: virtual poles along the ego's path, 15 m above the ground there, looking 30 degrees down, 0 to 16;
                       None: 4
-    n_mobile:         further mobile agents: always 0, since a log has the sensors of one car; None: 0
+    n_mobile:         other mobile agents: always 0, since a log has the sensors of one car; None: 0
     detector:         the model that generates detections from lidar visibility
 
     The world's origin is on the ground below the ego's first position. The ego's visibility is the number of lidar
-    returns in the data set; that of the poles comes from ray casting against the other boxes (the data has no
+    returns in the data set; the poles' comes from ray casting against the other boxes (the data has no
     buildings). Traffic signs, cones and similar objects are left out (`av2_files.LEFT_OUT`).
     """
 

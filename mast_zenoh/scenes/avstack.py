@@ -28,7 +28,7 @@ EGO_ID = 99999
 _MIN_SEEN_POINTS = 5  # returns of an object that counts as seen
 _MAX_MOUNT_ERROR_M = 0.05  # between a sensor's position in its calibration and according to the agent's state
 _DETECTOR = DetectionModel()
-#: Converts a camera's optical axes (x right, y down, z forward) to ours (x forward, y left, z up).
+#: Converts a camera's optical axes (x right, y down, z forward) to x forward, y left, z up.
 _OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
@@ -44,7 +44,7 @@ class AVstackScene(Scene):
     detector:         the model that generates detections from lidar visibility
     max_unpacked_mb:  limit on the files unpacked from an archive, 10^6 bytes
 
-    The first mobile agent is "ego", further ones are "mobile_k", static ones "infra_k", where k is their number in the
+    The first mobile agent is "ego", other ones are "mobile_k", static ones "infra_k", where k is their number in the
     files. An object's lidar returns come from `visibility.jsonl`. Without it, the objects in a lidar's object files
     are seen, with the returns that ray casting gives, scaled by their visible fraction, at least 5. For a lidar without
     object files, ray casting alone decides.

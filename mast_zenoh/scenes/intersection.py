@@ -32,7 +32,7 @@ class Intersection(Scene):
     scene_index:      which junction (arms, lanes, buildings, traffic density): 0, 1, 2, …
     n_infrastructure: poles with a lidar 15 m up, looking 30 degrees down, 0 to 16; the first stand near the stop lines;
                       None: 4
-    n_mobile:         further agents among the motor vehicles, 0 to 20; None: 0
+    n_mobile:         additional agents among the motor vehicles, 0 to 20; None: 0
     n_vehicles:       motor vehicles including the ego; None: depends on the junction, about 20
     n_bicycles, n_pedestrians: None: depends on the junction
     rate_hz:          frames per second
@@ -129,7 +129,7 @@ class Intersection(Scene):
         traffic = Traffic(network, movers, seed, f"intersection/{self.scene_index}")
         traffic.run(round(_WARM_UP_S * self.rate_hz), steps, dt)
         window, search = round(_WINDOW_S * self.rate_hz), round(_SEARCH_S * self.rate_hz)
-        # The choice depends on the window alone, so that a shorter recording is the start of a longer one.
+        # The choice depends only on the window, so that a shorter recording is the start of a longer one.
         motion = traffic.run(search + max(window, frames), steps, dt)
         motorised = np.flatnonzero(movers.user == ROAD)
         cars = motorised[movers.size_class[motorised] == 0]

@@ -23,7 +23,7 @@ REACH = 105.0  # m, where the turning loops begin
 LOOP_SHIFT = 30.0  # m, over which lanes spread before the turning loop
 PAVEMENT_END = 85.0
 PAVEMENT = 6.0  # m, width of a pavement
-OPPOSITE_DEG = 20.0  # arms that are opposite to within this angle have no corner between them
+OPPOSITE_DEG = 20.0  # arms within this angle of being opposite have no corner between them
 
 #: Kinds of road users of a path.
 ROAD, BIKE, CROSSER, WALKER = range(4)
@@ -53,7 +53,7 @@ class Arm:
         return (slot + 0.5) * LANE if slot < self.lanes else self.lanes * LANE + BIKE_LANE / 2
 
     def world(self, local: Floats) -> Floats:
-        """Transform points (k, 2) from the arm's frame to the world."""
+        """Transform points (k, 2) m from the arm's frame to the world frame."""
         c, s = np.cos(self.angle), np.sin(self.angle)
         rotated: Floats = local @ np.array([[c, s], [-s, c]])
         return rotated
@@ -66,9 +66,9 @@ class Lane:
     user:   ROAD, BIKE, CROSSER or WALKER
     path:   its centre line
     follow: rows of the lanes that continue it
-    arm:    of an approach: its arm; of a connector: the arm that it comes from
-    target: of a connector: the arm that it leads to (that of its crossing, for pedestrians); -1 for an approach
-    turn:   rad, of a connector, positive to the left
+    arm:    an approach's arm; for a connector, the arm that it comes from
+    target: the arm that a connector leads to (for pedestrians, the arm of the crossing); -1 for an approach
+    turn:   rad, change of direction on a connector, positive to the left
     """
 
     user: int
@@ -150,7 +150,7 @@ def _exits(arms: tuple[Arm, ...], a: int, slot: int) -> list[tuple[int, int]]:
         exits += [(b, 0) for b in left]
     if slot == arm.lanes - 1:
         exits += [(b, arms[b].lanes - 1) for b in right]
-    # A middle lane of a road that ends here turns left beside the inner one.
+    # A middle lane of a road that ends here turns left next to the inner one.
     return exits or [(b, min(slot, arms[b].lanes - 1)) for b in (left or right)[:1]]
 
 
@@ -167,7 +167,7 @@ def _approach(arm: Arm, slot: int) -> Path:
 
 
 def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
-    """Two tracks over the road, joined by a landing on either pavement.
+    """Two paths across the road, joined by a landing on each pavement.
 
     Pedestrians turn round on the landings.
     """
@@ -176,7 +176,7 @@ def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
     out, back = np.array([x + track, half + 0.5]), np.array([x - track, half])
     landing = np.concatenate([straight(over[-1], out), arc(np.array([x, half + 0.5]), track, 0.0, np.pi), back[None]])
     paths = []
-    for mirror in (1.0, -1.0):  # the way back is the way there, rotated about the middle of the road
+    for mirror in (1.0, -1.0):  # the return path is the outbound path, rotated about the middle of the road
         middle = np.array([x, 0.0])
         paths += [(over - middle) * mirror + middle, (landing - middle) * mirror + middle]
     lanes = []
@@ -189,8 +189,7 @@ def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
 def corners(arms: tuple[Arm, ...], a: int, setback: float) -> Floats:
     """Corner (1 or 2, 2) m between the left side of arm `a` and the next arm.
 
-    It is `setback` m behind the kerbs.
-    One point if the sides meet, two if the arms are opposite each other.
+    It is `setback` m behind the kerbs: one point if the sides meet, two if the arms are opposite each other.
     """
     arm, next_arm = arms[a], arms[(a + 1) % len(arms)]
     gap = (next_arm.angle - arm.angle) % (2 * np.pi)

@@ -16,7 +16,7 @@ from mast_zenoh.streams import stream
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A scene without visibility and detections; the fields are those of `Recording`.
+    """A scene without visibility and detections; the fields are the same as in `Recording`.
 
     The rows of each frame are in the order of their ids.
     """

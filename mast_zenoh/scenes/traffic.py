@@ -1,4 +1,4 @@
-"""Traffic simulation: movers keep lane and distance, and stop at red.
+"""Traffic simulation: movers keep their lane and distance, and stop at red lights.
 
 Car following is the intelligent driver model (Treiber, Hennecke, Helbing: Congested traffic states in empirical
 observations and microscopic simulations, Physical Review E 62, 2000), for bicycles and pedestrians too. A mover
@@ -27,8 +27,8 @@ _COMFORT = 1.5  # m/s^2, along and across the path
 class Movers:
     """n road users and how they drive; arrays of (n,).
 
-    size: (n, 3) m;  user: ROAD, BIKE, CROSSER or WALKER;  speed: m/s desired;  acceleration, braking: m/s^2, usual;
-    headway: s;  gap: m, at a standstill;  path, start: initial path and m along it
+    size: (n, 3) m;  user: ROAD, BIKE, CROSSER or WALKER;  speed: m/s, desired;  acceleration, braking: m/s^2, usual;
+    headway: s;  gap: m, at a standstill;  path, start: initial path, and initial distance along it, m
     """
 
     size: Floats
@@ -98,9 +98,9 @@ class Traffic:
     """A running simulation; `step` advances it."""
 
     def __init__(self, network: Network, movers: Movers, seed: int, name: str) -> None:
-        """Place the movers at their start, at rest.
+        """Place the movers at their starting points, at rest.
 
-        Mover i chooses turns from its own random stream.
+        Mover i chooses its turns with its own random stream.
         """
         self.network, self.movers = network, movers
         self.time = 0.0
@@ -115,10 +115,10 @@ class Traffic:
                 self.route[i, k] = self._next_path(i, int(self.route[i, k - 1]))
         self.s = movers.start.copy()
         self.v = np.zeros(n)
-        #: (n,) the connector for which a mover has the right of way, -1: none.
+        #: (n,) connector on which a mover has the right of way; -1: none.
         self.granted = np.full(n, -1)
-        #: (n,) s, time of the first refused request for it; inf: no request. A mover keeps requesting, even if it has
-        #: slowed down so much that it need not decide yet.
+        #: (n,) s, time of the first refused request for the right of way; inf: no request. A mover keeps requesting,
+        #: even if it has slowed down so much that it need not decide yet.
         self.refused = np.full(n, np.inf)
         self._signalled = np.array(
             [bool(lane.follow) and network.lanes[lane.follow[0]].connector for lane in network.lanes]
@@ -142,7 +142,7 @@ class Traffic:
     def run(self, frames: int, steps: int, dt: float) -> Motion:
         """Simulate `frames` frames, beginning with the current one.
 
-        They are `steps` steps of `dt` s apart.
+        Frames are `steps` steps of `dt` s apart.
         """
         log = []
         for _ in range(frames):
@@ -203,9 +203,9 @@ class Traffic:
         return interaction
 
     def _right_of_way(self, to_line: Floats) -> Bools:
-        """Movers (n,) that must stop at the line.
+        """Whether each mover (n,) must stop at the line.
 
-        Grants the right of way to movers about to pass it.
+        Grants the right of way to movers that are about to pass the line.
         """
         green, remaining = self.network.lights.now(self.time)
         connector = self.route[:, 1]
@@ -231,9 +231,9 @@ class Traffic:
         return must_stop
 
     def _room_beyond(self, i: int) -> bool:
-        """Whether there is room for mover i behind its connector.
+        """Whether there is room for mover i beyond its connector.
 
-        Counts movers that are already heading there.
+        Movers that are already heading there count.
         """
         movers, exit_path = self.movers, self.route[i, 2]
         on_exit = np.flatnonzero(self.route[:, 0] == exit_path)

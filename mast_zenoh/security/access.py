@@ -12,8 +12,8 @@ Everything is denied except these rights, given to each certificate by its commo
 
 No process may change the wiring of a run (intercept, rewire, drain): these rules are fixed when the router opens.
 
-A rewritten key is below @tap and belongs to the two ends of its leg like any other. A node that overhears every key
-(a recorder) may subscribe to every key, because the wiring contains it.
+A rewritten key is below @tap and belongs to the two ends of its leg like any other. A node that receives every key (a
+recorder) may subscribe to every key, because the wiring says so.
 
 Flows are seen from the router: *ingress* is what a client sends to it. A publisher sends nothing unless it knows of a
 subscriber, from a declaration on *egress*: without that right it is silent, without any error. A right must cover the

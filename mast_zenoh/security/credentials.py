@@ -1,4 +1,4 @@
-"""Credentials of a process, the authority and its own certificate, also as files."""
+"""Credentials of a process: authority, own certificate and keys; kept in files."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from mast_zenoh.errors import CredentialsError
 
 AUTHORITY, CERTIFICATE, KEY, CONTROL = "ca.pem", "certificate.pem", "key.pem", "control.json"
 
-#: Part of the message about a router that may start later: the only reason that waiting may resolve.
+#: Part of the message about an unreachable router, which may start later: the only problem that waiting may resolve.
 UNREACHED = "cannot be reached"
 
-#: Further holders of certificates. No node can have such a name: `@` is not allowed in one.
+#: Other holders of certificates. No node can have such a name: `@` is not allowed in one.
 ROUTER, LAUNCHER = "@router", "@launcher"
 
 #: Default validity of certificates.
@@ -26,7 +26,7 @@ _MAX_COMMON_NAME = 64
 
 
 def common_name(run: str, name: str) -> str:
-    """The common name of a node's certificate; if too long for X.520, with a digest."""
+    """The common name of a node's certificate; a digest replaces its end if too long."""
     full = f"{name}.{run}"
     if len(full) <= _MAX_COMMON_NAME:
         return full
@@ -35,11 +35,11 @@ def common_name(run: str, name: str) -> str:
 
 @dataclass(frozen=True)
 class Credentials:
-    """PEM texts, and one in JSON; the repr omits keys.
+    """Certificates and key as PEM, control keys as JSON; the repr omits keys.
 
     authority:   certificate of the trusted authority
-    certificate: this process's own, and key: its private key; both empty for a process without one
-    control:     the keys of control messages, see `control_keys`; empty for a router, which checks none
+    certificate: this process's own; key: its private key; both empty for a process without a certificate
+    control:     the keys that sign and verify control messages (`control_keys`); empty for a router, which needs none
     """
 
     authority: bytes

@@ -1,6 +1,6 @@
-"""Why a certificate is refused: `look` collects facts, `reasons` explains them.
+"""Explains why a certificate is refused.
 
-`reasons` is pure.
+`look` collects the facts, `reasons` explains them. `reasons` is pure.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Certificate:
 class Router:
     """Observations of the router.
 
-    silent:  why it did not answer: a later attempt may succeed; plain: its answer is not TLS
-    verdict: its alert about us, in OpenSSL's words
+    silent:  why it did not answer; a later attempt may succeed; plain: whether its answer is not TLS
+    verdict: the alert that it sent us, in OpenSSL's words
     """
 
     silent: str = ""
@@ -83,11 +83,11 @@ class Facts:
 #: Meaning of a router's alert, by OpenSSL's name for it.
 _VERDICTS = {
     "CERTIFICATE_REQUIRED": "it requires a certificate, and none was presented",
-    "UNKNOWN_CA": "it trusts another authority than the one that issued our certificate",
+    "UNKNOWN_CA": "it does not trust the authority that issued our certificate",
     "CERTIFICATE_EXPIRED": "it considers our certificate expired: compare the clocks of the two hosts",
     "CERTIFICATE_UNKNOWN": "it does not accept our certificate",
     "BAD_CERTIFICATE": "it does not accept our certificate",
-    "DECRYPT_ERROR": "our certificate was not signed by the authority that it names",
+    "DECRYPT_ERROR": "our certificate was not signed by the authority named in it",
 }
 
 
@@ -129,7 +129,7 @@ def _router_reasons(facts: Facts, router: Router) -> Iterator[str]:
     if certificate is not None:
         yield from _validity("the router's certificate", facts.host, certificate, facts.now)
         if not certificate.trusted:
-            yield f"the router at {facts.host} has a certificate of another authority: it may be a rogue"
+            yield f"the router at {facts.host} has a certificate from another authority: it may be a rogue"
         elif facts.host not in certificate.names:
             text = ", ".join(certificate.names) or "no host at all"
             yield f"the router's certificate is not for {facts.host!r}, but for {text}"
@@ -140,7 +140,7 @@ def _router_reasons(facts: Facts, router: Router) -> Iterator[str]:
 
 def _validity(what: str, where: str, certificate: Certificate, now: datetime) -> Iterator[str]:
     if now > certificate.not_after:
-        yield f"{where}: {what} has expired at {_utc_text(certificate.not_after)}, now it is {_utc_text(now)}"
+        yield f"{where}: {what} expired at {_utc_text(certificate.not_after)}, now it is {_utc_text(now)}"
     if now < certificate.not_before:
         yield f"{where}: {what} is not valid before {_utc_text(certificate.not_before)}, now it is {_utc_text(now)}"
 
@@ -153,7 +153,7 @@ def _utc_text(time: datetime) -> str:
 
 
 def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
-    """Collect the facts about credentials and a router, within about three seconds."""
+    """Collect the facts about credentials and a router; takes at most about 3 s."""
     where, unusable, too_wide = "the credentials", [], []
     if isinstance(credentials, Path):
         folder, where = credentials, str(credentials)
@@ -206,7 +206,7 @@ def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
 
 
 def _router(host: str, port: int, credentials: Credentials | None, authority: x509.Certificate | None) -> Router:
-    """Try a TLS handshake as a client would, but accept any certificate to inspect it."""
+    """Try a TLS handshake as a client would, but accept any certificate for inspection."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if credentials is not None and credentials.certificate:
@@ -227,11 +227,11 @@ def _router(host: str, port: int, credentials: Credentials | None, authority: x5
                 link.recv(1)  # in TLS 1.3 the server's refusal comes after the handshake
         except TimeoutError:
             if certificate is None:
-                problem = f"it has accepted a connection, but no TLS handshake within {_CONNECT_S:g} s"
+                problem = f"it accepted the connection, but did not complete the TLS handshake within {_CONNECT_S:g} s"
                 return Router(silent=f"{problem}: {_BUSY}")
         except ssl.SSLEOFError:
             if certificate is None:
-                return Router(silent=f"it has closed the connection during the TLS handshake: {_BUSY}")
+                return Router(silent=f"it closed the connection during the TLS handshake: {_BUSY}")
         except ssl.SSLError as error:
             verdict = error.reason or str(error)
             if certificate is None and "ALERT" not in verdict:

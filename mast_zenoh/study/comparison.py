@@ -45,7 +45,7 @@ def run(
     allow_failures: bool = False,
     console: Console | None = None,
 ) -> ComparisonResult:
-    """Run every configuration once, in the first scene, with a run folder of its own.
+    """Run every configuration once, in the first scene, in its own run folder.
 
     All configurations are resolved and validated before the first run starts. Arguments that are not None override
     the study's own. If a run fails, its error is raised after its run folder has been written. Failed handlers do

@@ -91,7 +91,7 @@ def load(name: str, settings: Sequence[str] = ()) -> Study:
 
 
 def load_values(name: str, values: Mapping[str, Any], known: Iterable[str] = ()) -> Study:
-    """Load a study with Python values; known: further names to suggest."""
+    """Load a study with Python values; known: other names to suggest."""
     path, function = loading.function("studies", name, "study")
     return _call(path, function, *from_values(values, function, str(path), known))
 

@@ -1,4 +1,4 @@
-"""`mast_zenoh.study(…)`: carries out a study from Python."""
+"""`mast_zenoh.study(…)`: runs a study from Python."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mast_zenoh.launch.tables import read_arrow
 from mast_zenoh.report.html import write_study_report
 from mast_zenoh.report.tables import study as study_table
 from mast_zenoh.study import comparison, definition, execution
-from mast_zenoh.study import trials as many
+from mast_zenoh.study import trials as repeated_runs
 
 
 class FinishedStudy:
@@ -47,7 +47,7 @@ class FinishedStudy:
 
     @property
     def comparison(self) -> Comparison:
-        """The runs, compared with the first; for studies that run each configuration once."""
+        """The runs compared with the first; only if each configuration was run once."""
         if not self.runs:
             raise ConfigurationError(f"{self.path}: a study with trials keeps no runs: expected one without `trials`")
         baseline = ["baseline"] if "baseline" in self.runs else []
@@ -94,7 +94,7 @@ def carry_out(
     allow_failures: bool = False,
     **parameters: Any,
 ) -> FinishedStudy:
-    """Carry out a study, and return its tables.
+    """Run a study, and return its tables.
 
     study:      name of a shipped study (`mast.list("studies")`), or a file
     parameters: arguments of the study's function
@@ -105,13 +105,13 @@ def carry_out(
 
     A script with more than one job needs `if __name__ == "__main__":`, as each worker imports it.
 
-    Raises ConfigurationError before anything starts. Raises TrialsFailed or HandlerFailed if trials or runs have
-    failed; the results of the others are in the folder that the error names.
+    Raises ConfigurationError before anything starts. Raises TrialsFailed or HandlerFailed if trials or runs failed;
+    the results of the others are in the folder that the error names.
     """
     options = [name for name in inspect.signature(carry_out).parameters if name not in ("study", "parameters")]
     loaded = definition.load_values(str(study), parameters, options)
     if loaded.security:
-        raise ConfigurationError(f"{loaded.path}: a security study runs from the command line only: mast study {study}")
+        raise ConfigurationError(f"{loaded.path}: a security study runs only from the command line: mast study {study}")
     if runtime not in definition.RUNTIMES:
         raise ConfigurationError(f"runtime: found {runtime!r}, expected inproc or mesh")
     folder = None if out is None else Path(out)
@@ -123,7 +123,7 @@ def carry_out(
         _raise(compared, compared.out)
         return FinishedStudy(compared.out, page, {label: Run(path) for label, path in compared.folders.items()})
     jobs = jobs or execution.default_jobs()
-    finished = many.run(loaded, folder, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **chosen)
+    finished = repeated_runs.run(loaded, folder, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **chosen)
     _raise(finished, finished.out)
     return FinishedStudy(finished.out, finished.report, {}, as_text(study_table.as_rich(finished.rows, finished.facts)))
 

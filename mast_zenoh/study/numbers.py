@@ -43,7 +43,7 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
 
     In file order.
     `null` becomes NaN, true and false become 1 and 0; other values are skipped. Every cause in `causes` gets a number
-    of objects per frame, "fp inserted", even if it does not occur. "driving.critical" tells whether the minimum time
+    of objects per frame, "fp inserted", even if it does not occur. "driving.critical" shows whether the minimum time
     to collision is below CRITICAL_S; every trial has it. These blocks hold no wall-clock times, so all numbers depend
     on scenario and seed alone.
     """

@@ -15,13 +15,13 @@ Value = int | float | str
 def parameters(study: Study) -> dict[str, dict[str, Value]]:
     """The values of each parameter by configuration label.
 
-    Values are numbers if all values of the parameter are numbers, else text. Configurations whose run does not sweep
-    the parameter are absent.
+    A parameter whose values are not all numbers has text. Configurations of runs that do not sweep the parameter are
+    absent.
     """
     result: dict[str, dict[str, Any]] = {}
-    for each in study.configurations:
-        for name, value in each.point:
-            result.setdefault(name, {})[each.label] = value
+    for configuration in study.configurations:
+        for name, value in configuration.point:
+            result.setdefault(name, {})[configuration.label] = value
     return {name: values if _numeric(values) else _as_text(values) for name, values in result.items()}
 
 
@@ -36,8 +36,8 @@ def _as_text(values: dict[str, Any]) -> dict[str, Value]:
 class ParameterColumns:
     """Inserts a column per parameter after a table's first column.
 
-    Values are null where a parameter does not apply.
-    A parameter with the name of one of the table's columns (user-defined metrics add columns) becomes `grid.<name>`.
+    Values are null where a parameter does not apply. A parameter with the same name as one of the table's columns
+    (user-defined metrics add columns) becomes `grid.<name>`.
     """
 
     def __init__(self, study: Study, reserved: Collection[str]) -> None:
@@ -48,12 +48,12 @@ class ParameterColumns:
         self._types = {name: pyarrow.array(list(column.values())).type for name, column in self._values.items()}
 
     def schema(self, table_schema: pyarrow.Schema) -> pyarrow.Schema:
-        """The schema with parameter columns; table_schema: without them."""
+        """`table_schema` with the parameter columns added."""
         fields = [pyarrow.field(name, self._column(name, "", 0).type) for name in self._values]
         return pyarrow.schema([table_schema.field(0), *fields, *list(table_schema)[1:]])
 
     def add(self, table: pyarrow.Table, configuration: str) -> pyarrow.Table:
-        """The table with parameter columns; all its rows belong to one configuration."""
+        """`table` with the parameter columns added; all its rows belong to one configuration."""
         for position, name in enumerate(self._values, 1):
             table = table.add_column(position, name, self._column(name, configuration, len(table)))
         return table

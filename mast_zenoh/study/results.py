@@ -47,7 +47,7 @@ def ego(agents: Mapping[str, Any]) -> str:
 def _increments_over_baseline(
     baseline: Outcome, outcome: Outcome, attacked_numbers: Sequence[Number]
 ) -> Iterator[Number]:
-    """The ego's numbers minus those of the baseline, named `<metric>_iob`.
+    """The ego's numbers minus the baseline's, named `<metric>_iob`.
 
     Means over frames are subtracted frame by frame, over the scored frames in which both runs have a value.
     """
@@ -70,7 +70,7 @@ def _increments_over_baseline(
 
 
 def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
-    """Increments over the ego alone (IoE), and those of the compromised agents."""
+    """Increments over the ego alone (IoE), and increments of the compromised agents."""
     agent = ego(outcome.metrics["agents"])
     summary = increments(_scored_rows(baseline), _scored_rows(outcome), agent=agent, compromised=outcome.compromised)
     n = summary["frames"]

@@ -37,7 +37,7 @@ class Store:
             for subfolder in ("logs", "figures"):
                 (folder / subfolder).rmdir()
         elif out is None:
-            raise RunFolderError("--resume: expected also --out, the folder of the study to continue")
+            raise RunFolderError("--resume: expected --out too: the folder of the study to continue")
         elif not out.exists() or not any(out.iterdir()):
             return cls.create(out, study, resume=False)
         else:

@@ -50,7 +50,7 @@ def run(
     failures: dict[str, str] = {}
     pending = [trial for trial in trials if not resume or store.load(trial) is None]
     if len(pending) < len(trials):
-        console.print(f"{len(trials) - len(pending)} of {len(trials)} trials are done already", highlight=False)
+        console.print(f"{len(trials) - len(pending)} of {len(trials)} trials are already done", highlight=False)
     hint = f"finished trials are kept: to continue, repeat the command with --out {store.folder} --resume"
     with ending.status_written(lambda status: store.write_status(study, trials, failures, status)):
         try:

@@ -36,7 +36,7 @@ def check_tracker(tracker: Tracker) -> None:
         late.step(0, samples.detections(1))
     except ValueError:
         return
-    raise AssertionError(f"{subject}.step: accepts a time before that of the last call, expected ValueError")
+    raise AssertionError(f"{subject}.step: accepts a time before the last call's, expected ValueError")
 
 
 def _check_tracks(tracker: Tracker, subject: str, method: str, sample: Callable[[int, int], Any], n: int) -> None:
@@ -67,7 +67,7 @@ def _check_tracks(tracker: Tracker, subject: str, method: str, sample: Callable[
 
 
 def _check_matched(subject: str, matched: Ints, shuffled: Ints, tracks: int, order: Ints) -> None:
-    """Check `matched` of the original rows against that of the shuffled rows."""
+    """Check `matched` of the original rows against `matched` of the shuffled rows."""
     expect(matched.shape == (tracks,), f"{subject}: matched has the shape {matched.shape}, expected ({tracks},)")
     expect(
         ((matched >= -1) & (matched < len(order))).all(), f"{subject}: matched names rows that the input does not have"

@@ -23,9 +23,9 @@ _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 def check_pipeline(pipeline: Pipeline | AgentPipeline) -> None:
     """Check that a pipeline, of the command centre or an agent, fulfils its contract.
 
-    With zero, one and a thousand tracks or detections. The mission estimator of an agent's pipeline is checked, too.
+    With zero, one and a thousand tracks or detections. The mission estimator of an agent's pipeline is checked too.
 
-    pipeline: as newly made; it is copied, and not changed
+    pipeline: a new instance; it is copied, and not changed
     Raises AssertionError.
     """
     for n in samples.COUNTS:
@@ -50,7 +50,7 @@ def _check_center(pipeline: Pipeline, subject: str, n: int, weighted: bool) -> N
             picture, support = straight.step(time_ns, states, agent, _AGENTS, weights)
         _check_ids(subject, picture)
         expect(
-            support.shape == (len(picture),), f"{subject}: support has the shape {support.shape}, expected one a row"
+            support.shape == (len(picture),), f"{subject}: support has the shape {support.shape}, expected one per row"
         )
         expect(support.dtype == np.int64, f"{subject}: support is {support.dtype}, expected int64")
         expect(
@@ -65,7 +65,7 @@ def _check_center(pipeline: Pipeline, subject: str, n: int, weighted: bool) -> N
         results.append((picture, support, states, agent, weights))
     straight.reset()
     for frame, (picture, support, states, agent, weights) in enumerate(results):
-        text = f"{subject}: after `reset` it is not as newly made"
+        text = f"{subject}: after `reset` it differs from a new instance"
         try:
             after = straight.step(frame * samples.PERIOD_NS, states, agent, _AGENTS, weights)
         except ValueError as error:
@@ -90,7 +90,7 @@ def _check_agent(pipeline: AgentPipeline, subject: str, n: int) -> None:
         expect(
             shapes == ((3,), (4,)), f"{subject}: origin and rotation have the shapes {shapes}, expected (3,) and (4,)"
         )
-        expect(abs(np.linalg.norm(rotation) - 1.0) < 1e-6, f"{subject}: rotation is no quaternion of length 1")
+        expect(abs(np.linalg.norm(rotation) - 1.0) < 1e-6, f"{subject}: rotation is not a quaternion of length 1")
         again = shuffled.track(time_ns, detections.select(order), pose, mount, lidar)
         expect_same(result, again, f"{subject}: depends on the order of the rows")
 
@@ -113,7 +113,7 @@ def check_mission_estimator(estimator: MissionEstimator) -> None:
             expect(len(set(ids)) == len(ids), f"{subject}: ids are not unique")
             of_picture = result.id % 2 == 0
             known = np.where(of_picture, np.isin(result.id // 2, picture.id), np.isin(result.id // 2, own.id))
-            expect(known.all(), f"{subject}: an id is neither 2 i of the picture nor 2 i + 1 of an own track")
+            expect(known.all(), f"{subject}: an id is neither 2 i of the picture nor 2 i + 1 of the agent's own tracks")
             random = np.random.default_rng(own_count + count)
             rows, others = (random.permutation(n) for n in (own_count, count))
             again = estimator.estimate(own.select(rows), picture.select(others))

@@ -1,4 +1,4 @@
-"""Checks of nodes, and of whole scenarios."""
+"""Checks nodes and whole scenarios."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.testing.comparison import expect
 from mast_zenoh.wiring.model import ANY
 
-_ORDERS = 3  #: random orders of delivery
+_ORDERS = 3  #: number of random orders of delivery
 
 
 def check_node(node: type[Node], *message_types: Schema) -> None:
     """Check a node class: its role, a handler per input, and known message types.
 
-    message_types: those of other files that it uses by name. `check_scenario` checks what the node does.
+    message_types: types from other files that it uses by name. `check_scenario` checks what the node does.
     """
     names = OURS.keys() | node.message_types.keys() | {schema.name for schema in message_types}
     expect(node.role, f"{node.__name__}.role: found nothing, expected the name of a role")
@@ -50,11 +50,11 @@ def check_scenario(
 
     scenario, parameters: as for `mast_zenoh.run`
     frames, seed:         number of frames, and the seed of all random draws
-    mesh:                 also run it with a process for each node, which takes some seconds
+    mesh:                 also run it with a process for each node, which takes a few seconds
 
-    Messages and results must be equal whether nodes share messages or get copies, and for random orders of delivery.
+    Messages and results must be the same whether nodes share messages or get copies, and for any order of delivery.
     This detects nodes that change their inputs or depend on the order of messages.
-    Raises AssertionError; MastError for a scenario that cannot run.
+    Raises AssertionError if they differ, and MastError for a scenario that cannot run.
     """
     path, content = scenarios.load_values(scenario, parameters)
     resolved = scenarios.resolve(path, content, frames=frames, seed=seed, mode="lockstep")
@@ -81,7 +81,7 @@ def _played(resolved: Resolved, *, encode: bool, shuffle: int | None = None) -> 
     process = InProcess(resolved, encode=encode, shuffle=shuffle, tap=tap)
     outcome = process.run()
     del outcome[""]
-    expect(not process.failures(), "a handler has failed: " + "; ".join(lines(process.failures())))
+    expect(not process.failures(), "a handler failed: " + "; ".join(lines(process.failures())))
     return messages, results.pack(outcome)
 
 

@@ -20,7 +20,7 @@ _TOLERANCE = 1e-6  # of rotations that data sets give in single precision
 def check_scene(scene: Scene, *, frames: int = 3, seed: int = 0) -> None:
     """Check that a scene is repeatable, valid and of the requested length.
 
-    scene:  as newly made; it is copied, and not changed
+    scene:  a new instance; it is copied, and not changed
     frames: how many are recorded, at least 2;  seed: of its random draws
     Raises AssertionError.
     """
@@ -49,8 +49,8 @@ def _check_recording(subject: str, recording: Recording) -> None:
     turned = recording.agent_rotation @ np.swapaxes(recording.agent_rotation, -1, -2)
     right_handed = np.linalg.det(recording.agent_rotation) > 0.0
     sound = np.allclose(turned, np.eye(3), atol=_TOLERANCE) and right_handed.all()
-    expect(sound, f"{subject}: agent_rotation has a matrix that is no rotation")
-    expect((recording.truth.size > 0.0).all(), f"{subject}: truth.size has a length that is not more than 0")
+    expect(sound, f"{subject}: agent_rotation has a matrix that is not a rotation")
+    expect((recording.truth.size > 0.0).all(), f"{subject}: truth.size has a length that is not greater than 0")
     expect((recording.truth.class_id < len(CLASSES)).all(), f"{subject}: truth.class_id: expected below {len(CLASSES)}")
     expect((recording.points >= 0).all(), f"{subject}: points has negative numbers")
     known: set[int] = set()
@@ -84,14 +84,14 @@ def check_detector(detector: Detector) -> None:
             found, ids = _detected(detector, objects, points)
         count = len(ids)
         expect(isinstance(found, Detections), f"{subject}: found {type(found).__name__}, expected Detections")
-        expect(len(found) == count, f"{subject}: {len(found)} detections and {count} ids, expected as many")
+        expect(len(found) == count, f"{subject}: {len(found)} detections and {count} ids, expected equal numbers")
         expect_finite(found, subject)
         expect((np.diff(found.score) <= 0.0).all(), f"{subject}: the best score is not first")
         expect(((found.score >= 0.0) & (found.score <= 1.0)).all(), f"{subject}: a score is not from 0 to 1")
-        expect((found.size > 0.0).all(), f"{subject}: a size is not more than 0")
+        expect((found.size > 0.0).all(), f"{subject}: a size is not greater than 0")
         seen = objects.id[points > 0]
         expect(np.isin(ids, np.append(seen, -1)).all(), f"{subject}: detects an object without lidar returns")
-        text = f"{subject}: two of the same random stream do different things"
+        text = f"{subject}: two runs with the same random stream differ"
         expect_same((found, ids), _detected(detector, objects, points), text)
         order = np.random.default_rng(n).permutation(n)
         shuffled = _detected(detector, objects.select(order), points[order])
@@ -104,6 +104,6 @@ def _detected(detector: Detector, objects: ObjectStates, points: np.ndarray) -> 
 
 
 def _sorted(found: Detections, ids: Ints) -> tuple[Detections, Ints]:
-    """In an order of their own: detections of one score may be in any."""
+    """In a canonical order: detections with equal scores may come in any order."""
     order = np.lexsort((*found.position.T, found.score, ids))
     return found.select(order), ids[order]

@@ -8,7 +8,7 @@ from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.tracking.tracks import CONFIRMED, ROW, YAW
 
-#: Two boxes are one object below this fraction of the distance at which they touch; boxes are inexact.
+#: Two boxes count as one object below this fraction of the distance at which they touch; boxes are inexact.
 ONE_OBJECT = 0.6
 
 

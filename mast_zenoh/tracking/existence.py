@@ -47,7 +47,7 @@ def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats
 def update_detected(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> None:
     """Update existence of measured tracks.
 
-    log_ratio: (n,) ln of the density of the measurement over that of clutter; most: upper limit of the odds
+    log_ratio: (n,) ln of the density of the measurement over the density of clutter; most: upper limit of the odds
     """
     tracks[:, ODDS] = np.minimum(tracks[:, ODDS] * (detected * np.exp(log_ratio) + (1.0 - detected)), most)
     tracks[:, HITS] += 1.0

@@ -25,7 +25,7 @@ VELOCITY = slice(6, 9)
 def process_noise(dt: float, acceleration: Floats, vertical: float, size_drift: float) -> Floats:
     """(n, 9, 9) process noise covariance Q over `dt` s.
 
-    acceleration: (n,) m^2/s^3, spectral density of the horizontal acceleration; vertical: that of the vertical one
+    acceleration: (n,) m^2/s^3, spectral density of the horizontal acceleration; vertical: of the vertical acceleration
     size_drift: m^2/s, growth of the variance of each size
     """
     horizontal, other = _unit_noise(dt, vertical, size_drift)

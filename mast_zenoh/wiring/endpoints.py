@@ -19,7 +19,7 @@ ROLES = (
 class NodeOptions:
     """The properties of a node that the wiring depends on.
 
-    options: those that bind it to a wire; inputs, outputs: message type by port
+    options: options that bind it to a wire; inputs, outputs: message type by port
     """
 
     role: str

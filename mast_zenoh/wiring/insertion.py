@@ -4,7 +4,7 @@ Pure functions.
 
 Inserting works as in a key-expression map: the publisher of the wire's key gets a tap key, to which only the new node
 subscribes, and the new node publishes the wire's key. Subscribers keep theirs. The new node comes at the end of the
-trunk: behind all nodes on it, before the subscribers and their branches.
+trunk: after all nodes on it, before the subscribers and their branches.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
             raise WiringError(f"no wire {key!r}{nearest(key, wires)}")
     target = wires[place.wire]
     if node in parties(target):
-        raise WiringError(f"{node} is on the wire {target.key!r} already: that would be a loop")
+        raise WiringError(f"{node} is already on the wire {target.key!r}: that would be a loop")
     *before, last = target.legs
     if not before:
         _check_source(target)
@@ -147,7 +147,7 @@ def _shortened(trunk: tuple[Leg, ...], nodes: Collection[str]) -> list[Leg]:
     """A trunk without some of its interposers."""
     legs: list[Leg] = []
     for leg in trunk:
-        if leg.publisher.node in nodes:  # the leg before leads to it alone
+        if leg.publisher.node in nodes:  # the leg before leads only to it
             leg = replace(leg, publisher=legs.pop().publisher)
         legs.append(leg)
     return legs

@@ -15,7 +15,7 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     role = "adversary"                    # every node of the role whose option `agent` is the wire's agent
     input = "detections"
     output = "detections_out"
-    node = "adversary_1"                  # optional: this node alone
+    node = "adversary_1"                  # optional: only this node
     optional = true                       # optional: ignore the entry if there is no such wire
 
     [[listen]]
@@ -23,7 +23,7 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     role = "adversary"
     input = "poses"
     leg = "source"                        # optional: what the publisher sends, before any interposer
-    node = "adversary_1"                  # optional: this node alone
+    node = "adversary_1"                  # optional: only this node
 
 `{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means the node that the
 placeholder names, if it has that role; else the nodes of the role whose option with the placeholder's name has its
@@ -45,7 +45,7 @@ That makes a branch, `K -> node -> K/@tap/{subscriber}/0 -> node -> K/@tap/{subs
 the order of the rewrites; only the key of that one subscriber changes. A branch begins where the trunk ends: nodes on
 the trunk come before all branches.
 
-All wires are resolved first, then the inserts in order, then the listeners. A listener receives K, behind the trunk's
+All wires are resolved first, then the inserts in order, then the listeners. A listener receives K, after the trunk's
 interposers and before the branches, unless it asks for the source.
 """
 
@@ -75,7 +75,7 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "listen": (("wire", "role", "input"), ("leg", "node")),
 }
 
-#: Rewrites of earlier versions, and those that replace them.
+#: Rewrites of earlier versions, and their replacements.
 RENAMED = {
     "uncoordinated.toml": ("on_detections.toml",),
     "coordinated.toml": ("on_tracks.toml", "coordination.toml"),
@@ -116,8 +116,8 @@ def resolve(
     A node with an input port of the type `ANY` receives every key without being named in a map.
 
     Raises WiringError, naming the file and the entry, for unknown keys, roles, nodes, ports or messages, invalid key
-    expressions, a wire with several publishers, a node twice on one wire, a rewrite of no wire, one for a role that
-    does not subscribe to the wire, a node that would receive its own messages, and an entry that affects no node.
+    expressions, a wire with several publishers, a node twice on one wire, a rewrite that matches no wire, or is for a
+    role that does not subscribe to the wire, a node that would receive its own messages, and an entry without any node.
     """
     for name in nodes:
         if not _CHUNK.fullmatch(name):
@@ -244,7 +244,8 @@ def _overhearers(nodes: Mapping[str, NodeOptions]) -> tuple[Endpoint, ...]:
     )
     for end in ends:
         if len(nodes[end.node].inputs) > 1 or nodes[end.node].outputs:
-            raise WiringError(f"node {end.node!r}: a node that hears every key ({end.port!r}) has no other port")
+            name, port = end.node, end.port
+            raise WiringError(f"node {name!r}: a node that subscribes to every key ({port!r}) has no other port")
     return ends
 
 

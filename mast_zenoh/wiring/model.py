@@ -33,7 +33,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """The interposers of one subscriber, from the trunk at `entrance` on."""
+    """The interposers of one subscriber, from the trunk at `entrance` onwards."""
 
     entrance: Endpoint
     subscriber: Endpoint
@@ -44,7 +44,7 @@ class Branch:
 class Listener:
     """A subscriber that a rewrite adds to a wire.
 
-    source: it receives what the publisher sends, before any interposer; else what is sent on the wire's key, behind
+    source: it receives what the publisher sends, before any interposer; else what is sent on the wire's key, after
             the interposers of the trunk and before the branches
     """
 
@@ -59,7 +59,7 @@ class Wire:
     subject: the name in its key (the agent of agent/{agent}/pose), or empty
     legs:      the trunk, common to all subscribers; its last leg has the wire's key, and leads to the subscribers
                without a branch and to the entrances of the branches
-    listeners: further subscribers, not among those of its legs
+    listeners: other subscribers, which are not subscribers of its legs
     """
 
     key: str
@@ -121,7 +121,7 @@ class Passage:
     """An interposer's two keys on one wire: for received and for forwarded messages.
 
     wire, subject, message: of the wire, see `Wire`; port: the output port of the wire's publisher
-    before: the only subscriber behind it; empty: it is before all of them
+    before: the only subscriber that it serves; empty: it serves all of them
     """
 
     node: str
@@ -285,7 +285,7 @@ def to_text(wiring: Wiring) -> str:
                 for leg in wire.every_leg
             ]
     lines += ["", f"{len(wiring.wires)} wires; * rewritten, [node] inserted"]
-    return "\n".join([*lines, *(f"{end.node} hears every key" for end in wiring.overhearers)])
+    return "\n".join([*lines, *(f"{end.node} subscribes to every key" for end in wiring.overhearers)])
 
 
 def to_mermaid(wiring: Wiring) -> str:

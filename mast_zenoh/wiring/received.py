@@ -76,9 +76,8 @@ class Overheard:
     """A message received on any key of the run.
 
     For nodes with an input port of the type `model.ANY`. Content is decoded on access, so a node can skip messages.
-    Nothing is decoded before it is asked for, so that a node may pass over what it does not need.
 
-    key:     its key, which may be that of a tap leg
+    key:     its key, possibly a tap leg's
     wire:    properties of that key: subject, message type, publisher of the wire
     step:    the run's frame when the message was sent; -1: unknown
     """

@@ -30,7 +30,7 @@ def insert(
             continue
         on_wire = {wire.legs[0].publisher.node, *wire.interposers, *(end.node for end in wire.subscribers)}
         if entrance.node in on_wire:
-            raise WiringError(f"{place}: {entrance.node} is on the wire {wire.key!r} already: that would be a loop")
+            raise WiringError(f"{place}: {entrance.node} is already on the wire {wire.key!r}: that would be a loop")
         if subscriber is not None:
             wire = _on_branch(wire, entrance, exit_, subscriber)
         else:
@@ -60,7 +60,9 @@ def listen(wire: Wire, listeners: list[Listener], place: str, *, every: bool) ->
             wire = replace(wire, listeners=(*wire.listeners, listener))
         elif not every and received[node] != listener:
             where = f"its port {received[node].end.port!r}{' at the source' if received[node].source else ''}"
-            raise WiringError(f"{place}: {node} hears {wire.key!r} already, on {where}: a node hears a wire once")
+            raise WiringError(
+                f"{place}: {node} already receives {wire.key!r} on {where}: a node can receive a wire only once"
+            )
     return wire
 
 

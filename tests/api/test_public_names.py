@@ -83,7 +83,7 @@ def test_keywords_of_functions_are_pinned(name: str) -> None:
     assert [each.name for each in taken if each.kind is not each.VAR_KEYWORD] == KEYWORDS[name].split()
 
 
-def test_the_version_equals_that_of_the_project() -> None:
+def test_the_version_equals_the_projects_version() -> None:
     assert mast.__version__ == tomllib.loads(PROJECT.read_text())["project"]["version"]
 
 

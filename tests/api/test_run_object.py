@@ -31,7 +31,7 @@ def test_tables_become_data_frames_where_pandas_is_installed(attacked: mast.Run)
     assert (frame[frame.estimator == "picture"].fp > 0).any()
 
 
-def test_the_truth_equals_that_of_the_scene(attacked: mast.Run) -> None:
+def test_the_truth_equals_the_scenes_truth(attacked: mast.Run) -> None:
     truth = attacked.truth
     assert truth.column_names == ["frame", "time_s", "id", "class", *BOX, "points"]
     recording = Recording.load(attacked.path / "scene.npz")

@@ -33,7 +33,7 @@ def run(file: Path) -> mast.Run:
     return mast.run(file, frames=FRAMES, seed=3, out=file.parent / "run")
 
 
-def test_truth_poses_and_detections_are_those_of_a_run(file: Path, run: mast.Run) -> None:
+def test_truth_poses_and_detections_equal_those_in_a_run(file: Path, run: mast.Run) -> None:
     scene = mast.scene(file, seed=3, frames=FRAMES)
     assert scene.agents == run.agents
     assert len(scene) == FRAMES
@@ -67,7 +67,7 @@ def test_a_scene_is_given_by_name_or_by_dict(file: Path) -> None:
     assert np.all(mast.scene(frames=1).recording.points >= 0)
 
 
-def test_the_seed_is_that_of_the_scenario_unless_it_is_given(file: Path) -> None:
+def test_the_scenarios_seed_is_the_default(file: Path) -> None:
     own, given = mast.scene(file, frames=2, n_infrastructure=1), mast.scene(file, seed=4, frames=2, n_infrastructure=1)
     assert own.agents == ("ego", "infra_1")
     assert own.truth.equals(given.truth)
@@ -83,7 +83,7 @@ def test_the_seed_is_that_of_the_scenario_unless_it_is_given(file: Path) -> None
         ("nosuch.py", {}, "nosuch.py: no such file"),
     ],
 )
-def test_what_is_no_scene_is_refused(scene: Any, parameters: dict[str, Any], message: str) -> None:
+def test_anything_but_a_scene_is_refused(scene: Any, parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         mast.scene(scene, **parameters)
 

@@ -136,7 +136,7 @@ def test_the_wiring_is_shown_in_three_forms(mast) -> None:
     code, out, _ = mast("wiring", "uncoordinated", "--set", "n_adversaries=1")
     assert code == 0
     assert "[adversary_1]" in out
-    assert "recorder hears every key" in out
+    assert "recorder subscribes to every key" in out
     assert out.count("recorder") == 1
     code, out, _ = mast("wiring", "uncoordinated", "--set", "n_adversaries=1", "--format", "json")
     wires = {wire["key"]: wire for wire in json.loads(out)["wires"]}

@@ -87,7 +87,7 @@ def test_a_file_that_is_not_python_is_refused(tmp_path: Path) -> None:
         loading.function("scenarios", str(file), "scenario")
 
 
-def test_a_file_imports_the_module_beside_it_not_a_namesake_elsewhere(
+def test_a_file_imports_the_module_next_to_it_not_a_namesake_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for folder in ("one", "two"):

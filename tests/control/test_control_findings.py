@@ -297,7 +297,7 @@ def test_a_node_that_repeatedly_leaves_and_returns_ends_the_run_by_name(driver: 
     for there in [False, True] * 60:
         presence(driver, there)
         driver._wait(time.monotonic() + 1.0)
-    assert driver._end_reason == StopReason(StopKind.IMPLAUSIBLE, "ego has gone and come back more than 50 times")
+    assert driver._end_reason == StopReason(StopKind.IMPLAUSIBLE, "ego was lost and came back more than 50 times")
 
 
 # -- the launcher ----------------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ def refused(signatures: Signatures, what: str, payload: bytes) -> str:
     return str(caught.value)
 
 
-def test_messages_reserved_to_driver_and_launcher_are_signed() -> None:
+def test_control_messages_reserved_for_driver_and_launcher_are_signed() -> None:
     assert {*SIGNED} == {"epoch", "stop", "leave", "act", "rewire"}
 
 

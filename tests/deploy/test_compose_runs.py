@@ -77,11 +77,11 @@ def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> No
 
 
 PAUSED = """
-from mast_zenoh import scenario as ours
+from mast_zenoh import scenario as scenarios
 
 
 def scenario():
-    _, loaded = ours.load("baseline", ["n_infrastructure=1"])
+    _, loaded = scenarios.load("baseline", ["n_infrastructure=1"])
     return loaded | dict(faults=[dict(type="Pause", at=0.5, until=2.0, node="infra_1")])
 """
 
@@ -98,11 +98,11 @@ def test_a_paused_node_stops_and_continues(up, tmp_path: Path) -> None:
 
 
 UNPLUGGED = """
-from mast_zenoh import scenario as ours
+from mast_zenoh import scenario as scenarios
 
 
 def scenario():
-    _, loaded = ours.load("baseline", ["n_infrastructure=1"])
+    _, loaded = scenarios.load("baseline", ["n_infrastructure=1"])
     return loaded | dict(faults=[dict(type="Unplug", at={at}, until={until}, node="infra_1")])
 """
 

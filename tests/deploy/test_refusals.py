@@ -106,7 +106,7 @@ def test_a_container_is_reconnected_with_its_former_addresses() -> None:
     ]
     fixed = {"Aliases": None, "IPAMConfig": {"IPv4Address": "192.0.2.7"}, "IPAddress": "192.0.2.7"}
     assert connected_as(fixed) == ["--ip", "192.0.2.7"]
-    assert connected_as({"IPAddress": "192.0.2.7"}) == [], "an address assigned by Docker may be assigned anew"
+    assert connected_as({"IPAddress": "192.0.2.7"}) == [], "an address assigned by Docker may be reassigned"
 
 
 def test_a_full_disk_is_reported_before_anything_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

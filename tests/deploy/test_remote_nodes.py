@@ -51,7 +51,7 @@ def test_a_node_of_another_version_is_refused_and_both_versions_are_named(tmp_pa
 
 
 SCENARIO = """
-from mast_zenoh import scenario as ours
+from mast_zenoh import scenario as scenarios
 from mast_zenoh.fusion.clustering import SampledAssignmentClusterer
 from numbers_of_mine import RADIUS
 
@@ -62,7 +62,7 @@ class MyClusterer(SampledAssignmentClusterer):
 
 
 def scenario(n_infrastructure=1):
-    _, loaded = ours.load("baseline", [f"n_infrastructure={n_infrastructure}"])
+    _, loaded = scenarios.load("baseline", [f"n_infrastructure={n_infrastructure}"])
     loaded["command_center"]["pipeline"]["clustering"] = dict(type="MyClusterer")
     loaded["agents"] = {"*": loaded["agents"]["*"] | dict(file="my_agent.py")}
     return loaded

@@ -77,7 +77,7 @@ def launch(hosts: SshHosts, start: Callable[..., Launched], tmp_path: Path) -> C
     return run
 
 
-def test_a_secure_run_on_three_hosts_equals_the_one_in_one_process(launch, hosts: SshHosts, tmp_path: Path) -> None:
+def test_a_secure_run_on_three_hosts_equals_a_run_in_one_process(launch, hosts: SshHosts, tmp_path: Path) -> None:
     """With a router on one host, and with nodes that are killed and restarted."""
     steps = ((5, "kill", "infra_1"), (6, "leave", "infra_2"), (9, "start", "infra_2"), (10, "start", "infra_1"))
     run: Launched = launch('[router]\non = "beta"', secure="acl", frames=15, steps=steps)
@@ -236,7 +236,7 @@ def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tm
     expected = {
         "key": "its host key is not the one in",
         "unknown": "its host key is not the one in",
-        "refused": "does not let us in with",
+        "refused": "refuses our login with",
         "port": "out of reach",
         "nowhere": "out of reach",
         "python": "there is no python4",

@@ -73,7 +73,7 @@ def test_docker_restarts_only_nodes_with_a_restart_policy(resolved: Resolved) ->
     assert {policy["condition"] for policy in policies.values()} == {"none"}
 
 
-def test_the_router_is_restarted_in_real_time_only(resolved: Resolved) -> None:
+def test_the_router_is_restarted_only_in_real_time(resolved: Resolved) -> None:
     for mode, condition in (("lockstep", "none"), ("realtime", "on-failure")):
         router = stacked(replace(resolved, mode=mode))["services"]["router"]
         assert router["deploy"]["restart_policy"]["condition"] == condition
@@ -316,13 +316,13 @@ def test_killing_a_node_on_another_machine_is_refused_with_the_reason(
     supervisor.running()
     for doing in (supervisor.kill, supervisor.pause):
         with pytest.raises(
-            EngineError, match=r"infra_2 cannot be .*: Docker does that on its own machine only.*on there"
+            EngineError, match=r"infra_2 cannot be .*: Docker does that only on its own machine.*on there"
         ):
             doing(child)
     assert dockerd.told == []
 
 
-def test_docker_may_be_unavailable_for_a_short_time_only(
+def test_docker_may_be_unavailable_only_for_a_short_time(
     resolved: Resolved, tmp_path: Path, dockerd: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -343,15 +343,13 @@ def test_docker_may_be_unavailable_for_a_short_time_only(
 @pytest.mark.parametrize(
     ("swarm_state", "reason"),
     [
-        ("inactive false", r"in no swarm: make one by `docker swarm init --advertise-addr 127\.0\.0\.1`"),
+        ("inactive false", r"not in a swarm: create one with `docker swarm init --advertise-addr 127\.0\.0\.1`"),
         ("locked false", "the swarm of this machine is locked"),
         ("active false", "is a worker of its swarm"),
         ("active true", None),
     ],
 )
-def test_worker_node_cannot_deploy_a_stack(
-    monkeypatch: pytest.MonkeyPatch, swarm_state: str, reason: str | None
-) -> None:
+def test_a_worker_cannot_deploy_a_stack(monkeypatch: pytest.MonkeyPatch, swarm_state: str, reason: str | None) -> None:
     monkeypatch.setattr(engine, "docker", lambda *words: swarm_state + "\n")
     if reason is None:
         engine.check_manager()

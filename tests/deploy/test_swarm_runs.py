@@ -119,7 +119,7 @@ class Patient(Agent):
 
     def on_clock(self, received, context):
         if received.frame > 8 and self.seen < 2:
-            threading.Event().wait(0.5)  # a slow step, until it has come again
+            threading.Event().wait(0.5)  # a slow step, until it has joined again
         super().on_clock(received, context)
 """
 SCENARIO = """
@@ -196,7 +196,7 @@ def test_a_stopped_real_time_run_keeps_its_results_and_leaves_nothing_running(
     assert stack.left(record["deployment"]["stack"]) == {}
 
 
-def test_services_of_a_killed_launcher_end_and_down_removes_the_remainder(
+def test_services_of_a_killed_launcher_end_and_down_removes_the_rest(
     launch: Callable[..., Launched],
 ) -> None:
     run = launch(frames=900, mode="realtime", secure="tls")
@@ -217,7 +217,7 @@ def test_services_of_a_killed_launcher_end_and_down_removes_the_remainder(
 
 def test_an_impossible_run_is_refused_before_anything_is_written(tmp_path: Path, image: str) -> None:
     resolved = swarm_launch.resolved()
-    with pytest.raises(EngineError, match=r"there is no image mast-zenoh:nowhere: build it by `mast deploy image`"):
+    with pytest.raises(EngineError, match=r"there is no image mast-zenoh:nowhere: build it with `mast deploy image`"):
         launcher.run(resolved, tmp_path / "run", engine=Swarm("mast-zenoh:nowhere"))
     with pytest.raises(EngineError, match=r"has the label mast\.host=moon"):
         launcher.run(resolved, tmp_path / "run", engine=Swarm(image, place={"infra_*": "moon"}))

@@ -69,7 +69,7 @@ def test_the_page_lists_all_columns_and_effects_of_attacks(run: Path) -> None:
 
 def test_the_page_lists_all_columns_of_the_tables(run: Path) -> None:
     for name in ("targets", "driving"):
-        (documented,) = re.findall(rf"^`{name}\.parquet`, (.*?)\n\n", METRICS, flags=re.S | re.M)
+        (documented,) = re.findall(rf"^`{name}\.parquet` has (.*?)\n\n", METRICS, flags=re.S | re.M)
         for column in read_table(run / f"{name}.parquet"):
             stem = column.removesuffix("_centre").removesuffix("_ego")
             assert re.search(rf"\b{stem}\b", documented), f"{name}.parquet: {column} is not on the page"

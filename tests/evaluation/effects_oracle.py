@@ -60,7 +60,7 @@ def _of_passage(
             for _ in copies[1:]:
                 yield {"effect": "repeated"}
             for _ in range(len(sent) - len(copies)):
-                yield {"effect": "forged"}  # unreadable bytes cannot be recognised after further damage
+                yield {"effect": "forged"}  # unreadable bytes cannot be recognised after more damage
             if not copies:
                 yield {"effect": "dropped"}
             continue

@@ -194,8 +194,9 @@ def _best(frame: Frame, truths: tuple[int, ...], near: dict[int, list[int]]) -> 
 def by_motmetrics(estimates: dict[Series, list[Frame]]) -> dict[Series, list[Row]]:
     """The scores of all estimates of a run.
 
-    CLEAR MOT keeps pairs of the previous frame while they are within the gate; our metrics match every frame anew. So
-    every frame gets its own object ids; identity switches come from a second pass restricted to the resulting pairs.
+    CLEAR MOT keeps pairs of the previous frame while they are within the gate; our metrics match every frame
+    independently. So every frame gets its own object ids; identity switches come from a second pass restricted to the
+    resulting pairs.
     """
     keys = [(series, k) for series, frames in estimates.items() for k in range(len(frames))]
     frames = [estimates[series][k] for series, k in keys]

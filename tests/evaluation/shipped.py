@@ -7,7 +7,7 @@ from typing import Any
 
 from mast_zenoh.config import bundle, loading
 
-#: By name variants of further settings; other scenarios are played unchanged.
+#: By name, variants with other settings; other scenarios are played unchanged.
 VARIANTS: dict[str, list[tuple[str, ...]]] = {
     "uncoordinated": [("fraction_translations=0.3",)],
     "coordinated": [("fraction_translations=0.3", "reselect_every_s=1.5")],

@@ -36,7 +36,7 @@ def test_every_schedule_is_feasible_and_heals_in_time(
     assert all(up.values()), "all agents are present at the end"
 
 
-def test_equal_seeds_give_equal_schedules_and_others_do_not() -> None:
+def test_equal_seeds_give_equal_schedules_and_different_seeds_give_different_ones() -> None:
     assert random_schedule(3, 6.0, AGENTS) == random_schedule(3, 6.0, AGENTS)
     assert len({str(random_schedule(seed, 6.0, AGENTS)) for seed in range(50)}) == 50
 

@@ -27,9 +27,9 @@ class FinishedCommand:
 
     def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        beside = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "support")}}
+        defaults = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "support")}}
         process = subprocess.run(
-            [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | beside | options)
+            [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | defaults | options)
         )
         self.out, self.code = (
             out,
@@ -47,7 +47,7 @@ class FinishedCommand:
         """Assert that the ending matches a row of the table, and common rules."""
         assert (self.status, self.code) == row, self.text
         assert "Traceback" not in self.text
-        reserve = {".reserve"} if row.status == "running" else set()  # written for a run.json that never followed
+        reserve = {".reserve"} if row.status == "running" else set()  # space for a run.json that was never written
         assert {path.name for path in self.out.glob(".*")} <= reserve, "no temporary file remains"
         if (self.out / "messages.mcap").is_file():
             list(read(self.out))
@@ -58,16 +58,16 @@ def out(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-def at(stage: str, *what: str, run: Sequence[str] = RUN) -> tuple[str, ...]:
-    return (*STAGED, stage, *what, "--", *run)
+def at(stage: str, *actions: str, run: Sequence[str] = RUN) -> tuple[str, ...]:
+    return (*STAGED, stage, *actions, "--", *run)
 
 
 def with_report() -> list[str]:
     return [word for word in RUN if word != "--no-report"]
 
 
-def no_larger_than(size: int) -> Callable[[], None]:
-    """Limits files written by a command to `size` bytes, like a full disk."""
+def file_size_limit(size: int) -> Callable[[], None]:
+    """Limit the files that a command writes to `size` bytes, like a full disk."""
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
@@ -146,7 +146,7 @@ def test_a_signal_while_the_report_is_drawn_skips_the_report(out: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stage", "what"),
+    ("stage", "case"),
     [
         ("loading", "launcher killed before the run folder exists"),
         ("building", "launcher killed (SIGKILL)"),
@@ -155,8 +155,8 @@ def test_a_signal_while_the_report_is_drawn_skips_the_report(out: Path) -> None:
         ("reporting", "launcher killed while the report is drawn"),
     ],
 )
-def test_a_launcher_killed_at_any_stage_leaves_a_readable_run_folder(out: Path, stage: str, what: str) -> None:
-    FinishedCommand(out, at(stage, "SIGKILL", run=with_report())).assert_matches(ending(what))
+def test_a_launcher_killed_at_any_stage_leaves_a_readable_run_folder(out: Path, stage: str, case: str) -> None:
+    FinishedCommand(out, at(stage, "SIGKILL", run=with_report())).assert_matches(ending(case))
     assert out.exists() == (stage != "loading")
     if stage in ("playing", "collecting", "reporting"):
         report = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
@@ -172,17 +172,17 @@ def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stream", "what"),
+    ("stream", "case"),
     [("stdout", "reader of standard output gone (`head -0`)"), ("stderr", "reader of standard error gone")],
 )
-def test_a_closed_pipe_does_not_fail_the_run(out: Path, stream: str, what: str) -> None:
+def test_a_closed_pipe_does_not_fail_the_run(out: Path, stream: str, case: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:
         outcome = FinishedCommand(out, (*MAST, *RUN), **{stream: writing})
     finally:
         os.close(writing)
-    outcome.assert_matches(ending(what))
+    outcome.assert_matches(ending(case))
 
 
 @pytest.mark.parametrize("descriptors", [(1,), (2,), (0, 1, 2)])
@@ -201,7 +201,7 @@ def test_standard_output_on_a_full_disk_is_an_error_but_the_run_is_kept(out: Pat
 
 
 def test_a_disk_that_is_full_from_the_start_leaves_no_run_folder(out: Path) -> None:
-    outcome = FinishedCommand(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
+    outcome = FinishedCommand(out, (*MAST, *RUN), preexec_fn=file_size_limit(1 << 17))
     outcome.assert_matches(ending("disk full while the run folder is made"))
     assert f"error: DiskFull: {out}: File too large: a run cannot begin there" in " ".join(outcome.text.split())
     assert not any(out.iterdir())
@@ -209,14 +209,14 @@ def test_a_disk_that_is_full_from_the_start_leaves_no_run_folder(out: Path) -> N
 
 def test_a_recording_that_fills_the_disk_fails_the_run_but_keeps_its_results(out: Path) -> None:
     command = [word if word != "30" else "120" for word in (*MAST, *RUN)]
-    outcome = FinishedCommand(out, command, preexec_fn=no_larger_than(2_200_000))
+    outcome = FinishedCommand(out, command, preexec_fn=file_size_limit(2_200_000))
     outcome.assert_matches(ending("disk full while the scene is played"))
     assert "messages.mcap: cannot be written: File too large" in outcome.text
     assert (out / "metrics.parquet").is_file()
 
 
 @pytest.mark.parametrize(
-    ("stage", "what"),
+    ("stage", "case"),
     [
         ("starting", "disk full while the run folder is made"),
         ("building", "disk full while nodes start"),
@@ -225,16 +225,16 @@ def test_a_recording_that_fills_the_disk_fails_the_run_but_keeps_its_results(out
         ("reporting", "disk full while the report is drawn"),
     ],
 )
-def test_a_run_on_a_completely_full_disk(tiny_disk: Path, stage: str, what: str) -> None:
+def test_a_run_on_a_completely_full_disk(tiny_disk: Path, stage: str, case: str) -> None:
     out = tiny_disk / "run"
     outcome = FinishedCommand(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
-    outcome.assert_matches(ending(what))
+    outcome.assert_matches(ending(case))
     assert "error: DiskFull" in outcome.text
-    whole = [path for path in out.glob("*.parquet") if path.read_bytes()[-4:] != b"PAR1"]
-    assert not whole, "a table is complete or absent"
+    truncated = [path for path in out.glob("*.parquet") if path.read_bytes()[-4:] != b"PAR1"]
+    assert not truncated, "a table is complete or absent"
 
 
-def test_a_run_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
+def test_a_run_folder_that_cannot_be_created_is_named_in_the_error(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("a file")
     process = subprocess.run([*MAST, *RUN[:-1]], cwd=tmp_path, capture_output=True, text=True)
     assert process.returncode == ending("run folder cannot be made").code
@@ -243,7 +243,7 @@ def test_a_run_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../evil", "a/b", "/tmp/evil", "..", "", "a*b", 7])
-def test_a_scenario_name_cannot_lead_outside_runs(tmp_path: Path, name: object) -> None:
+def test_a_scenario_name_cannot_escape_the_runs_folder(tmp_path: Path, name: object) -> None:
     (tmp_path / "named.py").write_text(
         "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
@@ -256,7 +256,7 @@ def test_a_scenario_name_cannot_lead_outside_runs(tmp_path: Path, name: object) 
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"named.py"}
 
 
-def test_a_defect_is_shown_with_its_traceback_and_the_run_is_failed(out: Path) -> None:
+def test_an_internal_error_shows_its_traceback_and_fails_the_run(out: Path) -> None:
     script = (
         "from mast_zenoh.launch import conclusion\n"
         "conclusion.write = lambda *_: 1 / 0\n"
@@ -300,7 +300,7 @@ def test_every_row_of_the_table_has_a_test() -> None:
     tests = Path(__file__).read_text() + (Path(__file__).parents[1] / "mesh" / "test_endings.py").read_text()
     rows = table()
     assert len(rows) > 15
-    assert not [what for what in rows if f'"{what}"' not in tests]
+    assert not [case for case in rows if f'"{case}"' not in tests]
 
 
 def test_a_stopped_study_is_marked_as_interrupted(tmp_path: Path) -> None:

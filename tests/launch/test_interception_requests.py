@@ -79,7 +79,7 @@ def test_an_adversary_gets_the_wire_the_clock_its_agents_pose_and_a_report_key(r
     assert place_of(json.loads(json.dumps(place_json(place)))) == place
 
 
-def test_an_adversary_on_the_picture_hears_the_pose_of_its_target_agent(
+def test_an_adversary_on_the_picture_receives_the_pose_of_its_target_agent(
     resolved: Resolved,
 ) -> None:
     settings = ("attack.type=PassThrough", "agent=ego")
@@ -90,7 +90,7 @@ def test_an_adversary_on_the_picture_hears_the_pose_of_its_target_agent(
 
 def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Path) -> None:
     two = node_file(tmp_path, {"a": "tracks", "b": "tracks"}, {"out": "tracks"})
-    with pytest.raises(NodeFileError, match="the inputs a, b: say which by --input"):
+    with pytest.raises(NodeFileError, match="the inputs a, b: choose one with --input"):
         plan(resolved, TRACKS, two)
     assert plan(resolved, TRACKS, two, input="b")[2].input == "b"
     with pytest.raises(NodeFileError, match="no input port 'bb'; did you mean 'b'"):
@@ -99,9 +99,7 @@ def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Pat
         plan(resolved, "cc/picture", two)
 
 
-def test_a_node_that_declares_another_message_type_of_a_name_of_the_run_is_refused(
-    resolved: Resolved, tmp_path: Path
-) -> None:
+def test_a_node_that_redefines_a_message_type_of_the_run_is_refused(resolved: Resolved, tmp_path: Path) -> None:
     text = (
         "from mast_zenoh.messages import Schema\nfrom mast_zenoh.node import Node\n"
         "class Mine(Node):\n    role = 'link'\n    inputs = {'a': 'tracks'}\n"
@@ -111,7 +109,7 @@ def test_a_node_that_declares_another_message_type_of_a_name_of_the_run_is_refus
     file = str(tmp_path / "windy.py")
     same, other = (replace(resolved, messages=(Schema("wind", version, "", ()),)) for version in (1, 2))
     assert plan(same, TRACKS, file)[1].type == "Mine"
-    with pytest.raises(NodeFileError, match=r"windy\.py: Mine: the run has another type 'wind'"):
+    with pytest.raises(NodeFileError, match=r"windy\.py: Mine: the run already has a different message type 'wind'"):
         plan(other, TRACKS, file)
 
 
@@ -169,7 +167,7 @@ def test_arbitrary_bytes_are_refused_as_a_request(payload: bytes) -> None:
     ("record", "what"),
     [
         (dict(status="ok", runtime="mesh"), "the run is over: ok"),
-        (dict(status="running", runtime="inproc"), "plays in one process"),
+        (dict(status="running", runtime="inproc"), "the run is in one process"),
         (dict(status="running", runtime="mesh", security="mtls", endpoint="tcp/127.0.0.1:1"), "security level mtls"),
         (dict(status="running", runtime="mesh"), "has not started its nodes yet"),
     ],

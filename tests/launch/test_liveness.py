@@ -42,7 +42,7 @@ def test_a_zombie_process_counts_as_dead(other) -> None:
     assert liveness.lives(identity) is False
 
 
-def test_a_later_process_with_the_same_id_is_told_apart(other) -> None:
+def test_a_later_process_with_the_same_id_is_distinguished(other) -> None:
     _, identity = other
     assert liveness.lives(identity | {"began": "1"}) is False
 

@@ -66,7 +66,7 @@ def test_numpy_arrays_and_numbers_become_plain_json(tmp_path: Path) -> None:
     "name", ["../metrics", "/nowhere/metrics", "a/b", "..", ".hidden", "", "a\\b", "x" * 65, "a\nb", "a\0b", 7, "ä"]
 )
 @pytest.mark.parametrize("node", ["evaluator", "other"])
-def test_a_table_name_that_leads_out_of_the_folder_is_refused_and_reported(
+def test_a_table_name_that_leads_outside_the_folder_is_refused_and_reported(
     tmp_path: Path, node: str, name: Any
 ) -> None:
     results = {node: {"tables": {name: TABLE, "good": TABLE}}}
@@ -77,7 +77,7 @@ def test_a_table_name_that_leads_out_of_the_folder_is_refused_and_reported(
     assert {path.name for path in tmp_path.iterdir()} == {"run"}
 
 
-def test_a_node_whose_name_leads_out_of_the_folder_writes_nothing(tmp_path: Path) -> None:
+def test_a_node_whose_name_leads_outside_the_folder_writes_nothing(tmp_path: Path) -> None:
     refused, files = written({"..": {"metrics": METRICS, "tables": {"metrics": TABLE}}}, tmp_path / "run")
     assert len(refused) == 1
     assert files == set()
@@ -207,7 +207,9 @@ def test_completeness_in_real_time_is_measured_from_the_recording(
         assert record["recording"]["complete"] is expected
 
 
-def test_of_two_runs_that_start_in_one_folder_only_one_gets_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_one_of_two_runs_that_start_in_the_same_folder_gets_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The other run creates its folders between our check and our creation."""
     (tmp_path / "logs").mkdir()
     monkeypatch.setattr(Path, "iterdir", lambda self: iter(()))

@@ -123,7 +123,7 @@ def test_the_latency_limit_depends_on_the_broker_and_the_rate(world: Resolved) -
     assert "a frame lasts 50 ms" in realtime(replace(world, rate=2.0), 199.0, speed=20.0)
 
 
-def test_late_messages_behind_a_delaying_link_are_not_an_overload(world: Resolved) -> None:
+def test_late_messages_after_a_delaying_link_are_not_an_overload(world: Resolved) -> None:
     linked = replace(world, timeline=({"kind": "link", "label": "wireless", "at_s": 0.0},))
     assert realtime(linked, 25.0, late={"ego": 3}) == ""
     assert "3 messages" in realtime(world, 25.0, late={"ego": 3})

@@ -30,7 +30,7 @@ def results(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
-def test_a_twins_results_are_those_of_the_unattacked_scenario(tmp_path: Path, name: str) -> None:
+def test_a_twins_results_equal_the_unattacked_scenarios(tmp_path: Path, name: str) -> None:
     attacked = played(tmp_path / "attacked", name, "attack_start_s=0")
     baseline = played(tmp_path / "baseline", "baseline")
     assert results(attacked) != results(baseline)
@@ -80,7 +80,7 @@ class OwnAgent(Base):
 """
 
 
-def test_a_twin_is_played_again_if_a_users_file_or_one_beside_it_changed(tmp_path: Path) -> None:
+def test_a_twin_is_played_again_if_a_users_file_or_one_next_to_it_changed(tmp_path: Path) -> None:
     user_files = tmp_path / "mine"
     user_files.mkdir()
     (user_files / "own_agent.py").write_text(OWN_AGENT)

@@ -153,7 +153,7 @@ def test_a_node_still_paused_at_the_end_is_resumed(tmp_path: Path) -> None:
     assert outcome.record["nodes"]["infra_1"]["ended"] == "ok"
 
 
-def test_an_unplanned_death_beside_planned_ones_is_handled(launch) -> None:
+def test_an_unplanned_death_among_planned_ones_is_handled(launch) -> None:
     """An unplanned death of the command centre fails the run despite planned ones."""
     run: Launched = launch((2, "kill", "infra_1"), (3, "pause", "infra_2"))
     wait_until_paused(run, "infra_2")

@@ -119,7 +119,7 @@ def scenario(folder=""):
 """
 
 
-def test_listeners_hear_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+def test_listeners_receive_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(LISTENING)
     what = (str(tmp_path / "mine.py"), f"folder={Path(__file__).parents[1] / 'support'}")
     run = on_mesh(launch, *what)

@@ -77,7 +77,7 @@ def lost(run: Launched, observer: Observer) -> list[tuple[str, str, list[tuple[i
         for wire in sorted({key for key, _ in messages})
     ]
     heard_by = [(hearer, wire) for hearer, wire, _ in all_gaps if wire in (TRACKS, DETECTIONS)]
-    assert len(heard_by) == 5, "all three hear them, except detections, which the evaluator does not need"
+    assert len(heard_by) == 5, "all three receive them, except detections, which the evaluator does not need"
     return [entry for entry in all_gaps if entry[2]]
 
 

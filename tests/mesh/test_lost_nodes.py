@@ -82,7 +82,7 @@ def test_a_node_lost_in_lock_step_fails_the_run_by_name(launch, undisturbed: Pat
         [*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False
     )
     assert process.returncode == 2
-    assert f"not comparable from frame {lost['frame'] - 1} on: infra_2 was lost" in process.stdout + process.stderr
+    assert f"not comparable from frame {lost['frame'] - 1} onwards: infra_2 was lost" in process.stdout + process.stderr
     subprocess.run([*MAST, "report", str(run.out)], check=True, capture_output=True)
     assert "infra_2 was lost" in (run.out / "report.html").read_text()
 
@@ -111,4 +111,4 @@ def test_a_recording_that_lost_its_recorder_is_marked_incomplete(launch, undistu
         [*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False
     )
     assert process.returncode == 2
-    assert f"not comparable from frame {from_frame} on: the recording of" in process.stderr.replace("\n", " ")
+    assert f"not comparable from frame {from_frame} onwards: the recording of" in process.stderr.replace("\n", " ")

@@ -36,12 +36,12 @@ FRAMES = 20
 AWAY = "infra_1"  # leaves and returns; its first process takes its counters with it
 STRANGER = "nobody"
 SCENARIO = f"""
-from mast_zenoh import scenario as ours
+from mast_zenoh import scenario as scenarios
 
 
 
 def scenario():
-    _, loaded = ours.load("coordinated", ["n_infrastructure=2", "attack_start_s=0.3"])
+    _, loaded = scenarios.load("coordinated", ["n_infrastructure=2", "attack_start_s=0.3"])
     loaded["faults"] = [dict(type="Leave", node={AWAY!r}, at=0.8, return_after=0.6)]
     return loaded | dict(run=dict(mode="lockstep", seed=3, frames={FRAMES}))
 """
@@ -71,7 +71,7 @@ class Target(NamedTuple):
 
 
 def targets(nodes: list[str], secret: bytes) -> list[Target]:
-    """Every control key with a receiver, and those of an absent node."""
+    """Every control key that has a receiver, and the keys of an absent node."""
 
     def sealed(body: bytes) -> bytes:
         return packed([body, hmac.digest(secret, body, hashlib.sha256)])

@@ -60,7 +60,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launc
     nodes = run.record()["nodes"]
     assert all(node["ended"] == "ok" and not node["failures"] for node in nodes.values())
     expected = sum(sent[key] * hearers[key] for key in sent)
-    evaluator = nodes.pop("evaluator")  # hears every key, and refuses malformed messages on those it needs
+    evaluator = nodes.pop("evaluator")  # subscribes to every key, and refuses malformed messages on those it needs
     assert sum(evaluator["foreign"].values()) == sum(sent.values())
     refused: Counter[str] = Counter()
     for what, n in evaluator["rejected"].items():

@@ -136,7 +136,7 @@ def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
     assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", "baseline"))
 
 
-def test_a_user_defined_node_beside_the_scenario_takes_part(launch, tmp_path: Path) -> None:
+def test_a_user_defined_node_next_to_the_scenario_takes_part(launch, tmp_path: Path) -> None:
     (tmp_path / "deaf.py").write_text(
         "from mast_zenoh.node import Node\n"
         "from mast_zenoh.runtime.mesh.main import main\n"

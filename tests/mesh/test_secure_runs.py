@@ -80,4 +80,4 @@ def test_a_node_with_invalid_credentials_reports_the_fault_and_exits(tmp_path: P
     ]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 16, ended.stderr
-    assert f"{folder}: the certificate has expired at {ends:%Y-%m-%d %H:%M:%S} UTC" in ended.stderr
+    assert f"{folder}: the certificate expired at {ends:%Y-%m-%d %H:%M:%S} UTC" in ended.stderr

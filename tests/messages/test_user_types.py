@@ -1,4 +1,4 @@
-"""User-defined message types are checked like ours, as are their definitions."""
+"""User-defined message types and their definitions are checked like built-in ones."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ A = Column("a", "int64", ("n",))
     ("define", "message"),
     [
         (lambda: Column("speed", "float32", (1,)), "column 'speed': dtype: found 'float32', expected one of float64, "),
-        (lambda: Column("Speed", "float64", (1,)), "column 'Speed': expected a name of small letters"),
+        (lambda: Column("Speed", "float64", (1,)), "column 'Speed': expected a name of lower-case letters"),
         (lambda: Column("speed", "float64", ()), r"column 'speed': shape: found \(\), expected a size"),
         (lambda: Column("speed", "float64", (0,)), "column 'speed': shape: found 0, expected 1 to 100000, or a letter"),
         (lambda: Column("speed", "float64", (True,)), "column 'speed': shape: found True, expected 1 to 100000"),
@@ -180,9 +180,9 @@ A = Column("a", "int64", ("n",))
         (lambda: Column("kind", "uint8", ("n",), below=0), "below: found 0, expected 1 to 256"),
         (lambda: Column("turn", "int64", (4,), least_length=0.1), "least_length: found 0.1, expected 0 for int64"),
         (lambda: Column("turn", "float64", (4,), least_length=-1.0), "least_length: found -1.0, expected 0 or more"),
-        (lambda: Schema("my wind", 1, "", ()), "message type 'my wind': expected a name of small letters"),
+        (lambda: Schema("my wind", 1, "", ()), "message type 'my wind': expected a name of lower-case letters"),
         (lambda: Schema("wind", 0, "", ()), "message type 'wind': version: found 0, expected a whole number from 1"),
-        (lambda: Schema("wind", 1, "", (A, A)), "message type 'wind': column 'a' is there twice"),
+        (lambda: Schema("wind", 1, "", (A, A)), "message type 'wind': column 'a' occurs twice"),
         (
             lambda: Schema("wind", 1, "", tuple(replace(A, name=f"a{number}") for number in range(61))),
             "message type 'wind': 61 columns, expected at most 60",

@@ -315,7 +315,7 @@ def test_dropped_damaged_or_late_tracks_and_batches_count_as_disconnected() -> N
     roles = {way.node: "link" for way in disconnected.passages}
     mask = stopped_by_links(disconnected, roles, AGENTS, np.arange(12))
     assert [np.flatnonzero(column).tolist() for column in mask.T] == [[10], [1, 2, 3, 10], [8, 10]]
-    assert not stopped_by_links(disconnected, {}, AGENTS, np.arange(12)).any(), "an adversary's drop is no fault"
+    assert not stopped_by_links(disconnected, {}, AGENTS, np.arange(12)).any(), "an adversary's drop is not a fault"
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:

@@ -280,7 +280,7 @@ def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
 
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
-def test_counts_equal_those_of_plain_loops(seed, include_self, ignore_unseen):
+def test_counts_equal_plain_loops(seed, include_self, ignore_unseen):
     run, frames = random_run(seed)
     scorer = Scorer(range_m=7.0, min_points=5, include_self=include_self, ignore_unseen=ignore_unseen)
     table = scorer.score(run).per_frame()

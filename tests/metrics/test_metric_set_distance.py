@@ -65,7 +65,7 @@ def test_the_distance_is_minimal_over_all_assignments(frames, p: float, c: float
 
 
 @pytest.mark.parametrize("p", [1.0, 2.0])
-def test_distances_equal_those_of_stone_soup(p: float) -> None:
+def test_distances_equal_stone_soups(p: float) -> None:
     """Stone Soup's OSPA assigns by d, not by d^p, so only p = 1 is compared."""
     ospa = pytest.importorskip("stonesoup.metricgenerator.ospametric", reason="Stone Soup is not installed")
     from stonesoup.types.state import State

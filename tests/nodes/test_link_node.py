@@ -348,7 +348,7 @@ def test_a_user_defined_link_can_have_other_ports(tmp_path: Path) -> None:
 )
 @settings(max_examples=40)
 def test_in_real_time_messages_leave_in_order(delays_ms: list[float], gaps_us: list[int]) -> None:
-    starts = [1e-3 * i for i in range(len(delays_ms) + 1)]  # each message has a delay of its own
+    starts = [1e-3 * i for i in range(len(delays_ms) + 1)]  # each message has its own delay
     rules = [
         dict(type="Delay", mean_s=ms * 1e-3, distribution="constant", at=at, until=until)
         for ms, at, until in zip(delays_ms, starts, starts[1:], strict=False)

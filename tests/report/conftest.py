@@ -48,7 +48,7 @@ def crossing(frames: int = FRAMES) -> Recording:
     )
     poles = np.array([[25.0, 25.0, 15.0], [-25.0, 25.0, 15.0], [-25.0, -25.0, 15.0], [25.0, -25.0, 15.0]])
     ego = position[::n] * [1, 1, 0]
-    turned = [rotation_from_yaw_pitch(np.arctan2(-p[1], -p[0]), np.radians(30.0)) for p in poles]
+    pole_rotations = [rotation_from_yaw_pitch(np.arctan2(-p[1], -p[0]), np.radians(30.0)) for p in poles]
     agents = [SceneAgent("ego", "mobile", EGO_ID, LidarSensor(), Camera())]
     agents += [SceneAgent(name, "static", -1, LidarSensor.infrastructure(), Camera()) for name in AGENTS[1:]]
     corners = np.array([[20.0, 20.0], [60.0, 20.0], [60.0, 55.0], [20.0, 55.0]])
@@ -61,7 +61,7 @@ def crossing(frames: int = FRAMES) -> Recording:
         truth_start=np.arange(frames + 1) * n,
         points=np.full((n * frames, len(AGENTS)), 10, np.int32),
         agent_position=np.stack([np.vstack([at, poles]) for at in ego]),
-        agent_rotation=np.tile(np.stack([rotation_from_yaw(0.0), *turned]), (frames, 1, 1, 1)),
+        agent_rotation=np.tile(np.stack([rotation_from_yaw(0.0), *pole_rotations]), (frames, 1, 1, 1)),
         agent_velocity=np.zeros((frames, len(AGENTS), 3)),
         detections=Detections.empty(),
         detection_start=np.zeros(frames * len(AGENTS) + 1, np.int64),
@@ -78,7 +78,7 @@ def save_table(path: Path, rows: list[tuple[Any, ...]], names: str) -> None:
 
 
 def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[list, list, list]:
-    """Rows of objects, counts and attacks; the ego alone sees 45 m far."""
+    """Rows of objects, counts and attacks; the ego's own sensor sees up to 45 m."""
     objects: list[tuple[Any, ...]] = []
     counts: list[tuple[Any, ...]] = []
     attacks: list[tuple[Any, ...]] = []
@@ -131,7 +131,7 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
 
 
 def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> dict[str, Any]:
-    """metrics.json of counts and effects; all false objects are adversaries'."""
+    """metrics.json from counts and effects; adversaries caused all false objects."""
     ego: dict[str, Any] = {}
     for estimator in ("local", "picture"):
         counts_of_estimator = np.array([row[3:6] for row in counts if row[2] == estimator], np.float64)
@@ -168,8 +168,8 @@ def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
     records: list[dict[str, Any]] = []
 
     def wire(key: str, kind: str, publisher: str, subscribers: list[str]) -> None:
-        sitting = [a for a, victim in adversaries.items() if key == f"agent/{victim}/{message}"]
-        chain = [publisher, *sitting]
+        interposers = [a for a, victim in adversaries.items() if key == f"agent/{victim}/{message}"]
+        chain = [publisher, *interposers]
         legs = [
             {
                 "key": f"{key}/@tap/{i}" if i < len(chain) - 1 else key,
@@ -180,7 +180,7 @@ def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
         ]
         records.append(
             {"key": key, "message": kind, "publisher": publisher, "subscribers": subscribers}
-            | {"legs": legs, "interposers": sitting}
+            | {"legs": legs, "interposers": interposers}
         )
 
     wire("clock", "clock", "simulator", [*AGENTS, "broker", "command_center", "evaluator"])

@@ -150,7 +150,7 @@ def test_objects_inserted_on_a_real_object_match_it(attacked: RunFolder) -> None
 def test_reason_for_objects_rejected_by_the_fusion(attacked: RunFolder) -> None:
     assert "the fusion rejected everything" in why(attacked, targets("inserted", x=30.0, y=40.0), **NOT_ACCEPTED)
     half = NOT_ACCEPTED | {"inserted_share_centre": 1.0}
-    assert "the ego did not take it over" in why(attacked, targets("inserted", x=30.0, y=40.0), **half)
+    assert "the ego did not adopt it" in why(attacked, targets("inserted", x=30.0, y=40.0), **half)
 
 
 def test_accepted_objects_need_no_reason(attacked: RunFolder) -> None:
@@ -167,7 +167,7 @@ def test_reason_for_changes_in_unscored_frames(attacked: RunFolder) -> None:
 
 HIDDEN: dict[str, tuple[dict[str, Any], str]] = {
     "others": ({"seen_by_others": True}, "other agents still saw what it removed, all the time"),
-    "clutter": ({"object": -1}, "what it removed was no object of the scene, but clutter"),
+    "clutter": ({"object": -1}, "what it removed was clutter, not part of the scene"),
     "nobody": (
         {"judged_centre": False, "judged_ego": False},
         "what it removed is not scored: no agent sees it, or it is out of range of every agent",
@@ -189,7 +189,7 @@ NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
 
 
 @pytest.mark.parametrize("first_dropped", [15, 25])
-def test_dropped_messages_have_reasons_of_their_own(attacked: RunFolder, first_dropped: int) -> None:
+def test_dropped_messages_have_their_own_reasons(attacked: RunFolder, first_dropped: int) -> None:
     effects = attacked.effects
     assert effects is not None
     selected = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
@@ -250,7 +250,7 @@ def test_an_agent_with_an_adversary_that_leaves_the_object_alone_sees_it(attacke
 def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: RunFolder) -> None:
     legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
     attacked.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
-    assert why(attacked, None) == "it sat on the picture's way to infra_1, not to the ego"
+    assert why(attacked, None) == "it sat on the picture's path to infra_1, not to the ego"
 
 
 def test_terminal_and_page_show_limited_effects(attacked: RunFolder) -> None:
@@ -260,13 +260,13 @@ def test_terminal_and_page_show_limited_effects(attacked: RunFolder) -> None:
     assert "  limited effect: removed: other agents still saw what it removed, all the time\n" in page.getvalue()
     assert "no effect" not in page.getvalue()
     html = write_page(attacked).read_text()
-    assert "What had limited effect, and why" in html
+    assert "Changes with limited effect, and why" in html
     assert "no effect" not in html
 
 
 def test_reason_for_moved_objects_without_displacement(attacked: RunFolder) -> None:
     nothing = {"moved": 1, "moved_share_centre": 0.0, "moved_share_ego": 0.0, "moved_error_m_centre": 0.4}
-    reason = "the tracks of what it {} are 0.40 m off on average, which is no displacement"
+    reason = "the tracks of what it {} are 0.40 m off on average, which does not count as a displacement"
     for kind, done in (("moved", "moved"), ("altered", "altered")):
         table = targets(kind, error_m_centre=0.4)
         nothing |= {f"{kind}_share_centre": 0.0, f"{kind}_error_m_centre": 0.4}

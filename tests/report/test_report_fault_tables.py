@@ -78,7 +78,7 @@ def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted:
     for heading in ("Causes of missed and false objects", "Checks", "Latency"):
         assert f">{heading}</h2>" in page
     assert "0.75 a frame are missed because of links and faults, 0.25 because of attacks" in page
-    assert "Not everything that was checked holds: collation." in page
+    assert "Some checks failed: collation." in page
     assert "2 tracks &lt;lost&gt;" in page
     assert "<strong>failed</strong>" in page
     assert "converged to the unfaulted one 0.4 s after the heal" in page
@@ -189,7 +189,7 @@ def test_simultaneous_faults_use_separate_lanes_and_surplus_is_counted() -> None
 @pytest.mark.parametrize(
     ("start", "end", "x", "align"), [(1.0, 9.0, 1.07, "left"), (1.0, 1.2, 1.27, "left"), (9.5, 9.7, 9.43, "right")]
 )
-def test_a_name_is_inside_its_band_or_beside_it(start: float, end: float, x: float, align: str) -> None:
+def test_a_name_is_inside_its_band_or_next_to_it(start: float, end: float, x: float, align: str) -> None:
     ((only,), _) = place_bands([Band("Kill infra_1", False, start, end)], 0.0, 10.0, 10.0)
     assert (only.x, only.align) == (pytest.approx(x), align)
 

@@ -56,7 +56,7 @@ def clean(run_folder: Callable[..., Path]) -> FrameView:
     return view
 
 
-def test_colours_are_those_of_the_paper() -> None:
+def test_colours_follow_the_paper() -> None:
     for outcome, (r, g, b) in {
         "truth matched": (1, 1, 1),
         "track matched": (0, 0, 1),
@@ -116,7 +116,7 @@ def test_runs_side_by_side_have_a_panel_each(attacked: FrameView, clean: FrameVi
     assert pixels(plots[:, width // 2 :], "track false") > 300
 
 
-def test_four_or_more_runs_use_further_rows(clean: FrameView) -> None:
+def test_four_or_more_runs_use_more_rows(clean: FrameView) -> None:
     table = score_table({"a": clean.run.metrics})
     three = side_by_side_figure(dict.fromkeys("abc", clean), table)
     seven = side_by_side_figure(dict.fromkeys("abcdefg", clean), table)

@@ -1,4 +1,4 @@
-"""Report pages are complete, self-contained, escaped and honest."""
+"""Report pages are complete, self-contained, correctly escaped and accurate."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_a_run_report_states_the_result_and_how_every_node_ended(run_folder: Run
     assert "adversary_1" in hostile[2]
 
 
-def test_the_speed_is_that_of_the_run_not_the_rate_of_the_scene(run_folder: RunFolderFixture) -> None:
+def test_the_speed_shown_is_the_runs_not_the_scenes_frame_rate(run_folder: RunFolderFixture) -> None:
     folder = run_folder()
     assert "frames/s" not in Page(write_report(folder)).text
     run = json.loads((folder / "run.json").read_text())
@@ -157,21 +157,21 @@ MISSING = {
 
 
 @pytest.mark.parametrize("name", sorted(MISSING))
-def test_missing_file_is_named_and_the_remainder_is_shown(run_folder: RunFolderFixture, name: str) -> None:
+def test_a_missing_file_is_named_and_everything_else_is_shown(run_folder: RunFolderFixture, name: str) -> None:
     folder = run_folder("uncoordinated")
     (folder / name).unlink()
     page = Page(write_report(folder))
     assert f"{name} is absent" in page.text
-    parsed = {path.stem for path in (folder / "figures").glob("*.png")}
-    assert parsed == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
+    drawn = {path.stem for path in (folder / "figures").glob("*.png")}
+    assert drawn == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
 
 
 @pytest.mark.parametrize("name", sorted(MISSING))
-def test_truncated_file_is_named(run_folder: RunFolderFixture, name: str) -> None:
+def test_a_truncated_file_is_named(run_folder: RunFolderFixture, name: str) -> None:
     folder = run_folder("uncoordinated")
     (folder / name).write_bytes((folder / name).read_bytes()[:-20])
-    (page,) = RunFolder.load(folder).missing
-    assert page.startswith(f"{name} cannot be read")
+    (problem,) = RunFolder.load(folder).missing
+    assert problem.startswith(f"{name} cannot be read")
 
 
 def test_an_interrupted_run_still_has_a_report(run_folder: RunFolderFixture) -> None:
@@ -194,7 +194,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
         write_report(tmp_path / "nothing")
 
 
-def test_existing_frame_can_be_requested(run_folder: RunFolderFixture) -> None:
+def test_only_an_existing_frame_can_be_requested(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
     assert "t = 0.7 s (frame 7)" in (Page(write_report(folder, frame=7)).images[0]["alt"] or "")
     with pytest.raises(RunFolderError, match="found frame 40, expected one of 0 to 39"):
@@ -218,7 +218,9 @@ def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Pa
         assert f"{name}/report.html" in study.links
 
 
-def test_study_report_with_an_unscored_run(run_folder: RunFolderFixture, tmp_path: Path) -> None:
+def test_a_study_report_with_an_unscored_run_names_the_missing_file(
+    run_folder: RunFolderFixture, tmp_path: Path
+) -> None:
     runs = {"baseline": run_folder(), "uncoordinated": run_folder("uncoordinated")}
     for path in [*runs["uncoordinated"].glob("*.parquet"), runs["uncoordinated"] / "metrics.json"]:
         path.unlink()
@@ -227,7 +229,7 @@ def test_study_report_with_an_unscored_run(run_folder: RunFolderFixture, tmp_pat
     assert "2 runs" in page.text
 
 
-def test_study_report_of_empty_runs(run_folder: RunFolderFixture, tmp_path: Path) -> None:
+def test_a_study_report_can_be_written_for_empty_runs(run_folder: RunFolderFixture, tmp_path: Path) -> None:
     folder = run_folder()
     for path in folder.iterdir():
         if path.is_file() and path.name != "run.json":

@@ -131,16 +131,16 @@ def test_adversary_on_the_downlink_is_described_by_its_victim() -> None:
     run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
     assert only(run).before == ("ego",)
     assert adversaries_by_agent(interposers(run)) == {"ego": ("mallory",)}
-    assert compromised(run) == "the picture's way to ego"
+    assert compromised(run) == "the picture's path to ego"
 
 
-def test_wire_table_names_the_only_subscriber_behind_an_interposer() -> None:
+def test_wire_table_names_the_only_subscriber_after_an_interposer() -> None:
     run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
     (row,) = wire_rows(run)
     assert row.before == {"mallory": ("ego",)}
     page = rendered_wires([row])
-    assert "<strong>mallory</strong> <small>(before ego alone)</small>" in page
-    assert only(run).place == "cc/picture before ego alone"
+    assert "<strong>mallory</strong> <small>(only before ego)</small>" in page
+    assert only(run).place == "cc/picture only before ego"
     assert only(run_of([wire("cc/picture", ("mallory",))])).place == "cc/picture"
 
 

@@ -108,7 +108,7 @@ def test_a_picture_changed_without_delay_is_shown_as_received() -> None:
     assert table.cell("fp", "run", "picture_received").value.mean == 5.25
 
 
-def test_metrics_of_the_user_have_rows_of_their_own() -> None:
+def test_user_defined_metrics_have_separate_rows() -> None:
     run = metrics((1.2, 0.25, 12.0))
     run["agents"]["ego"]["picture"]["errors_nearby"] = {"mean": 3.5, "std": 1.0}
     table = score_table({"run": run})

@@ -94,7 +94,7 @@ def branched(trunk: tuple[str, ...] = ()) -> RunFolder:
     return a_run([wire], roles | {"command_center": "command_center", "evaluator": "evaluator"})
 
 
-def test_a_link_before_one_subscriber_is_beside_it_and_does_not_affect_the_others() -> None:
+def test_a_link_before_one_subscriber_is_drawn_next_to_it_and_does_not_affect_the_others() -> None:
     plan = layout(branched())
     assert plan is not None
     link, agent, centre = Spot("link_infra_2", after=1), Spot("infra_2"), Spot("command_center")

@@ -63,7 +63,7 @@ def test_a_comparison_headline_names_the_difference(run_folder: Callable[..., Pa
     assert "6.2 more false objects a frame in the common picture than unattacked, due to adversary_1 and" in headline(
         run, Reference(reference, "unattacked")
     )
-    assert headline(reference, Reference(reference, "unattacked")).startswith("Every score is that of unattacked")
+    assert headline(reference, Reference(reference, "unattacked")).startswith("Every score equals that of unattacked")
 
 
 SCORES = {
@@ -190,7 +190,7 @@ def test_difference_in_driving_alone_is_reported(run_folder: Callable[..., Path]
         "needlessly in 12.5% of the scored frames)"
     )
     same = Reference(reference.run, "itself")
-    assert headline(reference.run, same).startswith("Every score is that of itself")
+    assert headline(reference.run, same).startswith("Every score equals that of itself")
 
 
 def test_headline_of_a_failed_run_begins_with_the_failure(run_folder: Callable[..., Path]) -> None:
@@ -253,7 +253,7 @@ def test_silent_and_lying_adversaries_are_named(run_folder: Callable[..., Path])
     edit(folder / "metrics.json", change)
     sentences = reading(RunFolder.load(folder))
     assert "adversary_1 changed messages and reported nothing." in sentences
-    assert "What adversary_2 reported is not what was measured." in sentences
+    assert "What adversary_2 reported does not match what was measured." in sentences
 
 
 def test_false_objects_during_the_attack_are_also_counted(run_folder: Callable[..., Path]) -> None:

@@ -48,7 +48,7 @@ def test_a_numeric_parameter_is_on_the_x_axis_and_categories_are_not_connected()
     assert not panel.numeric
 
 
-def test_further_parameters_make_a_panel_for_each_choice() -> None:
+def test_additional_parameters_make_a_panel_for_each_choice() -> None:
     result = panels([BASELINE, *grid("a", n=(1, 2, 3), start_s=(1.0, 4.0), kind=("far", "near"))], "baseline")
     assert [panel.title for panel in result] == ["a, kind = far", "a, kind = near"]
     assert list(labels(result[0])) == ["start (s) = 1", "start (s) = 4"]

@@ -43,8 +43,8 @@ class Page(HTMLParser):
 @pytest.fixture
 def page(tmp_path: Path):
     def write(failed=()) -> Page:
-        about = facts(ROWS, failed)
-        return Page(write_page(tmp_path, ROWS, about, figures_over_trials(ROWS, about)))
+        study_facts = facts(ROWS, failed)
+        return Page(write_page(tmp_path, ROWS, study_facts, figures_over_trials(ROWS, study_facts)))
 
     return write
 
@@ -85,5 +85,5 @@ def test_failed_trials_are_listed_first_with_seed_error_and_command(page) -> Non
         assert f"seed {trial.seed}: " in parsed.text
     assert parsed.text.count("RunError: <b>bold</b> failure") == 12
     assert "b" not in parsed.tags
-    assert "2 more" in parsed.text, "the first ten are listed uncollapsed"
+    assert "2 more" in parsed.text, "only the first ten are listed openly"
     assert "48 of 60" in parsed.text

@@ -161,7 +161,7 @@ def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> N
     )
 
 
-def test_result_of_an_attack_that_reduces_something_says_fewer() -> None:
+def test_result_of_an_attack_that_reduces_something_is_worded_with_fewer() -> None:
     fewer = row("a", {}, -2.0)
     assert "2.00 fewer false objects a frame [1.50, 2.50]" in result(
         [BASELINE, fewer], facts([BASELINE, fewer]), compare([BASELINE, fewer], "baseline")
@@ -171,13 +171,13 @@ def test_result_of_an_attack_that_reduces_something_says_fewer() -> None:
 @pytest.mark.parametrize(
     ("estimates", "text"),
     [
-        (estimate(0.1, 0.5, p=0.6), "No attack changes false or missed objects distinguishably, of 1 comparison"),
+        (estimate(0.1, 0.5, p=0.6), "No attack changes false or missed objects distinguishably, in 1 comparison"),
         (
             Estimate(4.0, 1.0, 4.0, seeds=3),
             "in the picture, too few seeds for an interval: in a the picture has 4.00 more false",
         ),
         (Estimate(0.0, 0.0, 0.0, seeds=20), "No attack changes false or missed objects in any trial"),
-        (None, "No trial has the results of its baseline beside it"),
+        (None, "No trial has results for its baseline"),
     ],
 )
 def test_result_without_a_significant_change_is_stated(estimates: Estimate | None, text: str) -> None:

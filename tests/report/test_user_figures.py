@@ -93,7 +93,7 @@ def written(path: Path, text: str, after: str = "time") -> Path:
 
 
 @pytest.mark.parametrize("after", ["scores", "nodes"])
-def test_a_figure_stands_behind_the_section_that_it_names(run_folder: Folder, tmp_path: Path, after: str) -> None:
+def test_a_figure_follows_the_section_that_it_names(run_folder: Folder, tmp_path: Path, after: str) -> None:
     file = written(tmp_path / f"figures_{after}.py", FIGURES, after)
     page = write_report(run_folder(), figures=[file]).read_text()
     assert '<h2 id="blank">Blank</h2>' in page
@@ -104,7 +104,7 @@ def test_a_figure_stands_behind_the_section_that_it_names(run_folder: Folder, tm
     assert "Unfinished" not in page
 
 
-def test_a_report_without_figures_of_users_is_as_it_was(run_folder: Folder, tmp_path: Path) -> None:
+def test_a_report_without_user_figures_is_unchanged(run_folder: Folder, tmp_path: Path) -> None:
     folder = run_folder("uncoordinated")
     before = write_report(folder).read_bytes()
     (tmp_path / "nothing.py").write_text("X = 1\n")
@@ -162,7 +162,7 @@ def test_a_figure_that_cannot_be_drawn_is_named_with_the_reason(run_folder: Fold
     assert "Text could not be drawn: TypeError: draw returned str, expected a Matplotlib figure or None" in page
     assert "Camera could not be drawn: ValueError: name: found 'camera', which another figure has" in page
     assert "Lost could not be drawn: ValueError: after: found 'nowhere', expected one of scores, achieved" in page
-    assert page.count('<h2 id="camera">') == 1, "ours is there, too"
+    assert page.count('<h2 id="camera">') == 1, "the built-in one is there too"
 
 
 def test_no_figure_changes_the_rest_of_the_report(run_folder: Folder, tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_the_command_adds_the_figures_of_a_file(run_folder: Folder, tmp_path: Pa
         write_report(folder, figures=[written(tmp_path / "torn.py", "1 / 0\n")])
 
 
-def test_our_figures_are_made_by_the_same_base(run_folder: Folder) -> None:
+def test_the_built_in_figures_use_the_same_base_class(run_folder: Folder) -> None:
     assert {kind.label() for kind in OURS} == {"birdseye", "camera", "counts", "causes", "driving", "wiring"}
     context = FigureContext(RunFolder.load(run_folder("uncoordinated")), None)
     drawn: dict[str, Any] = {kind.label(): kind().draw(context) for kind in OURS}

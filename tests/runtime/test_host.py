@@ -361,11 +361,11 @@ def test_an_unknown_port_is_refused_with_the_nearest(use: Callable[[Host], None]
 
 
 def test_a_port_with_several_wires_requires_a_choice() -> None:
-    with pytest.raises(ConfigurationError, match="has 2 wires: say which by subject"):
+    with pytest.raises(ConfigurationError, match="has 2 wires: choose one with subject"):
         listening().publish("tracks_out", tracks())
 
 
-def texts(*values: Any) -> np.ndarray:
+def strings(*values: Any) -> np.ndarray:
     column = text([""] * len(values))
     column[:] = values
     return column
@@ -373,7 +373,7 @@ def texts(*values: Any) -> np.ndarray:
 
 def collated(**columns: np.ndarray) -> dict[str, np.ndarray]:
     states = ObjectStates.of(np.zeros((2, 3)), covariance=np.tile(np.eye(9), (2, 1, 1)))
-    batch = {"agent": np.array([0, 1]), "agents": texts("a", "b"), "age_ns": np.zeros(2, np.int64)}
+    batch = {"agent": np.array([0, 1]), "agents": strings("a", "b"), "age_ns": np.zeros(2, np.int64)}
     return states.columns() | batch | columns
 
 
@@ -387,10 +387,10 @@ SLIPS = {
     "no rotation": ("tracks", tracks(rotation=np.zeros(4)), {}),
     "before the first frame": ("tracks", tracks(), {"frame": -1}),
     "at a negative time": ("tracks", tracks(), {"time_ns": -5}),
-    "at a time that is no whole number": ("tracks", tracks(), {"time_ns": 1.5}),
+    "at a time that is not a whole number": ("tracks", tracks(), {"time_ns": 1.5}),
     "an agent that does not exist": ("collated", collated(agent=np.array([0, 2])), {}),
-    "a name that is no text": ("collated", collated(agents=texts("a", 3)), {}),
-    "a name without end": ("collated", collated(agents=texts("a", "b" * 300)), {}),
+    "a name that is not a string": ("collated", collated(agents=strings("a", 3)), {}),
+    "a name without end": ("collated", collated(agents=strings("a", "b" * 300)), {}),
     "more than a message may hold": ("tracks", tracks(30_000, id=np.arange(30_000)), {}),
     "nothing wrong": ("tracks", tracks(2), {}),
 }

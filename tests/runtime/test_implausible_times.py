@@ -58,7 +58,7 @@ def all_but(*frames: int) -> list[int]:
 
 @pytest.mark.parametrize("encode", [True, False])
 @pytest.mark.parametrize("by_ns", [10**17, 30 * SECOND, -3 * SECOND // 2])
-def test_one_batch_of_an_impossible_time_loses_one_picture(tmp_path: Path, by_ns: int, encode: bool) -> None:
+def test_a_batch_with_an_impossible_time_costs_one_picture(tmp_path: Path, by_ns: int, encode: bool) -> None:
     run = Run(restamped(tmp_path, frames=1, by_ns=by_ns), encode=encode)
     assert pictured(run) == all_but(WRONG)
     assert run.rejected["command_center"] == {("cc/collated", "time"): 1}

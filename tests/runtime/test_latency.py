@@ -30,7 +30,7 @@ def test_percentiles_cover_frames_that_were_sent_and_received() -> None:
     assert latency.percentiles(SENT, {}) == {}
 
 
-def test_latency_is_that_of_the_first_subscriber_with_arrivals() -> None:
+def test_latency_is_measured_at_the_first_subscriber_with_arrivals() -> None:
     wiring = Wiring((wire("a/tracks", "a", "evaluator", "broker", "cc"), wire("b", "broker"), wire("c", "cc")))
     arrived = {"evaluator": came("a/tracks", 90.0), "broker": came("a/tracks", 3.0), "cc": came("a/tracks", 40.0)}
     assert latency.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
@@ -38,13 +38,13 @@ def test_latency_is_that_of_the_first_subscriber_with_arrivals() -> None:
     assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and returned nothing"
 
 
-def test_a_wire_with_listeners_only_counts_at_the_first_and_one_without_arrivals_is_omitted() -> None:
+def test_a_wire_with_only_listeners_is_measured_at_the_first_and_one_without_arrivals_is_omitted() -> None:
     wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
     arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
     assert {key: by_frame["p50"] for key, by_frame in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
 
 
-def test_latency_is_measured_behind_interposers_on_trunk_and_branch() -> None:
+def test_latency_is_measured_after_interposers_on_trunk_and_branch() -> None:
     trunk = (
         Leg("a/tracks/@tap/0", Endpoint("a", "out"), ends("adversary")),
         Leg("a/tracks", Endpoint("adversary", "out"), ends("link", "evaluator")),

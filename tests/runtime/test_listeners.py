@@ -75,7 +75,7 @@ DEFENCE = node("defence", "tracks:tracks poses:pose")
 def test_an_adversary_receives_every_agents_pose_with_its_subject() -> None:
     wiring = resolve(world(adversary_1=adversary("infra_1")), {"listen": [listen("agent/*/pose", "poses")]})
     assert heard(wiring, "adversary_1", "poses") == {"agent/ego/pose": "ego", "agent/infra_2/pose": "infra_2"}
-    assert heard(wiring, "adversary_1", "pose") == {"agent/infra_1/pose": "infra_1"}, "a node hears a wire once"
+    assert heard(wiring, "adversary_1", "pose") == {"agent/infra_1/pose": "infra_1"}, "a node receives a wire only once"
     one_port = resolve(world(adversary_1=adversary("infra_1")), {"listen": [listen("agent/*/pose", "pose")]})
     assert sorted(heard(one_port, "adversary_1", "pose").values()) == sorted(AGENTS)
 
@@ -163,8 +163,8 @@ def test_a_listener_is_placed_before_the_branches() -> None:
         (listen("agent/*/pose", "poses", node=3), "node: found 3, expected a string"),
         (listen("agent/infra_1/tracks", "tracks"), "adversary_1 publishes or forwards 'agent/infra_1/tracks': it wo"),
         (listen("agent/ego/tracks", "tracks", "agent"), "ego has no input port 'tracks'"),
-        (listen("agent/{agent}/pose", "poses"), "adversary_1 hears 'agent/infra_1/pose' already, on its port 'pose'"),
-        (listen("agent/{agent}/pose", "pose", leg="source"), "hears 'agent/infra_1/pose' already"),
+        (listen("agent/{agent}/pose", "poses"), "adversary_1 already receives 'agent/infra_1/pose' on its port 'pose'"),
+        (listen("agent/{agent}/pose", "pose", leg="source"), "already receives 'agent/infra_1/pose'"),
         (listen("cc/picture", "tracks", "recorder"), "recorder.+carries '\\*' messages|has no input port 'tracks'"),
     ],
 )
@@ -182,7 +182,7 @@ def test_a_listen_entry_without_matching_nodes_is_refused() -> None:
     assert resolve(world(), {"listen": [listen("agent/*/pose", "poses")]}) == resolve(world()), "a role without nodes"
 
 
-def test_listening_on_a_port_that_has_the_wire_already_is_not_an_error() -> None:
+def test_listening_on_a_port_that_already_has_the_wire_is_not_an_error() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"))
     twice = {"listen": [listen("agent/ego/pose", "pose"), listen("agent/ego/pose", "pose")]}
     wiring = resolve(nodes, twice)
@@ -330,7 +330,7 @@ def test_a_node_inserted_during_a_run_is_before_the_wires_listeners() -> None:
     assert changed.ports("guard") == wiring.ports("guard")
     assert ("agent/ego/tracks", "mallory", "guard") in set(changed.flows())
     assert remove(changed, "mallory") == wiring
-    with pytest.raises(WiringError, match="guard is on the wire 'agent/ego/tracks' already"):
+    with pytest.raises(WiringError, match="guard is already on the wire 'agent/ego/tracks'"):
         insert(wiring, "guard", Place("agent/ego/tracks", "in", "out"))
 
 
@@ -348,7 +348,7 @@ def test_a_listener_at_the_source_keeps_its_key_during_a_run() -> None:
             remove(both, "first")
 
 
-def test_a_listener_that_leaves_receives_no_more() -> None:
+def test_a_listener_that_leaves_receives_nothing_more() -> None:
     nodes = world(first=adversary("ego"))
     wiring = resolve(nodes, {"insert": [ON_TRACKS], "listen": [listen("agent/infra_1/tracks", "tracks")]})
     assert not any(current.listeners for current in remove(wiring, "first").wires)

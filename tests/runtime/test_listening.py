@@ -1,4 +1,4 @@
-"""Listeners hear the wires of their rewrite and leave a run exact."""
+"""Listeners receive the wires of their rewrite, and do not change a run."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ both = pytest.mark.parametrize("encode", [True, False], ids=["bytes", "objects"]
 
 
 @both
-def test_relay_can_replace_the_time_of_a_message_alone(encode: bool) -> None:
+def test_relay_can_replace_only_the_time_of_a_message(encode: bool) -> None:
     host, outbox = hosting(relaying(time_ns=123), encode=encode)
     clock(host, 0)
     send(host, status(0, n_tracks=4))
@@ -213,7 +213,7 @@ def test_a_missing_clock_does_not_block_delayed_messages() -> None:
     assert sent_messages(outbox) == [(3, 0)]
 
 
-def test_delayed_messages_leave_after_those_that_the_clock_handler_publishes() -> None:
+def test_delayed_messages_leave_after_the_clock_handlers_messages() -> None:
     host, outbox = hosting(relaying(after_s=0.1), node=Reporting)
     clock(host, 0)
     send(host, status(0))
@@ -231,7 +231,7 @@ def test_a_delayed_message_counts_as_sent_when_it_leaves() -> None:
     assert host.sent["out"] == 1, "it counts when it leaves"
 
 
-def test_in_lock_step_time_is_that_of_the_frame() -> None:
+def test_in_lock_step_time_is_the_frames_time() -> None:
     seen: list[int] = []
     host, _ = hosting(lambda received, context: seen.append(context.now_ns))
     clock(host, 3)
@@ -299,8 +299,8 @@ def test_an_invalid_delay_loses_one_message(after_s: float, caplog: pytest.LogCa
 @pytest.mark.parametrize(
     ("how", "problem"),
     [
-        (dict(payload=b"", time_ns=1), "no body or time_ns with it"),
-        (dict(payload=b"", body={}), "no body or time_ns with it"),
+        (dict(payload=b"", time_ns=1), "expected no body or time_ns"),
+        (dict(payload=b"", body={}), "expected no body or time_ns"),
     ],
 )
 def test_contradictory_arguments_of_relay_are_refused(how: dict[str, Any], problem: str) -> None:

@@ -149,7 +149,7 @@ def test_a_removed_recording_is_distinguished_from_one_that_was_never_made(tmp_p
     ("file", "content"),
     [("scenario.json", ""), ("scenario.json", "[]"), ("scenario.json", '{"nodes": 3}'), ("wiring.json", "")],
 )
-def test_a_folder_that_is_not_a_runs_is_refused(tmp_path: Path, file: str, content: str) -> None:
+def test_a_folder_that_is_not_a_run_folder_is_refused(tmp_path: Path, file: str, content: str) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=2)
     (folder / file).write_text(content)
     with pytest.raises(RunFolderError, match="cannot be read"):

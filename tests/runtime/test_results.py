@@ -41,7 +41,7 @@ def test_nested_plain_values_are_unchanged() -> None:
     assert results.unpack(results.pack(value)) == value
 
 
-def test_numpy_numbers_become_plain_ones() -> None:
+def test_numpy_numbers_become_plain_numbers() -> None:
     back = results.unpack(results.pack({"n": np.int64(3), "x": np.float64(0.5), "yes": np.bool_(True)}))
     assert back == {"n": 3, "x": 0.5, "yes": True}
     assert [type(value) for value in back.values()] == [int, float, bool]
@@ -63,7 +63,7 @@ def test_arrays_have_at_most_eight_dimensions() -> None:
 )
 def test_large_arrays_are_allowed_only_in_tables(array: np.ndarray) -> None:
     results.checked({"tables": {"t": {"x": array}}})
-    with pytest.raises(TypeError, match="beside those of tables"):
+    with pytest.raises(TypeError, match="outside tables"):
         results.checked({"x": [{"y": array}]})
 
 

@@ -129,7 +129,7 @@ def test_a_dotted_key_sets_a_value_in_the_scenario(tmp_path: Path, key: str, spe
     assert content["run"] == {"seed": 4}, "a missing section is created"
 
 
-def test_a_setting_changes_one_node_only(tmp_path: Path) -> None:
+def test_a_setting_changes_only_one_node(tmp_path: Path) -> None:
     """Scenario files may use one dict in many places; shipped ones do."""
     for _ in range(2):
         _, content = load("uncoordinated", ["adversaries.adversary_1.attack.start_s=1.0", "agents.*.status_every=3"])
@@ -231,7 +231,7 @@ def test_more_adversaries_than_agents_are_refused() -> None:
         tiny("uncoordinated", "n_adversaries=3", infrastructure=2)
 
 
-def test_a_node_file_beside_the_scenario_overrides_the_shipped_one(tmp_path: Path) -> None:
+def test_a_node_file_next_to_the_scenario_overrides_the_shipped_one(tmp_path: Path) -> None:
     shipped = (bundle.ROOT / "nodes" / "broker.py").read_text()
     (tmp_path / "broker.py").write_text(
         shipped.replace("class Broker(Node):", "class MyBroker(Node):").replace("main(Broker)", "main(MyBroker)")
@@ -394,15 +394,15 @@ INVALID_SCENARIOS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "an adversary with the name of an agent": (
         lambda s: s["adversaries"].update(ego=dict(agent="ego", attack=dict(type="PassThrough"))),
-        "ego: another node has this name already",
+        "ego: another node already has this name",
     ),
     "an adversary with the name of the evaluator": (
         lambda s: s["adversaries"].update(evaluator=dict(agent="ego", attack=dict(type="PassThrough"))),
-        "evaluator: another node has this name already",
+        "evaluator: another node already has this name",
     ),
     "a duplicate node name": (
         lambda s: s.update(nodes=dict(broker=dict(role="broker"))),
-        "broker: another node has this name already",
+        "broker: another node already has this name",
     ),
     "a node that is not a dict": (lambda s: s.update(nodes=dict(tap=3)), "nodes.tap: found 3, expected a dict"),
     "a run's key": (lambda s: s["run"].update(speed=2), "run.speed: unknown key"),

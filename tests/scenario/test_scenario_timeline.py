@@ -172,7 +172,7 @@ def test_hosts_are_part_of_the_resolved_scenario() -> None:
 
 def test_a_user_defined_fault_is_named_like_a_shipped_one(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "faults.md").read_text()
-    example = page.split("## A fault of your own")[1].split("```python\n")[1].split("```")[0]
+    example = page.split("## Your own fault")[1].split("```python\n")[1].split("```")[0]
     (tmp_path / "mine.py").write_text(
         f"{example}\n"
         "def scenario():\n"
@@ -251,7 +251,7 @@ def test_delivery_order_does_not_change_the_effect_of_faults() -> None:
         ),
         (
             dict(faults=[PARTITION], nodes=dict(link_infra_1=dict(role="link", agent="infra_1"))),
-            "link_infra_1: another node has this name already",
+            "link_infra_1: another node already has this name",
         ),
     ],
 )

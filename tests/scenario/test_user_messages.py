@@ -1,4 +1,4 @@
-"""A node's own message type is sent, recorded, measured and compared like ours."""
+"""A node's own message type is sent, recorded, measured and compared like a built-in type."""
 
 from __future__ import annotations
 
@@ -89,14 +89,14 @@ from mast_zenoh.scenario import load
 
 
 def scenario(strength=1.0, moved=False):
-    _, ours = load("baseline", ["n_infrastructure=1"])
+    _, base = load("baseline", ["n_infrastructure=1"])
     wind = dict(key="wind", message="wind", **{"from": "station.wind", "to": ["listener.wind"]})
     rewrite = dict(wire=[wind], listen=[dict(wire="clock", role="station", input="clock")])
     nodes = dict(station=dict(role="station", strength=strength), listener=dict(role="listener"))
     if moved:
         nodes["mover"] = dict(role="mover")
         rewrite["insert"] = [dict(wire="wind", role="mover", input="wind", output="wind_out")]
-    return ours | dict(nodes=nodes, keyexpr=dict(map="testbed.toml", rewrites=[rewrite]))
+    return base | dict(nodes=nodes, keyexpr=dict(map="testbed.toml", rewrites=[rewrite]))
 """
 FILES = {
     "weather_types.py": TYPES,
@@ -115,7 +115,7 @@ def ours_alone_afterwards() -> Iterator[None]:
 
 @pytest.fixture
 def windy(tmp_path: Path) -> Path:
-    """A scenario whose nodes import a message type from a file beside them."""
+    """A scenario whose nodes import a message type from a file next to them."""
     return written(tmp_path)
 
 
@@ -175,7 +175,7 @@ def test_a_type_that_was_changed_between_two_runs_is_named(tmp_path: Path) -> No
     assert "station row" not in text, "what is the same in both is compared, and equal"
 
 
-def test_what_an_interposer_does_to_them_is_measured(windy: Path, tmp_path: Path) -> None:
+def test_changes_by_an_interposer_are_measured(windy: Path, tmp_path: Path) -> None:
     run = play(windy, tmp_path / "run", moved=True)
     effects = [row for row in run.attacks.to_pylist() if row["interposer"] == "mover"]
     assert {(row["effect"], row["wire"]) for row in effects} >= {("moved", "wind")}
@@ -183,7 +183,7 @@ def test_what_an_interposer_does_to_them_is_measured(windy: Path, tmp_path: Path
     assert {round(row["after_z"] - row["before_z"], 9) for row in moved} == {1.0}
 
 
-def test_a_type_of_other_columns_has_no_objects_to_measure(tmp_path: Path) -> None:
+def test_a_type_with_different_columns_has_no_objects_to_measure(tmp_path: Path) -> None:
     flat = TYPES.replace('"float64", ("n", 3), "m"', '"float64", ("n", 2), "m"')
     file = written(tmp_path, weather_types=flat, station=STATION.replace("np.eye(3)[:2]", "np.eye(2)"))
     run = play(file, tmp_path / "run", moved=True)
@@ -196,7 +196,7 @@ def test_messages_are_the_same_in_every_order_of_delivery(windy: Path) -> None:
     testing.check_scenario(windy, frames=FRAMES, moved=True)
 
 
-def test_two_runs_of_different_types_do_not_disturb_each_other(tmp_path: Path) -> None:
+def test_two_runs_with_different_types_do_not_affect_each_other(tmp_path: Path) -> None:
     prepared = []
     for name, size in (("a", 2), ("b", 3)):
         (tmp_path / name).mkdir()
@@ -208,7 +208,7 @@ def test_two_runs_of_different_types_do_not_disturb_each_other(tmp_path: Path) -
         assert next(mast.open(run.folder).messages("wind"))["origin"].shape == (size,)
 
 
-def test_only_a_scenario_that_declares_types_holds_any(windy: Path) -> None:
+def test_only_a_scenario_that_declares_types_contains_any(windy: Path) -> None:
     with_types = resolved(windy)
     assert [entry["name"] for entry in with_types.to_json()["messages"]] == ["wind"]
     read = Resolved.from_json(json.loads(json.dumps(with_types.to_json())), with_types.wiring)
@@ -251,9 +251,7 @@ def test_a_remote_node_gets_the_file_of_the_type(windy: Path, tmp_path: Path) ->
         ),
     ],
 )
-def test_what_is_wrong_with_a_type_is_said_with_its_place(
-    tmp_path: Path, changed: dict[str, str], message: str
-) -> None:
+def test_an_invalid_type_is_refused_with_its_location(tmp_path: Path, changed: dict[str, str], message: str) -> None:
     with pytest.raises(MastError, match=message) as caught:
         resolved(written(tmp_path, **changed))
     assert isinstance(caught.value, (ConfigurationError, WiringError))
@@ -267,7 +265,7 @@ def test_a_type_that_no_node_of_the_scenario_declares_is_unknown(windy: Path, tm
         resolved(written(tmp_path / "other", **changed))
 
 
-def test_columns_that_do_not_fit_the_type_are_the_failure_of_the_handler(tmp_path: Path) -> None:
+def test_columns_that_do_not_match_the_type_are_a_failure_of_the_handler(tmp_path: Path) -> None:
     file = written(tmp_path, station=STATION.replace("np.zeros(2)", "np.zeros(3)"))
     with pytest.raises(MastError, match=r"station.on_clock .*wind.origin: shape \(3,\), expected \(2\)"):
         play(file, tmp_path / "run")

@@ -97,7 +97,7 @@ def test_the_ego_has_the_lidar_returns_of_the_data_set(log: Path) -> None:
     np.testing.assert_allclose(recording.agent_velocity[2, 0], [0.0, 10.0, 0.0], atol=1e-6)
 
 
-def test_poles_are_beside_the_path_and_detect_by_ray_casting(log: Path) -> None:
+def test_poles_are_next_to_the_path_and_detect_by_ray_casting(log: Path) -> None:
     recording = read(log, n_infrastructure=6)
     assert recording.agent_names[1:] == tuple(f"infra_{k}" for k in range(1, 7))
     position = recording.agent_position[0, 1:]

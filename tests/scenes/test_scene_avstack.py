@@ -117,7 +117,7 @@ def test_an_archive_with_paths_outside_its_folder_is_refused(run: Path, tmp_path
         read(tmp_path / "scene.tar")
 
 
-def test_detections_beside_the_scene_are_replayed(run: Path) -> None:
+def test_detections_next_to_the_scene_are_replayed(run: Path) -> None:
     lines = nothing("detections")
     detection = {
         "x": 10.0,
@@ -150,7 +150,7 @@ def test_a_detection_may_give_an_attitude_instead_of_a_yaw(run: Path) -> None:
     np.testing.assert_allclose(read(run).detections_at(0, 0).yaw, [0.4])
 
 
-def test_visibility_and_building_files_beside_the_scene_are_used(run: Path) -> None:
+def test_visibility_and_building_files_next_to_the_scene_are_used(run: Path) -> None:
     lines = nothing("objects")
     lines[1]["objects"] = [[0, 17, 20, 0.85], [EGO_ID, 3]]
     write_lines(run.parent / "visibility.jsonl", lines)
@@ -422,7 +422,7 @@ def test_detections_of_scene_a_match_their_objects(scene_a: Path) -> None:
 def test_ray_casting_reproduces_the_returns_listed_in_scene_a(scene_a: Path) -> None:
     recording = read(scene_a)
     walls = Walls.of_buildings(recording.buildings, recording.building_height)
-    # Its ego's first beam points at -180 degrees; ours lie in the middle of their steps.
+    # Its ego's first beam points at -180 degrees; here, beams are in the middle of their steps.
     roof = LidarSensor(azimuth_min_deg=-180.1, azimuth_max_deg=179.9)
     for frame in range(0, 150, 10):
         truth = recording.truth_at(frame)

@@ -85,7 +85,7 @@ def test_equal_seeds_give_equal_recordings() -> None:
         np.testing.assert_array_equal(getattr(one.detections, name), getattr(other.detections, name))
 
 
-def test_another_seed_gives_other_traffic_at_the_same_junction() -> None:
+def test_another_seed_gives_different_traffic_at_the_same_junction() -> None:
     one, other = junction(0), Intersection(scene_index=0).record(1, 1)
     np.testing.assert_array_equal(one.buildings[0], other.buildings[0])
     assert not np.array_equal(one.truth_at(0).position[:10], other.truth_at(0).position[:10])
@@ -122,7 +122,7 @@ def test_mobile_agents_are_where_their_vehicles_are() -> None:
     assert (recording.points_at(3)[ids, range(21)] == 0).all()
 
 
-def test_poles_are_15_m_high_beside_the_road_and_face_the_centre() -> None:
+def test_poles_are_15_m_high_next_to_the_road_and_face_the_centre() -> None:
     recording = Intersection(scene_index=4, n_infrastructure=16).record(0, 1)
     position, forward = recording.agent_position[0, 1:], recording.agent_rotation[0, 1:, :, 0]
     np.testing.assert_allclose(position[:, 2], 15.0)

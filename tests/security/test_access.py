@@ -172,7 +172,7 @@ def test_no_process_has_rights_outside_the_run(key: str) -> None:
 
 
 @pytest.mark.parametrize(("source", "key"), [(False, "w/0"), (True, "w/0/@tap/0")])
-def test_a_listener_may_subscribe_to_the_key_of_its_leg_only(source: bool, key: str) -> None:
+def test_a_listener_may_subscribe_only_to_the_key_of_its_leg(source: bool, key: str) -> None:
     ends = [Endpoint(name, "port") for name in ("n0", "n1", "n2")]
     legs = (Leg("w/0/@tap/0", ends[0], (ends[1],)), Leg("w/0", ends[1], (ends[2],)))
     access = rules(Wiring((Wire("w/0", "", "clock", legs, listeners=(Listener(Endpoint("n3", "port"), source),)),)))

@@ -42,7 +42,7 @@ def test_the_routers_certificate_names_its_hosts_and_is_not_valid_for_clients() 
     assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]
 
 
-def test_a_certificate_of_another_authority_with_the_same_name_is_not_trusted() -> None:
+def test_a_certificate_from_another_authority_with_the_same_name_is_not_trusted() -> None:
     one, other = Authority("r"), Authority("r")
     with pytest.raises(InvalidSignature):
         parsed(one.issue("a")).verify_directly_issued_by(x509.load_pem_x509_certificate(other.pem))

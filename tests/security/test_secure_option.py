@@ -12,12 +12,12 @@ from mast_zenoh.launch import run as launcher
 
 @pytest.fixture
 def chosen(monkeypatch: pytest.MonkeyPatch):
-    """Run `mast run` up to the start of the run; returns (level, output)."""
+    """Runs `mast run` up to the start of the run; returns (levels, output)."""
     levels: list[str] = []
 
     def run(*_: object, secure: str, **__: object) -> None:
         levels.append(secure)
-        raise RunFolderError("far enough")
+        raise RunFolderError("the run would start here")
 
     monkeypatch.setattr(launcher, "run", run)
 
@@ -45,7 +45,7 @@ def test_the_security_level_is_optional(chosen, words: tuple[str, ...], level: s
 
 
 @pytest.mark.parametrize("words", [("--runtime", "inproc"), ("--endpoint", "tcp/127.0.0.1:1"), ("--secure=tlss",)])
-def test_the_option_is_refused_without_a_mesh(chosen, words: tuple[str, ...]) -> None:
+def test_combinations_that_cannot_be_secured_are_refused(chosen, words: tuple[str, ...]) -> None:
     levels, output = chosen("baseline", "--secure", *words)
     assert levels == []
     assert "--secure" in output
@@ -58,7 +58,7 @@ def test_a_misspelt_level_is_not_mistaken_for_a_scenario(level: str) -> None:
     assert f"security level: found {level!r}" in str(ended.exception)
 
 
-def test_a_study_of_an_outsider_refuses_trials() -> None:
+def test_a_study_of_outsiders_refuses_trials() -> None:
     ended = CliRunner().invoke(app.app, ["study", "rogue", "--trials", "3"])
     assert ended.exit_code == 2
     assert "once at each level" in ended.output

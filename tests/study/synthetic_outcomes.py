@@ -41,7 +41,7 @@ def outcome(
 ) -> Outcome:
     """A trial of one agent with `fp` false objects in every frame.
 
-    agents: further metrics, by estimator"""
+    agents: other metrics, by estimator"""
     series = {"local": 0.0, "picture": fp, "mission": fp}
     summary: dict[str, Any] = {}
     for estimator, mean in series.items():

@@ -76,7 +76,7 @@ def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
     again = mast(*study(study_file, out, "--jobs", "1", "--resume"), cwd=tmp_path)
     output, _ = again.communicate(timeout=DEADLINE_S)
     assert again.returncode == 0, output
-    assert f"{len(finished)} of 12 trials are done already" in output or len(finished) == 12
+    assert f"{len(finished)} of 12 trials are already done" in output or len(finished) == 12
     for name, written in finished.items():
         assert (out / "trials" / name).stat().st_mtime_ns == written, "a finished trial was repeated"
     assert tables(out) == reference

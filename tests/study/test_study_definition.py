@@ -34,7 +34,7 @@ def test_a_grid_becomes_a_configuration_for_each_point(load) -> None:
     assert (last.run, last.point) == ("attacked", (("n_adversaries", 2), ("false_positives", 0.5)))
 
 
-def test_baseline_is_the_given_one_or_named_baseline_or_the_first(load) -> None:
+def test_baseline_is_the_configured_one_or_named_baseline_or_the_first(load) -> None:
     assert load(runs()).baseline == "baseline"
     assert load(runs() | {"baseline": "attacked"}).baseline == "attacked"
     assert load({"runs": {"plain": {"scenario": "baseline"}}}).baseline == "plain"

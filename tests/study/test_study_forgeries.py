@@ -27,7 +27,7 @@ def standing(node: str = "infra_1") -> Position:
 @every_kind
 @settings(max_examples=20)
 @given(seed=st.integers(0, 1 << 32), node=st.sampled_from(["infra_1", "broker", "recorder", "evaluator"]))
-def test_malformed_forgery_raises_message_error_only(control: str, seed: int, node: str) -> None:
+def test_malformed_forgery_raises_only_message_error(control: str, seed: int, node: str) -> None:
     for forgery in forgeries(control, standing(node), 6, seed):
         taken = not refused(control, node, forgery.payload)
         assert not (taken and forgery.defect == MALFORMED), forgery
@@ -45,7 +45,7 @@ def test_two_hundred_forgeries_cover_all_defects(control: str) -> None:
 
 
 @every_kind
-def test_forgeries_depend_on_the_seed_alone(control: str) -> None:
+def test_forgeries_depend_only_on_the_seed(control: str) -> None:
     first, again, other = (forgeries(control, standing(), 30, seed) for seed in (1, 1, 2))
     assert first == again
     assert first != other

@@ -13,7 +13,7 @@ def sample(scenes: int, seeds: int, of: int = 0) -> np.ndarray:
     return np.random.default_rng(of).normal(3.0, 1.0, (scenes, seeds))
 
 
-def test_moments_of_trials_pool_to_those_of_all_their_frames() -> None:
+def test_pooled_moments_of_trials_equal_the_moments_of_all_frames() -> None:
     rng = np.random.default_rng(0)
     trials = [rng.normal(k, 1.0 + k, 5 + 3 * k) for k in range(4)]
     everything = np.concatenate(trials)

@@ -245,8 +245,8 @@ def test_configurations_with_a_scene_other_than_the_baselines_are_reported(tmp_p
     )
     outcome = trials.run(definition.load(str(tmp_path / "mine.py")), tmp_path / "out", count=1)
     assert outcome.facts.other_scenes == ("more-2",)
-    assert "more n_infrastructure=2: not the baseline's scene" in (outcome.out / "table.md").read_text()
-    assert "more n_infrastructure=2: not the baseline" in outcome.report.read_text()
+    assert "more n_infrastructure=2: a different scene from the baseline's" in (outcome.out / "table.md").read_text()
+    assert "more n_infrastructure=2: a different scene from the baseline" in outcome.report.read_text()
 
 
 def test_study_is_validated_before_the_first_trial(tmp_path: Path, ran) -> None:
@@ -263,7 +263,7 @@ def test_study_is_validated_before_the_first_trial(tmp_path: Path, ran) -> None:
 def test_used_folder_and_folder_of_another_study_are_rejected(small, whole, tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="is not empty"):
         trials.run(small, whole.out, count=1)
-    with pytest.raises(RunFolderError, match="--resume: expected also --out"):
+    with pytest.raises(RunFolderError, match="--resume: expected --out too"):
         trials.run(small, None, count=1, resume=True)
     (tmp_path / "study.json").write_text('{"name": "other"}')
     with pytest.raises(RunFolderError, match="holds the study 'other', expected 'small'"):

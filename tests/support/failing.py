@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-#: By name: a scenario file, and node files beside it.
+#: By name: a scenario file, and node files next to it.
 FILES = {
     # An attack that fails from frame 5 on, on the detections of infra_1.
     "attack": {
@@ -119,7 +119,7 @@ class Judge(Node):
         return {"metrics": {"mean": 1 / 0}}
 """,
     },
-    # A user-defined metric that fails beside one that does not.
+    # A user-defined metric that fails, and one that does not.
     "metric": {
         "metric_fails.py": """
 from mast_zenoh.config import loading
@@ -143,7 +143,7 @@ def scenario():
     return baseline(n_infrastructure=1) | dict(name="metric", evaluator=dict(metrics=metrics))
 """,
     },
-    # Two further nodes that hear only the clock, and return would-be metrics and tables.
+    # Two more nodes, which receive only the clock and return fake metrics and tables.
     "second": {
         "second.py": """
 from mast_zenoh.config import loading

@@ -70,7 +70,7 @@ CODECS: dict[str, tuple[Callable[[bytes], Any], bytes]] = {
     "drain": (flow.decode_drain, TAP.encode()),
     "rewire": (flow.decode_rewire, flow.encode_rewire(WIRING, {"eve": "adversary"}, ["spy"])),
     "rewired": (flow.decode_rewired, flow.encode_rewired(frame=7, took_ms=1.5)),
-    "not rewired": (flow.decode_rewired, flow.encode_rewired(error="eve is not there")),
+    "not rewired": (flow.decode_rewired, flow.encode_rewired(error="eve has not joined")),
     "join": (files.decode_fetch, packed({"do": "join", "version": "1.0", "versions": {"numpy": "2.0"}})),
     "clock": (files.decode_fetch, packed({"do": "clock"})),
     "piece": (files.decode_fetch, packed({"do": "piece", "path": "scenario.json", "offset": 0})),

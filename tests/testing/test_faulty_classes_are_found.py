@@ -176,10 +176,10 @@ class Watcher(Node):
 
 
 def scenario():
-    _, ours = load("baseline", ["n_infrastructure=2"])
+    _, base = load("baseline", ["n_infrastructure=2"])
     listen = dict(wire="agent/*/tracks", role="watcher", input="tracks")
     nodes = dict(watcher=dict(role="watcher", file="watched.py"))
-    return ours | dict(nodes=nodes, keyexpr=dict(map="testbed.toml", rewrites=[dict(listen=[listen])]))
+    return base | dict(nodes=nodes, keyexpr=dict(map="testbed.toml", rewrites=[dict(listen=[listen])]))
 """
 
 
@@ -193,7 +193,7 @@ def watched(folder: Path, does: str) -> Path:
     ("does", "message"),
     [
         ("self.order.append(received.subject)", "results of nodes differ in another order of delivery"),
-        ("received.body['nosuch']", "a handler has failed: .*watcher.*on_tracks"),
+        ("received.body['nosuch']", "a handler failed: .*watcher.*on_tracks"),
     ],
 )
 def test_faults_of_a_node_are_found_by_playing_its_scenario(tmp_path: Path, does: str, message: str) -> None:

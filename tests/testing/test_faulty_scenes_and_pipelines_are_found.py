@@ -125,7 +125,7 @@ class Nowhere(AgentPipeline):
 
 
 def stages() -> dict[str, Any]:
-    """Those of a command centre."""
+    """The parts of a command centre's pipeline."""
     grouped = GroupTrackerWrapper(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D())
     return {"clustering": SampledAssignmentClusterer(), "group_tracking": grouped}
 
@@ -135,14 +135,14 @@ def stages() -> dict[str, Any]:
     [
         (testing.check_scene, Drifting(), "Drifting.record: two recordings of one seed differ"),
         (testing.check_scene, Endless(), "Endless.record: found 4 frames, expected at most 3"),
-        (testing.check_scene, Mirrored(), "Mirrored.record: agent_rotation has a matrix that is no rotation"),
+        (testing.check_scene, Mirrored(), "Mirrored.record: agent_rotation has a matrix that is not a rotation"),
         (testing.check_scene, Twins(), "Twins.record: .*frame 0 has two truth rows with the same id"),
         (testing.check_scene, Phantoms(), "Phantoms.record: detection_truth_id of ego in frame 0: no object 7"),
         (testing.check_scene, Flat(), "Flat.record: .*points has shape"),
         (testing.check_detector, WorstFirst(), "WorstFirst.detect with 1000 objects: the best score is not first"),
         (testing.check_detector, Clairvoyant(), "Clairvoyant.detect .*: detects an object without lidar returns"),
         (testing.check_detector, RowByRow(), "RowByRow.detect with 1000 objects: depends on the order of the rows"),
-        (testing.check_detector, Countless(), "Countless.detect .*detections and .* ids, expected as many"),
+        (testing.check_detector, Countless(), "Countless.detect .*detections and .* ids, expected equal numbers"),
         (testing.check_mission_estimator, TwoOfEach(), "TwoOfEach.estimate .*: ids are not unique"),
         (testing.check_mission_estimator, OwnIds(), "OwnIds.estimate .*: an id is neither 2 i of the picture nor"),
         (
@@ -150,11 +150,11 @@ def stages() -> dict[str, Any]:
             FirstAgentOnly(**stages()),
             "FirstAgentOnly.step .*: depends on the order of the rows or of the agents",
         ),
-        (testing.check_pipeline, Lasting(**stages()), "Lasting.step .*: after `reset` it is not as newly made"),
+        (testing.check_pipeline, Lasting(**stages()), "Lasting.step .*: after `reset` it differs from a new instance"),
         (
             testing.check_pipeline,
             Nowhere(tracker=KalmanBoxTracker3D(), mission=PictureFirst()),
-            "Nowhere.track .*: rotation is no quaternion of length 1",
+            "Nowhere.track .*: rotation is not a quaternion of length 1",
         ),
         (
             testing.check_pipeline,
@@ -164,6 +164,6 @@ def stages() -> dict[str, Any]:
     ],
     ids=lambda value: type(value).__name__ if not callable(value) and not isinstance(value, str) else "",
 )
-def test_what_a_class_does_wrong_is_named(check: Callable[[Any], None], faulty: Any, message: str) -> None:
+def test_the_mistake_of_a_faulty_class_is_named(check: Callable[[Any], None], faulty: Any, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check(faulty)

@@ -204,7 +204,7 @@ def test_the_order_of_detections_does_not_matter(frames, random):
 
 @settings(max_examples=40)
 @given(st.lists(detections, min_size=2, max_size=5))
-def test_filterpy_agrees_on_any_detections(frames):
+def test_filterpy_agrees_for_any_detections(frames):
     a, b = KalmanBoxTracker3D(), FilterpyBoxTracker3D()
     for frame, objects in enumerate(frames * 2):
         seen = joined(NOTHING, *(detected([x, y], yaw, kind) for x, y, yaw, kind in objects))

@@ -102,7 +102,7 @@ def test_an_inserted_node_comes_before_branches_whose_nodes_cannot_be_released()
     [
         ("m", Place("a/track", "in", "out"), r"no wire 'a/track'; did you mean 'a/tracks'\?"),
         ("m", Place("a/tracks", "in", "out", {"clok": "clock"}), r"no wire 'clok'; did you mean 'clock'\?"),
-        ("b", Place("a/tracks", "in", "out"), "b is on the wire 'a/tracks' already"),
+        ("b", Place("a/tracks", "in", "out"), "b is already on the wire 'a/tracks'"),
         ("a/b", Place("a/tracks", "in", "out"), "one chunk of a key expression"),
         ("m", Place("a/tracks", "in", "out", {}, (wire("clock", "m", "c"),)), "already has a publisher"),
     ],

@@ -176,7 +176,7 @@ def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:
     assert 'simulator -.->|"agent/ego/detections/@tap/0"| adversary_1' in drawn
 
 
-def test_a_node_that_hears_every_key_hears_tap_legs_and_is_on_no_wire() -> None:
+def test_a_node_that_receives_every_key_receives_tap_legs_and_is_on_no_wire() -> None:
     ear = node("recorder", inputs="everything:*")
     nodes = {"simulator": SIMULATOR, "ego": AGENT, "adversary_1": interposer(agent="ego"), "broker": BROKER}
     without, wiring = resolve(nodes, insertion()), resolve({**nodes, "ear": ear}, insertion())
@@ -187,13 +187,13 @@ def test_a_node_that_hears_every_key_hears_tap_legs_and_is_on_no_wire() -> None:
     assert ("agent/ego/detections/@tap/0", "simulator", "ear") in set(wiring.flows())
     assert Wiring.from_json(wiring.to_json()) == wiring
     lines = to_text(wiring).splitlines()
-    assert lines[-1] == "ear hears every key"
+    assert lines[-1] == "ear subscribes to every key"
     assert lines[:-1] == to_text(without).splitlines()
     assert to_mermaid(wiring) == to_mermaid(without)
 
 
 @pytest.mark.parametrize("more", [dict(outputs="tracks:tracks"), dict(inputs="everything:* clock:clock")])
-def test_a_node_that_hears_every_key_has_no_other_port(more: dict[str, str]) -> None:
+def test_a_node_that_receives_every_key_has_no_other_port(more: dict[str, str]) -> None:
     ear = node("recorder", **(dict(inputs="everything:*") | more))
-    with pytest.raises(WiringError, match=r"node 'ear': a node that hears every key \('everything'\) has no other"):
+    with pytest.raises(WiringError, match=r"node 'ear': a node that subscribes to every key .* has no other"):
         resolve({"simulator": SIMULATOR, "ego": AGENT, "broker": BROKER, "ear": ear})

@@ -127,7 +127,7 @@ def test_a_rewrite_for_a_role_that_does_not_subscribe_to_the_wire_is_refused(rew
         resolve(world("ego", link_1=node("link", *PORTS, agent="ego")), rewrite)
 
 
-def test_a_link_before_one_of_several_subscribers_must_name_it() -> None:
+def test_a_link_before_one_of_several_subscribers_must_name_the_subscriber() -> None:
     with pytest.raises(WiringError, match="'cc/picture' leads to ego, infra_1: the option `agent` of link_1 must"):
         resolve(world("ego", "infra_1", link_1=node("link", *PORTS)), down())
     assert resolve(world("ego", link_1=node("link", *PORTS)), down()).ports("ego").inputs.keys() == {
@@ -138,7 +138,7 @@ def test_a_link_before_one_of_several_subscribers_must_name_it() -> None:
 def test_a_node_is_on_a_wire_only_once() -> None:
     nodes = world("ego", link_1=node("link", *PORTS, agent="ego"))
     for rewrites in ((up(), up()), (up(), up(to="evaluator")), (up(to=None), up()), (up(), up(to=None))):
-        with pytest.raises(WiringError, match="link_1 is on the wire 'agent/ego/tracks' already"):
+        with pytest.raises(WiringError, match="link_1 is already on the wire 'agent/ego/tracks'"):
             resolve(nodes, *rewrites)
 
 

@@ -21,7 +21,7 @@ from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, CONTROL, KEY
 
 FILE = "compose.yml"
-CREDENTIALS = "credentials"  # folder beside the file
+CREDENTIALS = "credentials"  # folder next to the file
 ROUTER = "router"
 ROUTER_SETTINGS = "router.json"
 PORT = 7447
@@ -135,17 +135,17 @@ def document(
 
 
 def text(resolved: Resolved, run: str, **options: Any) -> str:
-    """The compose file of a run; the options are those of `document`."""
+    """The compose file of a run; the options are the same as for `document`."""
     secure = options.get("secure", "open")
     comment = (
-        f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` has written this\n"
-        "# and starts it: a node gets what it needs from the launcher, over the mesh, and gives back what it found.\n"
+        f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` wrote this file\n"
+        "# and starts it: a node gets what it needs from the launcher, over the mesh, and returns its results.\n"
     )
     return comment + dump(document(resolved, run, **options))
 
 
 def check_names(resolved: Resolved) -> None:
-    """Raise ConfigurationError for a node whose name cannot be that of a service."""
+    """Raise ConfigurationError for a node whose name is not a valid service name."""
     for name in resolved.nodes:
         if not _NAME.fullmatch(name) or name == ROUTER:
             problem = "the router's name" if name == ROUTER else "no name for a container"

@@ -75,7 +75,7 @@ class Compose(Engine):
         supervisor = stack.enter_context(
             Containers(f"{document.LABEL}={run}", lambda name: document.container(run, name), folder / "logs", router)
         )
-        # By Compose itself: 1.29 connects a container with its further networks when it starts it.
+        # By Compose itself: 1.29 connects a container to its other networks when it starts it.
         engine.run([*project, "up", "--detach", "--no-deps", document.ROUTER], timeout=_MAKE_S)
         stack.callback(_keep_log, router, folder / "logs" / f"{document.ROUTER}.log")
         endpoint = levels.endpoint(context.secure, f"tcp/{_published(router)}")

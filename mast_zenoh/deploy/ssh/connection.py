@@ -134,7 +134,7 @@ def _why(error: BaseException, known_hosts: Path, key: Path | None) -> str:
             "compare its fingerprint (ssh-keygen -lf on the host), then add the output of ssh-keyscan"
         )
     if isinstance(error, asyncssh.PermissionDenied):
-        return f"does not let us in with {key or 'any key of the agent or of ~/.ssh'}: add the key to authorized_keys"
+        return f"refuses our login with {key or 'any key of the agent or of ~/.ssh'}: add the key to authorized_keys"
     if isinstance(error, (asyncssh.KeyImportError, asyncssh.KeyEncryptionError)):
         return f"key: {key}: {error}; load a key with a passphrase into the SSH agent"
     if isinstance(error, TimeoutError):
@@ -185,7 +185,7 @@ async def make_folder(sftp: asyncssh.SFTPClient, path: str) -> None:
 
 
 async def write_file(sftp: asyncssh.SFTPClient, path: str, content: bytes) -> None:
-    """Write a new file that only its owner may read, from its first byte on."""
+    """Write a new file that only its owner can ever read."""
     import asyncssh
 
     async with sftp.open(path, "xb", asyncssh.SFTPAttrs(permissions=0o600)) as file:

@@ -82,7 +82,7 @@ class Ssh(Engine):
 
     @classmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """What the run folder has, which the launcher writes, then what only the host has."""
+        """Print the run folder's logs, which the launcher writes, then logs only on the host."""
         names = [node] if node else sorted({name for _, place in _places(record).values() for name in place["nodes"]})
         printing = threading.Lock()
         offsets = {}

@@ -27,11 +27,11 @@ _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _REACH: dict[str, type] = {"user": str, "port": int, "key": str, "known_hosts": str, "python": str, "folder": str}
 _PLACE: dict[str, type] = {"nodes": list, "roles": list, "spread": bool}
 _KINDS: dict[type, str] = {
-    str: "text",
+    str: "a string",
     int: "a whole number",
     float: "a number",
     bool: "true or false",
-    list: "a list of texts",
+    list: "a list of strings",
 }
 
 
@@ -40,12 +40,12 @@ class Host:
     """How to reach a host, and which nodes run there.
 
     address:     name or address, port: of its SSH server
-    user:        login name; empty: that of the user who runs `mast`
+    user:        login name; empty: the name of the user who runs `mast`
     key:         file of the private key; empty: keys of the SSH agent and the usual files
-    known_hosts: file with the keys of hosts; a host whose key is missing there is refused
-    python:      its Python, 3.11 or newer; folder: for installed files, below the home unless absolute
-    nodes: names of nodes, with * and ?; roles: roles of which it runs a share; spread: whether it also runs a share of
-           the remaining nodes
+    known_hosts: file with the keys of known hosts; a host whose key is not in it is refused
+    python:      its Python, 3.11 or newer; folder: for installed files, below the home directory unless absolute
+    nodes: names of nodes, with * and ?; roles: it runs a share of the nodes with these roles; spread: whether it also
+           runs a share of the remaining nodes
     """
 
     name: str
@@ -70,7 +70,7 @@ class Host:
 class Hosts:
     """The content of hosts.toml.
 
-    router_on: name of a host, or LAUNCHER; address: the router's, as hosts reach it, empty: detected; port: 0: any
+    router_on: name of a host, or LAUNCHER; address: the router's, as seen from the hosts, empty: detected; port: 0: any
     patience_s: how long nodes and the host's supervisor run without a launcher
     """
 
@@ -84,11 +84,12 @@ class Hosts:
     def placed(self, nodes: Mapping[str, NodeSpec]) -> dict[str, str]:
         """The host of every node.
 
-        It is the host that names the node, else hosts with its role, else the spread hosts, in turn.
+        A node runs on the host that names it, otherwise on one of the hosts that list its role, otherwise on one of the
+        spread hosts; hosts take turns. Spread hosts are those with `spread`; if there are none, those without nodes and
+        roles; if there are none of these either, all.
 
-        Spread hosts are those with `spread`; if there are none, those without nodes and roles; else all.
         Raises ConfigurationError for a name that is not in the scenario or is on two hosts, and for an unknown role.
-        Patterns and roles without nodes are allowed: hosts serve many scenarios.
+        Patterns and roles that match no node are allowed: a hosts file serves many scenarios.
         """
         host_of: dict[str, str] = {}
         for host in self.hosts.values():
@@ -123,7 +124,7 @@ class Hosts:
 
 
 def read(path: Path) -> Hosts:
-    """Read a hosts file; ConfigurationError names the file and the path inside it."""
+    """Read a hosts file; a ConfigurationError names the file and the path inside it."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -133,7 +134,7 @@ def read(path: Path) -> Hosts:
 
 
 def parse(text: str, place: str) -> Hosts:
-    """Parse a hosts file's text; ConfigurationError names `place` and the path inside."""
+    """Parse a hosts file's text; a ConfigurationError names `place` and the path inside."""
     try:
         data = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""Installs packages on a host: ours, and others once per set of versions.
+"""Installs packages on a host: this one, and others once per set of versions.
 
     FOLDER/environments/KEY/      a virtual environment with the wheels of third parties
     FOLDER/releases/KEY/          this package, as it is here

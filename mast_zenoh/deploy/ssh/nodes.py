@@ -116,7 +116,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
         return super().running()
 
     def end(self, grace_s: float) -> None:
-        """What a host that is out of reach still runs ends by itself, and is noted."""
+        """End all nodes; an unreachable host ends its own, which is noted."""
         commands = {}
         for child in super().running():
             child.notes.append("told to leave by SIGTERM")

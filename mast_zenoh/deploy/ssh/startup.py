@@ -46,7 +46,7 @@ _SETTINGS = "router.json"
 class Startup:
     """Starts a run step by step. Callbacks on the stack remove all that it makes.
 
-    hosts_file: the content of hosts.toml; hosts: those of them that are used
+    hosts_file: the content of hosts.toml; hosts: the hosts that are used
     """
 
     def __init__(
@@ -207,7 +207,7 @@ class Startup:
         deployment = self.deployment = self.stack.enter_context(context.make_deployment(levels.hosts(endpoints)))
         if on != LAUNCHER:
             return self.stack.enter_context(self._router_on(self.hosts[on], port, deployment, endpoints[0]))
-        if self.hosts_file.address and not is_local(self.hosts_file.address):  # such as that of a gateway
+        if self.hosts_file.address and not is_local(self.hosts_file.address):  # such as a gateway's
             endpoints = [levels.endpoint(context.secure, f"tcp/0.0.0.0:{port}")]
         try:
             session, _ = open_router(*endpoints, security=deployment.router)

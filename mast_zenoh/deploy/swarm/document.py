@@ -1,6 +1,6 @@
 """A resolved scenario as a stack file: the compose file, converted for a swarm.
 
-Docker restarts a node after a failure if its `on_exit` says so, as often as a launcher would; other nodes are never
+Docker restarts a node after a failure if its `on_exit` requests it, as often as a launcher would; other nodes are never
 restarted. Names are resolved by DNS only (`dnsrr`): each service has one task, and virtual addresses would need a
 kernel with IPVS. Pure functions.
 """
@@ -79,7 +79,7 @@ def document(
     here:   id of that machine in the swarm: the router and the nodes `pinned` run there
     place:  by node, the value of the label `mast.host` that its machine must have
     absent: nodes that do not start with the run
-    options: further ones of the compose file: environment, patience_s, cpus, memory
+    options: other settings of the compose file: environment, patience_s, cpus, memory
 
     Raises ConfigurationError for a node's name that a swarm does not allow.
     """
@@ -116,20 +116,20 @@ def document(
 
 
 def text(resolved: Resolved, run: str, **options: Any) -> str:
-    """The stack file of a run; the options are those of `document`."""
+    """The stack file of a run; the options are the same as for `document`."""
     secure = options.get("secure", "open")
     comment = (
         f"# The run {run} of the scenario {resolved.name}, security level {secure}: written by `mast deploy up`,\n"
         f"# which deploys it as the stack {stack(run)}, gives every node what it needs over the mesh, and collects\n"
-        "# what they have found. Docker places the nodes.\n"
+        "# their results. Docker places the nodes.\n"
     )
     return comment + dump(document(resolved, run, **options))
 
 
 def router_exit(mode: str) -> str:
-    """The router's `on_exit`: in lock-step its end is the run's, as messages are lost.
+    """The router's `on_exit`: in lock-step it ends the run, as messages are lost.
 
-    The run would take disconnected nodes for gone, and play the scene on without them.
+    The run would treat disconnected nodes as gone, and continue the scene without them.
     """
     return "restart" if mode == "realtime" else "fail"
 

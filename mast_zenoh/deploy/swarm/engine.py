@@ -111,7 +111,7 @@ class Swarm(Engine):
 
     @classmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """Print logs; those of a removed stack are in the run folder."""
+        """Print logs; a removed stack's logs are in the run folder."""
         tasks_by_node = tasks.of(record["deployment"]["stack"])
         names = [node] if node else sorted({*tasks_by_node, *(path.stem for path in (folder / "logs").glob("*.log"))})
         if follow and node in tasks_by_node:
@@ -149,8 +149,8 @@ def check_manager() -> None:
     )
     if state == "inactive":
         raise EngineError(
-            "this machine is in no swarm: make one by `docker swarm init --advertise-addr 127.0.0.1`, or with an "
-            "address that other machines reach"
+            "this machine is not in a swarm: create one with `docker swarm init --advertise-addr 127.0.0.1`, or "
+            "with an address that other machines reach"
         )
     if state != "active":
         raise EngineError(f"the swarm of this machine is {state}: expected active; see `docker info`")

@@ -34,4 +34,4 @@ def keep_log(task: str, path: Path, refused: str = "") -> None:
                 start_new_session=True,
             )
         except subprocess.TimeoutExpired:
-            log.write(b"(Docker has not given all of it)\n")
+            log.write(b"(Docker did not return all of it)\n")

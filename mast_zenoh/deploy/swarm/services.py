@@ -261,7 +261,7 @@ class Services(Supervisor[Service]):
         machine = child.task.machine if child.task else ""
         if machine != self._here:
             where = f"it is on {machine}" if machine else "it is on no machine yet"
-            raise EngineError(f"{child.name} cannot be {done}: Docker does that on its own machine only, and {where}")
+            raise EngineError(f"{child.name} cannot be {done}: Docker does that only on its own machine, and {where}")
         return child.container()
 
     def _keep_logs(self, children: Iterable[Service]) -> None:

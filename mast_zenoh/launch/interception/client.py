@@ -1,7 +1,7 @@
 """Requests to insert a node into a wire of a running run, or to remove it.
 
 Implements `mast intercept` and `mast release`. The client checks the request against the run folder and builds the
-node once. So the launcher executes no file of a user: it only starts the node's process.
+node once. So the launcher never executes a user's file: it only starts the node's process.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def intercept(
     """Put the node in `file` on a wire of a run; return node, wires, frame, took_ms.
 
     run:   the run folder
-    name:  of the new node; None: the file's name with a number
-    input, output: its ports on the wire; None: those that carry the wire's messages
+    name:  name of the new node; None: the file's name with a number
+    input, output: its ports on the wire; None: the ports that carry the wire's messages
     settings: its parameters, `key=value`; a dotted key sets an item of a dict
 
     Raises NotRunning, WiringError (the wire), NodeFileError (the node's file or ports), ConfigurationError (its
@@ -108,7 +108,7 @@ def plan(
     declared = {schema.name: schema for schema in resolved.messages}
     for message, schema in cls.message_types.items():
         if declared.get(message, schema) != schema:
-            raise NodeFileError(f"{path}: {cls.__name__}: the run has another type {message!r}: expected that one")
+            raise NodeFileError(f"{path}: {cls.__name__}: the run already has a different message type {message!r}")
     if name is None:
         name = next(free for i in count(1) if (free := f"{path.stem}_{i}") not in resolved.nodes)
     elif name in resolved.nodes:
@@ -134,33 +134,33 @@ def _place(
     input: str | None,
     output: str | None,
 ) -> Place:
-    """Its ports on the wire, its other inputs, and the wires that it publishes itself.
+    """The node's ports on the wire, its other inputs, and the wires that it publishes itself.
 
     An input port is connected to the only other wire of its message type that has no subject or the node's subject
-    (the clock, its agent's pose). The node publishes the wires that the testbed's map has for its role (an adversary's
-    report).
+    (such as the clock, or its agent's pose). The node publishes the wires that the testbed's map has for its role (such
+    as an adversary's report).
     """
     input_port = _port(cls.inputs, target, input, f"{path}: {cls.__name__}", "input")
     output_port = _port(cls.outputs, target, output, f"{path}: {cls.__name__}", "output")
-    hears: dict[str, str] = {}
+    other_inputs: dict[str, str] = {}
     for port, message in cls.inputs.items():
         if port == input_port or message in cls.outputs.values():
             continue
         keys = [w.key for w in wiring.wires if w.message == message and w.subject in ("", subject)]
         if len(keys) == 1 and keys[0] != target.key:
-            hears[keys[0]] = port
+            other_inputs[keys[0]] = port
     existing = {wire.key for wire in wiring.wires}
-    says = tuple(
+    published_wires = tuple(
         wire
         for wire in _own_wires(cls, name, resolved)
         if wire.key not in existing and wire.legs[0].publisher.port != output_port
     )
-    return Place(target.key, input_port, output_port, hears, says)
+    return Place(target.key, input_port, output_port, other_inputs, published_wires)
 
 
 def _port(ports: Mapping[str, str], target: Wire, requested: str | None, place: str, side: str) -> str:
     if ANY in ports.values():
-        raise NodeFileError(f"{place} hears every key: it cannot be put on a wire")
+        raise NodeFileError(f"{place} subscribes to every key: it cannot be put on a wire")
     matching = [port for port, message in ports.items() if message == target.message]
     if requested is not None:
         if requested not in ports:
@@ -171,7 +171,7 @@ def _port(ports: Mapping[str, str], target: Wire, requested: str | None, place: 
             )
         return requested
     if len(matching) != 1:
-        candidates = f"the {side}s {', '.join(matching)}: say which by --{side}" if matching else f"no {side}"
+        candidates = f"the {side}s {', '.join(matching)}: choose one with --{side}" if matching else f"no {side}"
         raise NodeFileError(
             f"{place}: {candidates} for {target.message!r} messages, which the wire {target.key!r} carries"
         )
@@ -202,12 +202,12 @@ def _running(run: Path) -> dict[str, Any]:
     if record.get("status") != "running":
         raise NotRunning(f"{run}: the run is over: {record.get('status')}")
     if record.get("runtime") != "mesh":
-        raise NotRunning(f"{run}: the run plays in one process: expected one on a mesh")
+        raise NotRunning(f"{run}: the run is in one process: expected a run on a mesh")
     if record.get("security", "open") != "open":
         level = record["security"]
         raise NotRunning(
             f"{run}: security level {level}: only the nodes that it was started with have certificates and rights: "
-            "name the node in the scenario, or start the run without --secure"
+            "add the node to the scenario, or start the run without --secure"
         )
     if not record.get("endpoint") or not (run / SECRET_FILE).is_file():
         raise NotRunning(f"{run}: the run has not started its nodes yet, or was killed")
@@ -226,8 +226,8 @@ def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[
             if reply.ok is not None:
                 return answer_of(reply.ok.payload.to_bytes())
             if reply.err is not None:
-                late = NotRunning(f"{run}: the launcher did not answer in time")
-                raise decode_refusal(reply.err.payload.to_bytes()) or late
+                timeout = NotRunning(f"{run}: the launcher did not answer in time")
+                raise decode_refusal(reply.err.payload.to_bytes()) or timeout
     raise NotRunning(f"{run}: the launcher does not answer")
 
 

@@ -1,7 +1,7 @@
 """The hosts of a run as linked network namespaces of this machine.
 
 hosts        sets up the namespaces, plays faults, and removes everything
-namespaces   network namespaces; removes those of killed launchers
+namespaces   network namespaces; removes namespaces of killed launchers
 shaping      a link's state as nftables rules and queueing disciplines
 machine      which of these this machine supports
 relay        a process between two TUN devices that delays packets

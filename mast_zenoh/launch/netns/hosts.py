@@ -92,7 +92,7 @@ class Hosts:
         self._first_frame.set()
 
     def heal(self) -> None:
-        """Remove all faults, and skip those to come."""
+        """Remove all faults, and skip future ones."""
         self._healed.set()
         with self._changing:
             try:

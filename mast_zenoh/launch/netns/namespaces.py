@@ -1,6 +1,6 @@
 """Network namespaces that belong to one launcher, and commands inside them.
 
-A namespace's name identifies its launcher, so that those of killed launchers can be removed. The machine's own
+A namespace's name identifies its launcher, so that a killed launcher's namespaces can be removed. The machine's own
 namespace is not changed.
 """
 

@@ -2,8 +2,8 @@
 
     python -m mast_zenoh.launch.netns.relay NAMESPACE DEVICE NAMESPACE DEVICE
 
-Prints "ready" when both devices exist. Standard input: `COMMAND`s, each the delay and the jitter (s) from then on;
-the process and its devices end when it closes. Packets are never reordered.
+Prints "ready" when both devices exist. Standard input takes `COMMAND`s: each sets the delay and the jitter (s) from
+then on. The process and its devices end when standard input closes. Packets are never reordered.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TUNSETIFF = 0x400454CA
 _IFF_TUN_WITHOUT_HEADER = 0x0001 | 0x1000
 _PACKET_BYTES = 65536
 _MAX_READS = 64  # packets read before due packets are forwarded
-_MAX_QUEUED = 50_000  # packets in one direction; further ones are dropped
+_MAX_QUEUED = 50_000  # packets in one direction; any more are dropped
 
 
 class Direction:
@@ -95,6 +95,6 @@ def _device(namespace: str, name: str) -> int:
 if __name__ == "__main__":
     devices = [_device(namespace, name) for namespace, name in (sys.argv[1:3], sys.argv[3:5])]
     with contextlib.suppress(OSError):
-        os.nice(-10)  # a relay that is late makes the delay too long
+        os.nice(-10)  # a relay that wakes up late lengthens the delay
     print("ready", flush=True)
     relay(devices[0], devices[1], sys.stdin.fileno())

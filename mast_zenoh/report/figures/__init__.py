@@ -1,3 +1,3 @@
-"""The figures of reports and of studies. All that draws is in here."""
+"""The figures of reports and of studies. All drawing code is here."""
 
 from mast_zenoh.report.figures import backend  # noqa: F401  # first: imports Matplotlib

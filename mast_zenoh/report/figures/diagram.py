@@ -56,7 +56,7 @@ def _route(run: RunFolder, plan: Layout, source: Spot, target: Spot) -> Curve:
         offset = 0.3 if ay < by else -0.3
         lift = HIGH / 2 if ay < by else -HIGH / 2
         return Curve([(ax + offset, ay + lift), (bx + offset, by - lift)])
-    if bx <= ax:  # back: down, along under everything, and up beside the target
+    if bx <= ax:  # back: down, along under everything, and up next to the target
         rise = bx + _HALF + 0.24
         points = [(ax, ay + HIGH / 2), (ax, plan.floor), (rise, plan.floor), (rise, by + 0.09), (bx + _HALF, by + 0.09)]
         return Curve(points)

@@ -22,7 +22,7 @@ _STYLES = {"truth": (0, (4, 2)), "local": (0, (1, 1)), "mission": "-"}
 _MAX_TTC_S = 10.0
 #: Colour and label of braking decisions by estimate and truth.
 _BRAKING = {
-    "brake": ("#9aa3ad", "brakes, as by the truth"),
+    "brake": ("#9aa3ad", "brakes, and so does the truth"),
     "needless": ("#d62839", "brakes needlessly"),
     "omitted": ("#e0a800", "fails to brake when it must"),
 }
@@ -87,7 +87,7 @@ def _draw_collision(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> N
             label=ESTIMATES[name],
         )
     if not any((part["ttc_s"].astype(np.float64) <= _MAX_TTC_S).any() for part in parts.values()):
-        _annotate(axis, f"nothing in the way within {_MAX_TTC_S:.0f} s, by any of the three")
+        _annotate(axis, f"nothing in the way within {_MAX_TTC_S:.0f} s in any of the three")
     axis.set_ylim(0.0, _MAX_TTC_S)
     axis.set_ylabel("time to\ncollision (s)", fontsize=10, color=INK)
 
@@ -118,7 +118,7 @@ def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> Non
                 axis.broken_barh(spans, (lane + 0.12, 0.76), facecolors=colour, label=label)
                 labelled.add(kind)
     if not any(part[kind].any() for part in parts.values() for kind in _BRAKING):
-        _annotate(axis, "no braking, by any of the three")
+        _annotate(axis, "no braking in any of the three")
     axis.set_yticks(
         np.arange(len(parts)) + 0.5,
         [ESTIMATES[name].replace(" with ", " with\n") for name in reversed(parts)],

@@ -22,7 +22,7 @@ _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
     "adversary made. The vertical line is the frame shown. The axes fit the scored frames; more is cut."
 )
-_BANDS_CAPTION = " Above: what was planned, each from its beginning to its end. Hatched: while any fault was on."
+_BANDS_CAPTION = " Above: what was planned, each from its beginning to its end. Hatched: while any fault was active."
 
 
 class Birdseye(RunFigure):
@@ -41,7 +41,7 @@ class Birdseye(RunFigure):
         assert context.view is not None
         caption = (
             f"From above, around the ego: what it tracks from its own sensors, {_the_picture(context.view)}, and both "
-            "together, by which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, "
+            "together, on which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, "
             "not how far."
         )
         return f"{caption} {context.frame_note}".strip()
@@ -61,7 +61,7 @@ class Camera(RunFigure):
 
 
 class Counts(RunFigure):
-    """Missed and false objects and RMSE over time, beside those of the reference."""
+    """Missed and false objects and RMSE over time, next to the reference run's."""
 
     def draw(self, context: FigureContext) -> Figure | None:
         reference = context.reference
@@ -118,7 +118,7 @@ class Wiring(RunFigure):
         if hostile:
             caption = f"Bold: intercepted wires. {caption}"
         if any(each.live is not None for each in hostile):
-            caption = f"{caption} Nodes with a broken edge were put on their wire while the run went on."
+            caption = f"{caption} Nodes with a broken edge were inserted into their wire during the run."
         if len(hostile) < len(on_wires):
             caption = f"Brown: wires with a link on them. {caption}"
         return caption

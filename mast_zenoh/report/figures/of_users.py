@@ -3,7 +3,7 @@
 They are drawn if their files are loaded; otherwise the report shows the pictures drawn before.
 
 A report never runs the files that a run folder names, which may come from somebody else. They are loaded in the process
-that has run the scenario; a later report shows what that one has drawn, unless it is told which file to load.
+that ran the scenario; a later report shows what that process drew, unless it is told which file to load.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class UserFigure:
 def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[UserFigure]:
     """The figures of users for the report of a run, by their names.
 
-    files: to load; besides, those of the scenario that are loaded already are looked at
+    files: files to load; the scenario's files that are already loaded are searched too
     Raises ConfigurationError for a file that cannot be loaded.
     """
     named = context.run.scenario.get("modules", ())
@@ -53,7 +53,7 @@ def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[Use
     modules += [loading.module(file) for file in files]
     kinds = loading.concrete((module for module in modules if module is not None), RunFigure)
     if kinds:
-        context = copy.deepcopy(context)  # no figure can change what the page shows besides
+        context = copy.deepcopy(context)  # so that no figure can change the rest of the page
     drawn: dict[str, UserFigure] = {}
     for kind in kinds:
         if (each := _drawn(kind, context, drawn)) is not None:
@@ -86,7 +86,7 @@ def _drawn(kind: type[RunFigure], context: FigureContext, taken: Container[str])
             raise ValueError(f"after: found {kind.after!r}, expected one of {', '.join(SECTIONS)}")
         picture = rendered(kind(), context)
         if picture is not None and not (isinstance(picture.alt, str) and isinstance(picture.caption, str)):
-            raise ValueError("alt and caption: expected text")
+            raise ValueError("alt and caption: expected a string")
     except (Exception, SystemExit) as error:
         problem = f"{kind.__name__} could not be drawn: {described(error)} ({location(error, kind.draw)})"
         return UserFigure(f"{kind.__module__}.{kind.__name__}", kind.__name__, RunFigure.after, None, problem)
@@ -105,7 +105,7 @@ def _names(kind: type[RunFigure]) -> tuple[str, str]:
 
 
 def _stored(folder: Path) -> list[UserFigure]:
-    """The figures that a report before this one has drawn; a broken one is left out."""
+    """The figures that an earlier report has drawn; a broken one is left out."""
     try:
         content = json.loads((folder / FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -125,5 +125,5 @@ def _stored(folder: Path) -> list[UserFigure]:
 def _text(entry: Any, key: str) -> str:
     value = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(value, str):
-        raise ValueError(f"{key}: found {value!r:.40}, expected text")
+        raise ValueError(f"{key}: found {value!r:.40}, expected a string")
     return value

@@ -46,7 +46,7 @@ def panels(rows: Sequence[StudyRow], baseline: str) -> list[Panel]:
 
     Runs that sweep the same one parameter share a panel, with a curve each. A run that sweeps two has its own, with a
     curve for each value of the second, or a heat map; one that sweeps more, a panel for each choice of the others. Of
-    several parameters the numeric one with most values goes along x. Runs without a sweep share a panel of their own.
+    several parameters the numeric one with most values goes along x. Runs without a sweep share a separate panel.
     """
     runs: dict[str, list[StudyRow]] = {}
     for row in rows:

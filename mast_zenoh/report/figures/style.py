@@ -40,7 +40,7 @@ FAULT_ON_LIGHT = "#8a6100"
 #: Dark panels.
 GROUND, BUILDING, BUILDING_EDGE, GRID, FAINT, AGENT = "#10141b", "#2a313d", "#465062", "#222934", "#9aa7b8", "#7fe3ff"
 
-#: Light figures. The line colours are Okabe and Ito's, told apart under every colour-vision deficiency.
+#: Light figures. The line colours are Okabe and Ito's, distinguishable under every colour-vision deficiency.
 INK, PALE = "#1b1f24", "#d5dae1"
 LOCAL = "#6b7280"
 RUN_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#cc79a7")
@@ -51,7 +51,7 @@ COMPRESSION = 3
 
 
 class Figure(figures.Figure):
-    """A figure that a notebook shows, also one that has not loaded pyplot."""
+    """A figure that a notebook shows even without pyplot."""
 
     def _repr_png_(self) -> bytes:
         return png(self)

@@ -86,8 +86,8 @@ class FrameView:
 
     boxes:  by estimator (`local`, `picture`, and `mission` where it has boxes; the picture as received or on arrival
             in place of the one sent, where the frame is chosen by that), then by outcome (the keys of OUTCOME_COLOURS)
-    before: manipulations on the way to the command centre, visible in the picture and all later estimates
-    behind: manipulations of the picture on its way to the ego
+    before: manipulations in transit to the command centre, visible in the picture and all later estimates
+    behind: manipulations of the picture in transit to the ego
     """
 
     run: RunFolder
@@ -196,7 +196,7 @@ def settled(run: RunFolder, frames: Ints) -> Bools:
 def _weighted_errors(run: RunFolder, estimate: str) -> tuple[Ints, Floats] | None:
     """(frames (n,), weighted sum of all the ego's errors in each (n,)).
 
-    Weights are those of `changes`.
+    Weights are the same as in `changes`.
     """
     counts = run.counts_of(estimate)
     if counts is None:
@@ -234,7 +234,7 @@ def choose_frame(run: RunFolder, reference: RunFolder | None = None, estimate: s
 
 
 def choose_common_frame(runs: Sequence[RunFolder], baseline: RunFolder, estimate: str = "picture") -> int | None:
-    """Choose the frame of several runs: that of the largest difference to `baseline`."""
+    """Choose the frame of several runs: the one with the largest difference from `baseline`."""
     best: tuple[float, int] | None = None
     baseline_errors = _weighted_errors(baseline, estimate)
     for run in runs:

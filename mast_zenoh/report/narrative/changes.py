@@ -122,7 +122,7 @@ def largest(changes: Iterable[Change]) -> Change | None:
     the agent acts on, if that is at least MIN_TRANSFERRED_SHARE of it.
     """
     changed = [change for change in changes if change.weight != 0.0]
-    known = [change for change in changed if change.estimate != "received"] or changed  # on its way to be fused
+    known = [change for change in changed if change.estimate != "received"] or changed  # in transit to the fusion
     if not known:
         return None
     top = _first_alike(known)

@@ -12,7 +12,7 @@ from mast_zenoh.report.tables.interposers import failures_of, frames_of, interpo
 def compromised(run: RunFolder) -> str:
     """Positions of adversaries in words; empty: none.
 
-    `two of four roadside sensors`, `the picture's way to ego`
+    `two of four roadside sensors`, `the picture's path to ego`
     """
     hostile = [each for each in interposers(run) if not each.is_link]
     kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
@@ -26,7 +26,7 @@ def compromised(run: RunFolder) -> str:
             places.append(f"the {noun}")
         elif number:
             places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
-    places += dict.fromkeys(f"the picture's way to {agent}" for each in hostile for agent in each.before)
+    places += dict.fromkeys(f"the picture's path to {agent}" for each in hostile for agent in each.before)
     other_wires = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
     places += dict.fromkeys(f"the wire {wire}" for wire in other_wires)
     return " and ".join(places)
@@ -39,7 +39,7 @@ def status(run: RunFolder) -> str:
         names = [f"{name} failed in {plural(frames_of(entries), 'frame')}" for name, entries in failed.items()]
         return f"Handlers of {join_names(names)}: the numbers may be wrong"
     if lost := run.lost:
-        return f"{churn.sentence(lost)}: from there on it is not the run that the scenario describes"
+        return f"{churn.sentence(lost)}: from then on it is not the run that the scenario describes"
     state, partial = run.run.get("status", "ok"), _partly_recorded(run)
     if state == "ok":
         return capital(partial)

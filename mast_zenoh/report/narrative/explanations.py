@@ -53,8 +53,8 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
     if interposer.before and run.ego not in interposer.before:
         agents = ", ".join(interposer.before)
         if set(interposer.wires) == {"clock"}:
-            return [f"it sat on the clock before {agents}, not before the ego"]
-        return [f"it sat on the picture's way to {agents}, not to the ego"]
+            return [f"it delayed the clock of {agents}, not of the ego"]
+        return [f"it sat on the picture's path to {agents}, not to the ego"]
     if run.targets is None:
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
@@ -78,7 +78,7 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
         explanation = explain(run, group, achieved)
         others = _other_interposers(run, interposer)
         if others and explanation and "the fusion rejected" in explanation[0]:
-            explanation = [f"no track followed it; {others} on the same wire may have taken it out"]
+            explanation = [f"no track followed it; {others} on the same wire may have removed it"]
         reasons += explanation if name == "removed" else [f"{name}: {reason}" for reason in explanation]
     return reasons
 
@@ -142,7 +142,7 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
             return ["the ego's fusion rejected everything that it inserted: no track followed it"]
         return ["the fusion rejected everything that it inserted: no track of the picture followed it"]
     if achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
-        reasons.append("the picture had what it inserted, but the ego did not take it over")
+        reasons.append("the picture had what it inserted, but the ego did not adopt it")
     return reasons
 
 
@@ -172,7 +172,7 @@ def _reasons_not_missed(run: RunFolder, targets: Table, achieved: Mapping[str, A
         return []
     known = targets["object"] >= 0
     if not known.any():
-        return [f"{objects} {were} no object of the scene, but clutter"]
+        return [f"{objects} {were} clutter, not part of the scene"]
     if not _judged(targets).any():
         return [f"{objects} {are} not scored: no agent sees it, or it is out of range of every agent"]
     if _only_downlink(run, targets):  # other agents' observations are in the picture, from which the object was removed
@@ -206,7 +206,8 @@ def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[
     if not known:
         return [f"what it {manipulated} is not scored: no agent sees it, or it is out of range of every agent"]
     if max(known) < DISPLACED_M:
-        return [f"the tracks of what it {manipulated} are {max(known):.2f} m off on average, which is no displacement"]
+        error_text = f"{max(known):.2f} m off on average"
+        return [f"the tracks of what it {manipulated} are {error_text}, which does not count as a displacement"]
     return []
 
 
@@ -228,7 +229,7 @@ def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
 
     No adversary changes the agent's report of the target in that frame.
 
-    `seen_by_others` excludes the agents of one adversary only; this also excludes those of other adversaries that
+    `seen_by_others` excludes the agents of one adversary; this also excludes those of other adversaries that
     change the same object. Without the scene, an object changed by several adversaries counts as not seen.
     """
     seen = targets["seen_by_others"].astype(bool)

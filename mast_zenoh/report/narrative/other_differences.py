@@ -72,7 +72,7 @@ def _nodes(run: RunFolder) -> dict[str, dict[str, Any]]:
     """Settings by node; empty for nodes that are not in scenario.json."""
     specs = {name: dict(run.scenario.get("nodes", {}).get(name, {})) for name in _names(run)}
     settings = {name: {**(spec.pop("config", None) or {}), **spec} for name, spec in specs.items()}
-    settings.get("evaluator", {}).pop("metrics", None)  # metrics of the user's own add rows and change none
+    settings.get("evaluator", {}).pop("metrics", None)  # a user's own metrics add rows without changing others
     return settings
 
 

@@ -104,7 +104,7 @@ def _unchanged(run: RunFolder, places: str, reference: Reference | None) -> str:
 def _same_scores(run: RunFolder, reference: RunFolder, name: str) -> str:
     """States that all scores equal those of another run, or that only driving differs."""
     if not driving_differs(run, reference):
-        return f"every score is that of {name}"
+        return f"every score equals that of {name}"
     braking = braking_by_attack(run)
     return f"only driving differs from {name}" + (f" (because of attacks, {braking})" if braking else "")
 
@@ -136,7 +136,7 @@ def reading(run: RunFolder, reference: Reference | None = None) -> list[str]:
     sentences += _verdicts(interposers(run))
     failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
     if failed:
-        sentences.append(f"Not everything that was checked holds: {join_names(failed)}.")
+        sentences.append(f"Some checks failed: {join_names(failed)}.")
     return sentences
 
 
@@ -190,7 +190,7 @@ def _verdicts(all_interposers: Sequence[Interposer]) -> list[str]:
     sentences = []
     for verdict, text in (
         ("silent", "{} changed messages and reported nothing"),
-        ("disagrees", "What {} reported is not what was measured"),
+        ("disagrees", "What {} reported does not match what was measured"),
         ("crashed", "{} crashed"),
     ):
         names = [each.name for each in all_interposers if each.verdict == verdict]

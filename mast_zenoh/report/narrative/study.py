@@ -74,13 +74,13 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
         return f"The largest change of {_compared(headline)}: {_sentence(headline)}."
     any_change = _largest(attacked, ("fp_iob", "fn_iob"), None)
     if not any_change:
-        return "No trial has the results of its baseline beside it, so there is nothing to compare."
+        return "No trial has results for its baseline, so there is nothing to compare."
     greatest = any_change[1].of(any_change[0])
     if greatest.trial_mean == 0.0 and math.isnan(greatest.low):
         return "No attack changes false or missed objects in any trial."
     if comparisons.count:
         comparison_count = plural(comparisons.count, "comparison")
-        return f"No attack changes false or missed objects distinguishably, of {comparison_count} with the baseline."
+        return f"No attack changes false or missed objects distinguishably, in {comparison_count} with the baseline."
     return f"The largest change of {_compared(any_change)}, too few seeds for an interval: {_sentence(any_change)}."
 
 
@@ -171,7 +171,7 @@ def comparisons_made(comparisons: Comparisons) -> str:
     count = comparisons.count
     others = f" table.csv has {comparisons.others} more, which are not counted." if comparisons.others else ""
     return (
-        f"{plural(count, 'comparison')} with the baseline, each with a 95 % interval of its own: "
+        f"{plural(count, 'comparison')} with the baseline, each with its own 95 % interval: "
         f"{LEVEL * count:.1f} of them would exclude 0 by chance if no attack did anything. "
         f"They hold together at 95 % if each is held to a level of {comparisons.bonferroni:.2g} (Bonferroni). "
         f"* marks the {comparisons.remaining()} that remain distinguishable from 0 after Holm's procedure.{others}"
@@ -183,8 +183,8 @@ def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
     sentences = []
     if facts.other_scenes:
         sentences.append(
-            f"{', '.join(facts.other_scenes)}: not the baseline's scene, or other agents in it, so differences from "
-            "the baseline are not the attack's alone."
+            f"{', '.join(facts.other_scenes)}: a different scene from the baseline's, or different agents, "
+            "so differences from the baseline are not due to the attack alone."
         )
     names = {(column.estimator, column.metric): column.heading for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
     for row in rows:

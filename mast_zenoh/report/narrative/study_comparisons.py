@@ -16,7 +16,7 @@ class Comparisons:
     """The contrasts with the baseline for which the tables show an interval.
 
     adjusted: by configuration and series, the p-value adjusted by Holm's procedure
-    others:   number of further contrasts with an interval in table.csv, which are not counted
+    others:   number of other contrasts with an interval in table.csv, which are not counted
     """
 
     adjusted: Mapping[tuple[str, Series], float]

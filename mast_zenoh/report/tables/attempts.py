@@ -18,7 +18,7 @@ class AttemptRow(NamedTuple):
     """One attempt of an outsider, or one insider, at one level of security.
 
     admitted:  whether the attacker got a session on the mesh
-    sent:      messages sent; reached: deliveries to nodes' hosts, of `expected` if none is lost
+    sent:      messages sent; reached: deliveries to nodes' hosts; expected: deliveries if none is lost
     heard:     samples overheard; lured: nodes that connected to the outsider's router
     succeeded: whether it had any effect; of an insider, whether its verdict is a success
     verdict:   of an insider, its effect in words
@@ -39,10 +39,10 @@ class AttemptRow(NamedTuple):
 
 def as_rich(rows: Sequence[AttemptRow]) -> Table:
     """Attempts by level, for a terminal."""
-    heads, lines = _grid(rows, "\n")
+    headers, lines = _grid(rows, "\n")
     table = Table(title=CAPTION, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for head in heads:
-        table.add_column(head, vertical="top")
+    for header in headers:
+        table.add_column(header, vertical="top")
     for line in lines:
         table.add_row(*line)
     return table
@@ -50,18 +50,18 @@ def as_rich(rows: Sequence[AttemptRow]) -> Table:
 
 def as_markdown(rows: Sequence[AttemptRow]) -> str:
     """Attempts by level as Markdown; ends with a newline."""
-    heads, lines = _grid(rows, " ")
-    table = [heads, ["---"] * len(heads), *lines]
+    headers, lines = _grid(rows, " ")
+    table = [headers, ["---"] * len(headers), *lines]
     return "\n".join("| " + " | ".join(line) + " |" for line in table) + f"\n\n{CAPTION}.\n"
 
 
 def as_csv(rows: Sequence[AttemptRow]) -> str:
-    """All counts, a line for each attempt and level."""
-    page = io.StringIO()
-    writer = csv.writer(page, lineterminator="\n")
+    """All counts, one line per attempt and level."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(AttemptRow._fields)
     writer.writerows([int(value) if isinstance(value, bool) else value for value in row] for row in rows)
-    return page.getvalue()
+    return buffer.getvalue()
 
 
 CAPTION = "in: forged messages that reached a node; out: samples overheard; lured: nodes at the outsider's router"

@@ -81,8 +81,8 @@ class Interposer:
 
     @property
     def place(self) -> str:
-        """Its wires, and the only subscribers behind it if not all."""
-        before = f" before {', '.join(self.before)} alone" if self.before else ""
+        """Its wires, and the subscribers that it serves, if not all."""
+        before = f" only before {', '.join(self.before)}" if self.before else ""
         return ", ".join(self.wires) + before
 
     @property

@@ -167,7 +167,7 @@ def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]
 
 
 def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
-    """Estimates with a column: those in ALWAYS, and those that differ from all others."""
+    """Estimates with a column: those in ALWAYS, and any that differ from all others."""
     names = set(ALWAYS)
     for summary in metrics:
         same = summary.get("same_as", {}).get(agent, {})
@@ -243,7 +243,7 @@ def as_rich(table: ScoreTable) -> Group:
         return Group(_terminal_table(table, table.estimates, NOTE))
     others = [name for name in table.estimates if name not in ALWAYS]
     tables = [_terminal_table(table, ALWAYS, f"{NOTE}; in brackets: more than {table.reference}")]
-    return Group(*tables, *([_terminal_table(table, others, "The same on its way")] if others else []))
+    return Group(*tables, *([_terminal_table(table, others, "The same in transit")] if others else []))
 
 
 def _terminal_table(table: ScoreTable, estimates: Sequence[str], title: str) -> Table:

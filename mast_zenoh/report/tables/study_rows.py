@@ -35,7 +35,7 @@ class Estimate:
     scenes_low, scenes_high: 95 % interval to other scenes as well; for five scenes and more
     p:         p-value of no difference from the baseline, over seeds; of increments only
     left_out:  number of seeds left out of the trial statistics, because a trial failed or has no value
-    rate:      whether it is a success rate, of trials that are 0 or 1
+    rate:      whether it is a success rate, from trials that are 0 or 1
     """
 
     mean: float = NAN

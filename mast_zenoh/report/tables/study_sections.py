@@ -144,7 +144,7 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
     names = list(dict.fromkeys(each.metric for each in series))
     all_adversaries = [each.owner for each in series if each.owner == _ALL][:1]
     single_adversaries = list(dict.fromkeys(each.owner for each in series if each.owner != _ALL))
-    caption = "Mean over trials, of yes and no the success rate; 95 % interval over seeds of these scenes."
+    caption = "Mean over trials, or success rate of yes-or-no values; 95 % interval over seeds of these scenes."
     headings = (("", tuple(name.replace("_", " ") for name in names)),)
     tables = []
     for title, group in (

@@ -27,8 +27,8 @@ class WireRow:
     taps:     key expressions of the hidden legs
     links:    interposers that model the network
     when:     frames of live interposers, in words
-    branches: subscribers with interposers of their own
-    before:   the subscribers behind each interposer that serves only some of them
+    branches: subscribers with their own interposers
+    before:   the subscribers after each interposer that serves only some of them
     """
 
     key: str
@@ -73,7 +73,7 @@ def wire_rows(run: RunFolder) -> list[WireRow]:
 
 
 def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """The subscribers behind each interposer that serves only some of them."""
+    """The subscribers after each interposer that serves only some of them."""
     subscribers: dict[str, tuple[str, ...]] = {}
     for leg in wire.get("legs", ()):
         if leg.get("before"):

@@ -35,7 +35,7 @@ class Pacer:
         self.rewire(wiring)
 
     def rewire(self, wiring: Wiring) -> None:
-        """Use this wiring from the next epoch on."""
+        """Use this wiring from the next epoch onwards."""
         self._flows = list(wiring.flows())
         self._publishers = {leg.publisher.node for _, leg in wiring.legs()}
         self._causes = [flow for flow in self._flows if flow[2] in self._publishers]

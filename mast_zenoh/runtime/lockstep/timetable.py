@@ -35,7 +35,9 @@ class Timetable:
             if resolved.nodes[step.node].role == DRIVER_ROLE:
                 raise ConfigurationError(f"{where}: the run ends without the node that drives the scene")
             if lockstep and step.action in REALTIME:
-                raise ConfigurationError(f"{where}: in lock-step every node is waited for; {step.action} in real time")
+                raise ConfigurationError(
+                    f"{where}: in lock-step every node is waited for; use {step.action} in real time"
+                )
             self._steps.setdefault(max(0, step.frame), []).append(step)
             first_action.setdefault(step.node, step.action)
         #: nodes that start later

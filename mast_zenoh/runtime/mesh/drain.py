@@ -55,7 +55,7 @@ class DrainQueries:
     wiring:  the node's current wiring; ports: of the node when it was started
     put:     adds an event to the inbox; refuse: counts a refused control message
     newest:  the last message received on each key; written by the code that receives it
-    leaving: whether the node is about to leave: it takes part in no further epoch, but still receives messages
+    leaving: whether the node is about to leave: it takes part in no later epoch, but still receives messages
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """The driver: the process of the scene's node, which begins each frame.
 
 In lock-step, when the mesh is quiet; in real time, when the frame is due, whether nodes are ready or not. In both modes
-a node that dies is dropped immediately, and one that joins or returns takes part from the next frame on.
+a node that dies is dropped immediately, and one that joins or returns takes part from the next frame.
 """
 
 from __future__ import annotations

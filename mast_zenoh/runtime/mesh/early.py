@@ -1,4 +1,4 @@
-"""Early messages: those of epochs that this node has not entered yet."""
+"""Early messages: messages of epochs that this node has not entered yet."""
 
 from __future__ import annotations
 

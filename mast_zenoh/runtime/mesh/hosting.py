@@ -68,7 +68,7 @@ def _own(credentials: Path | Credentials) -> Credentials:
 def use_batch_scheduling() -> None:
     """Reduce preemption by waking processes: none gains by it in lock-step.
 
-    Affects all current threads and those that they start.
+    Affects all current threads, and threads that they start.
     """
     if hasattr(os, "SCHED_BATCH"):
         with contextlib.suppress(PermissionError):  # a container may forbid it; it is only faster

@@ -86,7 +86,7 @@ class Intake:
         return self._early.take_dropped()
 
     def deliver_early(self) -> None:
-        """Deliver early messages of the current epoch; those of later epochs are kept."""
+        """Deliver early messages of the current epoch; keep messages of later epochs."""
         for message in self._early.take():
             self._deliver(*message)
 

@@ -2,7 +2,7 @@
 
     python -P -m mast_zenoh.runtime nodes/agent.py --run-folder DIR --run ID --name infra_1 --endpoint TCP
 
-The file needs no `main` of its own. One that ends with `main(TheNode)` can also be started directly:
+The file needs no `main`. A file that ends with `main(TheNode)` can also be started directly:
 `python nodes/agent.py --run-folder DIR …`.
 
 The process ends when it is told to stop, when it gets SIGTERM, and when its standard input closes. The launcher holds
@@ -42,7 +42,7 @@ def main(node: type[Node] | None = None) -> None:
     _wake_when_orphaned()
     parser = argparse.ArgumentParser(description=(node.__doc__ or "").strip() if node else "A node of a run.")
     if node is None:
-        parser.add_argument("file", type=Path, help="of the node; files beside it can be imported by name")
+        parser.add_argument("file", type=Path, help="file of the node; files next to it can be imported by name")
     parser.add_argument("--run-folder", type=Path, required=True, help="holds scenario.json, wiring.json, scene.npz")
     parser.add_argument("--name", required=True, help="which node of the scenario this is")
     parser.add_argument("--endpoint", required=True, help="of the router, e.g. tcp/127.0.0.1:7447")

@@ -26,7 +26,7 @@ class Presence(NamedTuple):
         return Presence(self.gone or newer.gone, newer.present)
 
     def remaining(self) -> Presence | None:
-        """A node's return, which the driver takes after its loss, in an event of its own."""
+        """A node's return, which the driver handles after its loss, as a separate event."""
         return Presence(False, True) if self.gone and self.present else None
 
 
@@ -90,5 +90,5 @@ class Membership:
                 self.churn.append({"frame": frame, "node": name, "what": BACK})
             self.churn.append({"frame": frame, "node": name, "what": LOST})
             if sum(each["node"] == name for each in self.churn) > 2 * MAX_LOSSES:
-                return f"{name} has gone and come back more than {MAX_LOSSES} times"
+                return f"{name} was lost and came back more than {MAX_LOSSES} times"
         return ""

@@ -207,7 +207,7 @@ class MeshNode:
         self._failed.put(reports.encode_failure(self._process, failure.entry()))
 
     def extra_results(self) -> dict[str, Any]:
-        """Further results of the process, for a subclass."""
+        """Additional results of the process, for subclasses."""
         return {}
 
     def note_arrivals(self) -> None:

@@ -92,7 +92,7 @@ class Outlets(dict[str, Outlet]):
         ]
 
     def counted(self, sent: Mapping[str, int]) -> dict[str, int]:
-        """Message counts by current key, from those by initial key."""
+        """Message counts by current key, computed from counts by initial key."""
         return {self[key].key if key in self else key: n for key, n in sent.items()}
 
     def await_subscribers(self, publishers: Sequence[zenoh.Publisher]) -> None:

@@ -123,7 +123,7 @@ class WiringCoordinator:
         change = self._waiting[0]
         if not change.join.keys() <= self._membership.alive:
             if time.monotonic() - change.requested_at > CHANGE_TIMEOUT_S:
-                self._waiting.popleft().reply(error=f"{', '.join(change.join)} is not there")
+                self._waiting.popleft().reply(error=f"{', '.join(change.join)} has not joined")
             return False
         self._change = self._waiting.popleft()
         change.started_at = time.monotonic()

@@ -8,9 +8,9 @@ attacked_run    a run that plays while attackers act
 infiltration    a run with an insider, compared with its undisturbed twin
 position        what a compromised node knows about its run
 forgeries       control messages that it sends
-valid_messages  those that forgeries are made from
-malformed       those that every decoder rejects
-falsehoods      those that are well formed but untrue
+valid_messages  valid messages, from which forgeries are made
+malformed       messages that every decoder rejects
+falsehoods      messages that are well formed but untrue
 sending         sends forged messages
 detour          redirects one node's connection to the router
 comparison      the same at every level of security

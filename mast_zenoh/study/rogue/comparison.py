@@ -1,4 +1,4 @@
-"""Carries out the same attacks on the same run at every security level."""
+"""Makes the same attacks on the same run at every security level."""
 
 from __future__ import annotations
 

@@ -12,10 +12,9 @@ _CONNECT_S = 2.0
 
 
 class Detour:
-    """Relays connections byte for byte to the port that `target` returns.
+    """Relays connections byte for byte to the port that `target` returns, until redirected.
 
-    It can be redirected.
-    It stands for redirection in a real network (a forged ARP or DNS reply, a NAT rule), and needs no privileges.
+    It models redirection in a real network (a forged ARP or DNS reply, a NAT rule), and needs no privileges.
 
     target: returns the local port to connect to; called for each connection
     """
@@ -84,7 +83,7 @@ class Detour:
 
 
 class _RelayedConnection:
-    """A connection and its continuation; when one direction ends, so does the other."""
+    """A relayed connection; when one direction ends, so does the other."""
 
     def __init__(self, near: socket.socket, far: socket.socket, closed: Callable[[set[socket.socket]], None]) -> None:
         self._ends = {near, far}

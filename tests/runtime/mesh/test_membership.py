@@ -72,4 +72,4 @@ def test_a_node_that_constantly_goes_and_returns_ends_the_run_and_is_named(drive
         driver.token(True)
         driver.take(1)
     assert [bool(reason) for reason in reasons] == [False] * MAX_LOSSES + [True]
-    assert reasons[-1].startswith("a has gone and come back")
+    assert reasons[-1].startswith("a was lost and came back")
