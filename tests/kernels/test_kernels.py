@@ -13,6 +13,7 @@ import sys
 import tarfile
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -120,6 +121,17 @@ def message(random, n):
     return codec.conform(Header("collated", "broker", 0, 0, 0), body), LAYOUTS["collated"].plan((n, 1))
 
 
+def packed(random, n, m):
+    sound, plan = message(random, n)
+    body = msgpack.unpackb(codec.encode(sound))["body"]
+    name = random.choice(list(body))
+    dtype_name, dims, data = body[name]
+    wrong = [None, [], "text", ["<f8", dims, data], [dtype_name, [float(n)], data], [dtype_name, [True], data]]
+    wrong += [[dtype_name, dims, other] for other in (b"12345678", ["x"], [["x"]])]
+    kind = random.integers(0, 2 * len(wrong))
+    return (body | {name: wrong[kind]} if kind < len(wrong) else body), plan
+
+
 def exact(random, n, m):
     sound, plan = message(random, n)
     body = dict(sound.body)
@@ -215,6 +227,7 @@ ARGUMENTS = {
     ),
     "occluded_by_walls": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),
     "inside_outlines": lambda r, n, m: (r.normal(0, 20, (n, 3)), *(walls := buildings(r, m))[:2], walls[3]),
+    "packed_columns": packed,
     "exact_columns": exact,
     "sound_values": values,
 }  # fmt: skip
