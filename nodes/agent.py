@@ -133,8 +133,12 @@ class Agent(Node):
             mission = self.pipeline.mission.estimate(own, self.picture_at(frame, time_ns))
             context.publish("mission", mission.columns() | WORLD, frame=frame, time_ns=time_ns)
         if frame % self.status_every == 0:
-            status = {"mobile": [self.mobile], "detections": [len(detections)], "tracks": [len(tracks)]}
-            context.publish("status", {k: np.array(v) for k, v in status.items()}, frame=frame, time_ns=time_ns)
+            status = {
+                "mobile": np.array([self.mobile], np.uint8),
+                "detections": np.array([len(detections)]),
+                "tracks": np.array([len(tracks)]),
+            }
+            context.publish("status", status, frame=frame, time_ns=time_ns)
 
     def picture_at(self, frame: int, time_ns: int) -> ObjectStates:
         """The latest picture of an earlier frame, propagated to `time_ns`.

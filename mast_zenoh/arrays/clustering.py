@@ -8,10 +8,11 @@ import numpy as np
 
 from mast_zenoh.arrays.neighbours import MAX_TABLE, neighbours
 from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.kernels import kernel
 
 
 def pairs_near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
-    """Pairs i < j of (n, 2) positions within `radius`, and their squared distances."""
+    """Pairs i < j of (n, 2) positions within `radius`, sorted by i, then j, and their squared distances."""
     n = len(position)
     i, j, dx, dy = neighbours(position, position, np.full(n, radius))
     squared = dx * dx + dy * dy
@@ -24,10 +25,11 @@ def pairs_near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
     return i[upper], j[upper], squared[upper]
 
 
+@kernel
 def merge_pairs(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float) -> Ints:
     """Cluster labels after merging the pairs by distance, then i, then j.
 
-    (n,), numbered in the order of the clusters' first rows.
+    (n,), numbered in the order of the clusters' first rows. The pairs are as of `pairs_near`, or some of those.
     """
     root, contested = split_simple_clusters(agent, i, j)
     if len(contested):

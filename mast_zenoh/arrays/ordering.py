@@ -59,7 +59,9 @@ def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:
     permutation of the rows.
     """
     o = objects
-    keys = [*o.position.T, *o.velocity.T, *o.size.T, o.yaw, o.score, o.class_id, o.id]
-    if source is not None:
-        keys.append(source)
-    return row_order(keys[0], ties=lambda: keys[:0:-1])
+
+    def ties() -> list[NDArray[Any]]:
+        keys = [*o.position.T[1:], *o.velocity.T, *o.size.T, o.yaw, o.score, o.class_id, o.id]
+        return ([] if source is None else [source]) + keys[::-1]
+
+    return row_order(o.position[:, 0], ties=ties)

@@ -154,7 +154,8 @@ def _has(body: Body, reference: tuple[str, str]) -> bool:
 
     A user's message type may have only one of these columns, or other shapes.
     """
-    return tuple(body[name].shape for name in reference if name in body) == ((3,), (4,))
+    origin, rotation = reference
+    return origin in body and rotation in body and body[origin].shape == (3,) and body[rotation].shape == (4,)
 
 
 def _bit_names(bits: Ints, names: tuple[str, ...]) -> np.ndarray:

@@ -35,8 +35,9 @@ class Members:
     @classmethod
     def of(cls, states: ObjectStates, labels: Ints, weights: Floats | None) -> Members:
         """The members of clusters `labels` (n,) with positive weight; default weight 1."""
-        x, y, z = states.position.T
-        order = row_order(x, labels, ties=lambda: (states.id, *states.velocity.T, z, y))
+        order = row_order(
+            states.position[:, 0], labels, ties=lambda: (states.id, *states.velocity.T, *states.position.T[:0:-1])
+        )
         if weights is None:
             weight = np.ones(len(order))
         else:

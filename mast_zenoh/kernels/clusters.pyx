@@ -113,3 +113,56 @@ def fused_attributes(yaw, class_id, score, weight, start):
                 best = k
         fused_class[c] = best
     return yaws, classes, scores
+
+
+def merge_pairs(position, agent, i, j, squared, double radius):
+    position, nearest = contiguous(position), squared.argsort(kind="stable")
+    cdef const double* place = float_data(position, 2)
+    cdef const np.int64_t* agent_of = int_data(agent)
+    cdef const np.int64_t* one = int_data(i)
+    cdef const np.int64_t* other = int_data(j)
+    cdef const np.int64_t* pair = int_data(nearest)
+    cdef Py_ssize_t p, n = length(agent), stride = length(position, 1)
+    cdef np.int64_t a, b, r, s, count = 0
+    cdef double dx, dy, m, k
+    cdef bint separate
+    labels, clusters = empty_vector(np.NPY_INT64, n), empty_matrix(n, 3)
+    next_rows, last_rows = empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_INT64, n)
+    cdef np.int64_t* label = int_data(labels)  # the first row of each row's cluster, later its number
+    cdef double* cluster = writable_data(clusters, 2)  # by first row: x and y of the centre, number of members
+    cdef np.int64_t* following = int_data(next_rows)  # the next member, -1: none
+    cdef np.int64_t* last = int_data(last_rows)  # by first row: the last member
+    for p in range(n):
+        label[p] = last[p] = p
+        following[p] = -1
+        cluster[3 * p], cluster[3 * p + 1], cluster[3 * p + 2] = place[stride * p], place[stride * p + 1], 1.0
+    for p in range(length(i)):
+        a, b = label[one[pair[p]]], label[other[pair[p]]]
+        if a == b:
+            continue
+        if b < a:
+            a, b = b, a
+        dx, dy = cluster[3 * a] - cluster[3 * b], cluster[3 * a + 1] - cluster[3 * b + 1]
+        separate = sqrt(dx * dx + dy * dy) > radius
+        r = a
+        while r >= 0 and not separate:
+            s = b
+            while s >= 0 and not separate:
+                separate, s = agent_of[r] == agent_of[s], following[s]
+            r = following[r]
+        if separate:
+            continue
+        s = b
+        while s >= 0:
+            label[s], s = a, following[s]
+        m, k = cluster[3 * a + 2], cluster[3 * b + 2]
+        cluster[3 * a] = (m * cluster[3 * a] + k * cluster[3 * b]) / (m + k)
+        cluster[3 * a + 1] = (m * cluster[3 * a + 1] + k * cluster[3 * b + 1]) / (m + k)
+        cluster[3 * a + 2] = m + k
+        following[last[a]], last[a] = b, last[b]
+    for p in range(n):
+        if label[p] == p:
+            label[p], count = count, count + 1
+        else:
+            label[p] = label[label[p]]  # of an earlier row, so it is a number already
+    return labels

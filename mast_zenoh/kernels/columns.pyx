@@ -4,6 +4,8 @@
 cimport numpy as np
 from libc.math cimport INFINITY
 
+import numpy
+
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST
 
 np.import_array()
@@ -30,6 +32,44 @@ cdef np.ndarray read_only(object owner, void* data, int axes, np.npy_intp* shape
     np.set_array_base(array, owner)
     np.PyArray_CLEARFLAGS(array, np.NPY_ARRAY_WRITEABLE)
     return array
+
+
+def packed_columns(body, plan):
+    cdef tuple names = plan.names, dtypes = plan.dtypes, shapes = plan.shapes, expected = plan.packed, sizes
+    cdef list packed
+    cdef dict columns = {}
+    cdef Py_ssize_t column, axis
+    cdef np.npy_intp[np.NPY_MAXDIMS] shape
+    cdef np.dtype dtype
+    for column in range(len(names)):
+        value = body.get(names[column])
+        if type(value) is not list or len(<list>value) != 3:
+            return None
+        packed, dtype = value, dtypes[column]
+        dtype_name, dims, n_bytes = expected[column]
+        if packed[0] != dtype_name or type(packed[1]) is not list or packed[1] != dims:
+            return None
+        for size in <list>packed[1]:
+            if type(size) is not int:
+                return None
+        data = packed[2]
+        if dtype.type_num == np.NPY_OBJECT:
+            if type(data) is not list or [len(<list>data)] != dims:
+                return None
+            for text in <list>data:
+                if type(text) is not str:
+                    return None
+            array = numpy.empty(len(<list>data), object)
+            array[:] = data
+        elif type(data) is not bytes or len(<bytes>data) != <Py_ssize_t>n_bytes:
+            return None
+        else:
+            sizes = shapes[column]
+            for axis in range(len(sizes)):
+                shape[axis] = sizes[axis]
+            array = read_only(data, <char*><bytes>data, <int>len(sizes), shape, dtype.type_num)
+        columns[names[column]] = array
+    return columns
 
 
 def exact_columns(body, tuple names, tuple dtypes, tuple shapes):

@@ -248,6 +248,29 @@ def visible_fraction(boxes, occluders, view, double edge_m, double nearest_m):
     return result
 
 
+def overlap(offset, size, yaw, other_size, other_yaw, double share):
+    offset, size, yaw = contiguous(offset), contiguous(size), contiguous(yaw)
+    other_size, other_yaw = contiguous(other_size), contiguous(other_yaw)
+    cdef const double* off = float_data(offset, 2)
+    cdef const double* box = float_data(size, 2)
+    cdef const double* heading = float_data(yaw, 1)
+    cdef const double* other = float_data(other_size, 2)
+    cdef const double* other_heading = float_data(other_yaw, 1)
+    cdef Py_ssize_t p, n = length(offset)
+    cdef double c, s, u, v
+    result = empty_vector(np.NPY_BOOL, n)
+    cdef np.uint8_t* out = byte_data(result)
+    for p in range(n):
+        c, s = cos(heading[p]), sin(heading[p])
+        u, v = fabs(cos(other_heading[p] - heading[p])), fabs(sin(other_heading[p] - heading[p]))
+        out[p] = (
+            fabs(c * off[0] + s * off[1]) < 0.5 * share * (box[0] + u * other[0] + v * other[1])
+            and fabs(c * off[1] - s * off[0]) < 0.5 * share * (box[1] + v * other[0] + u * other[1])
+        )
+        off, box, other = off + 2, box + 3, other + 3
+    return result
+
+
 def pairs_in_groups(a_group, a_position, b_group, b_position, double radius):
     a_position, b_position = contiguous(a_position), contiguous(b_position)
     cdef const np.int64_t* groups_a = int_data(a_group)

@@ -39,6 +39,26 @@ def predict(t, double dt, noise):
         row += WIDTH
 
 
+def with_speed(box, mean, swing, cross, double vertical):
+    box = contiguous(box)
+    cdef const double* noise = float_data(box, 3)
+    cdef const double* middle = float_data(mean, 1)
+    cdef const double* half = float_data(swing, 1)
+    cdef const double* common = float_data(cross, 1)
+    cdef Py_ssize_t r, i, n = length(mean)
+    result = empty_matrices(n, 9)
+    cdef double* out = writable_data(result, 3)
+    memset(out, 0, 81 * n * sizeof(double))
+    for r in range(n):
+        for i in range(6):
+            memcpy(out + 9 * i, noise + 6 * i, 6 * sizeof(double))
+        out[60], out[70] = middle[r] + half[r], middle[r] - half[r]
+        out[61] = out[69] = common[r]
+        out[80] = vertical
+        out, noise = out + 81, noise + 36
+    return result
+
+
 def correct(t, measured, noise):
     cdef double* row = writable_data(t, 2)
     cdef const double* measurement = float_data(measured, 2)
@@ -165,6 +185,17 @@ def predict_existence(t, double dt, double lifetime_s, double memory_s):
         for k in range(HITS, VOTES + N_CLASSES):
             row[k] *= decay
         row += WIDTH
+
+
+def detection_probability(t, double prior, double weight):
+    cdef const double* row = float_data(t, 2)
+    cdef Py_ssize_t r, n = length(t)
+    result = empty_vector(np.NPY_DOUBLE, n)
+    cdef double* out = writable_data(result, 1)
+    for r in range(n):
+        out[r] = fmin((row[HITS] + prior * weight) / (row[HITS] + row[MISSES] + weight), prior)
+        row += WIDTH
+    return result
 
 
 def update_detected(t, detected, log_ratio, double max_odds):

@@ -130,6 +130,7 @@ class Layout:
         return plan.fits and sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
 
 
+@kernel
 def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any]] | None:
     """The columns of a packed body if all match the plan, else None; values unchecked."""
     columns: dict[str, NDArray[Any]] = {}
@@ -145,7 +146,7 @@ def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any
         for size in found_dims:
             if type(size) is not int:  # 3.0 and True are equal to whole numbers
                 return None
-        if dtype is _TEXT:
+        if dtype_name == "str":
             if type(data) is not list or [len(data)] != dims or not all(type(text) is str for text in data):
                 return None
             columns[name] = array = np.empty(len(data), object)

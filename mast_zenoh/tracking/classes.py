@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints
+from mast_zenoh.kernels import kernel
 
 #: Per class:
 #: speed_along, speed_across  m/s, standard deviation of a new object's speed along and across its heading: covers
@@ -53,6 +54,7 @@ def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
     return with_speed(box, mean, half * np.cos(double), half * np.sin(double), SPEED_VERTICAL**2)
 
 
+@kernel
 def with_speed(box: Floats, mean: Floats, swing: Floats, cross: Floats, vertical: float) -> Floats:
     """(n, 9, 9) covariances from box noise `box` (n, 6, 6) and velocity variances.
 

@@ -6,12 +6,14 @@ import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.tracks import CONFIRMED, ROW, YAW
 
 #: Two boxes count as one object below this fraction of the distance at which they touch; boxes are inexact.
 ONE_OBJECT = 0.6
 
 
+@kernel
 def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats, share: float) -> Bools:
     """Whether boxes (p,) and others at `offset` (p, 2) m overlap too far.
 

@@ -31,6 +31,7 @@ def predict_existence(tracks: Floats, dt: float, lifetime_s: float, memory_s: fl
     tracks[:, RECORD] *= math.exp(-dt / memory_s)
 
 
+@kernel
 def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats:
     """Detection probability (n,) of each object: its hit rate combined with a prior.
 

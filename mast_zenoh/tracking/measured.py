@@ -30,8 +30,7 @@ class Measured(NamedTuple):
     @classmethod
     def detections(cls, d: Detections, variance: Floats) -> Measured:
         """Measurements of boxes; variance: (6,) defaults for unspecified noise."""
-        x, y, z = d.position.T
-        order = row_order(x, ties=lambda: (d.score, d.class_id, *d.size.T, d.yaw, z, y))
+        order = row_order(d.position[:, 0], ties=lambda: (d.score, d.class_id, *d.size.T, d.yaw, *d.position.T[:0:-1]))
         box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
         noise = box_noise(d.covariance, order, variance, MIN_VARIANCE, MAX_VARIANCE)
         return cls(order, box, noise, d.yaw.take(order), known_class(d.class_id.take(order)))

@@ -13,6 +13,7 @@ import sys
 import tarfile
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,6 +21,7 @@ from hypothesis import strategies as st
 
 import mast_zenoh
 from mast_zenoh import kernels
+from mast_zenoh.arrays import clustering
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import following
 from mast_zenoh.messages import codec
@@ -79,6 +81,14 @@ def pair_gains(random, n, m):
     return t, detected, class_id, classes.CONFUSION, i, j, random.normal(size=len(i)), -9.9
 
 
+def near_pairs(random, n):
+    """Tracks of agents, and all or some of the pairs of them within a radius."""
+    position, agent, radius = places(random, n)[:, :2], random.integers(0, 9, n), random.choice([0.5, 2.0, 9.0])
+    i, j, squared = clustering.pairs_near(position, radius)
+    some = random.random(len(i)) < random.choice([0.7, 1.0])
+    return position, agent, i[some], j[some], squared[some], random.choice([radius, np.inf])
+
+
 def clusters(random, n):
     """Start rows of groups with n >= 1 members."""
     return np.unique(np.append(0, random.integers(0, n, n // 2)))
@@ -95,6 +105,11 @@ def boxes(random, n):
     return table(random, n)[:, :6]
 
 
+def overlap(random, n, m):
+    size, other = (random.uniform(0.5, 6, (n, 3)) for _ in range(2))
+    return random.normal(0, 2, (n, 2)), size, random.uniform(-4, 4, n), other, random.uniform(-4, 4, n), 0.6
+
+
 def message(random, n):
     """A message with every kind of column, and the plan of its columns."""
     states = ObjectStates.of(places(random, n), covariance=covariances(random, n)).columns()
@@ -104,6 +119,17 @@ def message(random, n):
         "age_ns": np.zeros(1, np.int64),
     }
     return codec.conform(Header("collated", "broker", 0, 0, 0), body), LAYOUTS["collated"].plan((n, 1))
+
+
+def packed(random, n, m):
+    sound, plan = message(random, n)
+    body = msgpack.unpackb(codec.encode(sound))["body"]
+    name = random.choice(list(body))
+    dtype_name, dims, data = body[name]
+    wrong = [None, [], "text", ["<f8", dims, data], [dtype_name, [float(n)], data], [dtype_name, [True], data]]
+    wrong += [[dtype_name, dims, other] for other in (b"12345678", ["x"], [["x"]])]
+    kind = random.integers(0, 2 * len(wrong))
+    return (body | {name: wrong[kind]} if kind < len(wrong) else body), plan
 
 
 def exact(random, n, m):
@@ -154,6 +180,7 @@ ARGUMENTS = {
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
     "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
+    "with_speed": lambda r, n, m: (covariances(r, n, 6), r.uniform(9, 99, n), r.normal(size=n), r.normal(size=n), 0.25),
     "gate_radius": lambda r, n, m: (table(r, n), covariances(r, m + 1, 6), r.uniform(0, 3, n), 16.0),
     "pairs_within_radius": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
     "gated_pairs": gated_pairs,
@@ -165,11 +192,13 @@ ARGUMENTS = {
     "lateral_constraint": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
     "update_class": lambda r, n, m: (table(r, n), r.integers(0, 7, n)),
     "predict_existence": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
+    "detection_probability": lambda r, n, m: (table(r, n), 0.9, 2.0),
     "update_detected": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.normal(0, 5, n), 1e12),
     "update_missed": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),
     "track_status": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
     "to_columns": lambda r, n, m: (table(r, n),),
     "visible_fraction": view,
+    "overlap": overlap,
     "constant_velocity": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
     "rigid_transform": lambda r, n, m: (
         places(r, n), r.uniform(-9, 9, n), covariances(r, n, 3), r.normal(size=3), r.random((3, 3)),
@@ -188,6 +217,7 @@ ARGUMENTS = {
         r.uniform(-4, 4, n + 1), r.integers(0, 9, n + 1).astype(np.uint8), r.random(n + 1), r.uniform(0.1, 1, n + 1),
         clusters(r, n + 1),
     ),
+    "merge_pairs": lambda r, n, m: near_pairs(r, n),
     "track_observations": track_observations,
     "imitate_rows": lambda r, n, m: (
         (places(r, m), r.normal(0, 9, (m, 3)), r.uniform(0.3, 5, (m, 3)), r.uniform(-4, 4, m)),
@@ -197,6 +227,7 @@ ARGUMENTS = {
     ),
     "occluded_by_walls": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),
     "inside_outlines": lambda r, n, m: (r.normal(0, 20, (n, 3)), *(walls := buildings(r, m))[:2], walls[3]),
+    "packed_columns": packed,
     "exact_columns": exact,
     "sound_values": values,
 }  # fmt: skip
