@@ -10,7 +10,7 @@ offsets    how far each agent's tracks are from the others'
 cumulative sums of evidence, and when they are alarms
 record     how often each agent's claims have held up
 
-Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate, SequentialConsistency.
+Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate, SequentialConsistency, TruthDiscovery.
 """
 
 from mast_zenoh.integrity.base import (
@@ -29,6 +29,7 @@ from mast_zenoh.integrity.mate import Mate
 from mast_zenoh.integrity.plausibility import Plausibility
 from mast_zenoh.integrity.robust_fusion import RobustFusion
 from mast_zenoh.integrity.sequential import SequentialConsistency
+from mast_zenoh.integrity.truth_discovery import TruthDiscovery
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import Sightings, sightings
 
@@ -48,6 +49,7 @@ __all__ = [
     "SequentialConsistency",
     "Sightings",
     "SweptView",
+    "TruthDiscovery",
     "sightings",
     "trust_columns",
 ]

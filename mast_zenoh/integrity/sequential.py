@@ -33,8 +33,8 @@ MAX_STEP_S = 0.5
 MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
-LIES_TAIL = Tail(per_hour=2000.0, scale=0.15)
-OFFSET_TAIL = Tail(per_hour=600.0, scale=6.0)
+LIES_TAIL = Tail(per_hour=57.0, scale=0.26)
+OFFSET_TAIL = Tail(per_hour=18_800.0, scale=4.2)
 
 
 class SequentialConsistency(Integrity):
@@ -104,7 +104,9 @@ class SequentialConsistency(Integrity):
         dispute = disputes(batch.reported, boxes.size, seen, vote.astype(np.float64))
         lies = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
         offset = self._offset_statistics(batch, offsets(batch, boxes, np.ones_like(vote)))
-        self._lies[rows] = accumulate(self._lies[rows], lies.sum(axis=0), self._drift, dt)
+        count = lies.sum(axis=0)
+        # An honest agent errs about one object at a time: several at once are much rarer.
+        self._lies[rows] = accumulate(self._lies[rows], 0.5 * count * (count + 1), self._drift, dt)
         self._last = self._lies[rows].copy(), offset
         rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
         alarms = discoveries(rates, self._per_hour)

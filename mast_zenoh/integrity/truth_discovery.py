@@ -1,0 +1,161 @@
+"""Joint estimation of which agents are honest and which objects exist."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.integrity.base import (
+    SUSPENDED,
+    TRUSTED,
+    UNKNOWN,
+    AgentTrust,
+    Assessment,
+    Batch,
+    Integrity,
+    ObjectTrust,
+)
+from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.disputes import clear
+from mast_zenoh.integrity.memory import AgentMemory
+from mast_zenoh.integrity.sequential import ERROR_SD, MAX_STEP_S, position_error
+from mast_zenoh.integrity.visibility import Sightings, sightings
+
+#: Samples a second that the errors of tracks give independently; consecutive frames share theirs.
+SAMPLES_PER_S = 1.1
+#: Steps of the iteration in each batch; agents' log-odds change little between batches.
+STEPS = 3
+#: Share of the weight of a denial that silence about a clearly visible object has.
+SILENCE = 0.3
+#: Log-odds of an agent are limited to this: nobody becomes so trusted that its lies are free.
+MOST = 6.0
+
+
+class TruthDiscovery(Integrity):
+    """Estimates jointly how reliable agents are and which objects exist, by expectation-maximisation.
+
+    After Wang, Kaplan, Abdelzaher: On truth discovery in social sensing (IPSN 2012). In each batch, the log-odds that
+    an object exists are the sum over its viewers: an agent that reports it adds its own log-odds of being honest, one
+    that sees through its place subtracts them. In turn, each claim that the other viewers confirm or refute counts for
+    or against its agent, by the ratio of the rates at which liars and honest agents make false claims. A sole witness
+    thus inherits its agent's trust, and a dispute between two equally trusted agents is open and counts against
+    neither.
+
+    anchors: names of agents that are trusted always: the command centre's own sensors
+    prior: log-odds that a new agent is honest
+    honest_rate, liar_rate: share of false claims of an honest agent, and of a liar
+    memory_s: s, over which evidence about agents is forgotten
+    suspend_at: log-odds below which an agent is suspended; it is trusted again above 0
+
+    Weaknesses: offsets below the clusterer's radius are not noticed; liars that outnumber the honest viewers of many
+    objects are believed; a liar whose claims are nearly all true stays trusted.
+    """
+
+    def __init__(
+        self,
+        *,
+        anchors: tuple[str, ...] = (),
+        prior: float = 3.0,
+        honest_rate: float = 0.005,
+        liar_rate: float = 0.05,
+        memory_s: float = 60.0,
+        suspend_at: float = -4.6,
+    ) -> None:
+        if not 0.0 < honest_rate < liar_rate < 1.0:
+            raise ValueError(
+                f"honest_rate, liar_rate: found {honest_rate}, {liar_rate}, expected 0 < first < second < 1"
+            )
+        if not memory_s > 0.0:
+            raise ValueError(f"memory_s: found {memory_s}, expected more than 0")
+        self._anchors = anchors
+        self._prior = prior
+        self._gain = np.log((1.0 - honest_rate) / (1.0 - liar_rate))
+        self._loss = np.log(liar_rate / honest_rate)
+        self._memory_s = memory_s
+        self._suspend_at = suspend_at
+        self.reset()
+
+    def reset(self) -> None:
+        self._agents = AgentMemory(forget_s=600.0)
+        self._log_odds = np.zeros(0)
+        self._suspended = np.zeros(0, np.bool_)
+        self._time_ns: int | None = None
+
+    def assess(self, batch: Batch) -> Assessment:
+        dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
+        self._time_ns = batch.time_ns
+        rows = self._agents.meet(batch.time_ns, batch.agents)
+        self._log_odds = self._agents.carry(self._log_odds, self._prior)
+        self._suspended = self._agents.carry(self._suspended, False)
+        anchored = np.isin(np.array(batch.agents), self._anchors)
+        boxes = ClusterBoxes.of(batch)
+        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, ERROR_SD * position_error(batch))
+        claims = votes(batch.reported, boxes.size, seen)
+        before = self._log_odds[rows] * np.exp(-dt / self._memory_s)
+        before[anchored] = MOST
+        log_odds = before
+        for _ in range(STEPS):
+            exists, evidence = believed(claims, log_odds)
+            right, wrong = outcomes(claims, evidence)
+            wrong += (batch.reported & (claims < 0.0) & (exists < 0.0)[:, None]).sum(axis=0)
+            change = dt * SAMPLES_PER_S * (self._gain * right - self._loss * wrong)
+            log_odds = np.where(anchored, MOST, np.clip(before + change, -MOST, MOST))
+        self._log_odds[rows] = log_odds
+        low = log_odds < self._suspend_at
+        self._suspended[rows] = low | (self._suspended[rows] & (log_odds < 0.0))
+        return self._assessment(batch, rows, exists, claims, seen)
+
+    def _assessment(self, batch: Batch, rows: Ints, exists: Floats, claims: Floats, seen: Sightings) -> Assessment:
+        log_odds, suspended = self._log_odds[rows], self._suspended[rows]
+        state = np.where(suspended, SUSPENDED, np.where(log_odds > self._prior, TRUSTED, UNKNOWN)).astype(np.uint8)
+        reasons = tuple("more of its claims are refuted than an honest agent's" if s else "" for s in suspended)
+        agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state, reasons, log_odds=log_odds)
+        believable = batch.reported & (claims > 0.0) & ~suspended
+        withheld = (exists < 0.0) | ~believable.any(axis=1)
+        objects = ObjectTrust(
+            1.0 / (1.0 + np.exp(-np.clip(exists, -50.0, 50.0))),
+            (seen.in_view | batch.reported).sum(axis=1),
+            believable.sum(axis=1),
+            (claims <= -1.0).sum(axis=1),
+            withheld,
+        )
+        kept = believable | ~believable.any(axis=1, keepdims=True)
+        return Assessment(kept[batch.labels, batch.agent].astype(np.float64), agents, objects)
+
+    @property
+    def statistics(self) -> Floats:
+        """(m,) log-odds of all remembered agents."""
+        return self._log_odds
+
+
+def votes(reported: Bools, size: Floats, seen: Sightings) -> Floats:
+    """(c, a) how each agent votes on each object: 1 reports it, -1 sees through it, -SILENCE says nothing, 0 no view.
+
+    A claim that the agent's own sensor sees through is a vote against itself.
+    """
+    silent = ~reported & seen.in_view & clear(size, seen.distance)
+    vote = np.where(reported, 1.0, np.where(silent, -SILENCE, 0.0))
+    vote[seen.swept] = -1.0
+    return vote
+
+
+def believed(claims: Floats, log_odds: Floats) -> tuple[Floats, Floats]:
+    """(c,) log-odds that each object exists, and (c, a) those without the vote of each agent.
+
+    claims: (c, a) votes; log_odds: (a,) that each agent is honest; the votes of likely liars count nothing
+    """
+    contribution = claims * np.maximum(log_odds, 0.0)
+    total = contribution.sum(axis=1)
+    return total, total[:, None] - contribution
+
+
+def outcomes(claims: Floats, evidence: Floats) -> tuple[Floats, Floats]:
+    """(a,) expected numbers of right and of wrong votes of each agent.
+
+    evidence: (c, a) log-odds that the object exists by the votes of the others. Where the others know nothing, a vote
+    is neither.
+    """
+    certainty = np.tanh(0.5 * evidence)  # from -1, refuted by the others, to 1, confirmed by them
+    agreement = np.sign(claims) * certainty
+    weight = np.abs(claims)
+    return (weight * np.maximum(agreement, 0.0)).sum(axis=0), (weight * np.maximum(-agreement, 0.0)).sum(axis=0)
