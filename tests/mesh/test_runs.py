@@ -14,7 +14,7 @@ from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
 
 pytestmark = pytest.mark.mesh
-SHORT = ("--frames", "30")
+SHORT = ("--frames", "12")
 
 
 def metrics(folder: Path) -> bytes:
