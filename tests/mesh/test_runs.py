@@ -139,6 +139,7 @@ def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
 
 def test_a_user_defined_node_beside_the_scenario_takes_part(launch, tmp_path: Path) -> None:
     (tmp_path / "deaf.py").write_text(
+        "import gc\n"
         "from mast_zenoh.node import Node\n"
         "from mast_zenoh.runtime.mesh.main import main\n"
         "class Deaf(Node):\n"
@@ -147,7 +148,8 @@ def test_a_user_defined_node_beside_the_scenario_takes_part(launch, tmp_path: Pa
         "    outputs = {'detections_out': 'detections'}\n"
         "    def __init__(self, agent: str):\n"
         "        self.agent = agent\n"
-        "    def on_clock(self, received, context): ...\n"
+        "    def on_clock(self, received, context):\n"
+        "        assert gc.isenabled(), 'it is off only until the node is hosted'\n"
         "    def on_detections(self, received, context):\n"
         "        empty = {name: column if name.startswith('mount') else column[:0]\n"
         "                 for name, column in received.body.items()}\n"
