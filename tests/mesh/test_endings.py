@@ -270,7 +270,8 @@ def test_a_node_that_cannot_start_is_named_with_its_last_output(launch, tmp_path
         "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
         "def scenario():\n"
-        "    return baseline(n_infrastructure=2) | dict(adversaries=dict(mallory=dict(file='broken.py', agent='infra_1')))\n"
+        "    mallory = dict(file='broken.py', agent='infra_1')\n"
+        "    return baseline(n_infrastructure=2) | dict(adversaries=dict(mallory=mallory))\n"
     )
     run: Launched = launch(str(tmp_path / "mine.py"), *PACED)
     code, output = run.end()
