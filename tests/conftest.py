@@ -75,9 +75,14 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Scenes of tests use their own cache, also in child processes."""
+def own_cache(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Iterator[Path]:
+    """Scenes of tests use their own cache, also in child processes; all workers share one."""
     folder = tmp_path_factory.mktemp("cache")
+    if worker_id != "master":
+        shared = tmp_path_factory.getbasetemp().parent / "scenes"
+        shared.mkdir(exist_ok=True)
+        (folder / "mast-zenoh").mkdir()
+        (folder / "mast-zenoh" / "scenes").symlink_to(shared)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))
         yield folder

@@ -122,7 +122,7 @@ def reporting(folder: Path, command: str = "report") -> Iterator[None]:
 
 def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
     """Show a run's results; returns (why it was not compared, the reference run)."""
-    from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
+    from mast_zenoh.report import terminal
     from mast_zenoh.report.runfolder import RunFolder
 
     scored = (finished.folder / "metrics.json").is_file()
@@ -133,6 +133,8 @@ def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolde
     if scored:
         terminal.show_loaded(out, run, reference)
     if report:
+        from mast_zenoh.report import html  # drawing libraries are slow to load
+
         out.print(f"report: {html.write_page(run, reference=reference)}", highlight=False)
     else:
         out.print(f"run folder: {finished.folder}", highlight=False)

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
@@ -129,9 +130,14 @@ def json_or_empty(path: Path) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Versions of Python, platform, kernels and packages."""
-    packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
     host = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
-    return host | {package: version(package) for package in packages}
+    return host | _package_versions()
+
+
+@cache
+def _package_versions() -> dict[str, str]:
+    packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
+    return {package: version(package) for package in packages}
 
 
 def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> list[str]:

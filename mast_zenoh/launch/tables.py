@@ -15,6 +15,9 @@ from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
 
+#: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
+_TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
+
 
 class _NoPandas(MetaPathFinder):
     """Hides pandas, as if it were not installed."""
@@ -78,10 +81,9 @@ def to_arrow(columns: Mapping[str, Any]) -> Any:
             array = array.astype(object)
         if array.dtype.kind == "O":
             try:
-                column = pyarrow.array(array, pyarrow.string())
+                return pyarrow.array(array, _TEXT)
             except (pyarrow.ArrowException, TypeError):  # some items are not text
-                column = pyarrow.array([str(value) for value in array], pyarrow.string())
-            return column.dictionary_encode()
+                return pyarrow.array([str(value) for value in array], _TEXT)
         return pyarrow.array(array, from_pandas=True)
 
     return pyarrow.table({name: arrow(values) for name, values in columns.items()})

@@ -1,5 +1,9 @@
 """Runs a node as a process: `python -m mast_zenoh.runtime nodes/agent.py …`."""
 
-from mast_zenoh.runtime.mesh.main import main
+import gc
+
+gc.disable()  # until the node is hosted: what is imported stays, and searching it for garbage delays the start
+
+from mast_zenoh.runtime.mesh.main import main  # noqa: E402
 
 main()

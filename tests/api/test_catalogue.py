@@ -17,6 +17,7 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.config import bundle, registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults.network import HOST_FAULTS
+from mast_zenoh.messages.schemas import OURS
 from mast_zenoh.report.tables.scores import MEASURES
 
 BASES: dict[str, list[type]] = {
@@ -38,9 +39,11 @@ BASES: dict[str, list[type]] = {
 
 
 def shipped_entries(kind: str) -> list[Entry]:
-    """The entries of a kind, without classes defined by other tests."""
+    """The entries of a kind, without classes and message types defined by other tests."""
     classes = {name: cls for base in BASES.get(kind, ()) for name, cls in registry.known_types(base).items()}
     foreign = {name for name, cls in classes.items() if not cls.__module__.startswith("mast_zenoh.")}
+    if kind == "messages":
+        foreign = {entry.name for entry in mast.list(kind)} - set(OURS)
     return [entry for entry in mast.list(kind) if entry.name not in foreign]
 
 

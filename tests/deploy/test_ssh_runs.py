@@ -28,6 +28,7 @@ from mast_zenoh.messagelog.reader import read
 
 pytestmark = [pytest.mark.mesh, pytest.mark.timeout(300)]
 PROGRAM = [sys.executable, ssh_launch.__file__]
+LONG = 600  #: frames, which last a minute in real time: longer than any test lets such a run go on
 PLACES = {"beta": 'nodes = ["ego", "infra_4", "infra_5"]', "gamma": 'nodes = ["infra_[1-3]"]'}
 
 
@@ -142,7 +143,7 @@ def test_a_host_cut_off_for_five_seconds_rejoins(launch, hosts: SshHosts) -> Non
 def test_remnants_of_a_killed_launchers_run_are_listed_and_can_be_removed(launch, hosts: SshHosts) -> None:
     """Also with a home directory shared by the hosts."""
     shared = {name: f'folder = "{hosts.home("alpha")}"' for name in ("beta", "gamma")}
-    run: Launched = launch("patience_s = 600", mode="realtime", frames=5000, n_infrastructure=1, places=shared)
+    run: Launched = launch("patience_s = 600", mode="realtime", frames=LONG, n_infrastructure=1, places=shared)
     run.until(run.recorded, "frames are played")
     run.kill()
     status = json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)
@@ -159,7 +160,7 @@ def test_remnants_of_a_killed_launchers_run_are_listed_and_can_be_removed(launch
 
 def test_remnants_of_a_killed_launchers_run_end_by_themselves(launch, hosts: SshHosts) -> None:
     """Also with a suspended node, which cannot notice that the launcher is gone."""
-    run: Launched = launch("patience_s = 1", mode="realtime", frames=5000, n_infrastructure=1, places={}, secure="acl")
+    run: Launched = launch("patience_s = 1", mode="realtime", frames=LONG, n_infrastructure=1, places={}, secure="acl")
     run.until(run.recorded, "frames are played")
     os.kill(run.until(lambda: run.record()["nodes"]["infra_1"]["pid"], "its process is known"), signal.SIGSTOP)
     run.kill()
@@ -176,7 +177,7 @@ def test_ctrl_c_during_startup_leaves_nothing_on_hosts(launch, hosts: SshHosts) 
 
 
 def test_a_killed_supervisor_ends_its_nodes_and_is_reported(launch, hosts: SshHosts) -> None:
-    run: Launched = launch(mode="realtime", frames=5000, n_infrastructure=1, places={"beta": 'nodes = ["broker"]'})
+    run: Launched = launch(mode="realtime", frames=LONG, n_infrastructure=1, places={"beta": 'nodes = ["broker"]'})
     run.until(run.recorded, "frames are played")
     for process in hosts.processes("beta"):
         if "mast_zenoh.deploy.ssh.warden" in _cmdline(process):

@@ -18,7 +18,7 @@ from launched import MAST
 from mast_zenoh.messagelog.reader import read
 
 STAGED = (sys.executable, "-m", "at_stage")  # as a module, like MAST: Python ends scripts differently
-RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "30", "--no-report", "--out")
+RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "12", "--no-report", "--out")
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
@@ -208,7 +208,7 @@ def test_a_disk_that_is_full_from_the_start_leaves_no_run_folder(out: Path) -> N
 
 
 def test_a_recording_that_fills_the_disk_fails_the_run_but_keeps_its_results(out: Path) -> None:
-    command = [word if word != "30" else "120" for word in (*MAST, *RUN)]
+    command = [word if word != "12" else "120" for word in (*MAST, *RUN)]
     outcome = FinishedCommand(out, command, preexec_fn=file_size_limit(2_200_000))
     outcome.assert_matches(ending("disk full while the scene is played"))
     assert "messages.mcap: cannot be written: File too large" in outcome.text

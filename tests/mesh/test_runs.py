@@ -14,14 +14,15 @@ from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
 
 pytestmark = pytest.mark.mesh
-SHORT = ("--frames", "30")
+FRAMES = 12
+SHORT = ("--frames", str(FRAMES))
 
 
 def metrics(folder: Path) -> bytes:
     return (folder / "metrics.json").read_bytes()
 
 
-def in_process(out: Path, name: str, *settings: str, frames: int = 30, seed: int | None = None) -> Path:
+def in_process(out: Path, name: str, *settings: str, frames: int = FRAMES, seed: int | None = None) -> Path:
     path, loaded = scenario.load(name, settings)
     outcome = launcher.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
     assert outcome.error is None
@@ -38,7 +39,7 @@ def test_every_role_runs_in_its_own_process(launch) -> None:
         ["simulator", *["agent"] * 5, "broker", "command_center", "adversary", "adversary", "evaluator", "recorder"]
     )
     assert len(set(run.pids())) == 12
-    assert all(node["ended"] == "ok" and node["last_frame"] == 29 for node in record["nodes"].values())
+    assert all(node["ended"] == "ok" and node["last_frame"] == FRAMES - 1 for node in record["nodes"].values())
     assert record["status"] == "ok"
     assert record["timings"]["frames_per_second"] > 0
     assert {
@@ -87,7 +88,7 @@ def test_interposers_that_change_nothing_leave_no_trace(launch, tmp_path: Path) 
                     s.source_info,
                 )
             )
-        assert len(by_key["clock"]) == 30, "the observer was connected from the first frame"
+        assert len(by_key["clock"]) == FRAMES, "the observer was connected from the first frame"
         seen.append((by_key, metrics(run.out)))
     (plain, plain_metrics), (tapped, tapped_metrics) = seen
     assert plain.keys() == tapped.keys()
@@ -138,6 +139,7 @@ def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
 
 def test_a_user_defined_node_next_to_the_scenario_takes_part(launch, tmp_path: Path) -> None:
     (tmp_path / "deaf.py").write_text(
+        "import gc\n"
         "from mast_zenoh.node import Node\n"
         "from mast_zenoh.runtime.mesh.main import main\n"
         "class Deaf(Node):\n"
@@ -146,7 +148,8 @@ def test_a_user_defined_node_next_to_the_scenario_takes_part(launch, tmp_path: P
         "    outputs = {'detections_out': 'detections'}\n"
         "    def __init__(self, agent: str):\n"
         "        self.agent = agent\n"
-        "    def on_clock(self, received, context): ...\n"
+        "    def on_clock(self, received, context):\n"
+        "        assert gc.isenabled(), 'it is off only until the node is hosted'\n"
         "    def on_detections(self, received, context):\n"
         "        empty = {name: column if name.startswith('mount') else column[:0]\n"
         "                 for name, column in received.body.items()}\n"

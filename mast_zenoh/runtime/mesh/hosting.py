@@ -105,4 +105,5 @@ def host(
         os.nice(LISTENER_NICENESS)
     gc.freeze()  # existing objects stay: the garbage collector need not scan them again
     gc.set_threshold(50_000, 20, 20)
+    gc.enable()
     return mesh_node
