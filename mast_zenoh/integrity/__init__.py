@@ -10,7 +10,8 @@ offsets    how far each agent's tracks are from the others'
 cumulative sums of evidence, and when they are alarms
 record     how often each agent's claims have held up
 
-Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate, SequentialConsistency, TruthDiscovery.
+Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate, SequentialConsistency, TruthDiscovery,
+FaultOrLie (with fault_fit).
 """
 
 from mast_zenoh.integrity.base import (
@@ -23,6 +24,7 @@ from mast_zenoh.integrity.base import (
     ObjectTrust,
     trust_columns,
 )
+from mast_zenoh.integrity.fault_or_lie import FaultOrLie
 from mast_zenoh.integrity.free_space import FreeSpace
 from mast_zenoh.integrity.k_of_n import KOfN
 from mast_zenoh.integrity.mate import Mate
@@ -38,6 +40,7 @@ __all__ = [
     "AgentTrust",
     "Assessment",
     "Batch",
+    "FaultOrLie",
     "FreeSpace",
     "Integrity",
     "KOfN",

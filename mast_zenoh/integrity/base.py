@@ -133,12 +133,17 @@ class Integrity(ABC):
 
     def correct(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], views: Mapping[str, SweptView]
-    ) -> ObjectStates:
-        """The tracks without the faults that earlier batches have shown; by default unchanged.
+    ) -> tuple[ObjectStates, Mapping[str, SweptView]]:
+        """The tracks and views without the faults that the agents are known to have; by default unchanged.
 
-        states: n tracks of all agents, world frame; agent: (n,) rows of `agents`
+        Called before clustering, once for each batch.
+
+        states: n tracks of all agents, world frame; agent: (n,) rows of `agents`; views: by agent
         """
-        return states
+        return states, views
+
+    def forgive(self, agent: str) -> None:  # noqa: B027 (a hook)
+        """Forget the evidence against an agent: a fault explains it, and is corrected from now on."""
 
     @abstractmethod
     def assess(self, batch: Batch) -> Assessment:

@@ -94,6 +94,13 @@ class SequentialConsistency(Integrity):
         """(a,) cumulative lies, object-seconds, and greatest summed offsets, of the agents of the last batch."""
         return self._last
 
+    def forgive(self, agent: str) -> None:
+        if agent in self._agents.names:
+            row = self._agents.names.index(agent)
+            self._lies[row], self._suspended[row] = 0.0, False
+            self._sums.forget(self._numbers[agent])
+            self._reasons.pop(agent, None)
+
     def assess(self, batch: Batch) -> Assessment:
         dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
         self._time_ns = batch.time_ns

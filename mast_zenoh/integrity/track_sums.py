@@ -28,6 +28,11 @@ class TrackSums:
         self._sum = np.zeros((0, self._width))
         self._time_ns = np.zeros(0, np.int64)
 
+    def forget(self, agent: int) -> None:
+        """Forget the tracks of an agent."""
+        keep = self._key[:, 0] != agent
+        self._key, self._sum, self._time_ns = self._key[keep], self._sum[keep], self._time_ns[keep]
+
     def add(self, time_ns: int, agent: Ints, track: Ints, values: Floats) -> Floats:
         """Add `values` (k, width) and return the sums (k, width).
 

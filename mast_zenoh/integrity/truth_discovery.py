@@ -81,6 +81,11 @@ class TruthDiscovery(Integrity):
         self._suspended = np.zeros(0, np.bool_)
         self._time_ns: int | None = None
 
+    def forgive(self, agent: str) -> None:
+        if agent in self._agents.names:
+            row = self._agents.names.index(agent)
+            self._log_odds[row], self._suspended[row] = self._prior, False
+
     def assess(self, batch: Batch) -> Assessment:
         dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
         self._time_ns = batch.time_ns

@@ -22,6 +22,8 @@ BEHIND_M = 1.5
 BEFORE_M = 1.5
 #: m, on the ground: nearer to a sensor is its own carrier, and farther away its rays miss small objects.
 OWN_M, FAR_M = 4.0, 70.0
+#: s; an older view shows where objects were, not where they are.
+MAX_AGE_S = 0.05
 #: Share of the points inside an object that must be in view.
 IN_VIEW = 0.6
 
@@ -57,7 +59,7 @@ def sightings(
     outer = _points(position, size, yaw, OUTSIDE_M + (np.zeros(c) if error_m is None else error_m))
     p = inner.shape[1]
     for column, view in enumerate(views):
-        if view is None:
+        if view is None or abs(view.age_s) > MAX_AGE_S:
             continue
         ranges, free, inside = view.ranges(inner.reshape(-1, 3))
         away = np.hypot(*(position[:, :2] - view.view.position[:2]).T)

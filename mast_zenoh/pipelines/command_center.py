@@ -76,10 +76,10 @@ class CommandCenterPipeline(Pipeline):
         if self._integrity is None:
             labels = self._clustering.cluster(states, agent)
             return self._group_tracking.step(time_ns, states, agent, labels, weights)
-        states = self._integrity.correct(time_ns, states, agent, names, self._views)
-        labels = self._clustering.cluster(states, agent)
-        views = tuple(self._views.get(name) for name in names)
+        states, corrected = self._integrity.correct(time_ns, states, agent, names, self._views)
         self._views = {}
+        labels = self._clustering.cluster(states, agent)
+        views = tuple(corrected.get(name) for name in names)
         assessment = self._integrity.assess(Batch(time_ns, states, agent, labels, names, views))
         weights = combined(weights, assessment.weights)
         picture, support = self._group_tracking.step(time_ns, states, agent, labels, weights)

@@ -88,7 +88,7 @@ def _assess(
     labels = np.unique(states.id, return_inverse=True)[1].astype(np.int64)  # ids of one object are equal
     subject = f"{type(stage).__name__}.correct"
     with unchanged(subject, states=states, agent=agent, views=tuple(views.values())):
-        corrected = stage.correct(time_ns, states, agent, agents, views)
+        corrected, views = stage.correct(time_ns, states, agent, agents, views)
     expect(np.array_equal(corrected.id, states.id), f"{subject}: ids or their order differ from the input's")
     expect_finite(corrected, subject)
     batch = Batch(time_ns, corrected, agent, labels, agents, tuple(views.get(name) for name in agents))

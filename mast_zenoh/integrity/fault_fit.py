@@ -1,0 +1,133 @@
+"""Fits of a pose error and a time offset to how an agent's tracks differ from those of other agents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+
+#: m, farthest from a track of another agent that the same object may be reported, by an agent with a fault.
+GATE_M = 6.0
+#: m, distance from where a fault puts a track within which another agent's track is of the same object.
+MATCH_M = 1.6
+#: Share of the tracks that must be matched so; else the fault is not the known one.
+MATCHED = 0.6
+#: m, standard deviation of a displacement that the covariances do not contain: boxes seen from two sides.
+FLOOR_M = 0.1
+#: m, how far displacements of two objects may differ that have one cause.
+COMMON_M = 0.8
+#: Standard deviations at which a displacement stops to count for more.
+CLIP = 1.5
+#: Standard deviations up to which a fit explains a displacement.
+EXPLAINED_SD = 3.0
+#: Variances of the parameters before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
+PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Displacements:
+    """k displacements of an agent's tracks from other agents' tracks of the same objects.
+
+    offset: (k, 2) m; information: (k, 2, 2) 1/m^2; design: (k, 2, 4) derivatives of the offset by the parameters
+    others: number of other agents among them
+    """
+
+    offset: Floats
+    information: Floats
+    design: Floats
+    others: int
+
+
+def displacements(own: ObjectStates, other: ObjectStates, agent: Ints, pivot: Floats, fault: Floats) -> Displacements:
+    """Displacements of the tracks of one agent.
+
+    own: n tracks of the agent; other: m of the others, with agent (m,); all in the world frame at one time
+    pivot: (2,) m, about which the agent turns; fault: (4,) that it is known to have
+
+    Two tracks are of one object if they are where the known fault puts them. Where that matches few of the tracks, it
+    is decided by the displacement that most of them have in common, which can be larger than the distance between
+    objects.
+    """
+    i, j, dx, dy = neighbours(own.position, other.position, np.full(len(own), GATE_M))
+    design = np.zeros((len(i), 2, 4))
+    design[:, 0, 0] = design[:, 1, 1] = 1.0
+    arm = own.position[i, :2] - pivot
+    design[:, 0, 2], design[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    design[:, :, 3] = other.velocity[j, :2]
+    shift = -np.column_stack([dx, dy])
+    away = shift - design @ fault
+    near = np.zeros(len(own), np.bool_)
+    near[i[np.hypot(away[:, 0], away[:, 1]) <= MATCH_M]] = True
+    if len(i) and near.sum() < MATCHED * len(np.unique(i)):
+        away = shift - shift[_most_common(shift, i, len(own))]
+    distance = np.hypot(away[:, 0], away[:, 1])
+    order = np.lexsort((distance, agent[j], i))
+    order = order[distance[order] <= MATCH_M]
+    pair = i[order] * (int(agent.max(initial=0)) + 1) + agent[j[order]]
+    first = order[np.flatnonzero(np.diff(pair, prepend=-1))]  # the nearest track of each other agent
+    i, j = i[first], j[first]
+    covariance = own.covariance[i, :2, :2] + other.covariance[j, :2, :2] + FLOOR_M**2 * np.eye(2)
+    information: Floats = np.linalg.inv(covariance)
+    return Displacements(shift[first], information, design[first], len(np.unique(agent[j])))
+
+
+def _most_common(shift: Floats, own: Ints, n: int) -> int:
+    """The displacement (p, 2) that most of n tracks nearly have; the smallest of equals.
+
+    own: (p,) track of each displacement
+    """
+    i, j, _, _ = neighbours(shift, shift, np.full(len(shift), COMMON_M))
+    supporters = np.zeros((len(shift), n), np.bool_)
+    supporters[i, own[j]] = True
+    count = supporters.sum(axis=1)
+    return int(np.lexsort((np.hypot(shift[:, 0], shift[:, 1]), -count))[0])
+
+
+def normal_equations(found: Displacements, estimate: Floats | None) -> tuple[Floats, Floats]:
+    """Sums (4, 4) and (4,) of weighted least squares.
+
+    estimate: (4,) fault from which outliers are judged, and their weight limited; None: nothing is an outlier
+    """
+    weight = np.ones(len(found.offset))
+    if estimate is not None:
+        weight = np.minimum(1.0, CLIP / np.maximum(_deviations(found, estimate), 1e-9))
+    design, offset = found.design.reshape(-1, 4), found.offset.reshape(-1)
+    scaled = ((found.information * weight[:, None, None]) @ found.design).reshape(-1, 4).T
+    return scaled @ design, scaled @ offset
+
+
+def misfit(found: Displacements, estimate: Floats) -> float:
+    """Sum of Huber's loss over the displacements that a fault (4,) leaves."""
+    deviation = _deviations(found, estimate)
+    return float(np.where(deviation <= CLIP, 0.5 * deviation**2, CLIP * (deviation - 0.5 * CLIP)).sum())
+
+
+def explained(found: Displacements, estimate: Floats) -> float:
+    """Share of the displacements that a fault (4,) explains."""
+    return float((_deviations(found, estimate) <= EXPLAINED_SD).mean()) if len(found.offset) else 0.0
+
+
+def _deviations(found: Displacements, estimate: Floats) -> Floats:
+    """(k,) standard deviations by which displacements differ from those of a fault (4,)."""
+    residual = found.offset - found.design @ estimate
+    squared = (residual * (found.information @ residual[:, :, None])[:, :, 0]).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+
+
+def corrected(states: ObjectStates, rows: Bools, estimate: Floats, pivot: Floats) -> ObjectStates:
+    """Tracks without a fault (4,): x and y in m, turn in rad, time offset in s.
+
+    rows: (n,) of the agent; pivot: (2,) m
+    """
+    x, y, turn, delay = estimate.tolist()
+    position, velocity, yaw = states.position.copy(), states.velocity.copy(), states.yaw.copy()
+    arm = position[rows, :2] - pivot
+    moved = np.column_stack([x - turn * arm[:, 1], y + turn * arm[:, 0]]) + delay * velocity[rows, :2]
+    position[rows, :2] -= moved
+    vx, vy = velocity[rows, :2].T
+    velocity[rows, :2] = np.column_stack([vx + turn * vy, vy - turn * vx])
+    yaw[rows] -= turn
+    return states.with_(position=position, velocity=velocity, yaw=yaw)
