@@ -45,7 +45,9 @@ class Plausibility(Integrity):
     - An object that one agent reports where others have its surroundings in view is withheld for `gap_s`, or until a
       second agent reports it: they would have seen it come.
 
-    speed_mps: m/s, acceleration_mps2, braking_mps2: m/s², greatest values; gap_s: s, within which messages are related
+    speed_mps: m/s, greatest speed
+    acceleration_mps2, braking_mps2: m/s², greatest acceleration and braking
+    gap_s: s, within which messages are related
     approach_m: m around a new object that must be in view: 0.5 s, which trackers need to confirm it, at 60 km/h
     range_m: m, up to which an agent sees what is around new objects
     record_s: s, after which an outcome counts 1/e in an agent's trust

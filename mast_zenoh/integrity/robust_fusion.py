@@ -29,8 +29,9 @@ class RobustFusion(Integrity):
     decides it (TrustFlip, arXiv 2605.22122).
 
     gate: squared distance; 18.5 is exceeded by one in a thousand of a chi-square distribution with four degrees
-    bias_m: m, bias_mps: m/s, standard deviations of errors that the covariances do not contain, such as seeing one side
-        of a vehicle only: 0.3 m was measured between honest agents
+    bias_m: m, standard deviation of position errors that the covariances do not contain, such as seeing one side of a
+        vehicle only: 0.3 m was measured between honest agents
+    bias_mps: m/s, the same for velocities
     confidence: factor, greatest ratio of a member's variance to the median of its cluster that counts, either way
     margin: difference of two records above which they decide
     record_s: s, after which an outcome counts 1/e in an agent's record
