@@ -12,7 +12,13 @@ from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import ObjectMemory
 from mast_zenoh.integrity.record import Record
 from mast_zenoh.integrity.views import SweptView
-from mast_zenoh.integrity.visibility import BEFORE_M, BEHIND_M, FAR_M, Sightings, sightings
+from mast_zenoh.integrity.visibility import BEFORE_M, BEHIND_M, FAR_M, OWN_M, Sightings, sightings
+
+#: Sample points of a box, in half lengths and half widths, and in half heights.
+_ACROSS, _UP = (-1.0, 0.0, 1.0), (-0.3, 0.4)
+#: Share of a box that must be in free space: two of three columns of sample points. A box that is displaced by less
+#: than half its width hides as many.
+_SHARE = 2.0 / 3.0 - 1e-9
 
 
 class FreeSpace(Integrity):
@@ -29,9 +35,9 @@ class FreeSpace(Integrity):
         distance at which they give as many returns
     record_s: s, after which evidence counts 1/e in an agent's trust
 
-    The tolerances of free space are those of `visibility`: an object is not seen through if it is displaced by less
-    than OUTSIDE_M. A dispute of one agent that reports and one that sees through counts against neither (TrustFlip,
-    arXiv 2605.22122).
+    An agent sees through an object if two thirds of its box are in the agent's free space, as in CAD, which compares
+    areas; `Sightings.swept`, all of the box and 0.8 m around it, misses a quarter of the phantoms in traffic. A dispute
+    of one agent that reports and one that sees through counts against neither (TrustFlip, arXiv 2605.22122).
 
     Weaknesses: a liar that forges its view, too, needs as many honest views against it as liars report the object; a
     phantom that no other agent sees the place of is accepted, as are displacements below the tolerance; liars that
@@ -57,10 +63,11 @@ class FreeSpace(Integrity):
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
-        claims = reported & ~seen.swept
-        silent = occupied(boxes, seen, batch.views) & ~reported
+        swept = seen_through(boxes, batch.views)
+        claims = reported & ~swept
+        silent = occupied(boxes, seen, batch.views) & ~reported & ~swept
         silent &= seen.distance <= boxes.sight_range(self._range_m)[:, None]
-        confirming, contradicting = (claims | silent).sum(axis=1), seen.swept.sum(axis=1)
+        confirming, contradicting = (claims | silent).sum(axis=1), swept.sum(axis=1)
         withheld = self._remembered(batch.time_ns, boxes, confirming - contradicting) < 0.0
         # A removal needs two agents that report the object: a lone claim cannot accuse those that are silent about it.
         removed = silent & (claims.sum(axis=1) > 1)[:, None]
@@ -105,4 +112,30 @@ def occupied(boxes: ClusterBoxes, seen: Sightings, views: Sequence[SweptView | N
         distance, free, _ = view.ranges(boxes.position)
         with np.errstate(invalid="ignore"):
             ends[:, column] = (free >= distance - half - BEFORE_M) & (free <= distance + half + BEHIND_M)
-    return np.asarray(ends & seen.in_view & ~seen.swept)
+    return np.asarray(ends & seen.in_view)
+
+
+def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
+    """(c, a) whether the agent's sensor sees through most of a box."""
+    c = len(boxes.yaw)
+    through = np.zeros((c, len(views)), np.bool_)
+    points = _points(boxes)
+    for column, view in enumerate(views):
+        if view is None or view.free.size == 0 or c == 0:
+            continue
+        distance, free, _ = view.ranges(points.reshape(-1, 3))
+        with np.errstate(invalid="ignore"):
+            share = (free > distance + BEHIND_M).reshape(points.shape[:2]).mean(axis=1)
+        away = np.hypot(*(boxes.position[:, :2] - view.view.position[:2]).T)
+        through[:, column] = (share >= _SHARE) & (away > OWN_M) & (away <= FAR_M)
+    return through
+
+
+def _points(boxes: ClusterBoxes) -> Floats:
+    """(c, p, 3) sample points of boxes, m, world frame."""
+    along, across, up = (part.ravel() for part in np.meshgrid(_ACROSS, _ACROSS, _UP, indexing="ij"))
+    half = 0.5 * boxes.size[:, None, :]
+    x, y = along * half[..., 0], across * half[..., 1]
+    c, s = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
+    local = np.stack([c * x - s * y, s * x + c * y, up * half[..., 2]], axis=-1)
+    return np.asarray(boxes.position[:, None, :] + local)

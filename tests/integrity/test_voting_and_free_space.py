@@ -14,7 +14,7 @@ AGENTS = ("a", "b", "c", "d")
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
 #: All see through the origin, or the rays of all end there.
 EMPTY = {name: view(place) for name, place in PLACES.items()}
-FULL = {name: view(place, (0.0, 0.0, 2.0)) for name, place in PLACES.items()}
+FULL = {name: view(place, (0.0, 0.0, 2.6)) for name, place in PLACES.items()}
 
 
 def at_origin(*names: str) -> list[Track]:
@@ -120,9 +120,12 @@ def test_a_confirmed_object_outlasts_a_moment_of_contradiction() -> None:
     assert not withheld(FreeSpace(), *seen, batch(at_origin("a"), AGENTS, EMPTY, frame=20))
 
 
-def test_displacements_below_the_tolerance_are_not_seen_through() -> None:
-    views = {name: view(place, (0.0, 0.7, 2.0)) for name, place in PLACES.items()}
-    assert not withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views))
+@pytest.mark.parametrize(("displaced", "refuted"), [(0.4, False), (1.4, True)])
+def test_an_object_that_is_displaced_by_less_than_half_its_width_is_not_seen_through(
+    displaced: float, refuted: bool
+) -> None:
+    views = {"a": view(PLACES["a"], (0.0, displaced, 0.9)), "b": view(PLACES["b"], (0.0, displaced, 0.9))}
+    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views)) is refuted
 
 
 @pytest.mark.parametrize("stage", [KOfN(), FreeSpace()])
