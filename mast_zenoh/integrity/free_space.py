@@ -63,7 +63,7 @@ class FreeSpace(Integrity):
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
-        swept = seen_through(boxes.position, boxes.size, boxes.yaw, batch.views)
+        swept = seen_through(boxes, batch.views)
         claims = reported & ~swept
         silent = occupied(boxes, seen, batch.views) & ~reported & ~swept
         silent &= seen.distance <= boxes.sight_range(self._range_m)[:, None]
@@ -115,29 +115,30 @@ def occupied(boxes: ClusterBoxes, seen: Sightings, views: Sequence[SweptView | N
     return np.asarray(ends & seen.in_view)
 
 
-def seen_through(position: Floats, size: Floats, yaw: Floats, views: Sequence[SweptView | None]) -> Bools:
-    """(c, a) whether each of a sensors sees through most of c boxes, up to FAR_M.
+def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
+    """(c, a) whether the agent's sensor sees through most of a box, up to FAR_M.
 
-    position: (c, 3) m, size: (c, 3) m, yaw: (c,) rad, world frame; views: (a), None: sees nothing
+    A view that is older than the boxes shows the places where they were then.
     """
-    through = np.zeros((len(yaw), len(views)), np.bool_)
-    points = _points(position, size, yaw)
+    through = np.zeros((len(boxes.yaw), len(views)), np.bool_)
+    points = _points(boxes)
     for column, view in enumerate(views):
-        if view is None or view.free.size == 0 or len(yaw) == 0:
+        if view is None or view.free.size == 0 or len(points) == 0:
             continue
-        distance, free, _ = view.ranges(points.reshape(-1, 3))
+        moved = boxes.velocity * view.age_s
+        distance, free, _ = view.ranges((points - moved[:, None, :]).reshape(-1, 3))
         with np.errstate(invalid="ignore"):
             share = (free > distance + BEHIND_M).reshape(points.shape[:2]).mean(axis=1)
-        away = np.hypot(*(position[:, :2] - view.view.position[:2]).T)
+        away = np.hypot(*((boxes.position - moved)[:, :2] - view.view.position[:2]).T)
         through[:, column] = (share >= _SHARE) & (away > OWN_M) & (away <= FAR_M)
     return through
 
 
-def _points(position: Floats, size: Floats, yaw: Floats) -> Floats:
+def _points(boxes: ClusterBoxes) -> Floats:
     """(c, p, 3) sample points of boxes, m, world frame."""
     along, across, up = (part.ravel() for part in np.meshgrid(_ACROSS, _ACROSS, _UP, indexing="ij"))
-    half = 0.5 * size[:, None, :]
+    half = 0.5 * boxes.size[:, None, :]
     x, y = along * half[..., 0], across * half[..., 1]
-    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    c, s = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
     local = np.stack([c * x - s * y, s * x + c * y, up * half[..., 2]], axis=-1)
-    return np.asarray(position[:, None, :] + local)
+    return np.asarray(boxes.position[:, None, :] + local)

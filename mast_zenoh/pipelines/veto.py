@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.free_space import seen_through
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.pipelines.agent import MissionEstimator
@@ -31,6 +32,7 @@ class FreeSpaceVeto(MissionEstimator):
 
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
         """The objects of both, world frame; see `MissionEstimator.estimate`."""
-        through = seen_through(picture.position, picture.size, picture.yaw, (self._view,))
+        boxes = ClusterBoxes(picture.position, picture.velocity, picture.size, picture.yaw)
+        through = seen_through(boxes, (self._view,))
         self._view = None
         return self.mission.estimate(own, picture.select(~through[:, 0]))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
 from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.free_space import seen_through
 from mast_zenoh.integrity.record import Record
 from tests.integrity.batches import STEP_NS, Track, batch, view
 
@@ -126,6 +129,14 @@ def test_an_object_that_is_displaced_by_less_than_half_its_width_is_not_seen_thr
 ) -> None:
     views = {"a": view(PLACES["a"], (0.0, displaced, 0.9)), "b": view(PLACES["b"], (0.0, displaced, 0.9))}
     assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views)) is refuted
+
+
+def test_an_old_view_shows_where_an_object_was() -> None:
+    old = replace(view(PLACES["d"], (-5.0, 0.0, 2.6)), age_s=0.5)
+    moving = batch(at_origin("a"), AGENTS, {"d": old}, velocity={0: (10.0, 0.0)})
+    assert not seen_through(ClusterBoxes.of(moving), moving.views).any()
+    standing = batch(at_origin("a"), AGENTS, {"d": old})
+    assert seen_through(ClusterBoxes.of(standing), standing.views).tolist() == [[False, False, False, True]]
 
 
 @pytest.mark.parametrize("stage", [KOfN(), FreeSpace()])
