@@ -9,6 +9,9 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import Batch
 
+#: m², side of a car that a sensor sees least of: width times height.
+_CAR_M2 = 1.8 * 1.5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterBoxes:
@@ -49,3 +52,11 @@ class ClusterBoxes:
             size=mean(states.size),
             yaw=0.5 * np.arctan2(double[:, 1], double[:, 0]),
         )
+
+    def sight_range(self, range_m: float) -> Floats:
+        """(c,) m up to which a box gives a lidar as many returns as a car does at `range_m`, at most `range_m`.
+
+        The number of returns goes with the area of the smaller side over the squared distance.
+        """
+        area = np.minimum(self.size[:, 0], self.size[:, 1]) * self.size[:, 2]
+        return np.asarray(range_m * np.sqrt(np.clip(area / _CAR_M2, 0.0, 1.0)))

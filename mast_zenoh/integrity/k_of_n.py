@@ -18,7 +18,8 @@ class KOfN(Integrity):
     more for than against, or, if fewer than k agents should see it, those of all of them.
 
     k: number of agents
-    range_m: m, up to which an agent must see an object in its field of view that nothing hides
+    range_m: m, up to which an agent must see a car in its field of view that nothing hides, and smaller objects up to
+        the distance at which they give as many returns
     record_s: s, after which the outcome of an agent's vote counts 1/e in its trust
 
     Weaknesses: an object that one agent alone should see needs no other witness; k colluding agents are believed, and
@@ -39,7 +40,7 @@ class KOfN(Integrity):
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
-        expected = reported | (seen.in_view & (seen.distance <= self._range_m))
+        expected = reported | (seen.in_view & (seen.distance <= boxes.sight_range(self._range_m)[:, None]))
         confirming, contradicting, should = (votes.sum(axis=1) for votes in (reported, seen.swept, expected))
         withheld = confirming - contradicting < np.minimum(self._k, should)
         corroborated = ~withheld & (confirming > 1)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import AgentMemory, ObjectMemory
 from mast_zenoh.integrity.visibility import sightings
+from mast_zenoh.tracking.assignment import BipartiteAssignment
 
 #: alpha and beta of new agents and objects, to which trust returns without evidence.
 PRIOR = 0.5
@@ -28,6 +28,8 @@ CONFIDENCE = (0.0001, 0.9999)
 #: Bias n of evidence whose value is below a threshold: agents, objects.
 AGENT_BIAS, AGENT_THRESHOLD = 6.0, 0.3
 TRACK_BIAS, TRACK_THRESHOLD = 1.0, 0.4
+
+_ASSIGNMENT = BipartiteAssignment()
 
 
 class Mate(Integrity):
@@ -127,7 +129,7 @@ class Mate(Integrity):
         position, agent = batch.states.position[order], batch.agent[order]
         i, j, dx, dy = neighbours(position, boxes.position, np.full(len(order), self._assign_m))
         pair = j * a + agent[i]
-        chosen = min_cost_matching(i, pair, np.hypot(dx, dy) - self._assign_m)
+        chosen = _ASSIGNMENT.match(i, pair, np.hypot(dx, dy) - self._assign_m)
         assigned = np.zeros(c * a, np.bool_)
         assigned[pair[chosen]] = True
         return assigned.reshape(c, a)

@@ -23,8 +23,8 @@ SMALLEST_M, LARGEST_M = (0.1, 0.1, 0.3), (19.25, 3.1, 4.5)
 SLOPE, HEIGHT_ERROR_M = 0.12, 1.5
 #: Standard deviations that an error may have.
 _SIGMAS = 3.0
-#: Directions in which the surroundings of a new object are checked, and how many must be in view: the object itself may
-#: hide one.
+#: Directions in which the surroundings of a new object are checked, and how many must be in view of any agent: one may
+#: be hidden by the object itself.
 _AROUND, _IN_VIEW = 8, 7
 #: s after the first batch before which every object is new.
 _START_S = 1.0
@@ -42,12 +42,14 @@ class Plausibility(Integrity):
     - Speed and position a second apart must fit the greatest acceleration and braking, within three standard deviations
       of the tracks. Of two boxes that overlap too far, the one that fewer agents report is odd, then the younger. Each
       such alarm counts one, and one leaks away in `gap_s`: two in a row withhold an object.
-    - An object that appears where an agent had it and its surroundings in view, and did not report it, is withheld for
-      `gap_s`, or until a second agent reports it.
+    - An object that one agent reports where others have its surroundings in view is withheld for `gap_s`, or until a
+      second agent reports it: they would have seen it come.
 
-    speed_mps: m/s, acceleration_mps2, braking_mps2: m/s², greatest values; gap_s: s, within which messages are related
+    speed_mps: m/s, greatest speed
+    acceleration_mps2, braking_mps2: m/s², greatest acceleration and braking
+    gap_s: s, within which messages are related
     approach_m: m around a new object that must be in view: 0.5 s, which trackers need to confirm it, at 60 km/h
-    range_m: m, up to which an agent is expected to see new objects
+    range_m: m, up to which an agent sees what is around new objects
     record_s: s, after which an outcome counts 1/e in an agent's trust
 
     F2MD also compares claims with the true positions of other vehicles, which no receiver knows: that is left out.
@@ -157,14 +159,15 @@ class Plausibility(Integrity):
         return np.asarray(odd | (np.hypot(offset[:, 0], offset[:, 1]) > reach))
 
     def _appears(self, batch: Batch, boxes: ClusterBoxes, rows: Ints) -> Bools:
-        """(c,) new objects of one agent that another would have seen before."""
+        """(c,) new objects of one agent that others would have seen before."""
         new = (self._objects.frames[rows] == 1) & (batch.reported.sum(axis=1) == 1)
         assert self._first_ns is not None
         new &= (batch.time_ns - self._first_ns) * 1e-9 >= _START_S
         result = np.zeros(len(rows), np.bool_)
         index = np.flatnonzero(new)
-        watched = surroundings_in_view(boxes.position[index], self._approach_m, self._range_m, batch.views)
-        result[index] = (watched & ~batch.reported[index]).any(axis=1)
+        seen = surroundings_in_view(boxes.position[index], self._approach_m, self._range_m, batch.views)
+        seen &= ~batch.reported[index][..., None]
+        result[index] = seen.any(axis=1).sum(axis=1) >= _IN_VIEW
         return result
 
 
@@ -197,11 +200,11 @@ def overlapping(boxes: ClusterBoxes, witnesses: Ints, age_s: Floats) -> Bools:
 
 
 def surroundings_in_view(position: Floats, radius_m: float, range_m: float, views: Sequence[SweptView | None]) -> Bools:
-    """(c, a) whether an agent sees the places around positions (c, 3), up to `range_m`."""
+    """(c, a, _AROUND) whether an agent sees the places around positions (c, 3), up to `range_m`."""
     c = len(position)
-    watched = np.zeros((c, len(views)), np.bool_)
+    seen = np.zeros((c, len(views), _AROUND), np.bool_)
     if c == 0:
-        return watched
+        return seen
     angle = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
     around = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_AROUND)]) * radius_m
     points = (position[:, None, :] + around).reshape(-1, 3)
@@ -210,7 +213,7 @@ def surroundings_in_view(position: Floats, radius_m: float, range_m: float, view
             continue
         distance, free, inside = view.ranges(points)
         with np.errstate(invalid="ignore"):
-            clear = (inside & ~(free < distance)).reshape(c, _AROUND).sum(axis=1) >= _IN_VIEW
+            clear = (inside & ~(free < distance)).reshape(c, _AROUND)
         away = np.hypot(*(position[:, :2] - view.view.position[:2]).T)
-        watched[:, column] = clear & (away > OWN_M) & (away <= range_m)
-    return watched
+        seen[:, column] = clear & ((away > OWN_M) & (away <= range_m))[:, None]
+    return seen

@@ -14,6 +14,8 @@ _COMPARED = np.array([0, 1, 6, 7])
 _STEPS = 8
 #: m, below which distances to the median count as equal (Pillutla et al. smooth the iteration in the same way).
 _SMOOTHING_M = 0.1
+#: m², least variance of a track.
+_LEAST_M2 = 1e-9
 
 
 class RobustFusion(Integrity):
@@ -27,8 +29,9 @@ class RobustFusion(Integrity):
     decides it (TrustFlip, arXiv 2605.22122).
 
     gate: squared distance; 18.5 is exceeded by one in a thousand of a chi-square distribution with four degrees
-    bias_m: m, bias_mps: m/s, standard deviations of errors that the covariances do not contain, such as seeing one side
-        of a vehicle only: 0.3 m was measured between honest agents
+    bias_m: m, standard deviation of position errors that the covariances do not contain, such as seeing one side of a
+        vehicle only: 0.3 m was measured between honest agents
+    bias_mps: m/s, the same for velocities
     confidence: factor, greatest ratio of a member's variance to the median of its cluster that counts, either way
     margin: difference of two records above which they decide
     record_s: s, after which an outcome counts 1/e in an agent's record
@@ -61,11 +64,12 @@ class RobustFusion(Integrity):
     def assess(self, batch: Batch) -> Assessment:
         reported: Bools = batch.reported
         state = np.column_stack([batch.states.position[:, :2], batch.states.velocity[:, :2]])[batch.member]
-        covariance = batch.states.covariance[:, _COMPARED[:, None], _COMPARED][batch.member] + self._bias
+        claimed = batch.states.covariance[:, _COMPARED[:, None], _COMPARED][batch.member]
+        covariance = claimed + self._bias
         kept = self._without_outliers(reported, state, covariance)
         judged = reported & (reported.sum(axis=1) > 2)[:, None]
         kept = self._better_of_two(kept, state, covariance, self._record.mean(batch.agents))
-        weight = median_weights(kept, state[..., :2]) * self._limited(kept, covariance)
+        weight = median_weights(kept, state[..., :2]) * self._limited(kept, claimed)
         mean = self._record.update(
             batch.time_ns,
             batch.agents,
@@ -106,7 +110,7 @@ class RobustFusion(Integrity):
 
     def _limited(self, kept: Bools, covariance: Floats) -> Floats:
         """(c, a) factors that limit how confident a member may be compared to the others of its cluster."""
-        variance = covariance[..., 0, 0] + covariance[..., 1, 1]
+        variance = np.maximum(covariance[..., 0, 0] + covariance[..., 1, 1], _LEAST_M2)
         ordered = np.sort(np.where(kept, variance, np.inf), axis=1)
         middle = np.maximum((kept.sum(axis=1) - 1) // 2, 0)
         median = np.take_along_axis(ordered, middle[:, None], axis=1)

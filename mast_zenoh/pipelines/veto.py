@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.integrity import SweptView, sightings
+from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.free_space import seen_through
+from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.pipelines.agent import MissionEstimator
 
 
@@ -16,7 +18,8 @@ class FreeSpaceVeto(MissionEstimator):
     Own tracks are never left out. Agents must have a sweep in each frame (keyexpr_maps/views.toml); without one,
     nothing is left out.
 
-    Weaknesses: objects that the sensor does not see the place of, or that are displaced by less than 0.8 m, stay.
+    Weaknesses: objects that the sensor does not see the place of, that are displaced by less than half their width, or
+    that are more than 70 m away stay.
     """
 
     def __init__(self, *, mission: MissionEstimator) -> None:
@@ -29,6 +32,7 @@ class FreeSpaceVeto(MissionEstimator):
 
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
         """The objects of both, world frame; see `MissionEstimator.estimate`."""
-        seen = sightings(picture.position, picture.size, picture.yaw, (self._view,))
+        boxes = ClusterBoxes(picture.position, picture.velocity, picture.size, picture.yaw)
+        through = seen_through(boxes, (self._view,))
         self._view = None
-        return self.mission.estimate(own, picture.select(~seen.swept[:, 0]))
+        return self.mission.estimate(own, picture.select(~through[:, 0]))

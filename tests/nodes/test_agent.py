@@ -286,6 +286,26 @@ def test_a_scenario_can_choose_either_estimator(name: str) -> None:
     assert len(run.decoded(MISSION, "tracks")[-1].body["id"]) >= 4, "it sees itself through the picture"
 
 
+@pytest.mark.parametrize("swept", [True, False])
+def test_an_estimator_that_looks_gets_the_agents_own_sweep(swept: bool) -> None:
+    def veto(scenario: dict) -> None:
+        pipeline = scenario["agents"]["*"]["pipeline"]
+        pipeline["mission"] = dict(type="FreeSpaceVeto", mission=pipeline["mission"])
+        scenario["keyexpr"]["rewrites"] = ["views.toml"] if swept else []
+
+    ego = bench(tiny(edit=veto))
+    for frame in range(3):
+        ego.clock(frame)
+        ego.send("pose", pose(), frame)
+        ego.send("detections", detections(), frame)
+        if swept:
+            ego.send("sweep", {"free": np.full((16, 180), 100.0)}, frame)
+        if frame == 0:
+            ego.send("picture", picture((30.0, 0.0), (0.5, 0.0)), frame)
+    counts = [len(message.body["id"]) for message in ego.heard(MISSION)]
+    assert counts == ([0, 1, 1] if swept else [0, 2, 2]), "it sees through the first, and the second is itself"
+
+
 # -- safety ------------------------------------------------------------------------------------------------------------
 
 

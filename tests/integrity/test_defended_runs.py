@@ -1,0 +1,48 @@
+"""Runs with an integrity stage: the picture has fewer false objects, in every order of delivery alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh import testing
+from mast_zenoh.testing.fixtures import play
+
+__all__ = ["play"]
+
+FRAMES, SEED = 70, 1
+
+
+def false_objects(run: mast.Run, estimate: str = "picture") -> float:
+    return float(run.summary["agents"]["ego"][estimate]["fp"]["mean"])
+
+
+@pytest.fixture(scope="module")
+def undefended(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    return mast.run(
+        "defended", frames=FRAMES, seed=SEED, n_adversaries=1, report=False, out=tmp_path_factory.mktemp("run")
+    )
+
+
+@pytest.mark.parametrize("defence", ["KOfN", "FreeSpace", "Mate"])
+def test_most_false_objects_of_one_adversary_are_withheld(play: Any, undefended: mast.Run, defence: str) -> None:
+    run = play("defended", frames=FRAMES, seed=SEED, defence=defence, n_adversaries=1, report=False)
+    quiet = play("defended", frames=FRAMES, seed=SEED, n_adversaries=0, report=False)
+    added = false_objects(undefended) - false_objects(quiet)
+    assert false_objects(run) - false_objects(quiet) < 0.5 * added
+    missed = [each.summary["agents"]["ego"]["picture"]["fn"]["mean"] for each in (run, undefended)]
+    assert missed[0] < missed[1] + 0.05, "hardly any real object is withheld"
+
+
+def test_the_egos_veto_removes_what_it_sees_through(play: Any, undefended: mast.Run) -> None:
+    veto = {"agents.*.pipeline.mission": dict(type="FreeSpaceVeto", mission=dict(type="PictureFirst"))}
+    run = play("defended", frames=FRAMES, seed=SEED, n_adversaries=1, report=False, **veto)
+    assert false_objects(run, "mission") < false_objects(undefended, "mission") - 0.5
+    assert false_objects(run) == false_objects(undefended), "the picture is the same"
+
+
+@pytest.mark.parametrize("defence", ["FreeSpace", "Plausibility"])
+def test_a_defended_run_is_the_same_in_every_order_of_delivery(defence: str) -> None:
+    testing.check_scenario("defended", frames=15, n_infrastructure=2, n_adversaries=1, defence=defence)

@@ -1,0 +1,168 @@
+"""`KOfN` and `FreeSpace`: objects that too few agents report, or that agents see through, are withheld."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
+from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.free_space import seen_through
+from mast_zenoh.integrity.record import Record
+from tests.integrity.batches import STEP_NS, Track, batch, view
+
+AGENTS = ("a", "b", "c", "d")
+PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
+#: All see through the origin, or the rays of all end there.
+EMPTY = {name: view(place) for name, place in PLACES.items()}
+FULL = {name: view(place, (0.0, 0.0, 2.6)) for name, place in PLACES.items()}
+
+
+def at_origin(*names: str) -> list[Track]:
+    return [(name, 0, (0.0, 0.0)) for name in names]
+
+
+def withheld(stage: Integrity, *batches: Batch) -> bool:
+    for each in batches:
+        assessment = stage.assess(each)
+    return bool(assessment.objects.withheld[0])
+
+
+def test_k_of_the_agents_that_should_see_an_object_must_report_it() -> None:
+    assert withheld(KOfN(), batch(at_origin("a"), AGENTS, FULL)), "one of four"
+    assert not withheld(KOfN(), batch(at_origin("a", "b"), AGENTS, FULL)), "two of four"
+    assert withheld(KOfN(k=3), batch(at_origin("a", "b"), AGENTS, FULL)), "two of four, and three are needed"
+    assert not withheld(KOfN(k=3), batch(at_origin("a", "b"), AGENTS, {"a": FULL["a"]})), "both that should see it"
+    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, {"a": FULL["a"]})), "the only one that should see it"
+
+
+def test_agents_that_see_free_space_vote_against() -> None:
+    views = {**FULL, "d": EMPTY["d"]}
+    assert withheld(KOfN(), batch(at_origin("a", "b"), AGENTS, views)), "two for, one against"
+    assert not withheld(KOfN(), batch(at_origin("a", "b", "c"), AGENTS, views)), "three for, one against"
+
+
+def test_an_agent_is_not_expected_to_see_what_is_hidden_or_too_far() -> None:
+    hidden = {"a": FULL["a"], "b": view(PLACES["b"], (10.0, 0.0, 2.0))}
+    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, hidden))
+    far = {"a": FULL["a"], "b": view((75.0, 0.0), (0.0, 0.0, 2.0))}
+    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, far))
+    near = {"a": FULL["a"], "b": view((60.0, 0.0), (0.0, 0.0, 2.0))}
+    assert withheld(KOfN(), batch(at_origin("a"), AGENTS, near))
+    pedestrian = {0: (0.6, 0.6, 1.75)}
+    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, near, size=pedestrian)), "a car has as many returns"
+
+
+def test_small_objects_are_expected_at_the_range_at_which_they_have_as_many_returns_as_a_car() -> None:
+    boxes = ClusterBoxes(
+        np.zeros((3, 3)), np.zeros((3, 3)), np.array([[4.5, 1.8, 1.5], [0.5, 0.45, 1.5], [12.0, 2.5, 3.0]]), np.zeros(3)
+    )
+    assert boxes.sight_range(70.0) == pytest.approx([70.0, 35.0, 70.0])
+
+
+def test_an_object_is_withheld_where_more_agents_see_through_it_than_report_it() -> None:
+    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, {**EMPTY, "a": FULL["a"]})), "one against three"
+    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, {"a": EMPTY["a"]})), "its own view contradicts it"
+    assert not withheld(FreeSpace(), batch(at_origin("a"), AGENTS, FULL))
+    assert not withheld(FreeSpace(), batch(at_origin("a", "b"), AGENTS, {"c": EMPTY["c"], "d": EMPTY["d"]})), "a tie"
+
+
+def test_a_dispute_between_two_agents_counts_against_neither() -> None:
+    stage = FreeSpace()
+    views = {"a": FULL["a"], "b": EMPTY["b"]}
+    for frame in range(20):
+        assessment = stage.assess(batch(at_origin("a"), AGENTS, views, frame=frame))
+    assert assessment.objects.withheld.tolist() == [False]
+    assert assessment.agents.mean.tolist() == [0.5] * 4
+
+
+def test_silence_about_occupied_space_is_evidence_of_a_removal() -> None:
+    stage, honest = FreeSpace(), FreeSpace()
+    for frame in range(21):
+        assessment = stage.assess(batch(at_origin("a", "b"), AGENTS, FULL, frame=frame))
+        reference = honest.assess(batch(at_origin("a", "b", "c"), AGENTS, FULL, frame=frame))
+    # In two seconds, one object is silently removed: 0 upheld and about 2 refuted claims.
+    assert assessment.agents.mean[2] == pytest.approx(1.0 / 4.0, abs=0.01)
+    assert assessment.agents.mean[0] > 0.7
+    assert reference.agents.mean[2] > 0.7
+    assert assessment.objects.confirming.tolist() == [4], "rays that end at the object are for it"
+
+
+def test_one_claim_accuses_nobody_of_a_removal() -> None:
+    stage = FreeSpace()
+    for frame in range(20):
+        assessment = stage.assess(batch(at_origin("a"), AGENTS, FULL, frame=frame))
+    assert assessment.agents.mean[1:].tolist() == [0.5] * 3
+
+
+def test_liars_cannot_remove_what_more_witnesses_report() -> None:
+    views = {"a": FULL["a"], "b": FULL["b"], "c": EMPTY["c"]}
+    assert not withheld(FreeSpace(), batch(at_origin("a", "b"), AGENTS, views))
+
+
+def test_a_claim_in_the_agents_own_free_space_is_left_out_of_the_fusion() -> None:
+    assessment = FreeSpace().assess(batch(at_origin("a", "b", "c"), AGENTS, {**FULL, "c": EMPTY["c"]}))
+    assert assessment.weights is not None
+    assert assessment.weights.tolist() == [1.0, 1.0, 0.0]
+    alone = FreeSpace().assess(batch(at_origin("c"), AGENTS, {"c": EMPTY["c"]}))
+    assert alone.weights is not None
+    assert alone.weights.tolist() == [1.0], "a withheld object is tracked on"
+
+
+def test_a_phantom_stays_withheld_where_nobody_can_tell_any_more() -> None:
+    seen = [batch(at_origin("a"), AGENTS, {**EMPTY, "a": FULL["a"]}, frame=frame) for frame in range(10)]
+    unseen = [batch(at_origin("a"), AGENTS, {"a": FULL["a"]}, frame=frame) for frame in range(10, 50)]
+    assert withheld(FreeSpace(), *seen, *unseen[:10])
+    assert not withheld(FreeSpace(), *seen, *unseen), "it is forgotten after some seconds"
+
+
+def test_a_confirmed_object_outlasts_a_moment_of_contradiction() -> None:
+    seen = [batch(at_origin("a", "b"), AGENTS, FULL, frame=frame) for frame in range(20)]
+    assert not withheld(FreeSpace(), *seen, batch(at_origin("a"), AGENTS, EMPTY, frame=20))
+
+
+@pytest.mark.parametrize(("displaced", "refuted"), [(0.4, False), (1.4, True)])
+def test_an_object_that_is_displaced_by_less_than_half_its_width_is_not_seen_through(
+    displaced: float, refuted: bool
+) -> None:
+    views = {"a": view(PLACES["a"], (0.0, displaced, 0.9)), "b": view(PLACES["b"], (0.0, displaced, 0.9))}
+    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views)) is refuted
+
+
+def test_an_old_view_shows_where_an_object_was() -> None:
+    old = replace(view(PLACES["d"], (-5.0, 0.0, 2.6)), age_s=0.5)
+    moving = batch(at_origin("a"), AGENTS, {"d": old}, velocity={0: (10.0, 0.0)})
+    assert not seen_through(ClusterBoxes.of(moving), moving.views).any()
+    standing = batch(at_origin("a"), AGENTS, {"d": old})
+    assert seen_through(ClusterBoxes.of(standing), standing.views).tolist() == [[False, False, False, True]]
+
+
+@pytest.mark.parametrize("stage", [KOfN(), FreeSpace()])
+def test_without_views_every_object_is_accepted(stage: Integrity) -> None:
+    assert not withheld(stage, batch(at_origin("a"), AGENTS))
+    assert stage.assess(batch([], AGENTS, frame=1)).objects.trust.shape == (0,)
+
+
+def test_a_record_counts_an_object_once_a_second_and_forgets() -> None:
+    record, names = Record(memory_s=10.0), ("a", "b")
+    assert record.mean(names).tolist() == [0.5, 0.5]
+    upheld, refuted = np.array([3.0, 0.0]), np.array([0.0, 3.0])
+    assert record.update(0, names, upheld, refuted).tolist() == [0.5, 0.5], "no time has passed"
+    for frame in range(1, 11):
+        mean = record.update(frame * STEP_NS, names, upheld, refuted)
+    # 0.3 a frame, and e^-0.01 of what was: 0.3 * (1 - e^-0.1) / (1 - e^-0.01).
+    counted = 0.3 * (1.0 - np.exp(-0.1)) / (1.0 - np.exp(-0.01))
+    assert mean == pytest.approx([(1.0 + counted) / (2.0 + counted), 1.0 / (2.0 + counted)])
+    assert record.mean(("b", "c")) == pytest.approx([1.0 / (2.0 + counted), 0.5])
+
+
+def test_cluster_boxes_are_the_means_of_their_members() -> None:
+    tracks: list[Track] = [("a", 0, (0.0, 0.0)), ("b", 0, (1.0, 0.5)), ("c", 1, (9.0, 9.0))]
+    boxes = ClusterBoxes.of(batch(tracks, AGENTS, velocity={1: (2.0, 1.0)}))
+    assert boxes.position[:, :2] == pytest.approx(np.array([[0.5, 0.25], [9.0, 9.0]]))
+    assert boxes.velocity[:, :2] == pytest.approx(np.array([[0.0, 0.0], [2.0, 1.0]]))
+    use = np.array([[False, True, True, True], [False] * 4])
+    chosen = ClusterBoxes.of(batch(tracks, AGENTS), use)
+    assert chosen.position[:, :2] == pytest.approx(np.array([[1.0, 0.5], [9.0, 9.0]])), "all, where none is to be used"
