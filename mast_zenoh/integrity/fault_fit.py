@@ -70,7 +70,7 @@ def displacements(own: ObjectStates, other: ObjectStates, agent: Ints, pivot: Fl
     first = order[np.flatnonzero(np.diff(pair, prepend=-1))]  # the nearest track of each other agent
     i, j = i[first], j[first]
     covariance = own.covariance[i, :2, :2] + other.covariance[j, :2, :2] + FLOOR_M**2 * np.eye(2)
-    information: Floats = np.linalg.inv(covariance)
+    information: Floats = np.asarray(np.linalg.inv(covariance), np.float64)
     return Displacements(shift[first], information, design[first], len(np.unique(agent[j])))
 
 

@@ -19,6 +19,7 @@ from mast_zenoh.integrity.fault_fit import (
     misfit,
     normal_equations,
 )
+from mast_zenoh.integrity.sequential import SequentialConsistency
 from mast_zenoh.integrity.views import SweptView
 
 #: Independent samples among consecutive batches at 10 Hz: the offsets of honest agents correlate at 0.8.
@@ -60,7 +61,7 @@ class FaultOrLie(Integrity):
     agent is faulty: its tracks and its view are corrected, and it keeps its vote. A lie concerns some of its tracks:
     what remains after the correction is evidence for `stage`, as without a fault.
 
-    stage: judges the corrected tracks
+    stage: judges the corrected tracks; None: SequentialConsistency()
     significance: gain in twice the log-likelihood from which a fault is corrected; 30 is exceeded by 5 in a million of
         a chi-square distribution with four degrees
     least_m: m, displacement below which nothing is corrected
@@ -74,7 +75,7 @@ class FaultOrLie(Integrity):
     def __init__(
         self,
         *,
-        stage: Integrity,
+        stage: Integrity | None = None,
         significance: float = 30.0,
         least_m: float = 0.3,
         share: float = 0.7,
@@ -82,7 +83,7 @@ class FaultOrLie(Integrity):
     ) -> None:
         if not memory_s > 0.0:
             raise ValueError(f"memory_s: found {memory_s}, expected more than 0")
-        self._stage = stage
+        self._stage = stage or SequentialConsistency()
         self._significance = significance
         self._least_m = least_m
         self._share = share

@@ -1,0 +1,65 @@
+"""A pose error or a wrong clock is corrected, and the agent keeps its vote; a lie is not excused."""
+
+import numpy as np
+import pytest
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.integrity import Batch, FaultOrLie
+from mast_zenoh.integrity.base import FAULTY, SUSPENDED
+from mast_zenoh.integrity.fault_fit import corrected
+from tests.integrity.batches import CAR, STEP_NS, VARIANCE
+
+AGENTS = ("a", "b", "c", "d")
+
+
+def assessed(fault: tuple[float, float, float, float], lies: int = 0, frames: int = 60):
+    """Four agents that all see twelve moving cars; `d` has a fault and moves some tracks by 1.5 m."""
+    random = np.random.default_rng(3)
+    place, speed = random.uniform(-60.0, 60.0, (12, 2)), random.uniform(-12.0, 12.0, (12, 2))
+    stage, agent = FaultOrLie(), np.repeat(np.arange(4), 12)
+    labels = np.tile(np.arange(12), 4)
+    for frame in range(frames):
+        true = np.column_stack([place + speed * 0.1 * frame, np.full(12, 0.75)])
+        states = ObjectStates.of(
+            np.tile(true, (4, 1)) + np.column_stack([random.normal(0.0, 0.15, (48, 2)), np.zeros(48)]),
+            id=labels,
+            velocity=np.column_stack([np.tile(speed, (4, 1)), np.zeros(48)]),
+            size=np.tile(CAR, (48, 1)),
+            covariance=np.tile(np.diag(VARIANCE), (48, 1, 1)),
+        )
+        states = corrected(states, agent == 3, -np.array(fault), states.position[agent == 3, :2].mean(axis=0))
+        moved = states.position.copy()
+        moved[(agent == 3) & (labels < lies), 0] += 1.5
+        states = states.with_(position=moved)
+        states, _ = stage.correct(frame * STEP_NS, states, agent, AGENTS, {})
+        last = stage.assess(Batch(frame * STEP_NS, states, agent, labels, AGENTS, (None,) * 4))
+    return last.agents
+
+
+@pytest.mark.parametrize(
+    "fault", [(0.6, 0.0, 0.0, 0.0), (2.0, -1.0, 0.0, 0.0), (0.0, 0.0, 0.03, 0.0), (0.0, 0.0, 0.0, 0.15)]
+)
+def test_a_fault_is_found_corrected_and_not_punished(fault: tuple[float, float, float, float]) -> None:
+    found = assessed(fault)
+    assert found.state.tolist()[3] == FAULTY
+    assert SUSPENDED not in found.state
+    measured = [*found.offset[3], found.turn[3], found.delay[3]]
+    assert measured == pytest.approx(fault, abs=0.15)
+    assert "all its tracks are off" in found.reason[3]
+
+
+def test_moving_some_objects_is_a_lie_not_a_fault() -> None:
+    found = assessed((0.0, 0.0, 0.0, 0.0), lies=2)
+    assert found.state.tolist()[3] == SUSPENDED
+
+
+def test_a_fault_does_not_excuse_a_lie() -> None:
+    found = assessed((1.0, 0.5, 0.0, 0.0), lies=2)
+    assert found.state.tolist()[3] == SUSPENDED
+    assert SUSPENDED not in found.state[:3]
+
+
+def test_agents_without_faults_are_left_alone() -> None:
+    found = assessed((0.0, 0.0, 0.0, 0.0))
+    assert not set(found.state.tolist()) & {FAULTY, SUSPENDED}
+    assert not found.offset.any()

@@ -1,0 +1,128 @@
+"""Agents whose claims the others refute are suspended, honest ones and open disputes are not."""
+
+import numpy as np
+import pytest
+
+from mast_zenoh.integrity import SequentialConsistency, TruthDiscovery
+from mast_zenoh.integrity.base import SUSPENDED
+from mast_zenoh.integrity.cumulative import Tail, accumulate, discoveries
+from mast_zenoh.integrity.track_sums import TrackSums
+from tests.integrity.batches import Track, batch, view
+
+PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
+PHANTOM, CAR = (0.0, 0.0), (9.0, 9.0)
+
+
+def batches(frames: int, liars: str = "", shift: float = 0.0):
+    """Three agents that see one car; liars also report a phantom, and blame their view for it; `c` may be off."""
+    for frame in range(frames):
+        tracks: list[Track] = [(name, 0, (CAR[0] + (shift if name == "c" else 0.0), CAR[1])) for name in PLACES]
+        tracks += [(name, 1, PHANTOM) for name in liars]
+        views = {
+            name: view(place, (*CAR, 2.5), *([(*PHANTOM, 2.5)] if name in liars else []))
+            for name, place in PLACES.items()
+        }
+        yield batch(tracks, tuple(PLACES), views, frame=frame)
+
+
+def states(stage, given) -> dict[str, int]:
+    for each in given:
+        assessment = stage.assess(each)
+    return dict(zip(each.agents, assessment.agents.state.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("stage", [SequentialConsistency, TruthDiscovery])
+def test_a_liar_is_suspended_and_its_phantom_withheld_from_the_first_frame(stage: type) -> None:
+    judge = stage()
+    first = judge.assess(next(batches(1, "a")))
+    assert first.objects.withheld.tolist() == [False, True]
+    found = states(stage(), batches(80, "a"))
+    assert found["a"] == SUSPENDED
+    assert SUSPENDED not in (found["b"], found["c"])
+
+
+@pytest.mark.parametrize("stage", [SequentialConsistency, TruthDiscovery])
+def test_honest_agents_are_never_suspended(stage: type) -> None:
+    assert SUSPENDED not in states(stage(), batches(200)).values()
+
+
+@pytest.mark.parametrize("stage", [SequentialConsistency, TruthDiscovery])
+def test_liars_in_the_majority_do_not_hide_behind_a_tie(stage: type) -> None:
+    # Two liars against one honest viewer: what they all see cannot be decided, but the honest one must not pay for it
+    # before it is outvoted three to nothing.
+    found = states(stage(), batches(10, "ab"))
+    assert found["c"] != SUSPENDED
+
+
+def test_a_track_that_is_off_by_more_than_the_noise_suspends_its_agent() -> None:
+    stage = SequentialConsistency()
+    *_, last = (stage.assess(each) for each in batches(100, shift=1.2))
+    assert last.agents.state.tolist()[2] == SUSPENDED
+    assert last.agents.reason[2].startswith("position of a track off")
+    assert SUSPENDED not in states(SequentialConsistency(), batches(100, shift=0.1)).values()
+
+
+def test_a_suspended_agent_has_no_vote_and_is_released_after_a_clean_time() -> None:
+    stage = SequentialConsistency(release_s=5.0)
+    *_, lied = (stage.assess(each) for each in batches(30, "a"))
+    assert lied.agents.state[0] == SUSPENDED
+    assert lied.agents.reason[0]
+    later = [stage.assess(batch_at(frame)) for frame in range(30, 200)]
+    assert later[0].agents.state[0] == SUSPENDED
+    assert later[-1].agents.state[0] != SUSPENDED
+    assert not later[-1].agents.reason[0]
+
+
+def batch_at(frame: int):
+    views = {name: view(place, (*CAR, 2.5)) for name, place in PLACES.items()}
+    return batch([(name, 0, CAR) for name in PLACES], tuple(PLACES), views, frame=frame)
+
+
+def test_an_object_that_only_a_suspended_agent_reports_is_withheld_and_tracked_on() -> None:
+    stage = SequentialConsistency()
+    for each in batches(30, "a"):
+        stage.assess(each)
+    lonely = batch([("a", 0, (-60.0, -60.0)), ("b", 1, CAR)], tuple(PLACES), {}, frame=30)
+    found = stage.assess(lonely)
+    assert found.objects.withheld.tolist() == [True, False]
+    assert found.weights is not None
+    assert found.weights.tolist() == [1.0, 1.0]
+
+
+def test_an_anchor_is_never_suspended() -> None:
+    assert states(TruthDiscovery(anchors=("a",)), batches(80, "a"))["a"] != SUSPENDED
+
+
+def test_discoveries_are_those_of_benjamini_and_hochberg() -> None:
+    rates = np.array([0.02, 0.3, 0.5, 3.0])
+    # One false alarm an hour among four: the limits of the ordered rates are 0.25, 0.5, 0.75, 1.
+    assert discoveries(rates, 1.0).tolist() == [True, True, True, False]
+    assert discoveries(np.array([0.3, 0.6, 0.8, 3.0]), 1.0).tolist() == [False] * 4
+    assert discoveries(np.zeros(0), 1.0).tolist() == []
+
+
+def test_cumulative_sums_grow_with_evidence_and_never_fall_below_zero() -> None:
+    total = np.zeros(2)
+    for _ in range(10):
+        total = accumulate(total, np.array([1.0, 0.0]), drift=0.25, dt=0.1)
+    assert total == pytest.approx([0.75, 0.0])
+
+
+def test_a_tail_becomes_e_times_rarer_with_each_scale() -> None:
+    assert Tail(100.0, 2.0).rate(np.array([0.0, 2.0])) == pytest.approx([100.0, 100.0 / np.e])
+
+
+def test_sums_of_tracks_are_forgotten_with_time_and_by_agent() -> None:
+    sums = TrackSums(1, memory_s=1.0)
+    one = np.array([0, 1]), np.array([7, 7])
+    assert sums.add(0, *one, np.ones((2, 1))).ravel() == pytest.approx([1.0, 1.0])
+    assert sums.add(1_000_000_000, *one, np.ones((2, 1))).ravel() == pytest.approx([1.0 + np.exp(-1.0)] * 2)
+    sums.forget(0)
+    assert sums.add(1_000_000_000, *one, np.zeros((2, 1))).ravel() == pytest.approx([0.0, 1.0 + np.exp(-1.0)])
+
+
+def test_sums_of_tracks_are_bounded() -> None:
+    sums = TrackSums(1, memory_s=100.0, limit=5)
+    for frame in range(20):
+        sums.add(frame * 100_000_000, np.zeros(3, np.int64), np.arange(3 * frame, 3 * frame + 3), np.ones((3, 1)))
+    assert sums.add(2_100_000_000, np.zeros(1, np.int64), np.array([0]), np.ones((1, 1))).item() == 1.0

@@ -1,0 +1,81 @@
+"""Sensors see through free places, and not through objects, beyond walls or out of their range."""
+
+import numpy as np
+import pytest
+
+from mast_zenoh.integrity.views import SweptView, check_view, collated_columns, view_columns, views_of
+from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, sightings
+from tests.integrity.batches import CAR, view
+
+
+def seen(place: tuple[float, float], *views: SweptView | None, error: float = 0.0):
+    return sightings(np.array([[*place, 0.75]]), np.array([CAR]), np.zeros(1), views, np.array([error]))
+
+
+def test_a_free_place_is_seen_through_and_an_object_is_not() -> None:
+    found = seen((20.0, 0.0), view((0.0, 0.0)), view((0.0, 0.0), (20.0, 0.0, 2.3)))
+    assert found.swept.tolist() == [[True, False]]
+    assert found.in_view.tolist() == [[True, True]]
+
+
+def test_what_stands_behind_a_wall_is_out_of_view() -> None:
+    found = seen((20.0, 0.0), view((0.0, 0.0), (10.0, 0.0, 5.0)))
+    assert not found.in_view.any()
+    assert not found.swept.any()
+
+
+def test_an_object_that_is_a_little_displaced_is_not_seen_through() -> None:
+    assert not seen((20.0, 1.5), view((0.0, 0.0), (20.0, 0.0, 1.0))).swept.any()
+    assert seen((20.0, 6.0), view((0.0, 0.0), (20.0, 0.0, 1.0))).swept.all()
+
+
+def test_an_uncertain_position_is_given_more_room() -> None:
+    assert seen((20.0, 4.0), view((0.0, 0.0), (20.0, 0.0, 1.0))).swept.all()
+    assert not seen((20.0, 4.0), view((0.0, 0.0), (20.0, 0.0, 1.0)), error=3.0).swept.any()
+
+
+def test_far_objects_the_own_carrier_and_old_views_show_nothing() -> None:
+    assert not seen((FAR_M + 5.0, 0.0), view((0.0, 0.0))).swept.any()
+    assert not seen((1.0, 0.0), view((0.0, 0.0))).swept.any()
+    current = view((0.0, 0.0))
+    old = SweptView(current.view, current.free, age_s=2 * MAX_AGE_S)
+    assert not seen((20.0, 0.0), old).in_view.any()
+    assert not seen((20.0, 0.0), None).in_view.any()
+
+
+def test_views_are_unchanged_by_their_messages() -> None:
+    views = {"a": view((1.0, 2.0), (10.0, 0.0, 2.0)), "b": view((-5.0, 0.0))}
+    bodies = [view_columns(each.view, each.free) for each in views.values()]
+    for body in bodies:
+        check_view(body)
+    columns = collated_columns(bodies)
+    names = np.array(list(views), object)
+    received = views_of({**columns, "agents": names, "age_ns": np.array([0, 100_000_000])})
+    assert received["b"].age_s == pytest.approx(0.1)
+    for name, each in views.items():
+        assert np.array_equal(received[name].free, each.free)
+        assert received[name].view.rotation == pytest.approx(each.view.rotation)
+        assert np.array_equal(received[name].view.position, each.view.position)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "problem"),
+    [
+        ("azimuth", [1.0, 1.0], "azimuth: found 1 to 1"),
+        ("azimuth", [-4.0, 4.0], "azimuth: found -4 to 4"),
+        ("elevation", [0.5, -0.5], "elevation: found 0.5 to -0.5"),
+        ("max_range", [0.0], "max_range: found 0"),
+        ("free", [[-1.0]], "free: found -1"),
+    ],
+)
+def test_a_view_that_covers_nothing_is_refused(column: str, value: list, problem: str) -> None:
+    body = view_columns(view((0.0, 0.0)).view, np.ones((2, 2))) | {column: np.array(value)}
+    with pytest.raises(ValueError, match=problem):
+        check_view(body)
+
+
+def test_a_collation_whose_grids_do_not_fit_is_refused() -> None:
+    body = collated_columns([view_columns(view((0.0, 0.0)).view, np.ones((2, 3)))])
+    body |= {"agents": np.array(["a"], object), "age_ns": np.zeros(1, np.int64), "grid": np.array([[5, 5]])}
+    with pytest.raises(ValueError, match="25 directions, expected 6"):
+        views_of(body)
