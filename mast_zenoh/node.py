@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from mast_zenoh.messages.schemas import OURS, Body, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, Body, Schema
 from mast_zenoh.wiring.model import Input, Wiring
 from mast_zenoh.wiring.received import Overheard, Received, Unopened
 
@@ -185,8 +185,8 @@ def _declare(types: dict[str, Schema], schema: Schema, place: str) -> None:
 
     Raises TypeError if a different type has its name.
     """
-    if schema.name in OURS:
-        if OURS[schema.name] != schema:
+    if schema.name in BUILT_IN:
+        if BUILT_IN[schema.name] != schema:
             raise TypeError(f"{place}: message type {schema.name!r} comes with mast: expected another name")
     elif types.setdefault(schema.name, schema) != schema:
         raise TypeError(f"{place}: another message type of this node is called {schema.name!r}: expected one of them")

@@ -20,7 +20,7 @@ def scenario(
 ):
     """Parameters as in `uncoordinated`, and:
 
-    reselect_every_s: s between the coordinator's plans
+    reselect_every_s: s, interval at which the coordinator selects new targets
     """
     attack = dict(
         type="CoordinatedAttack",

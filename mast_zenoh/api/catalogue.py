@@ -15,7 +15,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HOST_FAULTS
-from mast_zenoh.messages.schemas import OURS, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.node import Node
 from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline
 from mast_zenoh.report.tables.scores import MEASURES
@@ -226,8 +226,8 @@ def _messages() -> Iterator[Entry]:
     for node in registry.known_types(Node).values():
         assert issubclass(node, Node)
         declared |= node.message_types
-    for schema in (*OURS.values(), *declared.values()):
-        group = "message types of ports" if schema.name in OURS else "message types of your own nodes"
+    for schema in (*BUILT_IN.values(), *declared.values()):
+        group = "message types of ports" if schema.name in BUILT_IN else "message types of your own nodes"
         about = f"{schema.meaning[:1].upper()}{schema.meaning[1:].rstrip('.')} (version {schema.version})"
         columns = [
             Parameter(each.name, "", each.unit, each.meaning, kind=f"{each.dtype} ({', '.join(map(str, each.shape))})")

@@ -15,7 +15,7 @@ from mast_zenoh.errors import EngineError
 BASE = "python:3.12-slim"
 TAG = f"mast-zenoh:{version.__version__}"
 
-#: The default user of processes in its containers.
+#: The default user (UID:GID) of processes in containers of the image.
 USER = "10001:10001"
 
 #: The label with the fingerprint of the sources in an image.
@@ -41,11 +41,11 @@ def build(tag: str = TAG, base: str = BASE) -> str:
             shutil.copyfile(path, context / "third_party" / path.name)
         wheel.build(context)
         dockerfile = bundle.ROOT / "deploy" / "Dockerfile"
-        words = ["--tag", tag, "--build-arg", f"BASE={base}", "--build-arg", f"CODE={_code()}"]
+        options = ["--tag", tag, "--build-arg", f"BASE={base}", "--build-arg", f"CODE={_code()}"]
         before = docker("image", "ls", "--quiet", tag).strip()
-        docker("build", "--quiet", *words, "--file", str(dockerfile), str(context), timeout=_BUILD_S)
+        docker("build", "--quiet", *options, "--file", str(dockerfile), str(context), timeout=_BUILD_S)
         if before and before != docker("image", "ls", "--quiet", tag).strip():
-            docker("image", "rm", before, check=False)  # it has no name any more; running containers keep it
+            docker("image", "rm", before, check=False)  # now untagged; running containers keep using it
     return tag
 
 
@@ -57,7 +57,7 @@ def check(tag: str = TAG) -> None:
     code = docker("image", "inspect", "--format", f'{{{{index .Config.Labels "{LABEL}"}}}}', tag).strip()
     if code != _code():
         raise EngineError(
-            f"the image {tag} holds mast-zenoh {version.__version__} (sources {code or 'unknown'}), this is "
+            f"the image {tag} holds mast-zenoh {version.__version__} (sources {code or 'unknown'}), expected "
             f"{version.version_string()}: rebuild it with `mast deploy image`"
         )
 

@@ -54,7 +54,7 @@ class PassageEffects:
         """Record an effect on a message with an unreadable header."""
         self.messages.append(MessageEffect(effect, -1, -1, step))
 
-    def withhold(self, effect: str, message: Overheard, frames_late: int = 0) -> None:
+    def note_withheld(self, effect: str, message: Overheard, frames_late: int = 0) -> None:
         """Record a message that its subscribers got too late, unreadable or not at all."""
         self.note(effect, message, frames_late=frames_late)
         self._add_whole(message, received=True, frames_late=frames_late)
@@ -63,7 +63,7 @@ class PassageEffects:
         """Record the delay of a message, if any; returns it in frames."""
         late = sent.step - received.step
         if late > 0:
-            self.withhold(DELAYED, received, frames_late=late)
+            self.note_withheld(DELAYED, received, frames_late=late)
         return max(0, late)
 
     def note_renumbered(self, id_: Id, received: Overheard, sent: Overheard) -> None:
@@ -107,7 +107,7 @@ class PassageEffects:
         try:
             after = sent.body
         except MessageError:
-            self.withhold(CORRUPTED, received)
+            self.note_withheld(CORRUPTED, received)
             return
         if changed.time_ns != header.time_ns:
             shift_ns = changed.time_ns - header.time_ns

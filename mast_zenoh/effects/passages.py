@@ -21,10 +21,10 @@ from mast_zenoh.messages.schemas import same_columns
 from mast_zenoh.wiring.model import Passage
 from mast_zenoh.wiring.received import Overheard
 
-#: Maximum number of unmatched messages of a passage; beyond it, the oldest is classified without a counterpart.
+#: Maximum number of unmatched messages of a passage; beyond that, the oldest is classified without a counterpart.
 MAX_WAITING = 4096
-#: Number of messages kept after they were sent on, to recognise repetitions; of older ones only the numbers are kept.
-#: And the number of frames after which a sent message can no longer be received.
+#: REMEMBERED: number of messages kept after they were sent on, to recognise repetitions; of older ones only the numbers
+#: are kept. KNOWN_FRAMES: number of frames after which a sent message is no longer matched with a received one.
 REMEMBERED, KNOWN_FRAMES = 128, 64
 #: Fraction of the messages of a passage that must have at least this delay for it to be usual.
 USUAL_SHARE = 0.05
@@ -45,14 +45,14 @@ class PassageMeter:
         self.effects = PassageEffects(passage.message)
         self.received = 0
         self._waiting: dict[Id, list[Overheard]] = {}  # received but not sent on yet
-        self._unmatched_sent: dict[Id, list[Overheard]] = {}  # sent but not (yet) received
+        self._unmatched_sent: dict[Id, list[Overheard]] = {}  # sent without a matching received message (yet)
         self._sent: dict[Id, tuple[int, Overheard]] = {}  # by number: the step of reception, and the sent message
         self._old_numbers: dict[Id, int] = {}  # by number: the step of reception of older messages
         self._repeated: dict[Id, tuple[int, Overheard]] = {}  # as `_sent`, for repeated messages
         self._unreadable: tuple[list[Overheard], list[Overheard]] = [], []  # received and sent
         self._first_sent: dict[int, Id] = {}  # by frame: the number of the first message sent about it
         self._rivals: dict[int, Overheard] = {}  # by frame: the message that another one pre-empted
-        self._late: Counter[int] = Counter()  # number of messages by delay in frames
+        self._delays: Counter[int] = Counter()  # number of messages by delay in frames
 
     def take_received(self, message: Overheard) -> None:
         """Add a message that the interposer has received."""
@@ -72,7 +72,7 @@ class PassageMeter:
         self._waiting.setdefault(id_, []).append(message)
         if len(self._waiting) > MAX_WAITING:
             for oldest in self._waiting.pop(next(iter(self._waiting))):
-                self.effects.withhold(DROPPED, oldest)
+                self.effects.note_withheld(DROPPED, oldest)
 
     def take_sent(self, message: Overheard) -> None:
         """Add a message that the interposer has sent."""
@@ -111,16 +111,16 @@ class PassageMeter:
                 if self.interval.near_change(message.step):
                     self.effects.note(UNSETTLED, message)
                 elif self._rivals.get(message.header.frame) is message:
-                    self.effects.note(DROPPED, message)  # its subscribers used the forged one instead
+                    self.effects.note(DROPPED, message)  # subscribers used the forged one instead
                 elif message.step + usual_delay > last_step:
-                    self.effects.withhold(UNSETTLED, message)  # it might still have been sent on
+                    self.effects.note_withheld(UNSETTLED, message)  # it might still have been sent on
                 else:
-                    self.effects.withhold(DROPPED, message)
+                    self.effects.note_withheld(DROPPED, message)
         self._waiting.clear()
         self._unmatched_sent.clear()
 
     def _expire(self, step: int) -> None:
-        """Classify messages that were sent too long ago to be received later."""
+        """Classify unmatched messages that were sent too long ago to be matched."""
         while self._unmatched_sent:
             oldest = next(iter(self._unmatched_sent))
             if self._unmatched_sent[oldest][0].step >= step - KNOWN_FRAMES:
@@ -149,8 +149,8 @@ class PassageMeter:
             self._old_numbers[oldest] = self._sent.pop(oldest)[0]
             if len(self._old_numbers) > MAX_NUMBERS:
                 del self._old_numbers[next(iter(self._old_numbers))]
-        if late := self.effects.note_delay(received, sent):
-            self._late[late] += 1
+        if delay := self.effects.note_delay(received, sent):
+            self._delays[delay] += 1
         if not received.same_bytes(sent):
             self.effects.compare(received, sent)
 
@@ -162,10 +162,10 @@ class PassageMeter:
 
     def _usual_delay(self) -> int:
         """The largest delay in frames that at least USUAL_SHARE of all messages had."""
-        required, at_least = USUAL_SHARE * self.received, 0
-        for delay, count in sorted(self._late.items(), reverse=True):
-            at_least += count
-            if at_least >= required:
+        required, count_so_far = USUAL_SHARE * self.received, 0
+        for delay, count in sorted(self._delays.items(), reverse=True):
+            count_so_far += count
+            if count_so_far >= required:
                 return delay
         return 0
 
@@ -188,7 +188,7 @@ class PassageMeter:
                 self.effects.note_forged(message, self._rivals.get(message.header.frame) if preempts else None)
 
     def _bypassed(self, message: Overheard) -> bool:
-        """Whether a message may have bypassed the passage while it was added or removed."""
+        """Whether a message may have bypassed the interposer as it was added or removed."""
         return self.interval.near_change(message.step) and abs(message.header.frame - message.step) <= CHANGE_FRAMES
 
     def _pair_unreadable(self) -> None:
@@ -211,7 +211,7 @@ class PassageMeter:
             if id_ is None:
                 self.effects.note_unreadable(FORGED, message.step)
                 continue
-            self.effects.withhold(CORRUPTED, _pop_first(self._waiting, id_))
+            self.effects.note_withheld(CORRUPTED, _pop_first(self._waiting, id_))
         for _, step in unmatched:
             self.effects.note_unreadable(DROPPED, step)
 
@@ -225,7 +225,7 @@ def _same_content(a: Overheard, b: Overheard) -> bool:
 
 
 def _pop_first(messages: dict[Id, list[Overheard]], id_: Id) -> Overheard:
-    """Remove and return the first message with a number."""
+    """Remove and return the first message with the number `id_`."""
     same_number = messages[id_]
     first = same_number.pop(0)
     if not same_number:

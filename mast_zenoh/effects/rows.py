@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.messages.schemas import OURS, SCHEMAS, Body, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Schema
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
@@ -59,7 +59,7 @@ def _columns(schema: Schema) -> _Columns:
         for column in schema.columns
         if column.shape[0] == "n"
         and column.dtype != "str"
-        and (schema.name in OURS or all(isinstance(size, int) for size in column.shape[1:]))
+        and (schema.name in BUILT_IN or all(isinstance(size, int) for size in column.shape[1:]))
     )
     return _Columns(rows, tuple(name for name in names if name not in rows))
 

@@ -162,7 +162,10 @@ def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measur
             refused.append(f"{node}: tables: found a {type(tables).__name__}, expected a dict of tables")
             tables = {}
         if len(tables) > MAX_TABLES:
-            refused.append(f"{node}: tables: found {len(tables)}, expected at most {MAX_TABLES}; the first are written")
+            refused.append(
+                f"{node}: tables: found {len(tables)}, expected at most {MAX_TABLES}; "
+                f"only the first {MAX_TABLES} are written"
+            )
         for name, table in islice(tables.items(), MAX_TABLES):
             target = folder if node == EVALUATOR and name in TABLES else node_folder
             if problem := _write_named(target, name, table):

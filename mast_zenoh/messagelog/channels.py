@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from mast_zenoh.messages import user_types
-from mast_zenoh.messages.schemas import OURS, Column, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, Column, Schema
 from mast_zenoh.wiring.model import TAP
 
 PROFILE = "mast-zenoh"
@@ -56,7 +56,7 @@ def json_schema(schema: Schema) -> str:
         "body": _object({column.name: _column(column) for column in schema.columns}),
     }
     content = {"title": schema.name, "description": schema.meaning} | _object(fields)
-    if schema.name not in OURS:
+    if schema.name not in BUILT_IN:
         content[DEFINITION] = user_types.to_json(schema)
     return json.dumps(content, ensure_ascii=False)
 
@@ -71,7 +71,7 @@ def user_schema(content: bytes) -> Schema | None:
         schema = None if definition is None else user_types.from_json(definition)
     except (TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
-    if schema is not None and schema.name in OURS:
+    if schema is not None and schema.name in BUILT_IN:
         raise ValueError(f"message type {schema.name!r}: found a definition, expected the built-in type")
     return schema
 

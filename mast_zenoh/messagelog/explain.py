@@ -13,7 +13,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.difference import Difference
 from mast_zenoh.messagelog.reader import Recorded
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import OURS, Column, Message
+from mast_zenoh.messages.schemas import BUILT_IN, Column, Message
 
 _WIRES_SHOWN = 12
 _HEADER_UNITS = {"time_ns": " ns"}
@@ -79,9 +79,9 @@ def _fields(left: Recorded, right: Recorded) -> Iterator[str]:
             if in_a != in_b:
                 explained = True
                 yield f"{name}: A {in_a}{_HEADER_UNITS.get(name, '')}, B {in_b}{_HEADER_UNITS.get(name, '')}"
-        columns = {column.name: column for column in (left.schema or OURS[left.message]).columns}
+        columns = {column.name: column for column in (left.schema or BUILT_IN[left.message]).columns}
         if left.schema != right.schema:  # a user-defined type, changed between the runs
-            others = (right.schema or OURS[right.message]).columns
+            others = (right.schema or BUILT_IN[right.message]).columns
             columns = {name: column for name, column in columns.items() if column in others}
             explained = True
             yield f"the message type {left.message!r} differs: A {_definition(left)}, B {_definition(right)}"
@@ -99,7 +99,7 @@ def _fields(left: Recorded, right: Recorded) -> Iterator[str]:
 
 def _definition(message: Recorded) -> str:
     """The version and the columns of a message's type."""
-    schema = message.schema or OURS[message.message]
+    schema = message.schema or BUILT_IN[message.message]
     columns = (f"{each.name} {each.dtype} ({', '.join(map(str, each.shape))})" for each in schema.columns)
     return f"version {schema.version} ({', '.join(columns)})"
 

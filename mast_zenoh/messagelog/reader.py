@@ -29,7 +29,7 @@ from mast_zenoh.messagelog import channels as channel_data
 from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import OURS, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, Schema
 
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
@@ -267,7 +267,7 @@ def _recorded(
     frame, seq = -1, record.sequence
     if not malformed:
         try:
-            header = codec.decode_header(record.data, schema or OURS[message])
+            header = codec.decode_header(record.data, schema or BUILT_IN[message])
         except (MessageError, KeyError) as error:
             raise RunFolderError(f"{path}: {channel.topic}: {error}") from None
         frame, seq = header.frame, header.seq

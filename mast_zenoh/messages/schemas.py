@@ -1,9 +1,9 @@
 """Message types: a table per type, with column, dtype, shape and unit.
 
-docs/messages.md is generated from it.
+docs/messages.md is generated from this module.
 
 A message is a header and a body of columns. In a shape, letters are sizes that must agree within one message
-(`n` rows are n objects, `a` rows are a agents); numbers are fixed. Users' nodes declare others (`user_types`).
+(`n` rows are n objects, `a` rows are a agents); numbers are fixed. Users' nodes can declare more types (`user_types`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.messages.definition import Column, Schema
 
-__all__ = ["OURS", "SCHEMAS", "Body", "Column", "Header", "Message", "Schema", "same_columns", "text"]
+__all__ = ["BUILT_IN", "SCHEMAS", "Body", "Column", "Header", "Message", "Schema", "same_columns", "text"]
 
 #: A message body: column name to array. Columns of text are arrays of dtype object holding str.
 Body = Mapping[str, NDArray[Any]]
@@ -78,13 +78,13 @@ _ROTATION: dict[str, Any] = {"least_length": 1e-3}  # receivers normalise it
 
 
 def _view(*size: str) -> tuple[Column, ...]:
-    """Columns of a sensor's field of view, or of those of `size` sensors."""
+    """Columns of the field of view of one sensor, or of `size` sensors."""
     return (
         Column("position", "float64", (*size, 3), "m", "of the sensor, world frame"),
         Column("rotation", "float64", (*size, 4), "", "active quaternion w x y z, sensor to world", **_ROTATION),
-        Column("azimuth", "float64", (*size, 2), "rad", "that it covers, from and to, in the sensor frame"),
-        Column("elevation", "float64", (*size, 2), "rad", "that it covers, in the sensor frame"),
-        Column("max_range", "float64", size or (1,), "m", "that it covers"),
+        Column("azimuth", "float64", (*size, 2), "rad", "field of view (from, to), in the sensor frame"),
+        Column("elevation", "float64", (*size, 2), "rad", "field of view (from, to), in the sensor frame"),
+        Column("max_range", "float64", size or (1,), "m", "range of the sensor"),
     )
 
 
@@ -94,7 +94,7 @@ _FRAME_OF_REFERENCE = (
 )
 
 #: The built-in message types by name.
-OURS: Mapping[str, Schema] = {
+BUILT_IN: Mapping[str, Schema] = {
     schema.name: schema
     for schema in (
         Schema("clock", 1, "a frame begins", ()),
@@ -106,14 +106,14 @@ OURS: Mapping[str, Schema] = {
                 *_states(filtered=False),
                 Column("points", "int32", ("n", "a"), "", "lidar returns of the object at each agent"),
                 Column("agents", "str", ("a",), "", "names of the agents"),
-                Column("agent_position", "float64", ("a", 3), "m", "where each agent is"),
-                Column("agent_object", "int64", ("a",), "", "id of the object that the agent is; -1: none"),
+                Column("agent_position", "float64", ("a", 3), "m", "position of each agent"),
+                Column("agent_object", "int64", ("a",), "", "id of the agent's own object; -1: none"),
             ),
         ),
         Schema(
             "pose",
             1,
-            "where an agent says it is, world frame",
+            "an agent's own pose, as it reports it, world frame",
             (
                 Column("position", "float64", (3,), "m", ""),
                 Column("rotation", "float64", (4,), "", "active quaternion w x y z, agent to world", **_ROTATION),
@@ -127,12 +127,12 @@ OURS: Mapping[str, Schema] = {
             (
                 Column("position", "float64", ("n", 3), "m", "centre of the box"),
                 Column("size", "float64", ("n", 3), "m", "length, width, height"),
-                Column("yaw", "float64", ("n",), "rad", "heading about the world's vertical, less the sensor's"),
+                Column("yaw", "float64", ("n",), "rad", "heading about the world's vertical axis, minus the sensor's"),
                 Column("score", "float64", ("n",), "", "confidence, 0 to 1"),
                 Column(
                     "class_id", "uint8", ("n",), "", "index into mast_zenoh.arrays.states.CLASSES", below=len(CLASSES)
                 ),
-                Column("covariance", "float64", ("n", 3, 3), "m", "of the position; all zero: not given"),
+                Column("covariance", "float64", ("n", 3, 3), "m²", "of the position; all zero: not given"),
                 Column("mount_position", "float64", (3,), "m", "of the sensor, in the agent's frame"),
                 Column(
                     "mount_rotation", "float64", (4,), "", "active quaternion w x y z, sensor to agent", **_ROTATION
@@ -143,11 +143,11 @@ OURS: Mapping[str, Schema] = {
         Schema(
             "status",
             1,
-            "an agent presents itself",
+            "an agent's type and counts",
             (
-                Column("mobile", "uint8", (1,), "", "1: moves, 0: stands"),
-                Column("detections", "int64", (1,), "", "detections taken in this frame"),
-                Column("tracks", "int64", (1,), "", "tracks sent in this frame"),
+                Column("mobile", "uint8", (1,), "", "1: mobile, 0: stationary"),
+                Column("detections", "int64", (1,), "", "number of detections processed in this frame"),
+                Column("tracks", "int64", (1,), "", "number of tracks sent in this frame"),
             ),
         ),
         Schema(
@@ -158,7 +158,7 @@ OURS: Mapping[str, Schema] = {
                 *_states(),
                 Column("agent", "int64", ("n",), "", "row of `agents` that the track came from"),
                 Column("agents", "str", ("a",), "", "names of the agents whose tracks are in the batch"),
-                Column("age_ns", "int64", ("a",), "ns", "how far each agent's tracks were brought forward"),
+                Column("age_ns", "int64", ("a",), "ns", "interval over which each agent's tracks were propagated"),
             ),
         ),
         Schema(
@@ -173,7 +173,7 @@ OURS: Mapping[str, Schema] = {
             "what an adversary changed, world frame; for the evaluator only",
             (
                 Column("action", "uint8", ("n",), "", "index into mast_zenoh.attacks.ACTIONS", below=3),
-                Column("target", "int64", ("n",), "", "the adversary's own number of the target"),
+                Column("target", "int64", ("n",), "", "number of the target, assigned by the adversary"),
                 Column("before_position", "float64", ("n", 3), "m", "zero where an object was inserted"),
                 Column("after_position", "float64", ("n", 3), "m", "zero where an object was removed"),
                 Column("velocity", "float64", ("n", 3), "m/s", "of the object afterwards, or before its removal"),
@@ -182,13 +182,13 @@ OURS: Mapping[str, Schema] = {
         Schema(
             "link_report",
             1,
-            "what a link did to messages in the step before; for the evaluator only",
+            "what a link did to messages in the previous step; for the evaluator only",
             (
                 Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES", below=6),
                 Column("frame", "int64", ("n",), "", "frame of the message"),
                 Column("seq", "int64", ("n",), "", "sequence number of the message"),
                 Column("fate", "uint8", ("n",), "", "index into mast_zenoh.links.FATES", below=5),
-                Column("rule", "int64", ("n",), "", "index of the rule that did it, among those up or down"),
+                Column("rule", "int64", ("n",), "", "index of the responsible rule, within its direction"),
                 Column("delay_s", "float64", ("n",), "s", "by which it is late; 0 where it was dropped"),
             ),
         ),
@@ -201,22 +201,24 @@ OURS: Mapping[str, Schema] = {
                 Column("agent_position", "float64", (3,), "m", "of the compromised agent"),
                 Column("sensor_position", "float64", (3,), "m", "of its sensor"),
                 Column("sensor_rotation", "float64", (3, 3), "", "active, sensor to world", **_ROTATION),
-                Column("azimuth", "float64", (2,), "rad", "that its sensor covers, from and to, in the sensor frame"),
-                Column("elevation", "float64", (2,), "rad", "that its sensor covers, in the sensor frame"),
-                Column("max_range", "float64", (1,), "m", "that its sensor covers"),
+                Column("azimuth", "float64", (2,), "rad", "its sensor's field of view (from, to), in the sensor frame"),
+                Column(
+                    "elevation", "float64", (2,), "rad", "its sensor's field of view (from, to), in the sensor frame"
+                ),
+                Column("max_range", "float64", (1,), "m", "range of its sensor"),
             ),
         ),
         Schema(
             "sweep",
             1,
-            "how far an agent's sensor sees before something returns",
+            "free distance in each direction from an agent's sensor",
             (Column("free", "float64", ("m", "k"), "m", "by elevation band and azimuth sector; no rows: unknown"),),
         ),
         Schema(
             "view",
             1,
             "what an agent's sensor covers",
-            (*_view(), Column("free", "float64", ("m", "k"), "m", "that each direction is free; no rows: unknown")),
+            (*_view(), Column("free", "float64", ("m", "k"), "m", "free distance in each direction; no rows: unknown")),
         ),
         Schema(
             "views",
@@ -227,7 +229,7 @@ OURS: Mapping[str, Schema] = {
                 Column("age_ns", "int64", ("a",), "ns", "of each agent's view"),
                 *_view("a"),
                 Column("grid", "int64", ("a", 2), "", "numbers of bands and sectors; 0, 0: unknown"),
-                Column("free", "float64", ("k",), "m", "that each direction is free: band by band, agent by agent"),
+                Column("free", "float64", ("k",), "m", "free distance in each direction: band by band, agent by agent"),
             ),
         ),
         Schema(
@@ -236,19 +238,19 @@ OURS: Mapping[str, Schema] = {
             "the command centre's assessment of agents and objects",
             (
                 Column("agents", "str", ("a",), "", "names of the agents, sorted"),
-                Column("mean", "float64", ("a",), "", "how far each agent is trusted, 0 to 1"),
-                Column("log_odds", "float64", ("a",), "", "that it is honest"),
+                Column("mean", "float64", ("a",), "", "trust in each agent, 0 to 1"),
+                Column("log_odds", "float64", ("a",), "", "log odds that it is honest"),
                 Column("state", "uint8", ("a",), "", "index into mast_zenoh.integrity.STATES", below=4),
                 Column("reason", "str", ("a",), "", "of its state; empty if there is none"),
                 Column("fault_offset", "float64", ("a", 2), "m", "estimated error of its tracks' position, x and y"),
                 Column("fault_turn", "float64", ("a",), "rad", "estimated error of its heading"),
                 Column("fault_delay", "float64", ("a",), "s", "by which its tracks are late"),
                 Column("fault_loss", "float64", ("a",), "", "share of the objects in view that it does not report"),
-                Column("id", "int64", ("n",), "", "of each object that the centre tracks, withheld or not"),
+                Column("id", "int64", ("n",), "", "of each object that the centre tracks, withheld ones too"),
                 Column("position", "float64", ("n", 3), "m", ""),
                 Column("size", "float64", ("n", 3), "m", "length, width, height"),
                 Column("yaw", "float64", ("n",), "rad", ""),
-                Column("trust", "float64", ("n",), "", "how far the object is trusted, 0 to 1"),
+                Column("trust", "float64", ("n",), "", "trust in the object, 0 to 1"),
                 Column("expected", "int64", ("n",), "", "agents that should see it"),
                 Column("confirming", "int64", ("n",), "", "agents that report it"),
                 Column("contradicting", "int64", ("n",), "", "agents that see free space in its place"),
@@ -263,14 +265,14 @@ OURS: Mapping[str, Schema] = {
                 *_states("add_", "n", filtered=False),
                 *_states("remove_", "m", filtered=False),
                 *_states("move_", "k", filtered=False),
-                Column("move_offset", "float64", ("k", 3), "m", "how far each is to be moved"),
+                Column("move_offset", "float64", ("k", 3), "m", "displacement of each object"),
             ),
         ),
     )
 }
 
 #: All schemas that the codec knows: built-in ones, and the types that the scenario's nodes declare (`user_types.use`).
-SCHEMAS: dict[str, Schema] = dict(OURS)
+SCHEMAS: dict[str, Schema] = dict(BUILT_IN)
 
 
 def text(values: list[str]) -> NDArray[Any]:

@@ -8,13 +8,13 @@ from typing import Any
 
 from mast_zenoh.messages.definition import MAX_COLUMNS
 from mast_zenoh.messages.layout import LAYOUTS, Layout
-from mast_zenoh.messages.schemas import OURS, SCHEMAS, Column, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Column, Schema
 
 
 def use(schemas: Iterable[Schema]) -> None:
     """Make the codec know these message types in addition to the built-in ones, and no others."""
     wanted = {schema.name: schema for schema in schemas}
-    for name in SCHEMAS.keys() - OURS.keys() - wanted.keys():
+    for name in SCHEMAS.keys() - BUILT_IN.keys() - wanted.keys():
         del SCHEMAS[name], LAYOUTS[name]
     for name, schema in wanted.items():
         if SCHEMAS.get(name) != schema:

@@ -56,7 +56,7 @@ class Host(NodeContext):
         self._held = HeldMessages()
         self._timespan = timespan
         self._end = 1 << 62 if timespan is None else timespan.frames - 1
-        self._last_step = self._end  # the latest in which a message can have been sent
+        self._last_step = self._end  # the latest step in which a message can have been sent
         self._awaited = timespan is not None and now is None and bool(ports.outputs) and _direct_clock(wiring)
         self._overhears = ANY in node.inputs.values()
         self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
@@ -66,7 +66,7 @@ class Host(NodeContext):
     # -- called by the runtime -----------------------------------------------------------------------------------
 
     def start(self, peers: Mapping[str, str]) -> None:
-        """Start the node; count and raise its errors. peers: name to role of others."""
+        """Start the node; count and raise its errors. peers: other nodes' roles by name."""
         try:
             self.node.start(self)
         except KeyboardInterrupt:
@@ -94,7 +94,7 @@ class Host(NodeContext):
         self._guard("rewired", self.node.rewired, self)
 
     def finish(self) -> dict[str, Any]:
-        """Finish the node; returns its results, {} if that fails. It publishes no more."""
+        """Finish the node; returns its results, {} if that fails. Disables publishing."""
         self._emit = lambda out: None
 
         def finish() -> dict[str, Any]:
@@ -109,7 +109,7 @@ class Host(NodeContext):
     def deliver(self, key: str, payload: bytes | Message, step: int, *, counted: bool = True, flaw: str = "") -> None:
         """Receive a message on `key`: handle it, hold it, or reject it.
 
-        step: in which it was sent; -1: unknown, it is handled immediately
+        step: the step in which it was sent; -1: unknown, so it is handled immediately
         counted: whether it is from a node of this run, so that lock-step waits until it is handled
         flaw: why it is invalid, for a message that was never encoded
         """
@@ -126,7 +126,7 @@ class Host(NodeContext):
             if flaw and isinstance(payload, Message):
                 payload = codec.encode(payload)  # bytes are forwarded unchanged
             if isinstance(payload, bytes):
-                unopened = Unopened(port_input.message, port_input.subject, payload, step)  # type: ignore[arg-type]  # see there
+                unopened = Unopened(port_input.message, port_input.subject, payload, step)  # type: ignore[arg-type]  # see Unopened
                 self._take(key, port_input, unopened, counted)
                 return
         try:
@@ -177,7 +177,7 @@ class Host(NodeContext):
         self.sent.clear()
         self.handled.clear()
 
-    # -- inside --------------------------------------------------------------------------------------------------
+    # -- internal ------------------------------------------------------------------------------------------------
 
     def _clock(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         if received.frame <= self.frame:
@@ -197,7 +197,7 @@ class Host(NodeContext):
     def _overhear(
         self, key: str, port_input: Input, content: bytes | Message, step: int, counted: bool, flaw: str
     ) -> None:
-        """Handle a message immediately, valid or not: without outputs none is too early."""
+        """Handle a message immediately, valid or not: such a node has no outputs."""
         if counted:
             self.handled[key] += 1
         if key in self._ignored:
@@ -216,7 +216,7 @@ class Host(NodeContext):
         self._guard(port_input.port, self._handlers[port_input.port], overheard, self)
 
     def _rejecting(self, handler: Any) -> Any:
-        """Wrap a handler of overheard messages: a MessageError of it rejects the message."""
+        """Wrap a handler of overheard messages to reject those that raise MessageError."""
 
         def reject_malformed(overheard: Overheard, context: Any) -> None:
             try:
@@ -270,7 +270,7 @@ class Host(NodeContext):
     def _note_failure(self, name: str, call: Any, arguments: tuple[Any, ...], error: BaseException) -> None:
         handler = f"on_{name}" if self._handlers.get(name) is call else name
         if handler not in self.failures:
-            self.log.error("%s failed (more failures of it will only be counted)", handler, exc_info=error)
+            self.log.error("%s failed (its further failures are only counted)", handler, exc_info=error)
             self.failures[handler] = Failure(handler, error, getattr(self.node, handler, call))
         self.failures[handler].note(self._frame_of(arguments[0] if arguments else None))
         self.on_failure(self.failures[handler])

@@ -71,7 +71,10 @@ def timeline_of(
                 f"{path}: {name}: another node already has this name, and the link of {agent!r} needs it"
             )
         permanent_rules, timed_rules = profiles.get(agent, {}), fault_plan.rules.get(agent, {})
-        rules = {f"rules_{way}": [*permanent_rules.get(way, ()), *timed_rules.get(way, ())] for way in DIRECTIONS}
+        rules = {
+            f"rules_{direction}": [*permanent_rules.get(direction, ()), *timed_rules.get(direction, ())]
+            for direction in DIRECTIONS
+        }
         specs[name] = node_spec(path, name, "link", {"agent": agent, **rules})
     hosts = network.resolve(
         scenario.get("hosts", {}),
@@ -102,7 +105,7 @@ def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tu
             continue
         if isinstance(spec, Mapping) and (not isinstance(kind, str) or kind not in known):
             hint = nearest(str(kind or ""), {*known, *network.HOST_FAULTS})
-            raise ConfigurationError(f"{place}.type: no fault {kind!r}{hint}")
+            raise ConfigurationError(f"{place}.type: unknown fault {kind!r}{hint}")
         fault = registry.build(spec, Fault, place)
         for rule in fault.rules(True):
             registry.build({**rule, "at": fault.at, "until": fault.over}, links.Rule, place)
@@ -136,10 +139,10 @@ def _profiles(
 
 
 def _rules_of(spec: object, place: str, gateways: list[list[float]]) -> dict[str, list[Rule]]:
-    """The checked rules of one link, by direction.
+    """The validated rules of one link, by direction.
 
     The profile's rules come first, then the link's own.
-    gateways: (x, y, z) m, from which ranges of radio links are measured, where a rule does not name its own
+    gateways: (x, y, z) m, from which the ranges of radio links are measured, for rules without gateways of their own
     """
     spec = {"type": spec} if isinstance(spec, str) else spec
     if not isinstance(spec, Mapping):
@@ -148,18 +151,18 @@ def _rules_of(spec: object, place: str, gateways: list[list[float]]) -> dict[str
         if key not in ("type", *DIRECTIONS):
             raise ConfigurationError(f"{place}.{key}: unknown key{nearest(str(key), ('type', *DIRECTIONS))}")
     try:
-        rules = links.profile(str(spec["type"])) if "type" in spec else {way: [] for way in DIRECTIONS}
+        rules = links.profile(str(spec["type"])) if "type" in spec else {direction: [] for direction in DIRECTIONS}
     except ConfigurationError as error:
         raise ConfigurationError(f"{place}: {error}") from None
-    for way in DIRECTIONS:
-        own = spec.get(way, ())
+    for direction in DIRECTIONS:
+        own = spec.get(direction, ())
         if not isinstance(own, (list, tuple)):
-            raise ConfigurationError(f"{place}.{way}: found {own!r}, expected a list of rules, dict(type=…)")
-        rules[way] += own
-        for index, rule in enumerate(rules[way]):
+            raise ConfigurationError(f"{place}.{direction}: found {own!r}, expected a list of dict(type=…)")
+        rules[direction] += own
+        for index, rule in enumerate(rules[direction]):
             if isinstance(rule, Mapping) and rule.get("type") == "RangeLimit" and "gateways" not in rule:
-                rules[way][index] = rule = {**rule, "gateways": gateways}
-            registry.build(rule, links.Rule, f"{place}.{way}[{index}]")
+                rules[direction][index] = rule = {**rule, "gateways": gateways}
+            registry.build(rule, links.Rule, f"{place}.{direction}[{index}]")
     return rules
 
 
@@ -171,7 +174,7 @@ def _name_of(spec: object) -> str:
 def _gateways(recording: Recording) -> list[list[float]]:
     """Positions where radio links reach the wired network, (x, y, z) m.
 
-    They belong to all static agents, or else to the first agent.
+    These are the positions of all static agents or, if there are none, of the first agent.
     """
     static = [i for i, agent in enumerate(recording.agents) if agent.kind == "static"] or [0]
     return [[float(value) for value in recording.agent_position[0, i]] for i in static]
@@ -195,12 +198,12 @@ def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
     return [_band(kind, "attack", at_s, names, "adversary") for (kind, at_s), names in attack_starts(nodes).items()]
 
 
-def _band(kind: str, what: str, at_s: float, nodes: Sequence[str], backend: str) -> dict[str, Any]:
-    label = f"{kind} {', '.join(nodes) if len(nodes) <= 3 else f'{len(nodes)} nodes'}"
+def _band(type_name: str, kind: str, at_s: float, nodes: Sequence[str], backend: str) -> dict[str, Any]:
+    label = f"{type_name} {', '.join(nodes) if len(nodes) <= 3 else f'{len(nodes)} nodes'}"
     return {
         "label": label,
-        "kind": what,
-        "type": kind,
+        "kind": kind,
+        "type": type_name,
         "at_s": at_s,
         "until_s": None,
         "nodes": list(nodes),

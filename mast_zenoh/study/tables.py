@@ -42,7 +42,7 @@ class StudyResult:
         failed = self.facts.failed
         if failed:
             lines = (f"  {f.configuration}, {f.scene}, seed {f.seed}: {f.error}\n    {f.command}" for f in failed)
-            raise TrialsFailed(f"{len(failed)} trials failed; each can be run alone:\n" + "\n".join(lines))
+            raise TrialsFailed(f"failed trials: {len(failed)}; each can be run alone:\n" + "\n".join(lines))
 
 
 def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping[str, str]) -> StudyResult:

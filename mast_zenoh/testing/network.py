@@ -28,10 +28,12 @@ def check_link_rule(rule: Rule) -> None:
     fate = getattr(rule, "fate", None)
     expect(fate in FATES, f"{subject}.fate: found {fate!r}, expected one of {', '.join(FATES)}")
     for n in samples.COUNTS:
-        expect(_passed(rule, n) == _passed(rule, n), f"{subject}: two rules with the same draws differ")
+        expect(
+            _passages(rule, n) == _passages(rule, n), f"{subject}: the results of two copies differ for the same draws"
+        )
 
 
-def _passed(rule: Rule, n: int) -> list[tuple[Passage, ...]]:
+def _passages(rule: Rule, n: int) -> list[tuple[Passage, ...]]:
     """The passages of n messages through a rule."""
     subject = type(rule).__name__
     rule, random = copy.deepcopy(rule), np.random.default_rng(n)
@@ -49,8 +51,8 @@ def _passed(rule: Rule, n: int) -> list[tuple[Passage, ...]]:
         for passage in copies:
             expect(isinstance(passage, Passage), f"{subject}.apply: found {type(passage).__name__}, expected a Passage")
             expect(passage.delay_ns >= message.delay_ns, f"{subject}.apply: a message leaves before it arrives")
-            again = rule.sample_copy(row, random)
-            expect(len(again) == len(row), f"{subject}.sample_copy: found {len(again)} draws, expected {len(row)}")
+            draws = rule.sample_copy(row, random)
+            expect(len(draws) == len(row), f"{subject}.sample_copy: found {len(draws)} draws, expected {len(row)}")
         results.append(tuple(passage._replace(position=None) for passage in copies))
     return results
 
@@ -68,8 +70,8 @@ def check_fault(fault: Fault) -> None:
     events = fault.events()
     for lockstep in (True, False):
         rules = fault.rules(lockstep)
-        expect(rules or events, f"{subject}: has neither rules nor events, so nothing happens")
-        expect(rules == fault.rules(lockstep), f"{subject}.rules: differ from call to call")
+        expect(rules or events, f"{subject}: found neither rules nor events, expected one of them")
+        expect(rules == fault.rules(lockstep), f"{subject}.rules: two calls return different rules")
         for index, rule in enumerate(rules):
             try:
                 registry.build({**rule, "at": fault.at, "until": fault.over}, Rule, f"{subject}.rules[{index}]")
@@ -79,4 +81,4 @@ def check_fault(fault: Fault) -> None:
         expect(action in ACTIONS, f"{subject}.events: found {action!r}, expected one of {', '.join(ACTIONS)}")
         expect(time_s >= fault.at, f"{subject}.events: {action} at {time_s} s, expected {fault.at} s or later")
     ascending = all(first[0] <= second[0] for first, second in pairwise(events))
-    expect(ascending, f"{subject}.events: are not in the order of their times")
+    expect(ascending, f"{subject}.events: not sorted by time")

@@ -16,7 +16,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import OURS, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.node import Node, handler_names
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
@@ -31,7 +31,7 @@ def check_node(node: type[Node], *message_types: Schema) -> None:
 
     message_types: types from other files that it uses by name. `check_scenario` checks what the node does.
     """
-    names = OURS.keys() | node.message_types.keys() | {schema.name for schema in message_types}
+    names = BUILT_IN.keys() | node.message_types.keys() | {schema.name for schema in message_types}
     expect(node.role, f"{node.__name__}.role: found nothing, expected the name of a role")
     for ports in ("inputs", "outputs"):
         for port, message in getattr(node, ports).items():

@@ -60,7 +60,7 @@ class KalmanBoxTracker3D(Tracker):
     clutter_per_m2: false detections per square metre and frame
     birth_odds: odds that a detection without a matching track is a new object
     lifetime_s: s, average time that an object stays in view; memory_s: s, time constant of a track's hit rate
-    confirm_probability: of existence, above which a track is confirmed; min_probability: above which it is reported
+    confirm_probability, min_probability: existence probabilities above which a track is confirmed, and reported
     max_coast_s: s without a measurement after which a track is dropped (earlier if its position uncertainty exceeds
         LOST_M); until then it may be recovered under the same id
     max_std_m: m, standard deviation of the horizontal position above which a track is not reported
@@ -69,7 +69,8 @@ class KalmanBoxTracker3D(Tracker):
     acceleration_scale: factor on the accelerations in `classes`
     assignment: how detections are assigned to tracks
 
-    Raises ValueError for a probability outside (0, 1) and for any other parameter that is not positive.
+    Raises ValueError for a probability outside (0, 1) and for any other parameter, except max_coast_s, that is not
+    positive.
     """
 
     filter: ClassVar[kalman.BoxFilter] = kalman.BatchedFilter()
@@ -168,7 +169,7 @@ class KalmanBoxTracker3D(Tracker):
             matched = self._matched_tracks(match, measurements, detected)
             R = measurements.noise.take(match.measurement, 0)
             # Successive outputs of a filter are correlated. Covariance intersection of track and measurement avoids
-            # double counting; weights by the trace of the position (Niehsen, FUSION 2002).
+            # double counting; weights by the trace of the position covariance (Niehsen, FUSION 2002).
             track_variance, measured_variance = matched[:, XX] + matched[:, YY], R[:, 0, 0] + R[:, 1, 1]
             weight = (measured_variance / (track_variance + measured_variance))[:, None]
             matched[:, COVARIANCE] /= weight
@@ -193,7 +194,7 @@ class KalmanBoxTracker3D(Tracker):
         before = time_ns if self._time_ns is None else self._time_ns
         if time_ns < before:
             raise ValueError(
-                f"time_ns of a step: found {time_ns}, expected at least {before}, that of the previous step"
+                f"time_ns of a step: found {time_ns}, expected at least {before}, the time of the previous step"
             )
         self._time_ns = time_ns
         t, dt = self._tracks, (time_ns - before) * 1e-9
@@ -222,7 +223,7 @@ class KalmanBoxTracker3D(Tracker):
         return Match(i[chosen], j[chosen], ratio[chosen], pairs.jump[chosen], pairs, len(chosen) < len(i))
 
     def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
-        """A copy of the matched tracks, updated except for mean and covariance."""
+        """A copy of the matched tracks, updated except for the Kalman correction."""
         used = match.measurement
         updated = self._tracks.take(match.track, 0)
         if np.count_nonzero(match.jump):
@@ -237,9 +238,9 @@ class KalmanBoxTracker3D(Tracker):
     def _missed_fraction(self, view: SensorView | None) -> Floats:
         """Fraction (n,) of each track that was visible, not occluded and not measured."""
         t = self._tracks
-        coasts = t[:, ROW] < 0.0
-        missed = coasts.astype(np.float64)
-        rows = coasts.nonzero()[0]
+        coasting = t[:, ROW] < 0.0
+        missed = coasting.astype(np.float64)
+        rows = coasting.nonzero()[0]
         if view is not None and len(rows):
             occluders = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)).nonzero()[0]
             missed[rows] = view.visible_fraction(t.take(rows, 0), t.take(occluders, 0))

@@ -17,7 +17,7 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.config import bundle, registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults.network import HOST_FAULTS
-from mast_zenoh.messages.schemas import OURS
+from mast_zenoh.messages.schemas import BUILT_IN
 from mast_zenoh.report.tables.scores import MEASURES
 
 BASES: dict[str, list[type]] = {
@@ -43,7 +43,7 @@ def shipped_entries(kind: str) -> list[Entry]:
     classes = {name: cls for base in BASES.get(kind, ()) for name, cls in registry.known_types(base).items()}
     foreign = {name for name, cls in classes.items() if not cls.__module__.startswith("mast_zenoh.")}
     if kind == "messages":
-        foreign = {entry.name for entry in mast.list(kind)} - set(OURS)
+        foreign = {entry.name for entry in mast.list(kind)} - set(BUILT_IN)
     return [entry for entry in mast.list(kind) if entry.name not in foreign]
 
 
@@ -123,7 +123,7 @@ def test_parameter_descriptions_are_read_from_lines_and_from_sentences() -> None
 def test_listings_show_defaults_units_and_descriptions() -> None:
     listing = str(mast.list("scenarios")["coordinated"])
     assert "attack_start_s = 4.0 s" in listing
-    assert "interval at which the coordinator makes a new plan" in listing, "has its own description"
+    assert "interval at which the coordinator selects new targets" in listing, "has its own description"
     assert "mean number added by each (Poisson)" in listing, "has the description of `uncoordinated`"
     listing = str(mast.list("faults")["Pause"])
     assert "until (s), required" in listing

@@ -47,9 +47,9 @@ def test_objects_move_like_vehicles(model, seed, dt):
     for k in range(30):
         before, states = states, model.advance(states, dt, k * dt, stream(seed, k))
         speed = [np.hypot(each.velocity[:, 0], each.velocity[:, 1]) for each in (before, states)]
-        turned = np.abs(wrap_angle(states.yaw - before.yaw))
+        yaw_change = np.abs(wrap_angle(states.yaw - before.yaw))
         assert np.all(np.abs(speed[1] - speed[0]) <= MAX_ACCELERATION_MPS2 * dt + 1e-9)
-        assert np.all(turned <= MAX_YAW_RATE * dt + 1e-9)
+        assert np.all(yaw_change <= MAX_YAW_RATE * dt + 1e-9)
         step = (states.position - before.position)[:, :2]
         assert np.all(np.linalg.norm(step, axis=1) <= np.maximum(*speed) * dt + 1e-9)
         sideways = step[:, 1] * np.cos(states.yaw) - step[:, 0] * np.sin(states.yaw)
@@ -61,7 +61,7 @@ def test_a_non_positive_deceleration_is_refused():
         TrajectoryPropagation(braking_mps2=0.0)
 
 
-def test_a_markov_step_changes_the_velocity_by_sigma_times_the_time():
+def test_a_markov_velocity_change_has_standard_deviation_sigma_times_dt():
     start = at(*[(0.0, 0.0)] * 4000, velocity=np.tile([5.0, 0.0, 0.0], (4000, 1)))
     later = MarkovPropagation(sigma_mps2=0.5).advance(start, 0.2, 0.0, stream(1))
     change = later.velocity - start.velocity

@@ -86,5 +86,5 @@ def test_the_image_is_small_and_holds_these_sources_and_only_node_requirements()
 
 @pytest.mark.mesh
 def test_an_image_of_other_sources_is_refused_and_both_are_named() -> None:
-    with pytest.raises(EngineError, match=r"holds mast-zenoh .*\(sources unknown\), this is .*mast deploy image"):
+    with pytest.raises(EngineError, match=r"holds mast-zenoh .*\(sources unknown\), expected .*mast deploy image"):
         image.check(base())

@@ -193,7 +193,7 @@ def test_a_stopped_real_time_run_keeps_its_results_and_leaves_nothing_running(
     assert record["status"] == "interrupted"
     assert {name: node["exit"] for name, node in record["nodes"].items()} == dict.fromkeys(record["nodes"], 0)
     assert json.loads((run.out / "metrics.json").read_text())["frames"] > 10
-    assert stack.left(record["deployment"]["stack"]) == {}
+    assert stack.remaining_parts(record["deployment"]["stack"]) == {}
 
 
 def test_services_of_a_killed_launcher_end_and_down_removes_the_rest(
@@ -208,10 +208,10 @@ def test_services_of_a_killed_launcher_end_and_down_removes_the_rest(
         return all(entry["state"] not in ("running", "starting") for entry in Swarm.status(run.out, record))
 
     eventually(gone, "all tasks have ended by themselves")
-    assert stack.left(record["deployment"]["stack"]).keys() == {"service", "network", "secret", "container"}
+    assert stack.remaining_parts(record["deployment"]["stack"]).keys() == {"service", "network", "secret", "container"}
     for _ in range(2):
         Swarm.down(run.out, record)
-        assert stack.left(record["deployment"]["stack"]) == {}
+        assert stack.remaining_parts(record["deployment"]["stack"]) == {}
     assert Swarm.status(run.out, record) == []
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from played import FRAMES, Played, play, watch
+from observed_run import ObservedRun
+from played import FRAMES, Played, play, play_observed
 from shipped import every, label
-from watched import Watched
 
 from mast_zenoh import scenario
 
@@ -27,15 +27,15 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Played]:
 
 
 @pytest.fixture(scope="session")
-def shipped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[str, ...]], tuple[Played, Watched]]:
-    """Plays each shipped scenario with watched interposers, once per session."""
-    runs: dict[tuple[str, ...], tuple[Played, Watched]] = {}
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[str, ...]], tuple[Played, ObservedRun]]:
+    """Play each shipped scenario as an `ObservedRun`, once per session."""
+    runs: dict[tuple[str, ...], tuple[Played, ObservedRun]] = {}
 
-    def get(variant: tuple[str, ...]) -> tuple[Played, Watched]:
+    def get(variant: tuple[str, ...]) -> tuple[Played, ObservedRun]:
         if variant not in runs:
             path, content = scenario.load(variant[0], list(variant[1:]))
             resolved = scenario.resolve(path, content, frames=FRAMES, seed=0, record=True)
-            runs[variant] = watch(tmp_path_factory.mktemp("run"), resolved)
+            runs[variant] = play_observed(tmp_path_factory.mktemp("run"), resolved)
         return runs[variant]
 
     return get

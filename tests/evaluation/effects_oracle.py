@@ -11,7 +11,7 @@ from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-from watched import PERIOD_NS, Arrival, Read, Sent, Watched
+from observed_run import PERIOD_NS, Arrival, Decoded, ObservedRun, SentCopy
 
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Message
@@ -23,7 +23,7 @@ Poses = dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]
 Row = dict[str, Any]
 
 
-def poses_of(process: Watched) -> Poses:
+def poses_of(process: ObservedRun) -> Poses:
     """The poses of the agents."""
     recording = process.hosts["simulator"].node.recording  # type: ignore[attr-defined]
     return {
@@ -33,7 +33,7 @@ def poses_of(process: Watched) -> Poses:
     }
 
 
-def expected(process: Watched, frames: int) -> list[Row]:
+def expected(process: ObservedRun, frames: int) -> list[Row]:
     """The rows of attacks.parquet, unordered, without columns that need reports."""
     poses, rows = poses_of(process), []
     for passage in process.passages:
@@ -48,10 +48,10 @@ def expected(process: Watched, frames: int) -> list[Row]:
 
 
 def _of_passage(
-    process: Watched, passage: Passage, arrivals: list[Arrival], forged: list[Sent], last: int, poses: Poses
+    process: ObservedRun, passage: Passage, arrivals: list[Arrival], forged: list[SentCopy], last: int, poses: Poses
 ) -> Iterator[Row]:
-    numbered: dict[tuple[int, int], tuple[list[tuple[Arrival, Read]], list[tuple[Sent, Read]]]] = {}
-    damaged: list[tuple[Arrival, Sent]] = []
+    numbered: dict[tuple[int, int], tuple[list[tuple[Arrival, Decoded]], list[tuple[SentCopy, Decoded]]]] = {}
+    damaged: list[tuple[Arrival, SentCopy]] = []
     for arrival in arrivals:
         read = process.read(passage, arrival.content, arrival.flaw)
         sent = [each for each in arrival.sent if each.step <= last]
@@ -121,7 +121,7 @@ def _of_passage(
         yield {"effect": "forged"}
 
 
-def _renumbered(one: Read, other: Read) -> bool:
+def _renumbered(one: Decoded, other: Decoded) -> bool:
     """Whether two messages about one frame differ only in their numbers."""
     if one.body is None or other.body is None or one.header is None or other.header is None:
         return False
@@ -130,7 +130,9 @@ def _renumbered(one: Read, other: Read) -> bool:
     )
 
 
-def _changes(passage: Passage, arrival: Arrival, before: Read, sent: Sent, after: Read, poses: Poses) -> Iterator[Row]:
+def _changes(
+    passage: Passage, arrival: Arrival, before: Decoded, sent: SentCopy, after: Decoded, poses: Poses
+) -> Iterator[Row]:
     """The differences between a message and its relayed version."""
     if _same(arrival.content, sent.content):
         return

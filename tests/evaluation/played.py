@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from watched import Watched
+from observed_run import ObservedRun
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
@@ -68,16 +68,16 @@ def files_of(page: str) -> dict[str, str]:
     return dict(blocks)
 
 
-def watch(folder: Path, resolved: Resolved) -> tuple[Played, Watched]:
-    """Play a resolved scenario with watched interposers."""
-    made: list[Watched] = []
+def play_observed(folder: Path, resolved: Resolved) -> tuple[Played, ObservedRun]:
+    """Play a resolved scenario, and record inputs and outputs of interposers."""
+    runs: list[ObservedRun] = []
 
-    def process(*arguments: Any, **more: Any) -> Watched:
-        made.append(Watched(*arguments, **more))
-        return made[-1]
+    def process(*arguments: Any, **more: Any) -> ObservedRun:
+        runs.append(ObservedRun(*arguments, **more))
+        return runs[-1]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "InProcess", process)
         outcome = run.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
     assert outcome.error is None, outcome.error
-    return Played(outcome.folder), made[0]
+    return Played(outcome.folder), runs[0]

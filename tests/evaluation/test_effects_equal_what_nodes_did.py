@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from effects_oracle import expected
-from played import Played, watch
+from observed_run import ObservedRun
+from played import Played, play_observed
 from shipped import HARMLESS
-from watched import Watched
 
 from mast_zenoh import scenario
 
@@ -37,7 +37,7 @@ def measured(played: Played) -> list[dict[str, Any]]:
     return rows
 
 
-def compare(played: Played, process: Watched) -> Counter[str]:
+def compare(played: Played, process: ObservedRun) -> Counter[str]:
     """Assert that measured rows equal the oracle's; returns counts by effect."""
 
     def place(row: dict[str, Any]) -> tuple[Any, ...]:
@@ -64,7 +64,7 @@ def compare(played: Played, process: Watched) -> Counter[str]:
 
 
 def test_effects_equal_the_oracles_in_every_shipped_scenario(
-    shipped: Callable[..., tuple[Played, Watched]], variant: tuple[str, ...]
+    shipped: Callable[..., tuple[Played, ObservedRun]], variant: tuple[str, ...]
 ) -> None:
     played, process = shipped(variant)
     kinds = compare(played, process)
@@ -114,6 +114,6 @@ def chain(seed: int) -> dict[str, Any]:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_effects_equal_the_oracles_in_random_chains(seed: int, tmp_path: Path) -> None:
-    played, process = watch(tmp_path, chain(seed))
+    played, process = play_observed(tmp_path, chain(seed))
     kinds = compare(played, process)
     assert sum(kinds.values()) > 50

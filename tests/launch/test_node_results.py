@@ -24,7 +24,7 @@ TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
 
 
 def written(results: dict[str, Any], folder: Path, **measured: Any) -> tuple[list[str], set[str]]:
-    """(refusals, written files)."""
+    """Write results to a new run folder; returns (refusals, names of the files)."""
     folder.mkdir()
     refused = run_folder.write_results(folder, results, measured)
     return refused, {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
@@ -150,12 +150,12 @@ def test_unknown_tables_of_the_evaluator_go_to_its_own_folder(tmp_path: Path) ->
 
 def test_a_node_writes_at_most_a_hundred_tables(tmp_path: Path) -> None:
     refused, files = written({"node": {"tables": {f"t{i}": {"a": [i]} for i in range(103)}}}, tmp_path / "run")
-    assert refused == ["node: tables: found 103, expected at most 100; the first are written"]
+    assert refused == ["node: tables: found 103, expected at most 100; only the first 100 are written"]
     assert len(files) == 100
 
 
 @pytest.mark.parametrize("recorded", [{"messages": 7, "lost": 0}, [1], "none", {"messages": "many"}, None])
-def test_only_a_recorders_counts_are_taken_as_recorded_and_only_numbers(tmp_path: Path, recorded: Any) -> None:
+def test_recorded_counts_come_only_from_a_recorder_and_must_be_numbers(tmp_path: Path, recorded: Any) -> None:
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("ego", "agent"))}
     record: dict[str, Any] = {"message": ""}
     others = {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}
@@ -163,8 +163,8 @@ def test_only_a_recorders_counts_are_taken_as_recorded_and_only_numbers(tmp_path
     nothing = {"complete": False, "from_frame": 0}
     assert record == {"message": "", "recording": nothing}, "the recorder has returned nothing"
     run_folder.note_recording(tmp_path, record, {"rec": {"recorded": recorded}}, specs)
-    sound = recorded == {"messages": 7, "lost": 0}
-    assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if sound else {})
+    valid = recorded == {"messages": 7, "lost": 0}
+    assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if valid else {})
 
 
 def test_lost_messages_are_reported(tmp_path: Path) -> None:
@@ -199,11 +199,11 @@ def test_completeness_in_real_time_is_measured_from_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("sim", "simulator"))}
-    handed_in = {"rec": {"recorded": {"messages": 7, "lost": 0}}}
+    node_results = {"rec": {"recorded": {"messages": 7, "lost": 0}}}
     for mode, gap, expected in (("realtime", 185, False), ("realtime", None, True), ("lockstep", 185, True)):
         monkeypatch.setattr(run_folder, "first_missing_frame", lambda folder, publisher, gap=gap: gap)
         record: dict[str, Any] = {"message": "", "mode": mode}
-        run_folder.note_recording(tmp_path, record, handed_in, specs)
+        run_folder.note_recording(tmp_path, record, node_results, specs)
         assert record["recording"]["complete"] is expected
 
 

@@ -70,7 +70,7 @@ def test_a_partition_blocks_everything_until_it_heals(tmp_path: Path) -> None:
         assert len(Echo.ask(namespaces.command("a"), CENTRE, 5)) == 5
 
 
-def test_packet_loss_has_the_configured_share_in_each_direction(tmp_path: Path) -> None:
+def test_packets_are_lost_with_the_configured_probability_in_each_direction(tmp_path: Path) -> None:
     require("loss")
     with hosts(tmp_path, {"type": "HostLoss", "probability": 0.2}) as namespaces, Echo(namespaces.command("c")):
         wait_for_steps(namespaces, 1)
@@ -95,8 +95,8 @@ def test_a_delayed_link_has_the_configured_delay_in_each_direction(tmp_path: Pat
         require("relay")
     elif reason := missing_capability("netem"):
         pytest.skip(reason)
-    slower = {"type": "HostDelay", "delay_ms": 15.0}
-    with hosts(tmp_path, slower, delay_ms=20.0, delay_by=by) as namespaces, Echo(namespaces.command("c")):
+    delay = {"type": "HostDelay", "delay_ms": 15.0}
+    with hosts(tmp_path, delay, delay_ms=20.0, delay_by=by) as namespaces, Echo(namespaces.command("c")):
         assert 40.0 <= min(Echo.ask(namespaces.command("a"), CENTRE, 20)) < 50.0
         assert min(Echo.ask(namespaces.command("b"), CENTRE, 20)) < 10.0
         wait_for_steps(namespaces, 1)
@@ -107,9 +107,9 @@ def test_a_delayed_link_has_the_configured_delay_in_each_direction(tmp_path: Pat
 
 def test_a_delayed_link_can_also_be_partitioned_and_limited(tmp_path: Path) -> None:
     require("relay", "partition", "bandwidth")
-    narrow = {"type": "HostBandwidth", "bits_per_s": 100e3}
+    limit = {"type": "HostBandwidth", "bits_per_s": 100e3}
     cut = {"type": "HostPartition", "at": 0.1}
-    with hosts(tmp_path, narrow, cut, delay_ms=20.0, delay_by="relay") as namespaces, Echo(namespaces.command("c")):
+    with hosts(tmp_path, limit, cut, delay_ms=20.0, delay_by="relay") as namespaces, Echo(namespaces.command("c")):
         wait_for_steps(namespaces, 2)
         assert Echo.ask(namespaces.command("a"), CENTRE, 3, 0.2) == []
         namespaces.heal()
@@ -206,7 +206,7 @@ def test_a_run_in_one_process_refuses_host_faults(tmp_path: Path) -> None:
 
 
 def test_a_router_drops_an_unresponsive_link_before_its_lease_expires() -> None:
-    """Without this, closing blocks while sockets wait for unacknowledged bytes."""
+    """Otherwise closing blocks while sockets wait for acknowledgements."""
     router, endpoint = open_router()
     with router, open_client(endpoint):
         port = int(endpoint.rpartition(":")[2])

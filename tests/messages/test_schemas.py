@@ -14,7 +14,7 @@ from mast_zenoh.messages.schemas import SCHEMAS, text
 from mast_zenoh.node import Node
 from mast_zenoh.wiring.model import ANY
 
-OURS = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
+SHIPPED_NODES = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
@@ -46,7 +46,7 @@ def test_every_quaternion_must_have_a_non_zero_norm() -> None:
         assert (column.least_length > 0.0) == column.name.endswith("rotation"), column.name
 
 
-@pytest.mark.parametrize("node", OURS, ids=lambda node: node.__name__)
+@pytest.mark.parametrize("node", SHIPPED_NODES, ids=lambda node: node.__name__)
 def test_ports_of_shipped_nodes_have_known_message_types(node: type[Node]) -> None:
     assert node.role
     assert node.__doc__
@@ -56,11 +56,11 @@ def test_ports_of_shipped_nodes_have_known_message_types(node: type[Node]) -> No
 
 
 def test_each_role_has_one_shipped_node() -> None:
-    assert sorted(node.role for node in OURS) == [Path(name).stem for name in bundle.names("nodes")]
+    assert sorted(node.role for node in SHIPPED_NODES) == [Path(name).stem for name in bundle.names("nodes")]
 
 
 def test_every_message_type_is_used() -> None:
-    used = {schema for node in OURS for ports in (node.inputs, node.outputs) for schema in ports.values()}
+    used = {schema for node in SHIPPED_NODES for ports in (node.inputs, node.outputs) for schema in ports.values()}
     assert used == SCHEMAS.keys() | {ANY}
 
 

@@ -19,7 +19,7 @@ from mast_zenoh.messagelog import channels
 from mast_zenoh.messages import codec, user_types
 from mast_zenoh.messages.definition import DTYPES
 from mast_zenoh.messages.layout import LAYOUTS, WIRE_DTYPE
-from mast_zenoh.messages.schemas import OURS, SCHEMAS, Column, Header, Message, Schema, text
+from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Column, Header, Message, Schema, text
 from mast_zenoh.node import Node
 
 LETTERS = ("n", "m", "rows")
@@ -49,7 +49,7 @@ def columns(draw: st.DrawFn, name: str) -> Column:
 def schemas(draw: st.DrawFn) -> Schema:
     """A message type that a user might define."""
     chosen = draw(st.lists(names, max_size=6, unique=True))
-    name = draw(names.filter(lambda name: name not in OURS))
+    name = draw(names.filter(lambda name: name not in BUILT_IN))
     return Schema(name, draw(st.integers(1, 9)), "of a test", tuple(draw(columns(column)) for column in chosen))
 
 
@@ -156,10 +156,10 @@ def test_only_types_of_the_scenario_in_use_are_known() -> None:
     wind, rain = (Schema(name, 1, "", (Column("speed", "float64", (1,)),)) for name in ("wind", "rain"))
     user_types.use([wind])
     user_types.use([rain])
-    assert SCHEMAS.keys() == LAYOUTS.keys() == {*OURS, "rain"}
+    assert SCHEMAS.keys() == LAYOUTS.keys() == {*BUILT_IN, "rain"}
     user_types.use(())
-    assert SCHEMAS == OURS
-    assert LAYOUTS.keys() == OURS.keys()
+    assert SCHEMAS == BUILT_IN
+    assert LAYOUTS.keys() == BUILT_IN.keys()
 
 
 A = Column("a", "int64", ("n",))
@@ -203,7 +203,7 @@ WIND = Schema("wind", 1, "", (Column("speed", "float64", (1,), "m/s"),))
 
 def test_a_port_has_the_name_of_the_type_that_it_declares() -> None:
     class Station(Node):
-        outputs = {"wind": WIND, "alarm": OURS["status"]}
+        outputs = {"wind": WIND, "alarm": BUILT_IN["status"]}
 
     class Larger(Station):
         inputs = {"clock": "clock"}

@@ -33,13 +33,13 @@ def a_wire(
 
 
 def mesh(agents: int, chain: int, message: str) -> RunFolder:
-    """A mesh of `agents`, with `chain` nodes on all `message` (or `both`) wires."""
+    """A run with `chain` links on each agent's wires of the type `message`, or "both"."""
     wires, roles = [], {"simulator": "simulator", "broker": "broker", "command_center": "command_center"}
     for name in ["ego", *(f"infra_{k}" for k in range(1, agents))]:
-        sitting = tuple(f"{name}_link_{k}" for k in range(chain))
-        roles |= {name: "agent"} | dict.fromkeys(sitting, "link")
+        links = tuple(f"{name}_link_{k}" for k in range(chain))
+        roles |= {name: "agent"} | dict.fromkeys(links, "link")
         for kind, ends in (("detections", ("simulator", [name])), ("tracks", (name, ["broker"]))):
-            wires.append(a_wire(f"agent/{name}/{kind}", kind, *ends, sitting if message in (kind, "both") else ()))
+            wires.append(a_wire(f"agent/{name}/{kind}", kind, *ends, links if message in (kind, "both") else ()))
     wires.append(a_wire("cc/collated", "collated", "broker", ["command_center"]))
     wires.append(a_wire("cc/picture", "picture", "command_center", [n for n, r in roles.items() if r == "agent"]))
     return a_run(wires, roles)
@@ -129,7 +129,7 @@ def test_a_coordinator_is_above_its_adversaries(run_folder: Callable[..., Path])
     assert plan.lines[coordinator, Spot("adversary_1", after=1)].messages == ["directive"]
 
 
-def test_listeners_and_the_clock_are_not_drawn(run_folder: Callable[..., Path]) -> None:
+def test_the_evaluator_is_in_the_table_but_not_in_the_diagram(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
     plan = layout(run)
     assert plan is not None
@@ -149,9 +149,9 @@ def test_adversaries_are_grouped_by_the_agent_of_their_wire(run_folder: Callable
     run = RunFolder.load(run_folder("uncoordinated"))
     assert adversaries_by_agent(interposers(run)) == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
     assert adversaries_by_agent(interposers(mesh(2, 1, "tracks"))) == {}
-    nameless = replace(run, run={}, metrics={})  # run.json is lost: only the name remains
-    assert adversaries_by_agent(interposers(nameless)) == adversaries_by_agent(interposers(run))
-    assert {nameless.role(node) for node in ("ego", "infra_2")} == {"agent"}
+    without_roles = replace(run, run={}, metrics={})  # run.json is lost: a role follows from the name only
+    assert adversaries_by_agent(interposers(without_roles)) == adversaries_by_agent(interposers(run))
+    assert {without_roles.role(node) for node in ("ego", "infra_2")} == {"agent"}
 
 
 def test_nothing_to_draw_gives_no_diagram() -> None:

@@ -218,10 +218,10 @@ def test_delivery_order_does_not_change_the_effect_of_faults() -> None:
         (dict(faults=["Partition"]), r"faults\[0\]: found 'Partition', expected a dict\(type=…\)"),
         (
             dict(faults=[dict(type="Partion", at=1.0, node="ego")]),
-            r"faults\[0\]\.type: no fault 'Partion'; .*'Partition'",
+            r"faults\[0\]\.type: unknown fault 'Partion'; .*'Partition'",
         ),
         (dict(faults=[dict(type="HostPartion", at=1.0)]), "did you mean 'HostPartition'"),
-        (dict(faults=[dict(at=1.0, node="ego")]), r"faults\[0\]\.type: no fault None; known: BandwidthLimit"),
+        (dict(faults=[dict(at=1.0, node="ego")]), r"faults\[0\]\.type: unknown fault None; known: BandwidthLimit"),
         (dict(faults=[dict(PARTITION, nodes=["infra_9"])]), r"faults\[0\]\.nodes: no node, role or word 'infra_9'"),
         (dict(faults=[dict(PARTITION, untill=0.6)]), r"faults\[0\]\.untill: .* did you mean 'until'"),
         (

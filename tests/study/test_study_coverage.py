@@ -34,7 +34,7 @@ def test_intervals_of_success_rates_cover_at_least_95_per_cent(simulated: Covera
 
 
 def test_three_correlated_scenes_of_twenty_seeds_are_covered(simulated: Coverage) -> None:
-    """The bootstrap over scenes x seeds as if all were independent covered 71 % here."""
+    """A bootstrap that treats scenes and seeds as independent covers 71 % here."""
     assert 93.0 <= simulated["normal, scenes of a seed correlate at 0.98"][3, 20] <= 97.0
 
 

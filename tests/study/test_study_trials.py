@@ -1,4 +1,4 @@
-"""Trials are stored one by one: failures and repeats leave others intact."""
+"""Trials are stored one by one: failed and repeated trials do not affect others."""
 
 from __future__ import annotations
 
@@ -41,33 +41,33 @@ def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.fixture
-def ran(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
-    """The trials that actually run from here on."""
-    trials_run: list[Trial] = []
+def trials_run(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
+    """The trials that are run, and not reused, from here on."""
+    executed: list[Trial] = []
     run = trial.run
 
-    def counted(each: Trial) -> Outcome:
-        trials_run.append(each)
+    def record(each: Trial) -> Outcome:
+        executed.append(each)
         return run(each)
 
-    monkeypatch.setattr(trial, "run", counted)
-    return trials_run
+    monkeypatch.setattr(trial, "run", record)
+    return executed
 
 
-def stopping(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
-    """Simulate Ctrl-C during the trial after this many."""
+def interrupt(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    """Simulate Ctrl-C in the trial that follows `after` completed ones."""
     run, done = trial.run, []
 
-    def stopped(each: Trial) -> Outcome:
+    def interrupted(each: Trial) -> Outcome:
         if len(done) == after:
             raise KeyboardInterrupt
         done.append(each)
         return run(each)
 
-    monkeypatch.setattr(trial, "run", stopped)
+    monkeypatch.setattr(trial, "run", interrupted)
 
 
-def test_an_attack_that_would_begin_after_the_last_frame_is_named_and_has_no_success_rate(tmp_path: Path) -> None:
+def test_an_attack_that_would_begin_after_the_last_frame_is_reported_and_has_no_success_rate(tmp_path: Path) -> None:
     late = definition.load(str(write_small(tmp_path)), ["start_s=0.8"])
     outcome = trials.run(late, tmp_path / "out", count=1)
     assert [(each.configuration, each.begins_s, each.ends_s) for each in outcome.facts.idle] == [
@@ -86,7 +86,7 @@ def test_an_attack_that_begins_before_the_end_is_not_idle(whole: trials.StudyRes
     assert whole.facts.idle == ()
 
 
-def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row(whole: trials.StudyResult) -> None:
+def test_every_configuration_is_run_with_every_seed_and_every_metric_has_a_row(whole: trials.StudyResult) -> None:
     table = parquet.read_table(whole.out / "results.parquet").to_pydict()
     cells = set(zip(table["configuration"], table["seed"], strict=True))
     assert cells == {(label, seed) for label in ("baseline", "attacked-1-5.0", "attacked-1-20.0") for seed in (0, 1)}
@@ -111,45 +111,47 @@ def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.S
     }
 
 
-def test_column_names_of_tables_are_rejected_as_parameters(whole: trials.StudyResult) -> None:
-    """The columns of frames.parquet that all runs have; others as `grid.<name>`."""
+def test_reserved_parameter_names_are_the_column_names_of_the_tables(whole: trials.StudyResult) -> None:
+    """Of frames.parquet, only columns that all runs have are reserved."""
     columns = set((whole.out / "table.csv").read_text().splitlines()[0].split(","))
     columns |= set(parquet.read_schema(whole.out / "results.parquet").names)
     columns |= set(parquet.read_schema(whole.out / "frames.parquet").names) & definition.COLUMNS
     assert columns - {"n_adversaries", "false_positives"} == definition.COLUMNS
 
 
-def test_interrupted_study_resumes_without_repeating_trials(small, whole, monkeypatch, tmp_path: Path, ran) -> None:
+def test_interrupted_study_resumes_without_repeating_trials(
+    small, whole, monkeypatch, tmp_path: Path, trials_run
+) -> None:
     with monkeypatch.context() as patch:
-        stopping(patch, after=3)
+        interrupt(patch, after=3)
         with pytest.raises(Interrupted, match="--resume"):
             trials.run(small, tmp_path / "out", count=2)
-    assert len(ran) == 3
+    assert len(trials_run) == 3
     assert json.loads((tmp_path / "out" / "study.json").read_text())["status"] == "interrupted"
-    ran.clear()
+    trials_run.clear()
     trials.run(small, tmp_path / "out", count=2, resume=True)
-    assert len(ran) == 3
+    assert len(trials_run) == 3
     assert tables(tmp_path / "out") == tables(whole.out)
     assert (tmp_path / "out" / "report.html").read_bytes() == whole.report.read_bytes()
 
 
-def test_more_seeds_can_be_added_later(small, whole, tmp_path: Path, ran) -> None:
+def test_more_seeds_can_be_added_later(small, whole, tmp_path: Path, trials_run) -> None:
     trials.run(small, tmp_path / "out", count=1)
-    ran.clear()
+    trials_run.clear()
     trials.run(small, tmp_path / "out", count=2, resume=True)
-    assert {each.seed for each in ran} == {1}
+    assert {each.seed for each in trials_run} == {1}
     assert tables(tmp_path / "out") == tables(whole.out)
 
 
-def test_a_trial_with_a_broken_file_is_run_again(small, whole, tmp_path: Path, ran) -> None:
+def test_a_trial_with_a_broken_file_is_run_again(small, whole, tmp_path: Path, trials_run) -> None:
     trials.run(small, tmp_path / "out", count=2)
     files = sorted((tmp_path / "out" / "trials").iterdir())
     files[0].write_bytes(files[0].read_bytes()[:-20])
     files[1].unlink()
     (tmp_path / "out" / "trials" / ".half-written").write_bytes(b"PAR1")
-    ran.clear()
+    trials_run.clear()
     trials.run(small, tmp_path / "out", count=2, resume=True)
-    assert len(ran) == 2
+    assert len(trials_run) == 2
     assert tables(tmp_path / "out") == tables(whole.out)
     assert sorted((tmp_path / "out" / "trials").iterdir()) == files
 
@@ -165,7 +167,7 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
     with monkeypatch.context() as patch:
         patch.setattr(trial, "run", failing)
         outcome = trials.run(small, tmp_path / "out", count=2)
-    with pytest.raises(TrialsFailed, match="1 trials failed") as caught:
+    with pytest.raises(TrialsFailed, match="failed trials: 1;") as caught:
         outcome.raise_failures()
     (failed,) = outcome.facts.failed
     assert (failed.configuration, failed.seed, failed.error) == ("attacked-1-5.0", 1, "RunError: on purpose")
@@ -177,21 +179,21 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
         assert page.index("1 of 6 trials failed") < page.index("What the attack adds")
         assert "RunError: on purpose" in page
         assert failed.command in page
-    noted = json.loads((tmp_path / "out" / "study.json").read_text())
-    assert [each["error"] for each in noted["trials"] if "error" in each] == ["RunError: on purpose"]
+    record = json.loads((tmp_path / "out" / "study.json").read_text())
+    assert [each["error"] for each in record["trials"] if "error" in each] == ["RunError: on purpose"]
     trials.run(small, tmp_path / "out", count=2, resume=True).raise_failures()
 
 
 def test_the_command_of_a_trial_reproduces_its_numbers(small, whole, tmp_path: Path) -> None:
-    noted = json.loads((whole.out / "study.json").read_text())["trials"][-1]
-    words = shlex.split(noted["command"])
-    assert words[:2] == ["mast", "run"]
-    command = [sys.executable, "-m", "mast_zenoh", *words[1:], "--no-report", "--out", str(tmp_path / "run")]
+    record = json.loads((whole.out / "study.json").read_text())["trials"][-1]
+    arguments = shlex.split(record["command"])
+    assert arguments[:2] == ["mast", "run"]
+    command = [sys.executable, "-m", "mast_zenoh", *arguments[1:], "--no-report", "--out", str(tmp_path / "run")]
     subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
     alone = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    path = whole.out / "trials" / f"{noted['digest']}.parquet"
-    about = json.loads(parquet.read_schema(path).metadata[b"mast-zenoh"])
-    assert about["metrics"] == alone
+    path = whole.out / "trials" / f"{record['digest']}.parquet"
+    metadata = json.loads(parquet.read_schema(path).metadata[b"mast-zenoh"])
+    assert metadata["metrics"] == alone
 
 
 def test_worker_with_different_code_or_versions_runs_no_trial(small) -> None:
@@ -209,7 +211,7 @@ def test_an_ineffective_attack_has_zero_increments_in_every_frame(small, tmp_pat
     added = [
         (value, std)
         for metric, value, std in zip(table["metric"], table["value"], table["std"], strict=True)
-        if metric.endswith("_iob") and value is not None  # such as the least time to collision when none is due
+        if metric.endswith("_iob") and value is not None  # such as a minimum of no values
     ]
     assert len(added) > 2 * 2 * 30
     over_frames = {pair for pair in added if pair[1] is not None}
@@ -249,14 +251,14 @@ def test_configurations_with_a_scene_other_than_the_baselines_are_reported(tmp_p
     assert "more n_infrastructure=2: a different scene from the baseline" in outcome.report.read_text()
 
 
-def test_study_is_validated_before_the_first_trial(tmp_path: Path, ran) -> None:
+def test_study_is_validated_before_the_first_trial(tmp_path: Path, trials_run) -> None:
     (tmp_path / "mine.py").write_text(
         "def study():\n    return dict(runs=dict(a=dict(scenario='baseline'), b=dict(scenario='uncoordinated', "
         "grid=dict(n_adversary=[1]))), trials=1, frames=2)\n"
     )
     with pytest.raises(ConfigurationError, match="n_adversary: no such launch-time parameter; did you mean 'n_adv"):
         trials.run(definition.load(str(tmp_path / "mine.py")), tmp_path / "out", count=1)
-    assert ran == []
+    assert trials_run == []
     assert not (tmp_path / "out").exists()
 
 
@@ -297,7 +299,7 @@ def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, c
     assert "3 of 3 trials failed" in output.out
 
 
-def test_an_idle_worker_loads_no_drawing_table_or_mesh_library() -> None:
+def test_an_idle_worker_imports_no_plotting_table_or_mesh_library() -> None:
     code = (
         "import sys, mast_zenoh.study.trial\n"
         "print([n for n in ('matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats') if n in sys.modules])"

@@ -126,7 +126,7 @@ class Explode(Fizzle):
         (testing.check_metric, FirstBox(), "FirstBox with 1000 boxes .*: depends on the order of the boxes"),
         (testing.check_link_rule, Early(), "Early.apply: a message leaves before it arrives"),
         (testing.check_link_rule, Vanish(), "Vanish.fate: found 'vanished', expected one of dropped, delayed"),
-        (testing.check_fault, Fizzle(at=1.0, node="ego"), "Fizzle: has neither rules nor events"),
+        (testing.check_fault, Fizzle(at=1.0, node="ego"), "Fizzle: found neither rules nor events"),
         (testing.check_fault, Misspelt(at=1.0, node="ego"), r"Misspelt.rules\[0\].type: .*did you mean 'Loss'"),
         (testing.check_fault, Explode(at=1.0, node="ego"), "Explode.events: found 'explode', expected one of kill"),
     ],

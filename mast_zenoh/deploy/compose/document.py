@@ -1,7 +1,7 @@
 """A resolved scenario as a compose file: services for the router and every node.
 
-Nodes have no access to the host except to their credentials, and reach only the router: the run has two networks
-without external access, `wired` for static nodes and `wireless` for mobile agents and interposers on their wires.
+Nodes have no access to the host except to their credentials. They are on one of two networks without external access:
+`wired` for static nodes, and `wireless` for mobile agents and interposers on their wires. The router is on both.
 Pure functions.
 """
 
@@ -25,7 +25,7 @@ CREDENTIALS = "credentials"  # folder next to the file
 ROUTER = "router"
 ROUTER_SETTINGS = "router.json"
 PORT = 7447
-LABEL = "org.mast-zenoh.run"  # on all that belongs to a run
+LABEL = "org.mast-zenoh.run"  # on everything that belongs to a run
 
 _SECRETS = "/run/secrets"
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
@@ -57,7 +57,7 @@ def document(
 
     user:     UID:GID of all processes inside; on a secure mesh it must own the credentials
     environment: variables of all processes inside, besides the image's own
-    patience_s: how long nodes run without a launcher, s; disconnected nodes get their longest disconnection on top
+    patience_s: how long nodes run without a launcher, s; extended by the longest disconnection of each node
     cpus, memory: limits of each container
 
     Raises ConfigurationError for a node's name that Compose does not allow.
@@ -88,9 +88,9 @@ def document(
             },
         },
     )
-    waits = ["--patience", f"{patience_s:g}"]
+    patience = ["--patience", f"{patience_s:g}"]
     listen = levels.endpoint(secure, f"tcp/0.0.0.0:{PORT}")
-    command = ["--router", "--run", run, "--listen", listen, *waits]
+    command = ["--router", "--run", run, "--listen", listen, *patience]
     services: dict[str, Any] = {}
     files: dict[str, str] = {}
 
@@ -113,8 +113,8 @@ def document(
         services[ROUTER]["secrets"] = secrets(ROUTER, (ROUTER_SETTINGS,))
     credential_files = (AUTHORITY, CONTROL) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY, CONTROL)
     for name in resolved.nodes:
-        waits = ["--patience", f"{patience_s + cut_s(resolved, name):g}"]
-        command = ["--name", name, "--run", run, "--endpoint", endpoint, *waits]
+        patience = ["--patience", f"{patience_s + longest_disconnection_s(resolved, name):g}"]
+        command = ["--name", name, "--run", run, "--endpoint", endpoint, *patience]
         services[name] = {
             "<<": Merged("node"),
             "container_name": container(run, name),
@@ -139,7 +139,7 @@ def text(resolved: Resolved, run: str, **options: Any) -> str:
     secure = options.get("secure", "open")
     comment = (
         f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` wrote this file\n"
-        "# and starts it: a node gets what it needs from the launcher, over the mesh, and returns its results.\n"
+        "# and starts its services. Nodes get their configuration and return their results over the mesh.\n"
     )
     return comment + dump(document(resolved, run, **options))
 
@@ -148,7 +148,7 @@ def check_names(resolved: Resolved) -> None:
     """Raise ConfigurationError for a node whose name is not a valid service name."""
     for name in resolved.nodes:
         if not _NAME.fullmatch(name) or name == ROUTER:
-            problem = "the router's name" if name == ROUTER else "no name for a container"
+            problem = "the router's name" if name == ROUTER else "not a valid name for a container"
             raise ConfigurationError(f"node {name!r}: {problem}; expected letters, digits, `_`, `.` and `-`")
 
 
@@ -159,7 +159,7 @@ def is_mobile(resolved: Resolved, name: str) -> bool:
     return _is_mobile_agent(spec) or (agent is not None and _is_mobile_agent(agent))
 
 
-def cut_s(resolved: Resolved, name: str) -> float:
+def longest_disconnection_s(resolved: Resolved, name: str) -> float:
     """The longest disconnection of a node in the scenario, s of wall-clock time."""
     steps = [step for step in resolved.steps if step.node == name]
     pairs = [pair for pair in pairwise(steps) if pair[0].action == "disconnect"]

@@ -27,7 +27,7 @@ from mast_zenoh.security import levels
 
 _ROUTER_S = 60.0  # for the router to come up
 _MAKE_S = 600.0  # for docker-compose to make networks and containers
-_REMOVED_S = 20.0  # for networks and volumes to be free, and gone
+_REMOVAL_TIMEOUT_S = 20.0  # for networks and volumes to become unused and be removed
 
 
 class Compose(Engine):
@@ -112,7 +112,7 @@ class Compose(Engine):
         label = f"label={record['deployment']['label']}"
         if containers := docker("ps", "--all", "--quiet", "--filter", label).split():
             docker("rm", "--force", "--volumes", *containers)
-        deadline = time.monotonic() + _REMOVED_S
+        deadline = time.monotonic() + _REMOVAL_TIMEOUT_S
         for kind in ("network", "volume"):
             while left := docker(kind, "ls", "--quiet", "--filter", label).split():
                 # A container that ended a moment ago may still be on its networks.

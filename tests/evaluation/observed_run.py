@@ -16,15 +16,15 @@ from mast_zenoh.wiring.model import Passage
 PERIOD_NS = 100_000_000
 
 
-class Read(NamedTuple):
-    """Header and columns as a subscriber decodes them; None where it refuses them."""
+class Decoded(NamedTuple):
+    """Header and columns as a subscriber decodes them; None where it rejects them."""
 
     header: Header | None
     body: Body | None
 
 
-class Sent(NamedTuple):
-    """A relayed message: its content, and the frame of the run in which it leaves."""
+class SentCopy(NamedTuple):
+    """A sent message: its content, and the frame of the run in which it is sent."""
 
     content: bytes | Message
     step: int
@@ -38,28 +38,28 @@ class Arrival:
     content: bytes | Message
     step: int
     flaw: str
-    sent: list[Sent] = field(default_factory=list)
+    sent: list[SentCopy] = field(default_factory=list)
     received: Received | None = None
 
 
-class Watched(InProcess):
-    """Inputs and outputs of interposers.
+class ObservedRun(InProcess):
+    """A run in one process that records inputs and outputs of interposers.
 
     arrivals:  in order of arrival
     forgeries: messages that interposers published on their own wires, with the passage
     """
 
-    def __init__(self, resolved: Any, **more: Any) -> None:
+    def __init__(self, resolved: Any, **options: Any) -> None:
         self.arrivals: list[Arrival] = []
-        self.forgeries: list[tuple[Passage, Sent]] = []
-        self._ways: dict[str, list[Passage]] = {}
-        super().__init__(resolved, **more)
+        self.forgeries: list[tuple[Passage, SentCopy]] = []
+        self._passages_by_key: dict[str, list[Passage]] = {}
+        super().__init__(resolved, **options)
         self.sources = {wire.key: wire.legs[0].publisher.node for wire in self._wiring.wires}
         self.passages = tuple(self._wiring.passages())
         for passage in self.passages:
-            self._ways.setdefault(passage.received, []).append(passage)
+            self._passages_by_key.setdefault(passage.received, []).append(passage)
 
-    def read(self, passage: Passage, content: bytes | Message, flaw: str = "") -> Read:
+    def read(self, passage: Passage, content: bytes | Message, flaw: str = "") -> Decoded:
         """The content of a message as subscribers of a wire decode it."""
         header = None
         try:
@@ -68,16 +68,16 @@ class Watched(InProcess):
             else:
                 header = codec.decode_header_only(content, passage.message)
             if header.source != self.sources[passage.wire]:
-                return Read(None, None)
+                return Decoded(None, None)
             if isinstance(content, bytes):
-                return Read(header, codec.decode(content, passage.message).body)
+                return Decoded(header, codec.decode(content, passage.message).body)
             codec.check_values(content)
-            return Read(header, None if flaw else content.body)
+            return Decoded(header, None if flaw else content.body)
         except MessageError:
-            return Read(header, None)
+            return Decoded(header, None)
 
     def _enqueue(self, message: Outgoing) -> None:
-        for passage in self._ways.get(message.key, ()):
+        for passage in self._passages_by_key.get(message.key, ()):
             self.arrivals.append(Arrival(passage, message.payload, message.step, message.flaw))
         super()._enqueue(message)
 
@@ -85,36 +85,36 @@ class Watched(InProcess):
         host = super()._build_host(name)
         passages = [passage for passage in self._wiring.passages() if passage.node == name]
         if passages:
-            self._watch(host, passages)
+            self._record_calls(host, passages)
         return host
 
-    def _watch(self, host: Host, passages: list[Passage]) -> None:
+    def _record_calls(self, host: Host, passages: list[Passage]) -> None:
         """Record every call of relay and publish on the context of a node."""
-        relay, publish, out = host.relay, host.publish, host._send_payload
-        leaving: list[tuple[bytes | Message, float]] = []
+        relay, publish, send_payload = host.relay, host.publish, host._send_payload
+        payloads: list[tuple[bytes | Message, float]] = []
 
-        def noted(key: str, payload: bytes | Message, flaw: str = "", after_s: float = 0.0) -> None:
-            leaving.append((payload, after_s))
-            out(key, payload, flaw, after_s)
+        def record_payload(key: str, payload: bytes | Message, flaw: str = "", after_s: float = 0.0) -> None:
+            payloads.append((payload, after_s))
+            send_payload(key, payload, flaw, after_s)
 
         def step(received: Received | None) -> int:
             return host.frame if host.clocked else max(host._step, received.step if received else -1)
 
-        def relayed(port: str, received: Received, *arguments: Any, **more: Any) -> None:
-            leaving.clear()
-            relay(port, received, *arguments, **more)
+        def record_relay(port: str, received: Received, *arguments: Any, **options: Any) -> None:
+            payloads.clear()
+            relay(port, received, *arguments, **options)
             arrival = self._arrival(host.name, received)
-            for content, after_s in leaving:
-                arrival.sent.append(Sent(content, step(received) + round(after_s * 1e9) // PERIOD_NS))
+            for content, after_s in payloads:
+                arrival.sent.append(SentCopy(content, step(received) + round(after_s * 1e9) // PERIOD_NS))
 
-        def published(port: str, *arguments: Any, **more: Any) -> None:
-            leaving.clear()
-            publish(port, *arguments, **more)
+        def record_publish(port: str, *arguments: Any, **options: Any) -> None:
+            payloads.clear()
+            publish(port, *arguments, **options)
             for passage in passages:
                 if host._key(port, passage.subject) == passage.sent:
-                    self.forgeries += [(passage, Sent(content, step(None))) for content, _ in leaving]
+                    self.forgeries += [(passage, SentCopy(content, step(None))) for content, _ in payloads]
 
-        host.relay, host.publish, host._send_payload = relayed, published, noted  # type: ignore[method-assign]
+        host.relay, host.publish, host._send_payload = record_relay, record_publish, record_payload  # type: ignore[method-assign]
 
     def _arrival(self, name: str, received: Received) -> Arrival:
         """The first undelivered arrival whose content equals `received`."""
