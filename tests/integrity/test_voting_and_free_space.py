@@ -123,12 +123,21 @@ def test_a_confirmed_object_outlasts_a_moment_of_contradiction() -> None:
     assert not withheld(FreeSpace(), *seen, batch(at_origin("a"), AGENTS, EMPTY, frame=20))
 
 
-@pytest.mark.parametrize(("displaced", "refuted"), [(0.4, False), (1.4, True)])
-def test_an_object_that_is_displaced_by_less_than_half_its_width_is_not_seen_through(
-    displaced: float, refuted: bool
+@pytest.mark.parametrize(
+    ("size", "displaced", "refuted"),
+    [
+        ((4.5, 1.8, 1.5), 0.8, False),
+        ((4.5, 1.8, 1.5), 2.4, True),
+        ((0.6, 0.6, 1.75), 0.8, False),
+        ((0.6, 0.6, 1.75), 1.8, True),
+    ],
+)
+def test_an_object_that_is_displaced_by_its_tracks_error_is_not_seen_through(
+    size: tuple[float, float, float], displaced: float, refuted: bool
 ) -> None:
-    views = {"a": view(PLACES["a"], (0.0, displaced, 0.9)), "b": view(PLACES["b"], (0.0, displaced, 0.9))}
-    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views)) is refuted
+    half_width = 0.5 * size[1]
+    views = {name: view(PLACES[name], (0.0, displaced, half_width)) for name in ("a", "b")}
+    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views, size={0: size})) is refuted
 
 
 def test_an_old_view_shows_where_an_object_was() -> None:
