@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from integrity_batches import Track, batch
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion import CovarianceIntersectionFusion
 from mast_zenoh.integrity import Batch, RobustFusion
 from mast_zenoh.integrity.robust_fusion import leave_one_out, median_weights
-from tests.integrity.batches import Track, batch
 
 AGENTS = ("a", "b", "c", "d")
 

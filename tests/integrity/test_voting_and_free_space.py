@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.free_space import seen_through
 from mast_zenoh.integrity.record import Record
-from tests.integrity.batches import STEP_NS, Track, batch, view
 
 AGENTS = ("a", "b", "c", "d")
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
