@@ -12,13 +12,12 @@ from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import ObjectMemory
 from mast_zenoh.integrity.record import Record
 from mast_zenoh.integrity.views import SweptView
-from mast_zenoh.integrity.visibility import BEFORE_M, BEHIND_M, FAR_M, OWN_M, Sightings, sightings
+from mast_zenoh.integrity.visibility import BEFORE_M, BEHIND_M, FAR_M, OUTSIDE_M, OWN_M, Sightings, sightings
 
-#: Sample points of a box, in half lengths and half widths, and in half heights.
-_ACROSS, _UP = (-1.0, 0.0, 1.0), (-0.3, 0.4)
-#: Share of a box that must be in free space: two of three columns of sample points. A box that is displaced by less
-#: than half its width hides as many.
-_SHARE = 2.0 / 3.0 - 1e-9
+#: m, by which the position of an honest track may be wrong.
+_ERROR_M = OUTSIDE_M
+#: Sample points of the space around a box, in halves of its length and width, and in half heights of the box.
+_ACROSS, _UP = (-1.0, -0.5, 0.0, 0.5, 1.0), (-0.3, 0.4)
 
 
 class FreeSpace(Integrity):
@@ -35,9 +34,9 @@ class FreeSpace(Integrity):
         distance at which they give as many returns
     record_s: s, after which evidence counts 1/e in an agent's trust
 
-    An agent sees through an object if two thirds of its box are in the agent's free space, as in CAD, which compares
-    areas; `Sightings.swept`, all of the box and 0.8 m around it, misses a quarter of the phantoms in traffic. A dispute
-    of one agent that reports and one that sees through counts against neither (TrustFlip, arXiv 2605.22122).
+    An agent sees through an object if most of the box and of 0.8 m around it is in the agent's free space. CAD, too,
+    compares areas: `Sightings.swept`, all of that space, misses a quarter of the phantoms in traffic. A dispute of one
+    agent that reports and one that sees through counts against neither (TrustFlip, arXiv 2605.22122).
 
     Weaknesses: a liar that forges its view, too, needs as many honest views against it as liars report the object; a
     phantom that no other agent sees the place of is accepted, as are displacements below the tolerance; liars that
@@ -116,12 +115,17 @@ def occupied(boxes: ClusterBoxes, seen: Sightings, views: Sequence[SweptView | N
 
 
 def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
-    """(c, a) whether the agent's sensor sees through most of a box, up to FAR_M.
+    """(c, a) whether the agent's sensor sees through a box and the space around it, up to FAR_M.
+
+    A box that is displaced by _ERROR_M or less, e, still hides a share of w / (w + e) of its surroundings, w half its
+    width, from any side. It is seen through if less than half as much is hidden.
 
     A view that is older than the boxes shows the places where they were then.
     """
     through = np.zeros((len(boxes.yaw), len(views)), np.bool_)
     points = _points(boxes)
+    half_width = 0.5 * np.minimum(boxes.size[:, 0], boxes.size[:, 1])
+    needed = 1.0 - 0.5 * half_width / (half_width + _ERROR_M)
     for column, view in enumerate(views):
         if view is None or view.free.size == 0 or len(points) == 0:
             continue
@@ -130,15 +134,15 @@ def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bool
         with np.errstate(invalid="ignore"):
             share = (free > distance + BEHIND_M).reshape(points.shape[:2]).mean(axis=1)
         away = np.hypot(*((boxes.position - moved)[:, :2] - view.view.position[:2]).T)
-        through[:, column] = (share >= _SHARE) & (away > OWN_M) & (away <= FAR_M)
+        through[:, column] = (share > needed) & (away > OWN_M) & (away <= FAR_M)
     return through
 
 
 def _points(boxes: ClusterBoxes) -> Floats:
-    """(c, p, 3) sample points of boxes, m, world frame."""
+    """(c, p, 3) sample points of boxes and the space around them, m, world frame."""
     along, across, up = (part.ravel() for part in np.meshgrid(_ACROSS, _ACROSS, _UP, indexing="ij"))
     half = 0.5 * boxes.size[:, None, :]
-    x, y = along * half[..., 0], across * half[..., 1]
+    x, y = along * (half[..., 0] + _ERROR_M), across * (half[..., 1] + _ERROR_M)
     c, s = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
     local = np.stack([c * x - s * y, s * x + c * y, up * half[..., 2]], axis=-1)
     return np.asarray(boxes.position[:, None, :] + local)

@@ -54,8 +54,9 @@ class Plausibility(Integrity):
 
     F2MD also compares claims with the true positions of other vehicles, which no receiver knows: that is left out.
 
-    Weaknesses: phantoms that keep to the limits are accepted `gap_s` after they appear; a real object that comes out
-    of a blind spot which no view shows is withheld for as long; agents are never excluded.
+    Weaknesses: phantoms that keep to the limits are accepted `gap_s` after they appear, and tracks that claim large
+    covariances may move as they like; a real object that comes out of a blind spot which no view shows is withheld for
+    `gap_s`; agents are never excluded.
     """
 
     def __init__(
@@ -173,7 +174,7 @@ class Plausibility(Integrity):
 
 def _states(batch: Batch, boxes: ClusterBoxes, use: Bools) -> Floats:
     """(c, 8) x y vx vy of boxes, and the mean variances of their members' x y vx vy."""
-    variance = batch.states.covariance[:, [0, 1, 6, 7], [0, 1, 6, 7]]
+    variance = np.maximum(batch.states.covariance[:, [0, 1, 6, 7], [0, 1, 6, 7]], 0.0)
     used = np.where(use.any(axis=1, keepdims=True), use, batch.reported)
     count = np.maximum(used.sum(axis=1), 1)[:, None]
     mean = np.where(used[..., None], variance[batch.member], 0.0).sum(axis=1) / count

@@ -7,6 +7,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
 from mast_zenoh.integrity.record import Record
+from mast_zenoh.tracking.covariance_repair import make_positive_definite
 
 #: Rows of the state that members are compared by, in COVARIANCE_ORDER: x y vx vy.
 _COMPARED = np.array([0, 1, 6, 7])
@@ -64,7 +65,7 @@ class RobustFusion(Integrity):
     def assess(self, batch: Batch) -> Assessment:
         reported: Bools = batch.reported
         state = np.column_stack([batch.states.position[:, :2], batch.states.velocity[:, :2]])[batch.member]
-        claimed = batch.states.covariance[:, _COMPARED[:, None], _COMPARED][batch.member]
+        claimed = make_positive_definite(batch.states.covariance)[:, _COMPARED[:, None], _COMPARED][batch.member]
         covariance = claimed + self._bias
         kept = self._without_outliers(reported, state, covariance)
         judged = reported & (reported.sum(axis=1) > 2)[:, None]

@@ -18,8 +18,8 @@ class FreeSpaceVeto(MissionEstimator):
     Own tracks are never left out. Agents must have a sweep in each frame (keyexpr_maps/views.toml); without one,
     nothing is left out.
 
-    Weaknesses: objects that the sensor does not see the place of, that are displaced by less than half their width, or
-    that are more than 70 m away stay.
+    Weaknesses: objects stay that the sensor does not see the place of, that are displaced by less than about a metre,
+    or that are more than 70 m away.
     """
 
     def __init__(self, *, mission: MissionEstimator) -> None:

@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 import pytest
+from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Mate
 from mast_zenoh.integrity.mate import forgotten, increments, silence_weight, standard_deviation
-from tests.integrity.batches import STEP_NS, Track, batch, view
 
 #: Sensors 20 m from the origin.
 VIEWS = {"a": view((-20.0, 0.0)), "b": view((20.0, 0.0)), "c": view((0.0, 20.0)), "d": view((0.0, -20.0))}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from integrity_batches import CAR, view
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity import SweptView
 from mast_zenoh.pipelines import FreeSpaceVeto, MissionEstimator, PictureFirst
-from tests.integrity.batches import CAR, view
 
 
 def cars(*places: tuple[float, float]) -> ObjectStates:

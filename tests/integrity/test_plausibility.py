@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import Assessment, Batch, Plausibility
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.plausibility import overlapping
-from tests.integrity.batches import Track, batch, view
 
 AGENTS = ("a", "b", "c")
 #: Objects that make the scene ordinary.

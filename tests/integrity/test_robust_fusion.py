@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from integrity_batches import Track, batch
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion import CovarianceIntersectionFusion
 from mast_zenoh.integrity import Batch, RobustFusion
 from mast_zenoh.integrity.robust_fusion import leave_one_out, median_weights
-from tests.integrity.batches import Track, batch
 
 AGENTS = ("a", "b", "c", "d")
 
@@ -94,3 +94,15 @@ def test_nothing_is_withheld_and_lone_tracks_keep_their_weight() -> None:
     assert not assessment.objects.withheld.any()
     assert assessment.weights is not None
     assert (assessment.weights > 0.0).all()
+
+
+def test_an_impossible_covariance_breaks_nothing() -> None:
+    each = batch([("a", 0, (0.0, 0.0)), ("b", 0, (0.1, 0.0)), ("c", 0, (0.0, 0.1))], AGENTS)
+    for factor in (-1.0, 0.0, 1e30):
+        covariance = each.states.covariance.copy()
+        covariance[2] *= factor
+        covariance[1] = -covariance[0] - np.diag([0.09, 0.09, 0, 0, 0, 0, 0.25, 0.25, 0.0])
+        states = each.states.with_(covariance=covariance)
+        found = weights(RobustFusion(), Batch(0, states, each.agent, each.labels, each.agents, each.views))
+        assert np.isfinite(found).all(), factor
+        assert (found >= 0.0).all(), factor

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.free_space import seen_through
 from mast_zenoh.integrity.record import Record
-from tests.integrity.batches import STEP_NS, Track, batch, view
 
 AGENTS = ("a", "b", "c", "d")
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
@@ -123,12 +123,21 @@ def test_a_confirmed_object_outlasts_a_moment_of_contradiction() -> None:
     assert not withheld(FreeSpace(), *seen, batch(at_origin("a"), AGENTS, EMPTY, frame=20))
 
 
-@pytest.mark.parametrize(("displaced", "refuted"), [(0.4, False), (1.4, True)])
-def test_an_object_that_is_displaced_by_less_than_half_its_width_is_not_seen_through(
-    displaced: float, refuted: bool
+@pytest.mark.parametrize(
+    ("size", "displaced", "refuted"),
+    [
+        ((4.5, 1.8, 1.5), 0.8, False),
+        ((4.5, 1.8, 1.5), 2.4, True),
+        ((0.6, 0.6, 1.75), 0.8, False),
+        ((0.6, 0.6, 1.75), 1.8, True),
+    ],
+)
+def test_an_object_that_is_displaced_by_its_tracks_error_is_not_seen_through(
+    size: tuple[float, float, float], displaced: float, refuted: bool
 ) -> None:
-    views = {"a": view(PLACES["a"], (0.0, displaced, 0.9)), "b": view(PLACES["b"], (0.0, displaced, 0.9))}
-    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views)) is refuted
+    half_width = 0.5 * size[1]
+    views = {name: view(PLACES[name], (0.0, displaced, half_width)) for name in ("a", "b")}
+    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views, size={0: size})) is refuted
 
 
 def test_an_old_view_shows_where_an_object_was() -> None:
