@@ -19,6 +19,8 @@ def resolved():
 def observation(*places: tuple[float, float], x: float = 0.0) -> dict[str, np.ndarray]:
     return states(*places).columns() | {
         "agent_position": np.array([x, 0.0, 0.0]),
+        "agent_rotation": np.array([1.0, 0.0, 0.0, 0.0]),
+        "agent_velocity": np.zeros(3),
         "sensor_position": np.array([x, 0.0, 2.0]),
         "sensor_rotation": np.eye(3),
         "azimuth": np.array([-np.pi, np.pi]),
