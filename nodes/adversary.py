@@ -48,6 +48,7 @@ class Victim:
         self.views: deque[Received] = deque()  # claimed views that wait for the lies of their frame
         self.attacked: deque[int] = deque(maxlen=POSES_KEPT)  # frames whose lies are known
         self.heard = {"picture": -1, "trust": -1}  # frames of arrival of what its attack has heard
+        self.reports: list[tuple[Received, Changes]] = []  # that have not been published
 
     def store_pose(self, frame: int, pose: Body) -> None:
         """Store the true pose of a frame; the first one counts."""
@@ -137,6 +138,7 @@ class Adversary(Node):
                     self.forward(victim, queue.popleft(), context)
             while victim.views:
                 self.attack_view(victim, victim.views.popleft(), context)
+        self.publish_reports(context)
 
     def on_pose(self, received: Received, context: Context) -> None:
         """Store the victim's pose, forward it if it is on its way, and attack the messages that waited for it."""
@@ -222,7 +224,7 @@ class Adversary(Node):
             context.relay("pose_out", received)
         else:
             context.relay("pose_out", received, {**received.body, "position": forged})
-            self.report(Changes.of_message(position, forged), received, context)
+            self.report(victim, Changes.of_message(position, forged), received, context)
 
     def attack_view(self, victim: Victim, received: Received, context: Context) -> None:
         """Forward a view, with the free space that the attack wants; an implausible one is forwarded unchanged."""
@@ -232,7 +234,7 @@ class Adversary(Node):
             context.relay("view_out", received)
         else:
             context.relay("view_out", received, {**received.body, "free": forged.free})
-            self.report(Changes.of_message(swept.view.position, swept.view.position), received, context)
+            self.report(victim, Changes.of_message(*[swept.view.position] * 2), received, context)
 
     def attack_detections(self, victim: Victim, received: Received, pose: Body, context: Context) -> None:
         """Tamper with detections in the world frame; untouched rows keep their bytes."""
@@ -322,12 +324,24 @@ class Adversary(Node):
         directive = latest[1] if latest else None
         tampering = victim.attack.step(received.frame, received.time_ns, objects, pose["position"], directive)
         if len(tampering.report):
-            self.report(tampering.report, received, context)
+            self.report(victim, tampering.report, received, context)
         return tampering
 
-    def report(self, changes: Changes, received: Received, context: Context) -> None:
-        """Tell the evaluator what was changed in a message."""
-        context.publish("report", changes.columns(), frame=received.frame, time_ns=received.time_ns)
+    def report(self, victim: Victim, changes: Changes, received: Received, context: Context) -> None:
+        """Tell the evaluator what was changed in a message.
+
+        Messages of several agents arrive in any order: their reports wait for the next clock, to be sent in one order.
+        """
+        victim.reports.append((received, changes))
+        if len(self.victims) == 1:
+            self.publish_reports(context)
+
+    def publish_reports(self, context: Context) -> None:
+        """Publish the reports that wait, agent by agent."""
+        for victim in self.victims.values():
+            for received, changes in victim.reports:
+                context.publish("report", changes.columns(), frame=received.frame, time_ns=received.time_ns)
+            victim.reports.clear()
 
     def tell(self, victim: Victim, context: Context) -> None:
         """Tell the attack the newest picture and trust from an earlier frame, once each."""

@@ -19,6 +19,8 @@ CANDIDATES = 128
 FREE_PATH_S, PATH_SAMPLES = 10.0, 8
 #: A candidate is accepted at once if its free path allows this fraction of the drawn speed.
 ACCEPTED_SPEED_FRACTION = 0.7
+#: m/s, least speed of a false object: its velocity gives its heading.
+SLOWEST_MPS = 1e-3
 #: m, σ of the lateral offset from the ego's path.
 LATERAL_STD_M = 0.3
 #: m, half the width of a lane: maximum distance from the ego's path.
@@ -157,7 +159,7 @@ class _Checked(Region):
         speed = np.minimum(candidates.speed, max_speed_within(free_distance))
         accepted = (speed >= ACCEPTED_SPEED_FRACTION * candidates.speed).nonzero()[0]
         best = int(accepted[0]) if len(accepted) else int(np.argmax(speed))
-        return int(rows[best]), float(speed[best])
+        return int(rows[best]), max(float(speed[best]), SLOWEST_MPS)
 
 
 class InView(_Checked):
