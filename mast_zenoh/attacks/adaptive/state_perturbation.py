@@ -67,7 +67,8 @@ class StatePerturbation(AdaptiveAttack):
         )
         told = np.zeros(len(rows), bool)
         for name in _CHANGED:
-            told |= (getattr(real, name) != getattr(claims, name)).reshape(len(rows), -1).any(axis=1)
+            differs = getattr(real, name) != getattr(claims, name)
+            told |= differs.any(axis=tuple(range(1, differs.ndim)))
         return Lies(changed=rows[told], claims=claims.select(told), changed_number=numbers[told])
 
 
