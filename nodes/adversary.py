@@ -21,7 +21,6 @@ from mast_zenoh.attacks.campaign import COUNTS, shortfall
 from mast_zenoh.attacks.knowledge import Trust
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.attacks.targets import Changes
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.views import SweptView, check_view
 from mast_zenoh.messages.schemas import Body
@@ -109,9 +108,6 @@ class Adversary(Node):
 
     def start(self, context: Context) -> None:
         """Initialise the random streams."""
-        if len(self.victims) > 1 and context.connected("observation"):
-            agents = ", ".join(self.victims)
-            raise ConfigurationError(f"{context.name}.agent: found {agents}, expected one agent: it is coordinated")
         ports = {source.port for source in context.subscriptions.values()}
         self.last_wire = next((port for port in ("tracks", "detections") if port in ports), "")
         for name, victim in self.victims.items():

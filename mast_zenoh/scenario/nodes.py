@@ -50,6 +50,11 @@ def nodes_of(
     adversaries = scenario.get("adversaries", {})
     for name, config in _checked_configs(adversaries, f"{path}: adversaries"):
         add(name, "adversary", config)
+        if len(specs[name].agents) > 1 and scenario.get("coordinator") is not None:
+            raise ConfigurationError(
+                f"{path}: adversaries.{name}.agent: found {', '.join(specs[name].agents)}, expected one agent: "
+                "a coordinator directs it"
+            )
         for agent_name in specs[name].agents or ("None",):
             if agent_name not in agents:
                 raise ConfigurationError(
