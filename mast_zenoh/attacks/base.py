@@ -30,13 +30,13 @@ class Attack(ABC):
     def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:  # noqa: B027 (a hook)
         """Take note of a picture that arrived in an earlier frame: n fused objects, world frame.
 
-        For adversaries that listen to the picture (`knowledge_picture.toml`).
+        For adversaries that listen to the picture (`keyexpr_maps/knowledge_picture.toml`).
         """
 
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:  # noqa: B027 (a hook)
         """Take note of the command centre's trust, which arrived in an earlier frame.
 
-        For adversaries that listen to it (`knowledge_trust.toml`).
+        For adversaries that listen to it (`keyexpr_maps/knowledge_trust.toml`).
         """
 
     def counts(self) -> dict[str, int]:
