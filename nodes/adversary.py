@@ -84,6 +84,7 @@ class Adversary(Node):
         "trust": "trust",
         "directive": "directive",
     }
+    listening = ("overheard_picture", "trust")
     outputs = {
         "pose_out": "pose",
         "detections_out": "detections",

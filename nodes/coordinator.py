@@ -30,6 +30,7 @@ class Coordinator(Node):
 
     role = "coordinator"
     inputs = {"clock": "clock", "observations": "observation", "overheard_picture": "picture", "trust": "trust"}
+    listening = ("overheard_picture", "trust")
     outputs = {"directive": "directive"}
 
     def __init__(

@@ -23,12 +23,15 @@ Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """
 
 from mast_zenoh.attacks.adaptive import (
+    AdaptiveAttack,
     BlindSpot,
     ColludingSelection,
     Collusion,
     Framing,
     GhostAhead,
+    Lies,
     Mimic,
+    Moment,
     PoseDrift,
     Replay,
     Sleeper,
@@ -50,6 +53,7 @@ from mast_zenoh.attacks.targets import ACTIONS, Changes, Tampering, Targets
 
 __all__ = [
     "ACTIONS",
+    "AdaptiveAttack",
     "Attack",
     "BlindSpot",
     "Changes",
@@ -65,8 +69,10 @@ __all__ = [
     "Framing",
     "GhostAhead",
     "Imitation",
+    "Lies",
     "MarkovPropagation",
     "Mimic",
+    "Moment",
     "PassThrough",
     "PoseDrift",
     "Propagation",

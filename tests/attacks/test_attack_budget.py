@@ -8,8 +8,21 @@ from attack_worlds import SECOND, world
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.attacks import BlindSpot, Framing, Replay, Sleeper, SlowDrift, StatePerturbation, Surroundings
+from mast_zenoh.arrays.states import propagate
+from mast_zenoh.attacks import (
+    AdaptiveAttack,
+    BlindSpot,
+    Framing,
+    Lies,
+    Moment,
+    Replay,
+    Sleeper,
+    SlowDrift,
+    StatePerturbation,
+    Surroundings,
+)
 from mast_zenoh.attacks.adaptive.budget import SAVED_S, Budget
+from mast_zenoh.testing import check_attack
 
 
 def spent(rate: float, wanted: list[int], period_s: float = 0.1) -> list[int]:
@@ -76,8 +89,25 @@ def test_attacks_keep_to_their_budget(make, budget: float) -> None:
     attack.bind(0, "adversary_1")
     lies = 0
     for frame in range(60):
-        lies += len(attack.step(frame, frame * SECOND // 10, world(12), np.zeros(3)).report)
+        objects = propagate(world(12), 0.1 * frame)
+        lies += len(attack.step(frame, frame * SECOND // 10, objects, np.zeros(3)).report)
     assert 0 < lies <= round(budget * 5.1 * 10)
+
+
+class HideNearest(AdaptiveAttack):
+    """Hides the objects nearest to the victim."""
+
+    def lie(self, moment: Moment) -> Lies:
+        distance = np.linalg.norm(moment.seen.position - moment.position, axis=1)
+        rows = np.argsort(distance, kind="stable")[: self.budget.admit(0, len(distance))]
+        return Lies(hidden=rows, hidden_number=moment.seen.id[rows])
+
+
+def test_an_attack_of_ones_own_needs_one_method() -> None:
+    check_attack(HideNearest())
+    attack = HideNearest(budget=3.0, start_s=1.0)
+    kept = [len(attack.step(f, f * SECOND // 10, world(12), np.zeros(3)).applied_to(world(12))) for f in range(20)]
+    assert kept == [12] * 10 + [9] * 10
 
 
 def test_framing_without_anybody_to_frame_is_honest() -> None:

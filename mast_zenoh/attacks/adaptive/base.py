@@ -30,6 +30,8 @@ GATE_M = 6.0
 ID_GAP = 1000
 #: m; a smaller displacement leaves an object in its place.
 SAME_PLACE_M = 1e-6
+#: Absolute and relative difference of numbers that are equal on the wires.
+TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +83,9 @@ class Lies:
 class AdaptiveAttack(Attack):
     """Base of attacks with a budget, whose claimed views agree with their lies.
 
+    A subclass says in `lie` what to claim in a message, at most as many lies as `budget.admit` allows; it may learn in
+    `observe`. `numbers` gives unused numbers for targets, `stream` random numbers, `known_objects` the picture.
+
     budget:  lies per second: one lie is one object inserted, hidden or changed for one second
     start_s: s of scene time at which the attack begins
     """
@@ -88,10 +93,10 @@ class AdaptiveAttack(Attack):
     #: while it is dormant it observes and saves its budget, and tells no lies
     dormant = False
 
-    def __init__(self, *, budget: float, start_s: float) -> None:
+    def __init__(self, *, budget: float = 2.0, start_s: float = 4.0) -> None:
         check_start(start_s)
         self._start_ns = round(start_s * NANOSECONDS)
-        self._budget = Budget(budget)
+        self.budget = Budget(budget)
         self._ids = ForgedIds(ID_GAP)
         self._follower = Follower(GATE_M)
         self._forger = ViewForger()
@@ -133,40 +138,41 @@ class AdaptiveAttack(Attack):
         coverage = Coverage(self._surroundings, (view,), time_ns / NANOSECONDS, self._fused)
         established = self._follower.established(ESTABLISHED)
         moment = Moment(frame, time_ns, elapsed_s, seen, established, coverage, view, agent_position)
-        self._observe(moment)
+        self.observe(moment)
         if time_ns < self._start_ns:
             return Tampering.nothing(len(objects))
-        self._budget.advance(elapsed_s)
+        self.budget.advance(elapsed_s)
         if self.dormant:
-            self._rest()
+            self.rest()
             return Tampering.nothing(len(objects))
-        tampering = self._tampering(self._lie(moment), seen, order)
-        self._budget.spend(len(tampering.report))
+        tampering = self._tampering(self.lie(moment), seen, order)
+        self.budget.spend(len(tampering.report))
         self._forger.remember(frame, objects, tampering)
         return tampering
 
     def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
         return self._forger.forge(frame, swept)
 
-    def _observe(self, moment: Moment) -> None:
+    def observe(self, moment: Moment) -> None:
         """Learn from a message, also before the attack begins."""
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         """Forget the lies that have begun: the attack is dormant."""
 
     @abstractmethod
-    def _lie(self, moment: Moment) -> Lies:
-        """What to claim in a message; at most as many lies as `_budget` admits."""
+    def lie(self, moment: Moment) -> Lies:
+        """What to claim in a message; at most as many lies as `budget` admits."""
 
-    def _stream(self, *purpose: str | int) -> np.random.Generator:
+    def stream(self, *purpose: str | int) -> np.random.Generator:
+        """The random numbers for a purpose, see `streams.stream`."""
         return stream(self._seed, self._surroundings.scene, self._name, *purpose)
 
-    def _numbers(self, count: int) -> Ints:
+    def numbers(self, count: int) -> Ints:
         """(count,) unused numbers of targets."""
         self._numbers_used += count
         return np.arange(self._numbers_used - count, self._numbers_used, dtype=np.int64)
 
-    def _known_objects(self, moment: Moment) -> ObjectStates:
+    def known_objects(self, moment: Moment) -> ObjectStates:
         """The objects of the newest picture at the time of a message; none without a picture."""
         if self._picture is None:
             return ObjectStates.empty()
@@ -175,11 +181,12 @@ class AdaptiveAttack(Attack):
 
     def _tampering(self, lies: Lies, seen: ObjectStates, order: Ints) -> Tampering:
         """The changes to a message; order: (n,) the row of each seen object in it."""
-        before = seen.select(lies.changed)
-        claims = lies.claims.with_(id=before.id) if len(before) else before
+        told = _differs(seen.select(lies.changed), lies.claims)
+        before = seen.select(lies.changed[told])
+        claims = lies.claims.select(told).with_(id=before.id) if len(before) else before
         keep = np.ones(len(order), bool)
         keep[order[lies.hidden]] = False
-        numbers = [lies.inserted.id, lies.hidden_number, lies.changed_number]
+        numbers = [lies.inserted.id, lies.hidden_number, lies.changed_number[told]]
         report = Changes.of(lies.inserted, seen.select(lies.hidden), before, claims, numbers)
         action = report.action.copy()
         if len(before):
@@ -187,9 +194,19 @@ class AdaptiveAttack(Attack):
             action[len(action) - len(before) :] = np.where(same_place, ALTERED, MOVED)
         return Tampering(
             keep=keep,
-            moved_index=order[lies.changed],
+            moved_index=order[lies.changed[told]],
             moved=claims,
             added=lies.inserted.with_(id=self._ids.of(lies.inserted.id)) if len(lies.inserted) else lies.inserted,
             report=replace(report, action=action),
             targets=Targets(lies.inserted, seen.select(lies.hidden), before, claims.position - before.position),
         )
+
+
+def _differs(before: ObjectStates, claims: ObjectStates) -> Bools:
+    """(m,) whether anything but the id of an object is changed."""
+    result = np.zeros(len(before), bool)
+    columns, claimed = before.columns(), claims.columns()
+    for name in columns.keys() - {"id"} if len(before) else ():
+        same = np.isclose(columns[name], claimed[name], rtol=TOLERANCE, atol=TOLERANCE)
+        result |= ~same.all(axis=tuple(range(1, same.ndim)))
+    return result

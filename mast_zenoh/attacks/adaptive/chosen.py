@@ -23,7 +23,7 @@ class ChosenObjects:
     """
 
     def __init__(self, follower: Follower, budget: Budget, numbers: Callable[[int], Ints]) -> None:
-        self._follower, self._budget, self._numbers = follower, budget, numbers
+        self._follower, self.budget, self.numbers = follower, budget, numbers
         self._targets = ObjectStates.empty()
         self._seen_ns: Ints = np.zeros(0, np.int64)
 
@@ -42,7 +42,7 @@ class ChosenObjects:
         given_up = (row >= 0) & ~np.isfinite(cost[row]) if len(cost) else np.zeros(len(row), bool)
         given_up |= moment.time_ns - self._seen_ns > UNSEEN_S * 1e9
         row = self._keep(~given_up, row)
-        allowed = self._budget.admit(len(row), len(row) + len(cost))
+        allowed = self.budget.admit(len(row), len(row) + len(cost))
         row = self._keep(np.arange(len(row)) < allowed, row)
         if allowed > len(row):
             free = np.isfinite(cost) & moment.established
@@ -50,7 +50,7 @@ class ChosenObjects:
             rows = np.flatnonzero(free)
             new = rows[np.argsort(cost[rows], kind="stable")][: allowed - len(row)]
             if len(new):
-                states = moment.seen.select(new).with_(id=self._numbers(len(new)))
+                states = moment.seen.select(new).with_(id=self.numbers(len(new)))
                 self._targets = concatenate([self._targets, states])
                 self._seen_ns = np.concatenate([self._seen_ns, np.full(len(new), moment.time_ns, np.int64)])
                 row = self._located(moment)

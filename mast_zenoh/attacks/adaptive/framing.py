@@ -45,12 +45,12 @@ class Framing(AdaptiveAttack):
     ) -> None:
         super().__init__(budget=budget, start_s=start_s)
         self._framed, self._action = framed, action
-        self._chosen = ChosenObjects(self._follower, self._budget, self._numbers)
+        self._chosen = ChosenObjects(self._follower, self.budget, self.numbers)
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         self._chosen.clear()
 
-    def _lie(self, moment: Moment) -> Lies:
+    def lie(self, moment: Moment) -> Lies:
         sensor = self._framed_sensor(moment)
         cost = np.full(len(moment.seen), np.inf) if sensor is None else _cost(moment, sensor)
         numbers, rows = self._chosen.update(moment, cost)

@@ -74,10 +74,10 @@ class Mimic(AdaptiveAttack):
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
         self._watch.hear(trust, self._surroundings.victims)
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         self._copies = []
 
-    def _observe(self, moment: Moment) -> None:
+    def observe(self, moment: Moment) -> None:
         seen = moment.seen
         new = np.array([id >= 0 and id not in self._known for id in seen.id.tolist()], bool)
         if self._recorded and new.any():
@@ -92,9 +92,9 @@ class Mimic(AdaptiveAttack):
         while self._recorded[0][0] < moment.time_ns - MEMORY_S * 1e9:
             self._recorded.popleft()
 
-    def _lie(self, moment: Moment) -> Lies:
-        real = concatenate([moment.seen, self._known_objects(moment)])
-        self._copies = self._copies[: self._budget.admit(len(self._copies), len(self._copies))]
+    def lie(self, moment: Moment) -> Lies:
+        real = concatenate([moment.seen, self.known_objects(moment)])
+        self._copies = self._copies[: self.budget.admit(len(self._copies), len(self._copies))]
         shown = [self._advance(copy, real, moment) for copy in self._copies]
         lost_ns = moment.time_ns - LOST_S * 1e9
         kept = [copy.blocked_ns < 0 or copy.blocked_ns > lost_ns for copy in self._copies]
@@ -106,7 +106,7 @@ class Mimic(AdaptiveAttack):
 
     def _begin(self, moment: Moment, real: ObjectStates, shown: list[ObjectStates | None]) -> None:
         """Begin copies of vehicles that entered long enough ago, the last ones first; adds their rows to `shown`."""
-        allowed = self._budget.admit(len(self._copies), MAX_PHANTOMS)
+        allowed = self.budget.admit(len(self._copies), MAX_PHANTOMS)
         oldest_ns = self._recorded[0][0]
         candidates = sorted(
             (-entered_ns, id)
@@ -121,7 +121,7 @@ class Mimic(AdaptiveAttack):
             occupied = concatenate([real, *(other for other in shown if other is not None)])
             if row is None or touching(row, occupied).any():
                 continue
-            copy.number = int(self._numbers(1)[0])
+            copy.number = int(self.numbers(1)[0])
             self._copied.add(original)
             self._copies.append(copy)
             shown.append(row.with_(id=np.array([copy.number])))

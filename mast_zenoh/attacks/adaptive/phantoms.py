@@ -46,20 +46,20 @@ class PhantomAttack(AdaptiveAttack):
         super().bind(seed, name)
         self._imitation.bind(seed, self._surroundings.scene, name)
 
-    def _observe(self, moment: Moment) -> None:
+    def observe(self, moment: Moment) -> None:
         self._imitation.observe(moment.seen, moment.time_ns, moment.position)
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         self._keep(np.zeros(len(self._phantoms), bool))
 
     @abstractmethod
     def _given_up(self, moment: Moment, phantoms: ObjectStates) -> Bools:
         """(k,) which phantoms are withdrawn."""
 
-    def _lie(self, moment: Moment) -> Lies:
+    def lie(self, moment: Moment) -> Lies:
         self._advance(moment)
         self._keep(~self._given_up(moment, self._phantoms))
-        allowed = self._budget.admit(len(self._phantoms), MAX_PHANTOMS)
+        allowed = self.budget.admit(len(self._phantoms), MAX_PHANTOMS)
         self._keep(np.arange(len(self._phantoms)) < allowed)
         if allowed > len(self._phantoms) and self._due(moment):
             self._searched_ns = moment.time_ns
@@ -86,15 +86,15 @@ class PhantomAttack(AdaptiveAttack):
             self._phantoms, self._born_ns = self._phantoms.select(rows), self._born_ns[rows]
 
     def _place(self, count: int, moment: Moment) -> None:
-        real = concatenate([moment.seen, self._known_objects(moment)])
-        rng = self._stream("places", moment.frame)
+        real = concatenate([moment.seen, self.known_objects(moment)])
+        rng = self.stream("places", moment.frame)
         position, velocity = self.region.place(
             count, self._shape, concatenate([real, self._phantoms]), ground_height(moment.seen), moment.coverage, rng
         )
         k = len(position)
         placed = ObjectStates.of(
             position,
-            id=self._numbers(k),
+            id=self.numbers(k),
             velocity=velocity,
             size=np.tile(BOX, (k, 1)),
             yaw=np.arctan2(velocity[:, 1], velocity[:, 0]),

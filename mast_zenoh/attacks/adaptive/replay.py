@@ -32,15 +32,15 @@ class Replay(AdaptiveAttack):
         self._told: set[int] = set()  # numbers of the lies in the last message
         self._number_of: dict[int, int] = {}  # by track id
 
-    def _observe(self, moment: Moment) -> None:
+    def observe(self, moment: Moment) -> None:
         self._recorded.append((moment.time_ns, moment.seen))
         while len(self._recorded) > 1 and self._recorded[1][0] <= moment.time_ns - self._delay_ns:
             self._recorded.popleft()
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         self._told = set()
 
-    def _lie(self, moment: Moment) -> Lies:
+    def lie(self, moment: Moment) -> Lies:
         time_ns, old = self._recorded[0]
         if time_ns > moment.time_ns - self._delay_ns:
             return Lies()
@@ -55,7 +55,7 @@ class Replay(AdaptiveAttack):
         numbers = self._numbers_of(kind[order], index[order], ids[order])
         begun = np.isin(numbers, list(self._told))
         first = order[np.argsort(~begun, kind="stable")]
-        chosen = first[: self._budget.admit(int(begun.sum()), len(first))]
+        chosen = first[: self.budget.admit(int(begun.sum()), len(first))]
         numbers_by_lie = np.empty(len(order), np.int64)
         numbers_by_lie[order] = numbers
         self._told = set(numbers_by_lie[chosen].tolist())
@@ -75,7 +75,7 @@ class Replay(AdaptiveAttack):
         keys = np.where(ids >= 0, ids, -1 - (2 * index + (kind == 2)))
         for key in keys.tolist():
             if key not in self._number_of:
-                self._number_of[key] = int(self._numbers(1)[0])
+                self._number_of[key] = int(self.numbers(1)[0])
         return np.array([self._number_of[key] for key in keys.tolist()], np.int64)
 
 

@@ -39,17 +39,17 @@ class SlowDrift(AdaptiveAttack):
                 raise ValueError(f"{name}: found {value}, expected more than 0")
         self._rate_mps, self._limit_m = rate_mps, limit_m
         self._watch = TrustWatch(tolerance)
-        self._chosen = ChosenObjects(self._follower, self._budget, self._numbers)
+        self._chosen = ChosenObjects(self._follower, self.budget, self.numbers)
         self._offset_m: dict[int, float] = {}  # by number
         self._direction: dict[int, float] = {}
 
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
         self._watch.hear(trust, self._surroundings.victims)
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         self._chosen.clear()
 
-    def _lie(self, moment: Moment) -> Lies:
+    def lie(self, moment: Moment) -> Lies:
         numbers, rows = self._chosen.update(moment, distance_to_ego(moment))
         rate = -self._rate_mps if self._watch.fallen else self._rate_mps
         offset, speed, angle = np.zeros((3, len(rows)))
@@ -59,14 +59,12 @@ class SlowDrift(AdaptiveAttack):
             self._offset_m[number] = offset[i] = after
             speed[i] = rate if after != before and 0.0 < after < self._limit_m else 0.0
             if number not in self._direction:
-                self._direction[number] = float(self._stream("direction", number).uniform(-np.pi, np.pi))
+                self._direction[number] = float(self.stream("direction", number).uniform(-np.pi, np.pi))
             angle[i] = self._direction[number]
-        told = offset > 0.0
-        rows, numbers = rows[told], numbers[told]
         real = moment.seen.select(rows)
-        direction = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])[told]
-        moves = np.where(real.velocity.any(axis=1), speed[told], 0.0)  # detections have no velocity
+        direction = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+        moves = np.where(real.velocity.any(axis=1), speed, 0.0)  # detections have no velocity
         claims = real.with_(
-            position=real.position + direction * offset[told, None], velocity=real.velocity + direction * moves[:, None]
+            position=real.position + direction * offset[:, None], velocity=real.velocity + direction * moves[:, None]
         )
         return Lies(changed=rows, claims=claims, changed_number=numbers)
