@@ -128,6 +128,8 @@ class Node:
     outputs: ClassVar[Mapping[str, Any]] = {}
     #: the message types that its ports declare, by name
     message_types: ClassVar[Mapping[str, Schema]] = {}
+    #: input ports that only a `[[listen]]` of a scenario connects: `mast intercept` leaves them out
+    listening: ClassVar[Collection[str]] = ()
     #: input ports whose messages are relayed undecoded, including malformed ones, which their receivers reject.
     #: Accessing a malformed body raises MessageError (see `Unopened`).
     unopened: ClassVar[Collection[str]] = ()

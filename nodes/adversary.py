@@ -1,12 +1,14 @@
 """An adversary on a wire: receives messages and forwards manipulated ones.
 
-It sits on `detections` (between an agent's sensors and its perception), on `tracks` (between the agent and the
-command centre) or on `picture` (between the command centre and the agent), as the key-expression map specifies.
-Neither end can detect it: keys, headers and untouched rows are forwarded unchanged.
+It sits on `detections` (between an agent's sensors and its perception), on `pose` (between its positioning and the
+agent), on `tracks` or `view` (between the agent and the command centre) or on `picture` (between the command centre and
+the agent), as the key-expression map specifies; also on several of them, and on those of several agents. Neither end
+can detect it: keys, headers and untouched rows are forwarded unchanged.
 """
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from dataclasses import replace
 
@@ -15,9 +17,12 @@ import numpy as np
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_local, states_to_world
 from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
-from mast_zenoh.attacks.campaign import shortfall
+from mast_zenoh.attacks.campaign import COUNTS, shortfall
+from mast_zenoh.attacks.knowledge import Trust
 from mast_zenoh.attacks.surroundings import UNKNOWN
+from mast_zenoh.attacks.targets import Changes
 from mast_zenoh.gather import LatestBefore
+from mast_zenoh.integrity.views import SweptView, check_view
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
@@ -27,10 +32,43 @@ from mast_zenoh.tracking.view import SensorView
 POSES_KEPT = 16  #: frames by which a message may be late and still be attacked
 
 
-class Adversary(Node):
-    """Manipulates the messages of one wire.
+class Victim:
+    """What an adversary keeps of one compromised agent.
 
-    attack: the manipulation; agent: the compromised agent, whose wire it is on
+    name: of the agent; attack: on its messages
+    """
+
+    def __init__(self, name: str, attack: Attack) -> None:
+        self.name = name
+        self.attack = attack
+        self.poses: dict[int, Body] = {}
+        self.last_view: tuple[bytes, SensorView] | None = None  # latest pose, and the view from it
+        self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
+        self.views: deque[Received] = deque()  # claimed views that wait for the lies of their frame
+        self.attacked: deque[int] = deque(maxlen=POSES_KEPT)  # frames whose lies are known
+        self.heard = {"picture": -1, "trust": -1}  # frames of arrival of what its attack has heard
+        self.reports: list[tuple[Received, Changes]] = []  # that have not been published
+
+    def store_pose(self, frame: int, pose: Body) -> None:
+        """Store the true pose of a frame; the first one counts."""
+        self.poses.setdefault(frame, pose)
+        if len(self.poses) > POSES_KEPT:
+            del self.poses[min(self.poses)]
+
+    def view(self, surroundings: Surroundings, pose: Body) -> SensorView:
+        """The view of its sensor; cached, because most agents are static."""
+        key = pose["position"].tobytes() + pose["rotation"].tobytes()
+        if self.last_view is None or self.last_view[0] != key:
+            rotation = rotation_from_quaternion(pose["rotation"])
+            self.last_view = (key, surroundings.view(self.name, pose["position"], rotation))
+        return self.last_view[1]
+
+
+class Adversary(Node):
+    """Manipulates the messages of one or more wires.
+
+    attack: the manipulation; agent: the compromised agent, whose wires it is on, or several of them (those behind a
+    compromised access point): each is attacked by itself
     surroundings: the attacker's prior knowledge of the scene
     """
 
@@ -40,51 +78,73 @@ class Adversary(Node):
         "pose": "pose",
         "detections": "detections",
         "tracks": "tracks",
+        "view": "view",
         "picture": "picture",
+        "overheard_picture": "picture",
+        "trust": "trust",
         "directive": "directive",
     }
+    listening = ("overheard_picture", "trust")
     outputs = {
+        "pose_out": "pose",
         "detections_out": "detections",
         "tracks_out": "tracks",
+        "view_out": "view",
         "picture_out": "picture",
         "observation": "observation",
         "report": "attack_report",
     }
 
-    def __init__(self, attack: Attack, agent: str, surroundings: Surroundings = UNKNOWN) -> None:
+    def __init__(self, attack: Attack, agent: str | tuple[str, ...], surroundings: Surroundings = UNKNOWN) -> None:
+        names = (agent,) if isinstance(agent, str) else agent
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"agent: found {agent!r}, expected the name of an agent, or several different ones")
         self.attack = attack
-        self.agent = agent
         self.surroundings = surroundings
-        self.poses: dict[int, Body] = {}
-        self.last_view: tuple[bytes, SensorView] | None = None  # latest pose, and the view from it
-        self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
+        self.victims = {name: Victim(name, copy.deepcopy(attack) if i else attack) for i, name in enumerate(names)}
         self.directives: LatestBefore[Targets] = LatestBefore()
+        self.pictures: LatestBefore[Received] = LatestBefore()
+        self.trusts: LatestBefore[Received] = LatestBefore()
+        self.last_wire = ""  # the wire whose messages decide which lies a view has to agree with
 
     def start(self, context: Context) -> None:
         """Initialise the random streams."""
-        self.attack.inform(self.surroundings)
-        self.attack.bind(context.seed, context.name)
+        ports = {source.port for source in context.subscriptions.values()}
+        self.last_wire = next((port for port in ("tracks", "detections") if port in ports), "")
+        for name, victim in self.victims.items():
+            victim.attack.inform(self.surroundings)
+            victim.attack.bind(context.seed, context.name if len(self.victims) == 1 else f"{context.name}/{name}")
 
     def finish(self, context: Context) -> dict[str, int]:
         """The number of chosen targets; logs a warning if fewer were found than wanted."""
-        counts = self.attack.counts()
+        every = [counts for victim in self.victims.values() if (counts := victim.attack.counts())]
+        counts = {name: sum(each[name] for each in every) for name in COUNTS} if every else {}
         if missing := shortfall(counts):
             context.log.warning("%s", missing)
         return counts
 
+    def victim_of(self, received: Received) -> Victim:
+        """The agent that a message comes from or goes to."""
+        return self.victims.get(received.subject) or next(iter(self.victims.values()))
+
     def on_clock(self, received: Received, context: Context) -> None:
         """Forward messages without a pose unchanged: more delay could be noticed."""
-        for queue in self.waiting.values():
-            while queue:
-                self.forward(queue.popleft(), context)
+        for victim in self.victims.values():
+            for queue in victim.waiting.values():
+                while queue:
+                    self.forward(victim, queue.popleft(), context)
+            while victim.views:
+                self.attack_view(victim, victim.views.popleft(), context)
+        self.publish_reports(context)
 
     def on_pose(self, received: Received, context: Context) -> None:
-        """Store the victim's pose, and attack the messages that waited for it."""
-        self.poses.setdefault(received.frame, received.body)
-        if len(self.poses) > POSES_KEPT:
-            del self.poses[min(self.poses)]
-        for queue in self.waiting.values():
-            self.proceed(queue, context)
+        """Store the victim's pose, forward it if it is on its way, and attack the messages that waited for it."""
+        victim = self.victim_of(received)
+        if context.connected("pose_out", received.subject):
+            self.attack_pose(victim, received, context)
+        victim.store_pose(received.frame, received.body)
+        for queue in victim.waiting.values():
+            self.proceed(victim, queue, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
         """The victim's detections, in transit to it."""
@@ -98,6 +158,23 @@ class Adversary(Node):
         """The command centre's picture, in transit to the agent."""
         self.on_message(received, context)
 
+    def on_view(self, received: Received, context: Context) -> None:
+        """What the victim's sensor covers, on its way to the command centre; waits for the lies that it agrees with."""
+        victim = self.victim_of(received)
+        if isinstance(self.attack, PassThrough):
+            context.relay("view_out", received)
+        else:
+            victim.views.append(received)
+            self.proceed_views(victim, context)
+
+    def on_overheard_picture(self, received: Received, context: Context) -> None:
+        """The command centre's picture, which the attack knows from the next frame on."""
+        self.pictures.add(context.frame, received, received.frame)
+
+    def on_trust(self, received: Received, context: Context) -> None:
+        """The command centre's trust, which the attack knows from the next frame on."""
+        self.trusts.add(context.frame, received, received.frame)
+
     def on_directive(self, received: Received, context: Context) -> None:
         """Store the coordinator's plan, which takes effect in the frame after its arrival."""
         self.directives.add(context.frame, targets_of(received))
@@ -108,26 +185,55 @@ class Adversary(Node):
         if isinstance(self.attack, PassThrough):
             context.relay(f"{schema}_out", received)
         else:
-            self.waiting[schema].append(received)
-            self.proceed(self.waiting[schema], context)
+            victim = self.victim_of(received)
+            victim.waiting[schema].append(received)
+            self.proceed(victim, victim.waiting[schema], context)
 
-    def proceed(self, queue: deque[Received], context: Context) -> None:
+    def proceed(self, victim: Victim, queue: deque[Received], context: Context) -> None:
         """Attack the first messages of a queue, up to one whose pose has not arrived."""
-        while queue and queue[0].frame in self.poses:
-            self.forward(queue.popleft(), context)
+        while queue and queue[0].frame in victim.poses:
+            self.forward(victim, queue.popleft(), context)
 
-    def forward(self, message: Received, context: Context) -> None:
+    def proceed_views(self, victim: Victim, context: Context) -> None:
+        """Forward the first views that wait, up to one of a frame whose lies are not known."""
+        while victim.views and (not self.last_wire or victim.views[0].frame in victim.attacked):
+            self.attack_view(victim, victim.views.popleft(), context)
+
+    def forward(self, victim: Victim, message: Received, context: Context) -> None:
         """Forward a message, attacked if the pose of its frame is known."""
         schema = message.message.header.schema
-        pose = self.poses.get(message.frame)
+        pose = victim.poses.get(message.frame)
         if pose is None:
             context.relay(f"{schema}_out", message)
         elif schema == "detections":
-            self.attack_detections(message, pose, context)
+            self.attack_detections(victim, message, pose, context)
         else:
-            self.attack_states(schema, message, pose, context)
+            self.attack_states(schema, victim, message, pose, context)
+        if schema == self.last_wire:
+            victim.attacked.append(message.frame)
+            self.proceed_views(victim, context)
 
-    def attack_detections(self, received: Received, pose: Body, context: Context) -> None:
+    def attack_pose(self, victim: Victim, received: Received, context: Context) -> None:
+        """Forward a pose, with the position that the attack wants."""
+        position = received.body["position"]
+        forged = victim.attack.forge_pose(received.frame, received.time_ns, position)
+        if forged is position:
+            context.relay("pose_out", received)
+        else:
+            context.relay("pose_out", received, {**received.body, "position": forged})
+            self.report(victim, Changes.of_message(position, forged), received, context)
+
+    def attack_view(self, victim: Victim, received: Received, context: Context) -> None:
+        """Forward a view, with the free space that the attack wants; an implausible one is forwarded unchanged."""
+        swept = swept_view(received.body)
+        forged = swept if swept is None else victim.attack.forge_view(received.frame, received.time_ns, swept)
+        if swept is None or forged is None or np.array_equal(forged.free, swept.free):
+            context.relay("view_out", received)
+        else:
+            context.relay("view_out", received, {**received.body, "free": forged.free})
+            self.report(victim, Changes.of_message(*[swept.view.position] * 2), received, context)
+
+    def attack_detections(self, victim: Victim, received: Received, pose: Body, context: Context) -> None:
         """Tamper with detections in the world frame; untouched rows keep their bytes."""
         body = received.body
         sensor = sensor_pose(
@@ -136,20 +242,20 @@ class Adversary(Node):
             body["mount_position"],
             rotation_from_quaternion(body["mount_rotation"]),
         )
-        last_view = to_world(Detections.from_columns(body), *sensor)
-        covariance = np.zeros((len(last_view), 9, 9))
-        covariance[:, :3, :3] = last_view.covariance
+        seen = to_world(Detections.from_columns(body), *sensor)
+        covariance = np.zeros((len(seen), 9, 9))
+        covariance[:, :3, :3] = seen.covariance
         objects = ObjectStates.of(
-            last_view.position,
-            id=np.full(len(last_view), -1),  # detections have no identity
-            size=last_view.size,
-            yaw=last_view.yaw,
-            score=last_view.score,
-            class_id=last_view.class_id,
+            seen.position,
+            id=np.full(len(seen), -1),  # detections have no identity
+            size=seen.size,
+            yaw=seen.yaw,
+            score=seen.score,
+            class_id=seen.class_id,
             covariance=covariance,
         )
-        self.attack.look(self.view(pose), fused=False)
-        tampering = self.tamper(received, objects, pose, context)
+        victim.attack.look(victim.view(self.surroundings, pose), fused=False)
+        tampering = self.tamper(victim, received, objects, pose, context)
         if len(tampering.report) == 0:
             context.relay("detections_out", received)
             return
@@ -172,21 +278,21 @@ class Adversary(Node):
         mount = {name: body[name] for name in ("mount_position", "mount_rotation")}
         context.relay("detections_out", received, columns | mount)
 
-    def attack_states(self, schema: str, received: Received, pose: Body, context: Context) -> None:
+    def attack_states(self, schema: str, victim: Victim, received: Received, pose: Body, context: Context) -> None:
         """Send the coordinator an observation, then tamper with tracks or with a picture."""
         body = received.body
-        states, view = ObjectStates.from_columns(body), self.view(pose)
+        states, view = ObjectStates.from_columns(body), victim.view(self.surroundings, pose)
         in_world = "origin" not in body
         objects = states if in_world else states_to_world(states, body["origin"], body["rotation"])
         if context.connected("observation"):
             context.publish(
                 "observation",
-                objects.columns() | {"agent_position": pose["position"]} | view_columns(view),
+                objects.columns() | agent_columns(pose) | view_columns(view),
                 frame=received.frame,
                 time_ns=received.time_ns,
             )
-        self.attack.look(view, fused=schema == "picture")
-        tampering = self.tamper(received, objects, pose, context)
+        victim.attack.look(view, fused=schema == "picture")
+        tampering = self.tamper(victim, received, objects, pose, context)
         if len(tampering.report) == 0:
             context.relay(f"{schema}_out", received)
         elif in_world:
@@ -201,27 +307,55 @@ class Adversary(Node):
             )
             context.relay(f"{schema}_out", received, forged.applied_to(states).columns() | reference)
 
-    def view(self, pose: Body) -> SensorView:
-        """The view of the victim's sensor; cached, because most agents are static."""
-        key = pose["position"].tobytes() + pose["rotation"].tobytes()
-        if self.last_view is None or self.last_view[0] != key:
-            rotation = rotation_from_quaternion(pose["rotation"])
-            self.last_view = (key, self.surroundings.view(self.agent, pose["position"], rotation))
-        return self.last_view[1]
-
     def support(self, support: np.ndarray, tampering: Tampering) -> np.ndarray:
         """The support of each object in a forged picture: false objects get the median."""
         usual = int(np.median(support)) if len(support) else 1
         return np.concatenate([support[tampering.keep], np.full(len(tampering.added), usual, np.int64)])
 
-    def tamper(self, received: Received, objects: ObjectStates, pose: Body, context: Context) -> Tampering:
+    def tamper(
+        self, victim: Victim, received: Received, objects: ObjectStates, pose: Body, context: Context
+    ) -> Tampering:
         """Apply the attack to one message, and publish a report of it."""
+        self.tell(victim, context)
         latest = self.directives.get(context.frame)
         directive = latest[1] if latest else None
-        tampering = self.attack.step(received.frame, received.time_ns, objects, pose["position"], directive)
+        tampering = victim.attack.step(received.frame, received.time_ns, objects, pose["position"], directive)
         if len(tampering.report):
-            context.publish("report", tampering.report.columns(), frame=received.frame, time_ns=received.time_ns)
+            self.report(victim, tampering.report, received, context)
         return tampering
+
+    def report(self, victim: Victim, changes: Changes, received: Received, context: Context) -> None:
+        """Tell the evaluator what was changed in a message.
+
+        Messages of several agents arrive in any order: their reports wait for the next clock, to be sent in one order.
+        """
+        victim.reports.append((received, changes))
+        if len(self.victims) == 1:
+            self.publish_reports(context)
+
+    def publish_reports(self, context: Context) -> None:
+        """Publish the reports that wait, agent by agent."""
+        for victim in self.victims.values():
+            for received, changes in victim.reports:
+                context.publish("report", changes.columns(), frame=received.frame, time_ns=received.time_ns)
+            victim.reports.clear()
+
+    def tell(self, victim: Victim, context: Context) -> None:
+        """Tell the attack the newest picture and trust from an earlier frame, once each."""
+        for name, newest in (("picture", self.pictures.get(context.frame)), ("trust", self.trusts.get(context.frame))):
+            if newest is None or newest[0] == victim.heard[name]:
+                continue
+            victim.heard[name], received = newest
+            about = received.frame, received.time_ns
+            if name == "picture":
+                victim.attack.hear_picture(*about, ObjectStates.from_columns(received.body))
+            else:
+                victim.attack.hear_trust(*about, Trust.of_columns(received.body))
+
+
+def agent_columns(pose: Body) -> dict[str, np.ndarray]:
+    """The pose of an agent as columns of an observation."""
+    return {f"agent_{name}": pose[name] for name in ("position", "rotation", "velocity")}
 
 
 def view_columns(view: SensorView) -> dict[str, np.ndarray]:
@@ -233,6 +367,16 @@ def view_columns(view: SensorView) -> dict[str, np.ndarray]:
         "elevation": np.array([view.elevation_min, view.elevation_max]),
         "max_range": np.array([view.max_range]),
     }
+
+
+def swept_view(body: Body) -> SweptView | None:
+    """The view in a `view` message; None if it describes no field of view."""
+    try:
+        check_view(body)
+    except ValueError:
+        return None
+    limits = *body["azimuth"].tolist(), *body["elevation"].tolist(), float(body["max_range"][0])
+    return SweptView(SensorView(body["position"], rotation_from_quaternion(body["rotation"]), *limits), body["free"])
 
 
 def targets_of(received: Received) -> Targets:

@@ -1,14 +1,20 @@
-"""The coordinator: combines the adversaries' observations into one plan."""
+"""The coordinator: combines the adversaries' observations into one plan.
+
+Observations of one frame may have different times (a clock that is wrong, a link that restamps): objects, agents and
+views are brought forward to the latest of them.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.states import ObjectStates, concatenate
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
 from mast_zenoh.attacks import Coordination, Surroundings, Targets
 from mast_zenoh.attacks.campaign import shortfall
+from mast_zenoh.attacks.knowledge import Trust
 from mast_zenoh.attacks.surroundings import UNKNOWN
-from mast_zenoh.gather import Gather
+from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
@@ -23,7 +29,8 @@ class Coordinator(Node):
     """
 
     role = "coordinator"
-    inputs = {"clock": "clock", "observations": "observation"}
+    inputs = {"clock": "clock", "observations": "observation", "overheard_picture": "picture", "trust": "trust"}
+    listening = ("overheard_picture", "trust")
     outputs = {"directive": "directive"}
 
     def __init__(
@@ -33,6 +40,9 @@ class Coordinator(Node):
         self.surroundings = surroundings
         self.adversaries = frozenset(adversaries)
         self.observed: Gather[str, Received] = Gather()  # follows the adversaries that are up
+        self.pictures: LatestBefore[Received] = LatestBefore()
+        self.trusts: LatestBefore[Received] = LatestBefore()
+        self.heard = {"picture": -1, "trust": -1}  # frames of arrival of what the coordination has heard
 
     def start(self, context: Context) -> None:
         """Initialise the random streams."""
@@ -68,27 +78,53 @@ class Coordinator(Node):
         if items is not None:
             self.direct(received.frame, items, context)
 
+    def on_overheard_picture(self, received: Received, context: Context) -> None:
+        """The command centre's picture, which is known from the next frame on."""
+        self.pictures.add(context.frame, received, received.frame)
+
+    def on_trust(self, received: Received, context: Context) -> None:
+        """The command centre's trust, which is known from the next frame on."""
+        self.trusts.add(context.frame, received, received.frame)
+
     def direct(self, frame: int, items: dict[str, Received], context: Context) -> None:
         """Send one plan to the adversaries that reported, for the frames that follow."""
+        self.tell(context)
         names = sorted(items)
-        states_seen = [ObjectStates.from_columns(items[name].body) for name in names]
-        time_ns = items[names[0]].time_ns
-        self.coordination.look(tuple(view_of(items[name].body) for name in names))
+        bodies = [items[name].body for name in names]
+        time_ns = max(items[name].time_ns for name in names)
+        late_s = [(time_ns - items[name].time_ns) * 1e-9 for name in names]
+        states_seen = [propagate(ObjectStates.from_columns(body), s) for body, s in zip(bodies, late_s, strict=True)]
+        velocity = np.array([body["agent_velocity"] for body in bodies])
+        moved = velocity * np.array(late_s)[:, None]
+        self.coordination.look(tuple(map(view_of, bodies, moved)))
+        self.coordination.locate(rotation_from_quaternion(np.array([b["agent_rotation"] for b in bodies])), velocity)
         plans = self.coordination.step(
             frame,
             time_ns,
             concatenate(states_seen),
             np.repeat(np.arange(len(states_seen)), [len(states) for states in states_seen]),
-            np.array([items[name].body["agent_position"] for name in names]),
+            np.array([body["agent_position"] for body in bodies]) + moved,
         )
         for name, targets in zip(names, plans, strict=True):
             context.publish("directive", directive(targets), subject=name, frame=frame, time_ns=time_ns)
 
+    def tell(self, context: Context) -> None:
+        """Tell the coordination the newest picture and trust from an earlier frame, once each."""
+        for name, newest in (("picture", self.pictures.get(context.frame)), ("trust", self.trusts.get(context.frame))):
+            if newest is None or newest[0] == self.heard[name]:
+                continue
+            self.heard[name], received = newest
+            about = received.frame, received.time_ns
+            if name == "picture":
+                self.coordination.hear_picture(*about, ObjectStates.from_columns(received.body))
+            else:
+                self.coordination.hear_trust(*about, Trust.of_columns(received.body))
 
-def view_of(body: Body) -> SensorView:
-    """The view in an observation."""
+
+def view_of(body: Body, moved: np.ndarray) -> SensorView:
+    """The view in an observation; moved: (3,) m, by which its agent has moved since."""
     limits = *body["azimuth"].tolist(), *body["elevation"].tolist(), float(body["max_range"][0])
-    return SensorView(body["sensor_position"], body["sensor_rotation"], *limits)
+    return SensorView(body["sensor_position"] + moved, body["sensor_rotation"], *limits)
 
 
 def directive(targets: Targets) -> dict[str, np.ndarray]:

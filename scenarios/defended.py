@@ -2,9 +2,22 @@
 
 from coordinated import scenario as coordinated
 
+from mast_zenoh.attacks import Coordination
+from mast_zenoh.config.registry import known_types
+
+#: What the adversaries know besides their own wires, and the rewrites that let them hear it.
+KNOWLEDGE = {
+    "own": [],
+    "picture": ["knowledge_picture.toml"],
+    "trust": ["knowledge_picture.toml", "knowledge_trust.toml"],
+}
+
 
 def scenario(
     defence="NoIntegrity",
+    attack=None,
+    knowledge="own",
+    wires="tracks view",
     n_adversaries=2,
     scene="intersection",
     scene_index=None,
@@ -13,7 +26,11 @@ def scenario(
 ):
     """As `coordinated`, with an integrity stage.
 
-    defence: its class, such as "NoIntegrity", or a dict with its class and parameters
+    defence: its class, such as "NoIntegrity", or a dict with its class and parameters;
+    attack: class of an attack or of a coordination, such as "BlindSpot" or "Collusion", or a dict with its class and
+    parameters; None: that of `coordinated`, on tracks alone;
+    knowledge: what its adversaries know: own (and each other's views with a coordination), picture (as well), or trust
+    (white box: picture and trust); wires: those that they are on: detections, pose, tracks, view.
     """
     attacked = coordinated(
         n_adversaries=n_adversaries,
@@ -24,8 +41,18 @@ def scenario(
     )
     center = attacked["command_center"]
     stage = dict(type=defence) if isinstance(defence, str) else defence
+    rewrites = [*attacked["keyexpr"]["rewrites"], "views.toml"]
+    if attack is not None:
+        attack = dict(type=attack) if isinstance(attack, str) else attack
+        directed = attack["type"] in known_types(Coordination)
+        own = dict(type="CoordinatedAttack", start_s=attack.get("start_s", 4.0)) if directed else attack
+        attacked |= dict(
+            adversaries={name: config | dict(attack=own) for name, config in attacked["adversaries"].items()},
+            coordinator=dict(coordination=attack) if directed else None,
+        )
+        rewrites = [f"on_{wire}.toml" for wire in wires.split()] + ["coordination.toml"] * directed + ["views.toml"]
     return attacked | dict(
         name="defended",
         command_center=center | dict(pipeline=center["pipeline"] | dict(integrity=stage)),
-        keyexpr=dict(map="testbed.toml", rewrites=[*attacked["keyexpr"]["rewrites"], "views.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=[*rewrites, *KNOWLEDGE[knowledge]]),
     )

@@ -1,22 +1,25 @@
-"""Attacks: alter the objects of each intercepted message, in the world frame."""
+"""Attacks that follow targets: inserted, hidden and displaced objects."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import replace
 
 from mast_zenoh.arrays.geometry import within_range
 from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.attacks.application import carry_out
+from mast_zenoh.attacks.base import Attack
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, check_start
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.following import Follower
+from mast_zenoh.attacks.free_space import ViewForger
 from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
 from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Tampering, Targets
+from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.tracking.view import SensorView
 
 #: m; an object within this distance of a coordinator's target (a mean of several agents' tracks) may be that target.
@@ -27,60 +30,6 @@ OWN_TARGET_M = 0.1
 ESTABLISHED = 3
 #: s, time before the attack from which objects are tracked, so that their velocities are known.
 LEAD_S = 1.0
-
-
-class Attack(ABC):
-    """Base class of attacks: tampers with the messages of a victim."""
-
-    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: attacks without random numbers need no streams)
-        """Set the seed and the node's name, which identify the random streams."""
-
-    def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
-        """Set the attacker's prior knowledge of the scene; called before `bind`."""
-
-    def look(self, view: SensorView, *, fused: bool) -> None:  # noqa: B027 (a hook)
-        """Set the victim's field of view for the next step.
-
-        fused: whether the objects combine several agents' tracks
-        """
-
-    def counts(self) -> dict[str, int]:
-        """Numbers of selected targets (`Campaign.counts`); {} for attacks without any."""
-        return {}
-
-    @abstractmethod
-    def step(
-        self,
-        frame: int,
-        time_ns: int,
-        objects: ObjectStates,
-        agent_position: Floats,
-        directive: Targets | None = None,
-    ) -> Tampering:
-        """Tamper with the objects of one message.
-
-        frame:          index of the message's frame
-        time_ns:        ns, its time since the start of the scene
-        objects:        the victim's objects, world frame: tracks, or detections (velocity zero, ids below 0)
-        agent_position: (3,) m, the victim, world frame
-        directive:      the coordinator's newest targets from an earlier frame, if any
-
-        The result does not depend on the order of the objects.
-        """
-
-
-class PassThrough(Attack):
-    """Relays every message unchanged."""
-
-    def step(
-        self,
-        frame: int,
-        time_ns: int,
-        objects: ObjectStates,
-        agent_position: Floats,
-        directive: Targets | None = None,
-    ) -> Tampering:
-        return Tampering.nothing(len(objects))
 
 
 class _TargetedAttack(Attack):
@@ -112,6 +61,7 @@ class _TargetedAttack(Attack):
         self._surroundings = UNKNOWN
         self._view: SensorView | None = None
         self._fused = False
+        self._forger = ViewForger()
 
     def inform(self, surroundings: Surroundings) -> None:
         self._surroundings = surroundings
@@ -146,7 +96,11 @@ class _TargetedAttack(Attack):
         false_objects = self._imitation.show(frame, in_range, seen, coverage, view)
         tampering = carry_out(targets, false_objects, seen, order, remove_row, move_row)
         self._store_targets(tampering.targets, time_ns)
+        self._forger.remember(frame, objects, tampering)
         return replace(tampering, added=false_objects.with_(id=self._ids.of(false_objects.id)))
+
+    def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
+        return self._forger.forge(frame, swept)
 
     @abstractmethod
     def _targets_at(

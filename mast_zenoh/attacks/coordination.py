@@ -13,6 +13,7 @@ from mast_zenoh.attacks.attack import OWN_TARGET_M
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.following import Follower
+from mast_zenoh.attacks.knowledge import Trust
 from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.selection import CoordinatedSelection, Selection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
@@ -39,6 +40,18 @@ class Coordination(ABC):
 
         In the order of `agent_positions` of `step`.
         """
+
+    def locate(self, rotations: Floats, velocities: Floats) -> None:  # noqa: B027 (a hook)
+        """Set the victims' orientations (a, 3, 3) and velocities (a, 3) m/s for the next step, world frame.
+
+        Rotations are active, agent to world. The order is that of `agent_positions` of `step`.
+        """
+
+    def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:  # noqa: B027 (a hook)
+        """Take note of a picture that arrived in an earlier frame, see `Attack.hear_picture`."""
+
+    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:  # noqa: B027 (a hook)
+        """Take note of the command centre's trust from an earlier frame, see `Attack.hear_trust`."""
 
     def counts(self) -> dict[str, int]:
         """Numbers of selected targets, see `Campaign.counts`; {} if unknown."""
@@ -106,7 +119,8 @@ class Coordinator(Coordination):
         view = view.select(canonical_order(view))
         views = self._views if len(self._views) == len(agent_positions) else tuple(map(unlimited, agent_positions))
         time_s = time_ns / NANOSECONDS
-        coverage = Coverage(self._surroundings, views, time_s)
+        agents = np.concatenate([agent_positions, self._surroundings.other_positions(time_s)])
+        coverage = Coverage(self._surroundings, views, time_s, agents=agents)
         # The id of a cluster changes with its members, so it is ignored.
         self._follower.observe(view.with_(id=np.full(len(view), -1, np.int64)), time_ns)
         if self._campaign.due(time_ns):

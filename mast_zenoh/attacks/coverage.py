@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
-from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.tracking.duplicates import overlap
 from mast_zenoh.tracking.view import SensorView
@@ -28,6 +28,7 @@ class Coverage:
     time_s:       s since the start of the scene
     fused:        the objects on the wire come from several agents (a picture) and need not be in a victim's view
     ego_tracks:   the ego's own tracks, world frame, if an adversary intercepts them; None: unknown
+    agents:       (k, 3) m, all agents that the attacker knows, compromised or not; None: the victims' sensors
     """
 
     surroundings: Surroundings
@@ -35,6 +36,7 @@ class Coverage:
     time_s: float
     fused: bool = False
     ego_tracks: ObjectStates | None = None
+    agents: Floats | None = None
 
     def visible(self, view: SensorView, boxes: Floats, occluders: Floats = _NO_OCCLUDERS) -> Bools:
         """Boxes (k, 6) x y z l w h in a view, not occluded by walls or objects (n, 6)."""
@@ -62,6 +64,17 @@ class Coverage:
     def other_views(self) -> list[SensorView]:
         """Fields of view of the agents that are known and not compromised."""
         return self.surroundings.other_views(self.time_s)
+
+    def honest_viewers(self, objects: ObjectStates, wanted: Bools | None = None) -> Ints:
+        """(k,) number of agents that are not compromised and look at each object, past walls.
+
+        wanted: (k,) for which objects, the others count as seen by nobody
+        """
+        rows = np.arange(len(objects)) if wanted is None else wanted.nonzero()[0]
+        boxes, counts = boxes_of(objects)[rows], np.zeros(len(objects), np.int64)
+        for view in self.other_views():
+            counts[rows] += self.visible(view, boxes)
+        return counts
 
     def _free(self, boxes: Floats, false_objects: ObjectStates, real_objects: ObjectStates) -> Bools:
         return np.asarray(~self.surroundings.inside_buildings(boxes) & ~touching(false_objects, real_objects))

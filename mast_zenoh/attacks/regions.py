@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
 from mast_zenoh.attacks.coverage import Coverage, touching
+from mast_zenoh.attacks.ego_path import PATH_AHEAD_M, path_ahead
 from mast_zenoh.attacks.propagation import MAX_ACCELERATION_MPS2
 
 #: Candidate positions for each false object; it is left out if none is allowed.
@@ -19,8 +19,10 @@ CANDIDATES = 128
 FREE_PATH_S, PATH_SAMPLES = 10.0, 8
 #: A candidate is accepted at once if its free path allows this fraction of the drawn speed.
 ACCEPTED_SPEED_FRACTION = 0.7
-#: m, range of distances ahead of the ego on its path, and σ of the lateral offset.
-PATH_AHEAD_M, LATERAL_STD_M = (10.0, 60.0), 0.3
+#: m/s, least speed of a false object: its velocity gives its heading.
+SLOWEST_MPS = 1e-3
+#: m, σ of the lateral offset from the ego's path.
+LATERAL_STD_M = 0.3
 #: m, half the width of a lane: maximum distance from the ego's path.
 LANE_M = 1.75
 #: Maximum speed of an object on the ego's path as a fraction of the ego's speed, so that the ego closes in.
@@ -31,11 +33,15 @@ VEHICLE_M = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """False objects: σ of position (m, per axis) and velocity (m/s), and l w h (m)."""
+    """False objects: σ of position (m, per axis) and velocity (m/s), and l w h (m).
+
+    max_distance_m: m from the agent, for the region "paper"
+    """
 
     position_std_m: float
     velocity_std_mps: float
     box: Floats
+    max_distance_m: float = np.inf
 
 
 @dataclass(slots=True)
@@ -64,7 +70,10 @@ class Region(ABC):
 
 
 class Paper(Region):
-    """The paper's distribution: Gaussian about a victim, without any constraint."""
+    """The paper's distribution: Gaussian about a victim, within a maximum distance.
+
+    Coordinated: about any agent that the coordinator knows.
+    """
 
     name = "paper"
 
@@ -77,9 +86,22 @@ class Paper(Region):
         velocity[:, :2] = rng.normal(0.0, shape.velocity_std_mps, (count, 2))
         if count:
             victims = np.array([view.position[:2] for view in coverage.victims])
-            position[:, :2] += victims[rng.integers(len(victims), size=count)]
+            agents = victims if coverage.agents is None else coverage.agents[:, :2]
+            chosen = agents[rng.integers(len(agents), size=count)]
+            position[:, :2] = chosen + _within(position[:, :2], shape.position_std_m, shape.max_distance_m, rng)
         position[:, 2] = ground + shape.box[2] / 2.0
         return position, velocity
+
+
+def _within(offset: Floats, std_m: float, max_m: float, rng: np.random.Generator) -> Floats:
+    """Gaussian offsets (k, 2) m, those longer than `max_m` drawn again."""
+    for _ in range(CANDIDATES):
+        far = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) > max_m)
+        if len(far) == 0:
+            return offset
+        offset[far] = rng.normal(0.0, std_m, (len(far), 2))
+    length = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-9)
+    return offset * np.minimum(1.0, max_m / length)[:, None]
 
 
 class _Checked(Region):
@@ -137,7 +159,7 @@ class _Checked(Region):
         speed = np.minimum(candidates.speed, max_speed_within(free_distance))
         accepted = (speed >= ACCEPTED_SPEED_FRACTION * candidates.speed).nonzero()[0]
         best = int(accepted[0]) if len(accepted) else int(np.argmax(speed))
-        return int(rows[best]), float(speed[best])
+        return int(rows[best]), max(float(speed[best]), SLOWEST_MPS)
 
 
 class InView(_Checked):
@@ -193,6 +215,21 @@ class VictimOnly(InView):
         return result
 
 
+class Outnumbered(InView):
+    """As InView, but where more victims than honest agents look: all of them together outvote those that could object.
+
+    With a single victim this is where no honest agent looks.
+    """
+
+    name = "outnumbered"
+
+    def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
+        victims = np.zeros(len(boxes), np.int64)
+        for view in coverage.victims:
+            victims += coverage.visible_outside_objects(boxes, real, view)
+        return victims > coverage.honest_viewers(boxes, victims > 0)
+
+
 class EgoPath(_Checked):
     """In the ego's lane, ahead of it and slower, in a victim's view.
 
@@ -231,56 +268,9 @@ class EgoPath(_Checked):
 
 
 #: The regions by name.
-REGIONS: dict[str, Region] = {region.name: region for region in (Paper(), InView(), EgoPath(), VictimOnly())}
-
-
-@dataclass(frozen=True, slots=True)
-class Path:
-    """A polyline from the ego's position.
-
-    corners: (k, 2) m; along: (k,) m from the ego; speed: m/s, of the ego now
-    """
-
-    corners: Floats
-    along: Floats
-    speed: float
-    _samples: Floats = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_samples", self.at(np.arange(0.0, self.along[-1], 1.0))[0])
-
-    def at(self, distance: Floats) -> tuple[Floats, Floats]:
-        """Positions (n, 2) m and headings (n,) rad at `distance` (n,) m along the path."""
-        position = np.column_stack([np.interp(distance, self.along, self.corners[:, axis]) for axis in (0, 1)])
-        segment = np.clip(np.searchsorted(self.along, distance, side="right") - 1, 0, len(self.along) - 2)
-        step = self.corners[segment + 1] - self.corners[segment]
-        return position, np.arctan2(step[:, 1], step[:, 0])
-
-    def offset(self, position: Floats) -> Floats:
-        """Distance (n,) m of positions (n, >= 2) from the path, sampled every metre."""
-        offset = position[:, None, :2] - self._samples
-        nearest: Floats = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
-        return nearest
-
-
-def path_ahead(coverage: Coverage) -> Path | None:
-    """The ego's path on its route and straight on beyond its end; None if unknown."""
-    ego = coverage.surroundings.ego_sensor
-    if ego is None:
-        return None
-    route = ego.route
-    position_now, _ = route.at(coverage.time_s)
-    position_in_1s, _ = route.at(coverage.time_s + 1.0)
-    waypoints = route.position[route.time_s > coverage.time_s + 1e-9]
-    corners = [position_now[:2]]
-    for waypoint in waypoints[:, :2]:
-        if np.hypot(*(waypoint - corners[-1])) > 0.5:
-            corners.append(waypoint)
-    heading = rotation_from_quaternion(route.rotation[-1])[:2, 0]
-    corners.append(corners[-1] + 2.0 * PATH_AHEAD_M[1] * heading / np.hypot(*heading))
-    table = np.array(corners)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(table, axis=0).T))])
-    return Path(table, along, float(np.hypot(*(position_in_1s - position_now)[:2])))
+REGIONS: dict[str, Region] = {
+    region.name: region for region in (Paper(), InView(), EgoPath(), VictimOnly(), Outnumbered())
+}
 
 
 def max_speed_within(distance: Floats) -> Floats:

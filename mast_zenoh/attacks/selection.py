@@ -15,6 +15,7 @@ from mast_zenoh.attacks.regions import REGIONS, Shape
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.errors import nearest
 
+RegionName = Literal["paper", "in_view", "ego_path", "victim_only", "outnumbered"]
 #: Upper limit of `n_false_positives`.
 MAX_FALSE_OBJECTS = 10_000
 
@@ -49,7 +50,8 @@ class UncoordinatedSelection(Selection):
 
     n_false_positives:        λ of the Poisson distribution of the number of false objects
     region:                   where to place them: "in_view" of the victim, in the "ego_path", "victim_only" (outside
-                              the view of other agents), or about the victim as in the "paper"; see attacks.regions
+                              the view of other agents), "outnumbered" (where more victims than others look), or about
+                              the victim as in the "paper"; see attacks.regions
     fraction_false_negatives: fraction of the objects to hide; uniform without replacement, rounded down, but at least
                               one if there is any object and the fraction is not zero
     fraction_translations:    fraction of the objects to displace, none of them hidden; counted in the same way
@@ -59,6 +61,7 @@ class UncoordinatedSelection(Selection):
     box:                      m, length, width and height of false objects
     object_class:             one of states.CLASSES, the class of false objects
     translation_m:            m, displacement of moved objects, in a random direction for each
+    max_distance_m:           m, greatest distance of false objects from the agent in the region "paper"
 
     The ground is the median z of the bottoms of the objects, or 0 without objects. False objects, hidden objects and
     displacements have separate random streams, so that changing the number of one does not affect the others.
@@ -69,7 +72,7 @@ class UncoordinatedSelection(Selection):
         self,
         *,
         n_false_positives: float = 5.0,
-        region: Literal["paper", "in_view", "ego_path", "victim_only"] = "in_view",
+        region: RegionName = "in_view",
         fraction_false_negatives: float = 0.2,
         fraction_translations: float = 0.0,
         position_std_m: float = 30.0,
@@ -77,6 +80,7 @@ class UncoordinatedSelection(Selection):
         box: tuple[float, float, float] = (4.0, 2.0, 2.0),
         object_class: str = "car",
         translation_m: float = 5.0,
+        max_distance_m: float = 70.0,
     ) -> None:
         self.n_false_positives = n_false_positives
         self.region = REGIONS[region]
@@ -86,7 +90,8 @@ class UncoordinatedSelection(Selection):
         self.velocity_std_mps = velocity_std_mps
         self.box = np.asarray(box, np.float64)
         self.translation_m = translation_m
-        for name in ("n_false_positives", "position_std_m", "velocity_std_mps", "translation_m"):
+        self.max_distance_m = max_distance_m
+        for name in ("n_false_positives", "position_std_m", "velocity_std_mps", "translation_m", "max_distance_m"):
             self._check(name, getattr(self, name) >= 0.0, "0 or more")
         self._check("n_false_positives", n_false_positives <= MAX_FALSE_OBJECTS, f"at most {MAX_FALSE_OBJECTS}")
         for name in ("fraction_false_negatives", "fraction_translations"):
@@ -122,7 +127,7 @@ class UncoordinatedSelection(Selection):
     def _false_objects(
         self, count: int, real: ObjectStates, coverage: Coverage, rng: np.random.Generator
     ) -> ObjectStates:
-        shape = Shape(self.position_std_m, self.velocity_std_mps, self.box)
+        shape = Shape(self.position_std_m, self.velocity_std_mps, self.box, self.max_distance_m)
         position, velocity = self.region.place(count, shape, real, ground_height(real), coverage, rng)
         return ObjectStates.of(
             position,
@@ -147,7 +152,7 @@ class CoordinatedSelection(UncoordinatedSelection):
         self,
         *,
         n_false_positives: float = 5.0,
-        region: Literal["paper", "in_view", "ego_path", "victim_only"] = "in_view",
+        region: RegionName = "in_view",
         fraction_false_negatives: float = 0.2,
         fraction_translations: float = 0.0,
         position_std_m: float = 30.0,
@@ -155,6 +160,7 @@ class CoordinatedSelection(UncoordinatedSelection):
         box: tuple[float, float, float] = (4.0, 2.0, 2.0),
         object_class: str = "car",
         translation_m: float = 5.0,
+        max_distance_m: float = 70.0,
         cluster_radius_m: float = 5.0,
     ) -> None:
         super().__init__(
@@ -167,6 +173,7 @@ class CoordinatedSelection(UncoordinatedSelection):
             box=box,
             object_class=object_class,
             translation_m=translation_m,
+            max_distance_m=max_distance_m,
         )
         self.cluster_radius_m = cluster_radius_m
         self._check("cluster_radius_m", cluster_radius_m >= 0.0, "0 or more")

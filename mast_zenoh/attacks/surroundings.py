@@ -138,6 +138,11 @@ class Surroundings:
             sensor.view(*sensor.route.at(time_s)) for name, sensor in self.sensors.items() if name not in self.victims
         ]
 
+    def other_positions(self, time_s: float) -> Floats:
+        """(k, 3) m route positions of all agents that are not compromised."""
+        others = [sensor.route.at(time_s)[0] for name, sensor in self.sensors.items() if name not in self.victims]
+        return np.array(others).reshape(-1, 3)
+
     def inside_buildings(self, positions: Floats) -> Bools:
         """(n,) whether positions (n, >= 2) m are inside a building in the bird's-eye view."""
         return inside_outlines(positions, self.walls.start, self.walls.end, self._first_wall)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate, propagate
 
-#: The changes to an object; an attack report contains indices into this tuple.
-ACTIONS = ("inserted", "removed", "moved")
-INSERTED, REMOVED, MOVED = range(len(ACTIONS))
+#: The changes to an object, and to a pose or a view; an attack report contains indices into this tuple.
+ACTIONS = ("inserted", "removed", "moved", "altered", "reframed")
+INSERTED, REMOVED, MOVED, ALTERED, REFRAMED = range(len(ACTIONS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class Changes:
     action:          (n,) uint8, index into ACTIONS
     target:          (n,) int64, the adversary's number of the target
     before_position: (n, 3) m, zero for inserted objects
-    after_position:  (n, 3) m, zero for removed objects
+    after_position:  (n, 3) m, zero for removed objects, and as before for altered ones
     velocity:        (n, 3) m/s, of the object afterwards, or before its removal
     """
 
@@ -101,6 +101,20 @@ class Changes:
             velocity=np.concatenate([added.velocity, removed.velocity, after.velocity]),
         )
 
+    @classmethod
+    def of_message(cls, before_position: Floats, after_position: Floats) -> Changes:
+        """The report of a changed pose or view.
+
+        before_position, after_position: (3,) m, of the agent or of its sensor, as received and as sent
+        """
+        return cls(
+            action=np.array([REFRAMED], np.uint8),
+            target=np.array([-1], np.int64),
+            before_position=before_position[None],
+            after_position=after_position[None],
+            velocity=np.zeros((1, 3)),
+        )
+
     def __len__(self) -> int:
         return len(self.action)
 
@@ -114,8 +128,8 @@ class Tampering:
     """Changes to the n objects of one message.
 
     keep:        (n,) bool, rows of the message to keep
-    moved_index: (m,) int64, rows (all kept) that are displaced, in the order of their targets
-    moved:       the m displaced objects
+    moved_index: (m,) int64, rows (all kept) that are displaced or altered, in the order of their targets
+    moved:       the m displaced or altered objects
     added:       false objects to append, with ids, covariances and scores like the victim's own
     report:      the changes, for the evaluator
     targets:     the current targets, at the positions of their objects

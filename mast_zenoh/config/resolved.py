@@ -38,6 +38,14 @@ class NodeSpec:
     config: dict[str, Any]
     on_exit: str
 
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The agents on whose wires it is: one or several in its parameter `agent`; none without it."""
+        value = self.config.get("agent")
+        if isinstance(value, (list, tuple)):
+            return tuple(map(str, value))
+        return () if value is None else (str(value),)
+
 
 def driver_of(nodes: Mapping[str, NodeSpec]) -> str:
     """The name of the node that drives the scene; "" if there is none."""

@@ -23,7 +23,9 @@ from mast_zenoh.metrics.places import Places
 #: m, maximum distance between the position in a report and the effect's position on the wire.
 SAME_PLACE_M = 0.05
 #: Effects on objects, in the order of `attacks.ACTIONS`.
-_ACTIONS = ("inserted", "removed", "moved")
+_ACTIONS = ("inserted", "removed", "moved", "altered", REFRAMED)
+#: Messages without objects that adversaries report as changed.
+_WITHOUT_OBJECTS = ("pose", "view")
 #: The effects that correspond to each of `links.FATES`, in that order. A corrupted message may still be readable.
 _FATES = ((DROPPED,), (DELAYED,), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED))
 
@@ -98,7 +100,8 @@ def _match_attacks(
 
     Returns which of n rows of reports match an effect.
     Reports are matched by the positions at which objects disappear and appear. Without ids, a removed object with an
-    inserted one nearby cannot be distinguished from a moved one: either report is correct.
+    inserted one nearby cannot be distinguished from a moved one: either report is correct. Changed poses and views are
+    matched by their frame.
     """
     # Frames are renumbered, since messages and reports may contain any number.
     known, numbers = np.unique(np.concatenate([effects.frame, reported_rows["report_frame"]]), return_inverse=True)
@@ -118,7 +121,15 @@ def _match_attacks(
     i, j = i[matches], j[matches]
     label[rows[measured.row[j]]] = reported_rows["target"][claimed.row[i]]
     reported[rows] |= _complete(measured, j, len(rows))
-    return _complete(claimed, i, len(names))
+    confirmed = _complete(claimed, i, len(names))
+    claims = np.flatnonzero(names == REFRAMED)
+    group = reported_rows["node"] * span + frame[1]
+    of_type = np.array([passage.message in _WITHOUT_OBJECTS for passage in effects.passages], bool)
+    rows = np.flatnonzero((effects.code == CODE[REFRAMED]) & of_type[effects.passage])
+    changed = node_row[rows] * span + frame[0][rows]
+    reported[rows] |= np.isin(changed, group[claims])
+    confirmed[claims] = np.isin(group[claims], changed)
+    return confirmed
 
 
 class _Events(NamedTuple):
@@ -133,9 +144,9 @@ class _Events(NamedTuple):
 
 
 def _events(names: NDArray[np.str_], before: Floats, after: Floats, group: Ints) -> _Events:
-    disappeared = np.flatnonzero(np.isin(names, ("removed", "moved")))
+    disappeared = np.flatnonzero(np.isin(names, ("removed", "moved", "altered")))
     disappeared = disappeared[np.isfinite(before[disappeared]).all(axis=1)]
-    appeared = np.flatnonzero(np.isin(names, ("inserted", "moved")))
+    appeared = np.flatnonzero(np.isin(names, ("inserted", "moved", "altered")))
     appeared = appeared[np.isfinite(after[appeared]).all(axis=1)]
     row = np.concatenate([disappeared, appeared])
     is_appearance = np.repeat([0, 1], [len(disappeared), len(appeared)])

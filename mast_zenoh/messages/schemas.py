@@ -172,8 +172,14 @@ BUILT_IN: Mapping[str, Schema] = {
             1,
             "what an adversary changed, world frame; for the evaluator only",
             (
-                Column("action", "uint8", ("n",), "", "index into mast_zenoh.attacks.ACTIONS", below=3),
-                Column("target", "int64", ("n",), "", "number of the target, assigned by the adversary"),
+                Column("action", "uint8", ("n",), "", "index into mast_zenoh.attacks.ACTIONS", below=5),
+                Column(
+                    "target",
+                    "int64",
+                    ("n",),
+                    "",
+                    "number of the target, assigned by the adversary; -1: a pose or a view",
+                ),
                 Column("before_position", "float64", ("n", 3), "m", "zero where an object was inserted"),
                 Column("after_position", "float64", ("n", 3), "m", "zero where an object was removed"),
                 Column("velocity", "float64", ("n", 3), "m/s", "of the object afterwards, or before its removal"),
@@ -194,11 +200,13 @@ BUILT_IN: Mapping[str, Schema] = {
         ),
         Schema(
             "observation",
-            2,
+            3,
             "what an adversary sees on its wire, for its coordinator, world frame",
             (
                 *_states(),
                 Column("agent_position", "float64", (3,), "m", "of the compromised agent"),
+                Column("agent_rotation", "float64", (4,), "", "active quaternion w x y z, agent to world", **_ROTATION),
+                Column("agent_velocity", "float64", (3,), "m/s", "of the agent"),
                 Column("sensor_position", "float64", (3,), "m", "of its sensor"),
                 Column("sensor_rotation", "float64", (3, 3), "", "active, sensor to world", **_ROTATION),
                 Column("azimuth", "float64", (2,), "rad", "its sensor's field of view (from, to), in the sensor frame"),

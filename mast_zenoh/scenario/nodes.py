@@ -51,12 +51,18 @@ def nodes_of(
     agents = [agent.name for agent in recording.agents]
     adversaries = scenario.get("adversaries", {})
     for name, config in _checked_configs(adversaries, f"{path}: adversaries"):
-        if config.get("agent") not in agents:
-            agent_name = str(config.get("agent"))
-            raise ConfigurationError(
-                f"{path}: adversaries.{name}.agent: no agent {agent_name!r} in this scene{nearest(agent_name, agents)}"
-            )
         add(name, "adversary", config)
+        if len(specs[name].agents) > 1 and scenario.get("coordinator") is not None:
+            raise ConfigurationError(
+                f"{path}: adversaries.{name}.agent: found {', '.join(specs[name].agents)}, expected one agent: "
+                "a coordinator directs it"
+            )
+        for agent_name in specs[name].agents or ("None",):
+            if agent_name not in agents:
+                raise ConfigurationError(
+                    f"{path}: adversaries.{name}.agent: no agent {agent_name!r} in this scene"
+                    f"{nearest(agent_name, agents)}"
+                )
     if scenario.get("coordinator") is not None:
         add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
     add_surroundings(specs, recording)
@@ -96,12 +102,11 @@ def add_surroundings(specs: Mapping[str, NodeSpec], recording: Recording) -> Non
     Attackers are adversaries and coordinators.
     """
     attackers = {name: spec for name, spec in specs.items() if spec.role in ("adversary", "coordinator")}
-    victims = list(dict.fromkeys(str(spec.config["agent"]) for spec in attackers.values() if "agent" in spec.config))
+    victims = list(dict.fromkeys(agent for spec in attackers.values() for agent in spec.agents))
     for spec in attackers.values():
         cls = loading.node_class(Path(spec.file), spec.type)
         if "surroundings" in inspect.signature(cls).parameters:
-            own = [str(spec.config["agent"])] if "agent" in spec.config else []
-            known_victims = victims if spec.role == "coordinator" else own
+            known_victims = victims if spec.role == "coordinator" else spec.agents
             spec.config.setdefault("surroundings", surroundings_of(recording, known_victims))
 
 

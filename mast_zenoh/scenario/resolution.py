@@ -150,7 +150,10 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
     node_options = {}
     for name, spec in nodes.items():
         cls = loading.node_class(Path(spec.file), spec.type)
+        bindings: dict[str, str | tuple[str, ...]]
         bindings = {key: value for key, value in spec.config.items() if isinstance(value, str)}
+        if len(spec.agents) > 1:
+            bindings["agent"] = spec.agents
         node_options[name] = endpoints.NodeOptions(spec.role, bindings, cls.inputs, cls.outputs)
     wiring = maps.resolve(sources, node_options, _shipped_ports())
     subscribers = {name for _, _, name in wiring.flows()}

@@ -98,7 +98,7 @@ def run(trial: Trial) -> Outcome:
                     f"{name}: this worker has {versions.get(name)}, the study was started with {version}"
                 )
         resolved = _resolve(trial)
-        compromised = {str(spec.config["agent"]) for spec in resolved.nodes.values() if spec.role == "adversary"}
+        compromised = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
         run_trial = _run_in_process if trial.runtime == "inproc" else _run_on_mesh
         metrics, table, handler_failures = run_trial(resolved, trial.allow_failures)
         cpu_s = round(time.process_time() - cpu_start_s, 3)

@@ -9,6 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import Attack, Surroundings, Tampering
 from mast_zenoh.attacks.surroundings import unlimited
+from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.comparison import expect, expect_finite, expect_same, unchanged
 
@@ -42,6 +43,7 @@ def _check_steps(attack: Attack, subject: str, n: int, tracks: bool) -> None:
         with unchanged(subject, objects=objects, agent_position=_AGENT):
             tampering = _step(straight, frame, objects)
         _check_tampering(subject, tampering, objects)
+        _check_forging(subject, straight, frame)
         expect_same(
             tampering, _step(again, frame, objects), f"{subject}: two instances with the same seed and name differ"
         )
@@ -65,6 +67,22 @@ def _prepared_copy(attack: Attack) -> Attack:
 def _step(attack: Attack, frame: int, objects: ObjectStates) -> Tampering:
     attack.look(unlimited(_AGENT), fused=False)
     return attack.step(frame, frame * samples.PERIOD_NS, objects, _AGENT)
+
+
+def _check_forging(subject: str, attack: Attack, frame: int) -> None:
+    """Check the view and the pose that an attack forges."""
+    time_ns, free = frame * samples.PERIOD_NS, np.full((8, 90), 60.0)
+    with unchanged(f"{subject}: forge_view", free=free):
+        forged = attack.forge_view(frame, time_ns, SweptView(unlimited(_AGENT), free)).free
+    expect(
+        forged.shape == free.shape, f"{subject}: forge_view: free has the shape {forged.shape}, expected {free.shape}"
+    )
+    expect_finite((forged,), f"{subject}: forge_view")
+    expect(bool((forged >= 0.0).all()), f"{subject}: forge_view: free is negative, expected 0 m or more")
+    with unchanged(f"{subject}: forge_pose", position=_AGENT):
+        position = attack.forge_pose(frame, time_ns, _AGENT)
+    expect(position.shape == (3,), f"{subject}: forge_pose: the shape is {position.shape}, expected (3,)")
+    expect_finite((position,), f"{subject}: forge_pose")
 
 
 def _check_tampering(subject: str, tampering: Tampering, objects: ObjectStates) -> None:

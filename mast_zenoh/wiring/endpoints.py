@@ -19,13 +19,18 @@ ROLES = (
 class NodeOptions:
     """The properties of a node that the wiring depends on.
 
-    options: options that bind it to a wire; inputs, outputs: message type by port
+    options: options that bind it to a wire, or to several; inputs, outputs: message type by port
     """
 
     role: str
-    options: Mapping[str, str]
+    options: Mapping[str, str | tuple[str, ...]]
     inputs: Mapping[str, str]
     outputs: Mapping[str, str]
+
+    def names(self, option: str) -> tuple[str, ...]:
+        """The subjects that an option names; none without the option."""
+        value = self.options.get(option, ())
+        return (value,) if isinstance(value, str) else value
 
 
 def members(
@@ -41,7 +46,8 @@ def members(
 
     Without a placeholder, all nodes of the role.
 
-    A node belongs to a subject if it is the subject, or if its option with the placeholder's name names it. If no node
+    A node belongs to a subject if it is the subject, or if its option with the placeholder's name names it (an option
+    may name several subjects). If no node
     of the role has that option, all of them belong to every subject.
 
     node: keep only the node of this name
@@ -57,7 +63,7 @@ def members(
     if role == placeholder:
         of_role = {subject: of_role[subject]}
     elif placeholder and any(placeholder in other.options for other in of_role.values()):
-        of_role = {name: other for name, other in of_role.items() if other.options.get(placeholder) == subject}
+        of_role = {name: other for name, other in of_role.items() if subject in other.names(placeholder)}
     return {name: other for name, other in of_role.items() if node in (None, name)}
 
 

@@ -230,7 +230,9 @@ def _check_affected(
         if members(role, nodes, place, placeholder=placeholder, subject=wire.subject, node=node):
             return
     if wires and candidates:
-        names = ", ".join(f"{name} ({options.options.get(placeholder)})" for name, options in candidates.items())
+        names = ", ".join(
+            f"{name} ({', '.join(options.names(placeholder)) or None})" for name, options in candidates.items()
+        )
         raise WiringError(
             f"{place}: no {role} belongs to {entry['wire']!r}: expected one with {placeholder}={wires[0].subject!r}, "
             f"found {names}"

@@ -16,7 +16,8 @@ def insert(
 ) -> Wire:
     """The wire with the nodes of an `[[insert]]`.
 
-    They come before all subscribers, or before the one of the role `to`.
+    They come before all subscribers, or before the one of the role `to`. A node that subscribes to the wire on the same
+    port receives it as an interposer instead.
     Raises WiringError for a node without the ports, a node that is on the wire already, and an ambiguous `to`.
     """
     inserted = members(
@@ -28,6 +29,7 @@ def insert(
         subscriber = _subscriber(wire, entrance.node, entry["to"], nodes, place) if "to" in entry else None
         if "to" in entry and subscriber is None:
             continue
+        wire = _without_subscriber(wire, entrance)
         on_wire = {wire.legs[0].publisher.node, *wire.interposers, *(end.node for end in wire.subscribers)}
         if entrance.node in on_wire:
             raise WiringError(f"{place}: {entrance.node} is already on the wire {wire.key!r}: that would be a loop")
@@ -66,15 +68,24 @@ def listen(wire: Wire, listeners: list[Listener], place: str, *, every: bool) ->
     return wire
 
 
+def _without_subscriber(wire: Wire, end: Endpoint) -> Wire:
+    """The wire without a subscriber that no branch leads to."""
+    *before, last = wire.legs
+    if end not in last.subscribers or any(end in (branch.entrance, branch.subscriber) for branch in wire.branches):
+        return wire
+    kept = tuple(other for other in last.subscribers if other != end)
+    return replace(wire, legs=(*before, replace(last, subscribers=kept)))
+
+
 def _subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOptions], place: str) -> Endpoint | None:
     """The subscriber of `role` before which a node is inserted; None if there is none.
 
     It is the one that the node's option with the role's name names, else the only one.
     """
     ends = [end for end in wire.subscribers if nodes[end.node].role == role]
-    preferred = nodes[node].options.get(role)
-    if preferred is not None:
-        ends = [end for end in ends if end.node == preferred]
+    preferred = nodes[node].names(role)
+    if preferred:
+        ends = [end for end in ends if end.node in preferred]
     if len(ends) > 1:
         names = ", ".join(end.node for end in ends)
         raise WiringError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from attack_worlds import ORIGIN, at, equal, world
@@ -37,13 +39,38 @@ def test_the_number_of_false_objects_is_poisson_distributed():
 
 def test_false_objects_are_spread_around_the_victim_and_move_along_their_heading():
     victim = np.array([200.0, -100.0, 15.0])
-    some = draws(UncoordinatedSelection(region="paper", position_std_m=30.0, velocity_std_mps=10.0), world(10), victim)
+    selection = UncoordinatedSelection(
+        region="paper", position_std_m=30.0, velocity_std_mps=10.0, max_distance_m=1000.0
+    )
+    some = draws(selection, world(10), victim)
     false = concatenate([t.add for t in some])
     assert np.allclose(false.position[:, :2].mean(axis=0), victim[:2], atol=1.5)
     assert np.allclose(false.position[:, :2].std(axis=0), 30.0, rtol=0.05)
     assert np.allclose(false.velocity[:, :2].std(axis=0), 10.0, rtol=0.05)
     assert np.all(false.velocity[:, 2] == 0.0)
     assert np.array_equal(false.yaw, np.arctan2(false.velocity[:, 1], false.velocity[:, 0]))
+
+
+def test_false_objects_of_the_paper_are_within_a_maximum_distance_of_the_victim():
+    victim = np.array([200.0, -100.0, 15.0])
+    false = concatenate([t.add for t in draws(UncoordinatedSelection(region="paper"), world(10), victim)])
+    distance = np.hypot(*(false.position - victim)[:, :2].T)
+    assert distance.max() <= 70.0
+    assert distance.max() > 69.0
+    # A Rayleigh distribution that ends at 70 m: E r² = 2 σ² (1 - u e^-u / (1 - e^-u)), u = R² / 2 σ².
+    u = 70.0**2 / (2.0 * 30.0**2)
+    expected = 2.0 * 30.0**2 * (1.0 - u * np.exp(-u) / (1.0 - np.exp(-u)))
+    assert (distance**2).mean() == pytest.approx(expected, rel=0.03)
+
+
+def test_coordinated_false_objects_of_the_paper_are_near_any_agent_that_the_coordinator_knows():
+    coverage = replace(coverage_of(ORIGIN), agents=np.array([[0.0, 0.0, 0.0], [1000.0, 0.0, 0.0]]))
+    selection = CoordinatedSelection(region="paper")
+    false = concatenate([selection.select(world(10), coverage, stream(7, trial)).add for trial in range(300)])
+    near_other = np.hypot(false.position[:, 0] - 1000.0, false.position[:, 1]) <= 70.0
+    near_victim = np.hypot(false.position[:, 0], false.position[:, 1]) <= 70.0
+    assert (near_other | near_victim).all()
+    assert near_other.mean() == pytest.approx(0.5, abs=0.06)
 
 
 def test_false_objects_are_on_the_same_ground_as_real_ones():

@@ -178,3 +178,29 @@ def test_a_run_that_cannot_be_changed_gives_the_reason(tmp_path: Path, record: d
         intercept(tmp_path, TRACKS, "adversary.py")
     with pytest.raises(NotRunning, match=what):
         release(tmp_path, name="m")
+
+
+@pytest.mark.parametrize(
+    ("wire", "input", "others"),
+    [
+        ("agent/infra_1/detections", "detections", {"clock", "agent/infra_1/pose"}),
+        (TRACKS, "tracks", {"clock", "agent/infra_1/pose"}),
+        ("agent/infra_1/view", "view", {"clock", "agent/infra_1/pose"}),
+        ("agent/infra_1/pose", "pose", {"clock"}),
+    ],
+)
+def test_the_shipped_adversary_gets_its_agents_pose_and_overhears_nothing(
+    tmp_path: Path, wire: str, input: str, others: set[str]
+) -> None:
+    (tmp_path / "mine.py").touch()
+    views = SCENARIO | dict(keyexpr=dict(rewrites=["views.toml"]))
+    resolved = scenario.resolve(tmp_path / "mine.py", views, frames=2)
+    _, _, place = plan(resolved, wire, "adversary.py", settings=ATTACK)
+    assert (place.input, place.output) == (input, f"{input}_out")
+    assert set(place.other_inputs) == others
+    assert {own.key for own in place.published_wires} == {"attack/adversary_1/report"}
+
+
+def test_the_shipped_adversary_on_the_picture_needs_no_choice_of_a_port(resolved: Resolved) -> None:
+    _, _, place = plan(resolved, "cc/picture", "adversary.py", settings=(*ATTACK, "agent=ego"))
+    assert (place.input, place.output) == ("picture", "picture_out")

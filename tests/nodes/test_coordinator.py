@@ -1,11 +1,13 @@
 """The coordinator sends one plan to all its live adversaries."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from tiny_world import Bench, Run, states, tiny
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.messages.schemas import Message
 
 DIRECTIVES = tuple(f"attack/adversary_{i}/directive" for i in (1, 2))
@@ -19,6 +21,8 @@ def resolved():
 def observation(*places: tuple[float, float], x: float = 0.0) -> dict[str, np.ndarray]:
     return states(*places).columns() | {
         "agent_position": np.array([x, 0.0, 0.0]),
+        "agent_rotation": np.array([1.0, 0.0, 0.0, 0.0]),
+        "agent_velocity": np.zeros(3),
         "sensor_position": np.array([x, 0.0, 2.0]),
         "sensor_rotation": np.eye(3),
         "azimuth": np.array([-np.pi, np.pi]),
@@ -120,3 +124,30 @@ def test_a_run_continues_without_any_observation() -> None:
     run = Run(tiny("coordinated", "n_adversaries=1", edit=blind))
     assert not run.failures
     assert len(run.messages["cc/picture"]) == 12
+
+
+def test_observations_of_different_times_are_brought_to_the_latest_of_them(resolved) -> None:
+    coordinator = Bench(resolved, "coordinator")
+    calls: dict[str, Any] = {}
+    coordination = coordinator.node.coordination
+    step = coordination.step
+    coordination.locate = lambda rotations, velocities: calls.update(rotations=rotations, velocities=velocities)
+    coordination.look = lambda views: calls.update(views=views)
+
+    def recorded(frame: int, time_ns: int, objects: ObjectStates, source: Any, positions: Any) -> Any:
+        calls.update(time_ns=time_ns, objects=objects, positions=positions)
+        return step(frame, time_ns, objects, source, positions)
+
+    coordination.step = recorded
+    coordinator.clock(0)
+    for adversary, time_ns in ((1, 0), (2, 200_000_000)):
+        body = observation((10.0, 5.0), x=3.0) | {"agent_velocity": np.array([5.0, 0.0, 0.0])}
+        body["velocity"] = np.array([[10.0, 0.0, 0.0]])
+        key = coordinator.key("observations", f"adversary_{adversary}")
+        coordinator.deliver(key, coordinator.message(key, body, 0, time_ns=time_ns))
+    assert calls["time_ns"] == 200_000_000
+    np.testing.assert_allclose(calls["objects"].position[:, 0], [12.0, 10.0])
+    np.testing.assert_allclose(calls["positions"][:, 0], [4.0, 3.0])
+    np.testing.assert_allclose([view.position[0] for view in calls["views"]], [4.0, 3.0])
+    np.testing.assert_allclose(calls["velocities"][:, 0], 5.0)
+    np.testing.assert_allclose(calls["rotations"], np.stack([np.eye(3)] * 2))

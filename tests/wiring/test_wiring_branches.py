@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import zenoh
 from hypothesis import given, settings
@@ -226,3 +228,68 @@ def test_the_shipped_network_map_does_not_affect_the_evaluator() -> None:
         ("agent/{agent}/view", "broker"),
         ("cc/picture", "agent"),
     }
+
+
+POSE = {
+    "wire": [
+        {
+            "key": "agent/{agent}/pose",
+            "message": "pose",
+            "from": "simulator.pose",
+            "to": ["agent.pose", "adversary.pose"],
+        }
+    ]
+}
+
+
+def on_pose(**more: str) -> dict:
+    entry = {"wire": "agent/{agent}/pose", "role": "adversary", "input": "pose", "output": "pose_out"}
+    return {"insert": [entry | more]}
+
+
+def posed(**adversaries: Any) -> dict[str, NodeOptions]:
+    return {
+        "simulator": node("simulator", outputs="pose:pose"),
+        **{name: node("agent", "pose:pose") for name in ("ego", "infra_1", "infra_2")},
+        **{
+            name: NodeOptions("adversary", {"agent": agent}, {"pose": "pose"}, {"pose_out": "pose"})
+            for name, agent in adversaries.items()
+        },
+    }
+
+
+def resolve_pose(nodes: dict[str, NodeOptions], *rewrites: dict) -> Wiring:
+    return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate((POSE, *rewrites))], nodes)
+
+
+def test_a_subscriber_that_is_inserted_into_its_wire_receives_it_once() -> None:
+    nodes = posed(adversary_1="infra_1")
+    for rewrite, received, sent in (
+        (on_pose(to="agent"), "agent/infra_1/pose", "agent/infra_1/pose/@tap/infra_1/0"),
+        (on_pose(), "agent/infra_1/pose/@tap/0", "agent/infra_1/pose"),
+    ):
+        wiring = resolve_pose(nodes, rewrite)
+        assert set(wiring.ports("adversary_1").inputs) == {received}
+        assert wiring.ports("adversary_1").outputs == {("pose_out", "infra_1"): sent}
+        assert set(wiring.ports("infra_1").inputs) == {sent}
+
+
+def test_two_subscribers_that_are_inserted_into_their_wire_make_a_chain() -> None:
+    wiring = resolve_pose(posed(adversary_1="infra_1", adversary_2="infra_1"), on_pose(to="agent"))
+    legs = [f"agent/infra_1/pose/@tap/infra_1/{i}" for i in range(2)]
+    assert set(wiring.ports("adversary_1").inputs) == {"agent/infra_1/pose"}
+    assert set(wiring.ports("adversary_2").inputs) == {legs[0]}
+    assert set(wiring.ports("infra_1").inputs) == {legs[1]}
+
+
+def test_a_node_whose_option_names_several_agents_is_on_the_wires_of_all_of_them() -> None:
+    wiring = resolve_pose(posed(adversary_1=("infra_1", "infra_2")), on_pose(to="agent"))
+    assert set(wiring.ports("adversary_1").inputs) == {"agent/infra_1/pose", "agent/infra_2/pose"}
+    assert set(wiring.ports("adversary_1").outputs) == {("pose_out", "infra_1"), ("pose_out", "infra_2")}
+    assert set(wiring.ports("ego").inputs) == {"agent/ego/pose"}
+
+
+def test_a_listener_that_forwards_the_wire_is_refused() -> None:
+    listens = {"listen": [{"wire": "agent/infra_1/pose", "role": "adversary", "input": "pose"}]}
+    with pytest.raises(WiringError, match="would receive its own messages"):
+        resolve_pose(posed(adversary_1="infra_1"), on_pose(to="agent"), listens)

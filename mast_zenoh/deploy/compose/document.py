@@ -155,8 +155,8 @@ def check_names(resolved: Resolved) -> None:
 def is_mobile(resolved: Resolved, name: str) -> bool:
     """Whether a node is a mobile agent, or an interposer on the wires of one."""
     spec = resolved.nodes[name]
-    agent = resolved.nodes.get(str(spec.config.get("agent")))
-    return _is_mobile_agent(spec) or (agent is not None and _is_mobile_agent(agent))
+    agents = [resolved.nodes[agent] for agent in spec.agents if agent in resolved.nodes]
+    return any(map(_is_mobile_agent, [spec, *agents]))
 
 
 def longest_disconnection_s(resolved: Resolved, name: str) -> float:

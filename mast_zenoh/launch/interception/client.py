@@ -137,14 +137,18 @@ def _place(
     """The node's ports on the wire, its other inputs, and the wires that it publishes itself.
 
     An input port is connected to the only other wire of its message type that has no subject or the node's subject
-    (such as the clock, or its agent's pose). The node publishes the wires that the testbed's map has for its role (such
-    as an adversary's report).
+    (such as the clock, or its agent's pose), unless it is of a type that the node forwards. Those that the testbed's map
+    has for its role are connected in any case. The node publishes the wires that the testbed's map has for its role
+    (such as an adversary's report).
     """
-    input_port = _port(cls.inputs, target, input, f"{path}: {cls.__name__}", "input")
+    placed = {port: message for port, message in cls.inputs.items() if port not in cls.listening or port == input}
+    input_port = _port(placed, target, input, f"{path}: {cls.__name__}", "input")
     output_port = _port(cls.outputs, target, output, f"{path}: {cls.__name__}", "output")
     other_inputs: dict[str, str] = {}
+    usual = _usual_inputs(cls)
     for port, message in cls.inputs.items():
-        if port == input_port or message in cls.outputs.values():
+        forwarded = message in cls.outputs.values() and port not in usual
+        if port == input_port or forwarded or port in cls.listening:
             continue
         keys = [w.key for w in wiring.wires if w.message == message and w.subject in ("", subject)]
         if len(keys) == 1 and keys[0] != target.key:
@@ -176,6 +180,13 @@ def _port(ports: Mapping[str, str], target: Wire, requested: str | None, place: 
             f"{place}: {candidates} for {target.message!r} messages, which the wire {target.key!r} carries"
         )
     return matching[0]
+
+
+def _usual_inputs(cls: type[Node]) -> set[str]:
+    """The input ports that the testbed's map has for nodes of this role."""
+    entries = maps.load(bundle.ROOT / "keyexpr_maps" / "testbed.toml")["wire"]
+    ends = [reference.partition(".") for entry in entries for reference in entry["to"]]
+    return {port for role, _, port in ends if role == cls.role}
 
 
 def _own_wires(cls: type[Node], name: str, resolved: Resolved) -> list[Wire]:

@@ -99,7 +99,7 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
         for node in wire.get("interposers", ()):
             wires.setdefault(node, {})[wire["key"]] = None
         for leg in wire.get("legs", ()):
-            if leg.get("before"):
+            if leg.get("before", wire.get("subject")) != wire.get("subject"):  # nobody else needs an agent's own wire
                 before.setdefault(leg["from"], {})[leg["before"]] = None
     measured = run.metrics.get("interposers", {})
     for node, summary in measured.items():

@@ -3,6 +3,7 @@
 An outsider has network access; an insider also has one node's certificate and key.
 
 attempts        attacks by an outsider: classes for a scenario file's `outsider()`
+sybil           an outsider that invents agents
 insiders        attacks by a compromised node: classes for a scenario file's `insiders()`
 attacked_run    a run that plays while attackers act
 infiltration    a run with an insider, compared with its undisturbed twin

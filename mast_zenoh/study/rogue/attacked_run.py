@@ -103,6 +103,11 @@ class AttackedRun:
         return -1 if self._context is None else self._context.frame
 
     @property
+    def period_ns(self) -> int:
+        """ns of scene time from one frame to the next."""
+        return self._resolved.period_ns
+
+    @property
     def endpoint(self) -> str:
         """The router's endpoint.
 

@@ -24,7 +24,10 @@ from mast_zenoh.study.rogue.attacked_run import AttackedRun, attacker_errors
 from mast_zenoh.study.rogue.attempts import Attempt, Outcome
 from mast_zenoh.study.rogue.infiltration import infiltrate
 from mast_zenoh.study.rogue.insiders import Insider
+from mast_zenoh.study.rogue.sybil import Sybil
 
+#: The classes that a scenario file's `outsider()` can name besides those of `attempts`.
+OUTSIDERS = (Sybil,)
 #: Default number of frames of a run with an insider: there is one run per insider and level.
 _INSIDER_FRAMES = 60
 

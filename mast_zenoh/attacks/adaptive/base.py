@@ -1,0 +1,212 @@
+"""Base class of adaptive attacks: a budget, consistent views, and what the attacker knows."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mast_zenoh.arrays.ordering import canonical_order
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, propagate
+from mast_zenoh.attacks.adaptive.budget import Budget
+from mast_zenoh.attacks.base import Attack
+from mast_zenoh.attacks.campaign import NANOSECONDS, check_start
+from mast_zenoh.attacks.coverage import Coverage
+from mast_zenoh.attacks.following import Follower
+from mast_zenoh.attacks.free_space import ViewForger
+from mast_zenoh.attacks.imitation import ForgedIds
+from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
+from mast_zenoh.attacks.targets import ALTERED, MOVED, Changes, Tampering, Targets
+from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.streams import stream
+from mast_zenoh.tracking.view import SensorView
+
+#: Number of messages in which an object must have been seen before it is lied about.
+ESTABLISHED = 3
+#: m, widest gate of the tracker that follows the victim's objects.
+GATE_M = 6.0
+#: Difference between the victim's highest track id and the first id of a false object.
+ID_GAP = 1000
+#: m; a smaller displacement leaves an object in its place.
+SAME_PLACE_M = 1e-6
+#: Absolute and relative difference of numbers that are equal on the wires.
+TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """One message, as an attack sees it.
+
+    frame, time_ns: of the message; elapsed_s: s since the message before
+    seen:        the victim's n objects in canonical order, world frame
+    established: (n,) which of them have been seen often enough to be lied about
+    coverage, view: of the victim; position: (3,) m, of the victim
+    """
+
+    frame: int
+    time_ns: int
+    elapsed_s: float
+    seen: ObjectStates
+    established: Bools
+    coverage: Coverage
+    view: SensorView
+    position: Floats
+
+    @property
+    def time_s(self) -> float:
+        """s since the start of the scene."""
+        return self.time_ns / NANOSECONDS
+
+
+def _no_rows() -> Ints:
+    return np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lies:
+    """What an attack claims in one message. Numbers identify targets of the attack.
+
+    inserted: false objects as they appear; their ids are numbers
+    hidden:   (h,) rows of `Moment.seen` that are left out; hidden_number: (h,)
+    changed:  (m,) rows, none of them hidden, that are replaced by the m states `claims`; changed_number: (m,)
+    """
+
+    inserted: ObjectStates = field(default_factory=ObjectStates.empty)
+    hidden: Ints = field(default_factory=_no_rows)
+    hidden_number: Ints = field(default_factory=_no_rows)
+    changed: Ints = field(default_factory=_no_rows)
+    claims: ObjectStates = field(default_factory=ObjectStates.empty)
+    changed_number: Ints = field(default_factory=_no_rows)
+
+
+class AdaptiveAttack(Attack):
+    """Base of attacks with a budget, whose claimed views agree with their lies.
+
+    A subclass says in `lie` what to claim in a message, at most as many lies as `budget.admit` allows; it may learn in
+    `observe`. `numbers` gives unused numbers for targets, `stream` random numbers, `known_objects` the picture.
+
+    budget:  lies per second: one lie is one object inserted, hidden or changed for one second
+    start_s: s of scene time at which the attack begins
+    """
+
+    #: while it is dormant it observes and saves its budget, and tells no lies
+    dormant = False
+
+    def __init__(self, *, budget: float = 2.0, start_s: float = 4.0) -> None:
+        check_start(start_s)
+        self._start_ns = round(start_s * NANOSECONDS)
+        self.budget = Budget(budget)
+        self._ids = ForgedIds(ID_GAP)
+        self._follower = Follower(GATE_M)
+        self._forger = ViewForger()
+        self._surroundings = UNKNOWN
+        self._view: SensorView | None = None
+        self._fused = False
+        self._seed, self._name = 0, ""
+        self._last_ns: int | None = None
+        self._picture: tuple[int, ObjectStates] | None = None
+        self._numbers_used = 0
+
+    def inform(self, surroundings: Surroundings) -> None:
+        self._surroundings = surroundings
+
+    def bind(self, seed: int, name: str) -> None:
+        self._seed, self._name = seed, name
+
+    def look(self, view: SensorView, *, fused: bool) -> None:
+        self._view, self._fused = view, fused
+
+    def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:
+        self._picture = time_ns, objects.select(canonical_order(objects))
+
+    def step(
+        self,
+        frame: int,
+        time_ns: int,
+        objects: ObjectStates,
+        agent_position: Floats,
+        directive: Targets | None = None,
+    ) -> Tampering:
+        order = canonical_order(objects)
+        seen = objects.select(order)
+        elapsed_s = 0.0 if self._last_ns is None else max(0, time_ns - self._last_ns) / NANOSECONDS
+        self._last_ns = time_ns
+        self._ids.observe(objects.id)
+        self._follower.observe(seen, time_ns)
+        view = unlimited(agent_position) if self._view is None else self._view
+        coverage = Coverage(self._surroundings, (view,), time_ns / NANOSECONDS, self._fused)
+        established = self._follower.established(ESTABLISHED)
+        moment = Moment(frame, time_ns, elapsed_s, seen, established, coverage, view, agent_position)
+        self.observe(moment)
+        if time_ns < self._start_ns:
+            return Tampering.nothing(len(objects))
+        self.budget.advance(elapsed_s)
+        if self.dormant:
+            self.rest()
+            return Tampering.nothing(len(objects))
+        tampering = self._tampering(self.lie(moment), seen, order)
+        self.budget.spend(len(tampering.report))
+        self._forger.remember(frame, objects, tampering)
+        return tampering
+
+    def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
+        return self._forger.forge(frame, swept)
+
+    def observe(self, moment: Moment) -> None:
+        """Learn from a message, also before the attack begins."""
+
+    def rest(self) -> None:
+        """Forget the lies that have begun: the attack is dormant."""
+
+    @abstractmethod
+    def lie(self, moment: Moment) -> Lies:
+        """What to claim in a message; at most as many lies as `budget` admits."""
+
+    def stream(self, *purpose: str | int) -> np.random.Generator:
+        """The random numbers for a purpose, see `streams.stream`."""
+        return stream(self._seed, self._surroundings.scene, self._name, *purpose)
+
+    def numbers(self, count: int) -> Ints:
+        """(count,) unused numbers of targets."""
+        self._numbers_used += count
+        return np.arange(self._numbers_used - count, self._numbers_used, dtype=np.int64)
+
+    def known_objects(self, moment: Moment) -> ObjectStates:
+        """The objects of the newest picture at the time of a message; none without a picture."""
+        if self._picture is None:
+            return ObjectStates.empty()
+        time_ns, objects = self._picture
+        return propagate(objects, (moment.time_ns - time_ns) / NANOSECONDS)
+
+    def _tampering(self, lies: Lies, seen: ObjectStates, order: Ints) -> Tampering:
+        """The changes to a message; order: (n,) the row of each seen object in it."""
+        told = _differs(seen.select(lies.changed), lies.claims)
+        before = seen.select(lies.changed[told])
+        claims = lies.claims.select(told).with_(id=before.id) if len(before) else before
+        keep = np.ones(len(order), bool)
+        keep[order[lies.hidden]] = False
+        numbers = [lies.inserted.id, lies.hidden_number, lies.changed_number[told]]
+        report = Changes.of(lies.inserted, seen.select(lies.hidden), before, claims, numbers)
+        action = report.action.copy()
+        if len(before):
+            same_place = np.abs(claims.position - before.position).max(axis=1) <= SAME_PLACE_M
+            action[len(action) - len(before) :] = np.where(same_place, ALTERED, MOVED)
+        return Tampering(
+            keep=keep,
+            moved_index=order[lies.changed[told]],
+            moved=claims,
+            added=lies.inserted.with_(id=self._ids.of(lies.inserted.id)) if len(lies.inserted) else lies.inserted,
+            report=replace(report, action=action),
+            targets=Targets(lies.inserted, seen.select(lies.hidden), before, claims.position - before.position),
+        )
+
+
+def _differs(before: ObjectStates, claims: ObjectStates) -> Bools:
+    """(m,) whether anything but the id of an object is changed."""
+    result = np.zeros(len(before), bool)
+    columns, claimed = before.columns(), claims.columns()
+    for name in columns.keys() - {"id"} if len(before) else ():
+        same = np.isclose(columns[name], claimed[name], rtol=TOLERANCE, atol=TOLERANCE)
+        result |= ~same.all(axis=tuple(range(1, same.ndim)))
+    return result

@@ -1,0 +1,61 @@
+"""What an attacker knows of the command centre's assessment."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.integrity.base import SUSPENDED
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trust:
+    """The command centre's trust in a agents and n objects, as in a `trust` message.
+
+    agents: names, sorted; mean: (a,) 0 to 1; state: (a,) uint8, index into integrity.STATES
+    position: (n, 3) m, world frame; trust: (n,) 0 to 1; withheld: (n,) uint8, 1: not in the picture
+    """
+
+    agents: tuple[str, ...]
+    mean: Floats
+    state: NDArray[np.uint8]
+    position: Floats
+    trust: Floats
+    withheld: NDArray[np.uint8]
+
+    @classmethod
+    def of_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Trust:
+        """The trust in the columns of a `trust` message; further columns are left out."""
+        names = ("mean", "state", "position", "trust", "withheld")
+        return cls(tuple(map(str, columns["agents"])), *(columns[name] for name in names))
+
+
+class TrustWatch:
+    """Tells whether the trust in an attacker's own agents has fallen.
+
+    tolerance: 0 to 1, fall of the mean below its highest value that is accepted
+
+    Raises ValueError for a tolerance outside 0 to 1.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        if not 0.0 <= tolerance <= 1.0:
+            raise ValueError(f"tolerance: found {tolerance}, expected 0 to 1")
+        self._tolerance = tolerance
+        self._highest: dict[str, float] = {}
+        self.fallen = False
+
+    def hear(self, trust: Trust, own: Collection[str]) -> None:
+        """Compare the trust in the agents `own` with the highest so far; those without any are skipped."""
+        fallen = []
+        for name, mean, state in zip(trust.agents, trust.mean.tolist(), trust.state.tolist(), strict=True):
+            if name in own:
+                highest = self._highest[name] = max(mean, self._highest.get(name, mean))
+                fallen.append(mean < highest - self._tolerance or state == SUSPENDED)
+        if fallen:
+            self.fallen = any(fallen)

@@ -1,0 +1,117 @@
+"""A budget limits the lies per second, without flicker."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from attack_worlds import SECOND, world
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh.arrays.states import propagate
+from mast_zenoh.attacks import (
+    AdaptiveAttack,
+    BlindSpot,
+    Framing,
+    Lies,
+    Moment,
+    Replay,
+    Sleeper,
+    SlowDrift,
+    StatePerturbation,
+    Surroundings,
+)
+from mast_zenoh.attacks.adaptive.budget import SAVED_S, Budget
+from mast_zenoh.testing import check_attack
+
+
+def spent(rate: float, wanted: list[int], period_s: float = 0.1) -> list[int]:
+    budget, active, told = Budget(rate), 0, []
+    for count in wanted:
+        budget.advance(period_s)
+        active = budget.admit(active, count)
+        budget.spend(active)
+        told.append(active)
+    return told
+
+
+@given(st.floats(0.1, 20.0), st.lists(st.integers(0, 50), max_size=200))
+def test_no_more_than_what_was_earned_is_ever_spent(rate: float, wanted: list[int]) -> None:
+    told = spent(rate, wanted)
+    assert np.all(np.array(told) <= wanted)
+    total = np.cumsum(told) * 0.1
+    assert np.all(total <= rate * 0.1 * np.arange(1, len(told) + 1) + 1e-6)
+    for start in range(0, len(told), 7):
+        window = sum(told[start:]) * 0.1
+        assert window <= rate * (SAVED_S + 0.1 * (len(told) - start)) + 1e-6
+
+
+@given(st.integers(1, 20))
+def test_a_whole_number_of_lies_is_told_all_the_time(rate: int) -> None:
+    assert spent(float(rate), [50] * 100) == [rate] * 100
+
+
+def test_a_lie_beyond_the_steady_number_lasts_for_a_second() -> None:
+    told = np.array(spent(1.5, [50] * 400))
+    assert set(told.tolist()) == {1, 2}
+    changes = np.flatnonzero(np.diff(told)) + 1
+    lengths = np.diff(changes)[told[changes[:-1]] == 2]
+    assert lengths.min() >= 10
+    assert told.mean() == pytest.approx(1.5, abs=0.05)
+
+
+def test_an_honest_period_saves_for_a_burst() -> None:
+    told = spent(2.0, [0] * 50 + [6] * 20)
+    assert told[50:] == [6] * 20
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
+def test_a_budget_is_a_positive_number(rate: float) -> None:
+    with pytest.raises(ValueError, match="budget"):
+        Budget(rate)
+
+
+@pytest.mark.parametrize("budget", [1.0, 3.0])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda budget: SlowDrift(budget=budget, start_s=1.0),
+        lambda budget: StatePerturbation(budget=budget, start_s=1.0),
+        lambda budget: Replay(budget=budget, start_s=1.0, delay_s=0.5),
+        lambda budget: BlindSpot(budget=budget, start_s=1.0),
+        lambda budget: Sleeper(attack=SlowDrift(budget=budget, start_s=1.0), start_s=1.0, honest_s=1.0, lying_s=1.0),
+    ],
+    ids=["SlowDrift", "StatePerturbation", "Replay", "BlindSpot", "Sleeper"],
+)
+def test_attacks_keep_to_their_budget(make, budget: float) -> None:
+    attack = make(budget)
+    attack.inform(Surroundings())
+    attack.bind(0, "adversary_1")
+    lies = 0
+    for frame in range(60):
+        objects = propagate(world(12), 0.1 * frame)
+        lies += len(attack.step(frame, frame * SECOND // 10, objects, np.zeros(3)).report)
+    assert 0 < lies <= round(budget * 5.1 * 10)
+
+
+class HideNearest(AdaptiveAttack):
+    """Hides the objects nearest to the victim."""
+
+    def lie(self, moment: Moment) -> Lies:
+        distance = np.linalg.norm(moment.seen.position - moment.position, axis=1)
+        rows = np.argsort(distance, kind="stable")[: self.budget.admit(0, len(distance))]
+        return Lies(hidden=rows, hidden_number=moment.seen.id[rows])
+
+
+def test_an_attack_of_ones_own_needs_one_method() -> None:
+    check_attack(HideNearest())
+    attack = HideNearest(budget=3.0, start_s=1.0)
+    kept = [len(attack.step(f, f * SECOND // 10, world(12), np.zeros(3)).applied_to(world(12))) for f in range(20)]
+    assert kept == [12] * 10 + [9] * 10
+
+
+def test_framing_without_anybody_to_frame_is_honest() -> None:
+    attack = Framing(start_s=0.5)
+    attack.inform(Surroundings())
+    attack.bind(0, "adversary_1")
+    assert all(len(attack.step(f, f * SECOND // 10, world(12), np.zeros(3)).report) == 0 for f in range(20))
