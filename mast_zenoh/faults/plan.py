@@ -37,12 +37,14 @@ class Plan:
     steps: actions on processes, by frame
     bands: a plain dict of label, kind, type, at_s, until_s, nodes and backend for every fault that begins in the run
     missed: places of faults that begin after the last frame
+    of_agents: type, beginning and end in s (None: of the run) of the faults of what each agent sends
     """
 
     rules: dict[str, dict[str, list[Rule]]] = field(default_factory=dict)
     steps: tuple[ProcessStep, ...] = ()
     bands: list[dict[str, Any]] = field(default_factory=list)
     missed: list[str] = field(default_factory=list)
+    of_agents: dict[str, list[tuple[str, float, float | None]]] = field(default_factory=dict)
 
 
 def frame_at(times_ns: Ints, at_s: float) -> int:
@@ -80,12 +82,14 @@ def plan(
                 "one; use Partition, which acts on links, or real time (mode realtime)"
             )
         nodes = targets.processes(fault.selectors, roles, rng, where) if events else []
+        impaired = [name for name in nodes if roles[name] == "agent"]
         in_run = frame_at(times_ns, fault.at) < len(times_ns)
         if rules:
             ways = {role: fault.ways(role) for role in roles.values()}
             selectors = nodes or fault.selectors
             agents = targets.links(selectors, roles, ways, rng, where)
             nodes = nodes or list(agents)
+            impaired = [agent for agent, directions in agents.items() if directions != ["down"]]
             for agent, directions in agents.items():
                 of_agent = result.rules.setdefault(agent, {way: [] for way in DIRECTIONS})
                 for way in directions:
@@ -93,7 +97,10 @@ def plan(
         for name in nodes if events else ():
             actions[name] += [_Action(at_s, action, place, not rules) for at_s, action in events]
         if in_run:
-            result.bands.append(_band(fault, nodes, "links" if rules else "process", times_ns))
+            band = _band(fault, nodes, "links" if rules else "process", times_ns)
+            result.bands.append(band)
+            for agent in impaired:
+                result.of_agents.setdefault(agent, []).append((band["type"], band["at_s"], band["until_s"]))
         else:
             result.missed.append(place)
     result.steps = tuple(sorted(step for name in actions for step in _steps(name, actions[name], times_ns)))

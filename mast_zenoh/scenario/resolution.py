@@ -12,13 +12,14 @@ import numpy as np
 from mast_zenoh import scenes
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
+from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
 from mast_zenoh.scenario.names import checked_name, name_of_file
-from mast_zenoh.scenario.nodes import nodes_of
+from mast_zenoh.scenario.nodes import nodes_of, share_faults
 from mast_zenoh.scenario.reading import choose_scene
 from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, normalise_keys
 from mast_zenoh.scenario.timeline import REWRITE, timeline_of
@@ -65,6 +66,8 @@ def resolve(
     if any(wire.message == "sweep" for wire in wiring.wires):
         recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key, sweeps=True)
         nodes[driver_of(nodes)].config["recording"] = recording
+    if timeline.faults and any(wire.message == "trust" for wire in wiring.wires):
+        share_faults(nodes[EVALUATOR], timeline.faults)
     return Resolved(
         name=checked_name(scenario.get("name", name_of_file(path.stem)), f"{path}: name"),
         seed=options["seed"],

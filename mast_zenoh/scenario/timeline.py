@@ -31,12 +31,14 @@ class Timeline:
 
     links: the specs of the link nodes, by name;  plan: the plan of the faults;  bands: entries of Resolved.timeline
     network: hosts and their faults, see faults/network.py
+    faults: by agent, its faults: type, beginning and end in s (None: the end of the run)
     """
 
     links: dict[str, NodeSpec]
     plan: Plan
     bands: tuple[dict[str, Any], ...]
     network: dict[str, Any]
+    faults: dict[str, list[tuple[str, float, float | None]]]
 
 
 def timeline_of(
@@ -82,9 +84,15 @@ def timeline_of(
         beside={name: spec.config["agent"] for name, spec in specs.items()},
     )
     end_s = float(times_ns[-1]) * 1e-9
-    bands = [*permanent, *fault_plan.bands, *network.bands(hosts), *_attacks(nodes)]
+    of_hosts = network.bands(hosts)
+    bands = [*permanent, *fault_plan.bands, *of_hosts, *_attacks(nodes)]
+    faults = {agent: list(entries) for agent, entries in fault_plan.of_agents.items()}
+    for band in of_hosts:
+        for name in band["nodes"]:
+            if roles.get(name) == "agent":
+                faults.setdefault(name, []).append((band["type"], band["at_s"], band["until_s"]))
     visible = sorted((band for band in bands if band["at_s"] <= end_s), key=lambda band: float(band["at_s"]))
-    return Timeline(specs, fault_plan, tuple(visible), hosts)
+    return Timeline(specs, fault_plan, tuple(visible), hosts, faults)
 
 
 def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tuple[str, Mapping[str, Any]]]]:
