@@ -15,7 +15,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import MessageError
 from mast_zenoh.gather import LatestBefore
-from mast_zenoh.links import FATES, WIRES, Chain, Outcome, Passage, Rule, displaced, flipped
+from mast_zenoh.links import FATES, WIRES, Chain, Outcome, Passage, Rule, displaced, flipped, has_frame
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
@@ -110,7 +110,7 @@ class Link(Node):
                 now_ns=context.now_ns,
                 size=len(received.encoded) if chain.needs_size else 0,
                 position=place[1] if place else None,
-                referenced=chain.needs_frame and "origin" in columns_of(received),
+                referenced=chain.needs_frame and has_frame(columns_of(received)),
             )
         )
         for passage, after_s in outcome.leaving:
@@ -121,7 +121,12 @@ class Link(Node):
     def chain(self, port: str, subject: str, context: Context) -> Chain:
         """The rules of one wire, which has its own random draws and memory."""
         rules = self.rules["down" if port in self.down else "up"]
-        chain = Chain(rules, lambda *purpose: context.rng("link", port, subject, *purpose))
+        of_sender = {type(rule).__name__ for rule in rules if rule.of_sender} if port == "view" else set()
+
+        def rng(kind: str, *more: int) -> np.random.Generator:
+            return context.rng("link", "tracks" if kind in of_sender else port, subject, kind, *more)
+
+        chain = Chain(rules, rng)
         self.chains[port, subject] = chain
         return chain
 
@@ -131,7 +136,7 @@ class Link(Node):
         if passage.skew_ns and columns_of(received):
             time_ns = max(0, received.time_ns + passage.skew_ns)
         if passage.turn or passage.shift != (0.0, 0.0):
-            body = displaced(received.body, passage.shift, passage.turn)
+            body = displaced(received.body, passage.shift, passage.turn, passage.position)
         if passage.flips:
             encoded = received.encoded
             if body is not None or time_ns is not None:

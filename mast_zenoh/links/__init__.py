@@ -13,7 +13,7 @@
 
 from mast_zenoh.links.base import Passage, Rule
 from mast_zenoh.links.chain import Chain, Outcome
-from mast_zenoh.links.content import ClockSkew, Corrupt, PoseError, displaced, flipped
+from mast_zenoh.links.content import ClockSkew, Corrupt, PoseError, displaced, flipped, has_frame
 from mast_zenoh.links.copies import Duplicate, Flood
 from mast_zenoh.links.loss import Cut, GilbertElliott, Loss, RangeLimit
 from mast_zenoh.links.profiles import PROFILES, profile
@@ -47,5 +47,6 @@ __all__ = [
     "Rule",
     "displaced",
     "flipped",
+    "has_frame",
     "profile",
 ]

@@ -24,12 +24,12 @@ class Passage(NamedTuple):
     now_ns:   time on the clock for delays: the same in lock-step, the wall clock in real time
     size:     bytes of the message; 0 unless a rule of the link needs it
     position: (3,) m, world frame, of the link's agent in an earlier frame; None if unknown
-    referenced: whether its columns are relative to a frame of reference
+    referenced: whether its columns are relative to the sender's pose
     copy:     0 for the message itself, from 1 for copies made in transit
     delay_ns: total delay so far
     overtakes: whether it may overtake earlier messages
     skew_ns:  error of the time in its header
-    shift, turn: m (x, y) and rad, error of its frame of reference
+    shift, turn: m (x, y) and rad, error of the sender's pose
     flips:    positions of flipped bits, as fractions (0 to 1) of its length
     """
 
@@ -59,6 +59,7 @@ class Rule(ABC):
 
     fate: ClassVar[str]  #: its effect on a message: one of links.FATES
     draws: ClassVar[bool] = False  #: whether it needs random numbers for every message
+    of_sender: ClassVar[bool] = False  #: whether these are the sender's: the same for its tracks and its view
     needs_size: ClassVar[bool] = False  #: whether it needs the size of the message
     needs_position: ClassVar[bool] = False  #: whether it needs the position of the agent
     needs_frame: ClassVar[bool] = False  #: whether it needs to know if there is a frame of reference
