@@ -25,7 +25,7 @@ SAME_PLACE_M = 0.05
 #: Effects on objects, in the order of `attacks.ACTIONS`.
 _ACTIONS = ("inserted", "removed", "moved")
 #: The effects that correspond to each of `links.FATES`, in that order. A corrupted message may still be readable.
-_FATES = ((DROPPED,), (DELAYED,), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED))
+_FATES = ((DROPPED,), (DELAYED,), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED), KINDS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
+
+if TYPE_CHECKING:
+    from mast_zenoh.links.sensors import Sensed
 
 NANOSECONDS = 1e9
 MAX_DELAY_S = 600.0  #: upper limit of the delay by one rule
@@ -31,6 +34,7 @@ class Passage(NamedTuple):
     skew_ns:  error of the time in its header
     shift, turn: m (x, y) and rad, error of the sender's pose
     flips:    positions of flipped bits, as fractions (0 to 1) of its length
+    sensed:   its detections; None if there are none, or unless a rule of the link needs them
     """
 
     time_ns: int
@@ -45,6 +49,7 @@ class Passage(NamedTuple):
     shift: tuple[float, float] = (0.0, 0.0)
     turn: float = 0.0
     flips: tuple[float, ...] = ()
+    sensed: Sensed | None = None
 
 
 class Rule(ABC):
@@ -63,6 +68,7 @@ class Rule(ABC):
     needs_size: ClassVar[bool] = False  #: whether it needs the size of the message
     needs_position: ClassVar[bool] = False  #: whether it needs the position of the agent
     needs_frame: ClassVar[bool] = False  #: whether it needs to know if there is a frame of reference
+    needs_detections: ClassVar[bool] = False  #: whether it needs the detections in the message
 
     def __init__(self, at: float = 0.0, until: float | None = None) -> None:
         expect("at", at, math.isfinite(at) and at >= 0.0, "0 s or more")

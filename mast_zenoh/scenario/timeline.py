@@ -15,7 +15,7 @@ from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
-from mast_zenoh.faults.base import DIRECTIONS, Rule
+from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
 from mast_zenoh.scenario.nodes import best_pattern, node_spec
 from mast_zenoh.scenes.recording import Recording
 
@@ -74,6 +74,8 @@ def timeline_of(
             )
         permanent_rules, timed_rules = profiles.get(agent, {}), fault_plan.rules.get(agent, {})
         rules = {f"rules_{way}": [*permanent_rules.get(way, ()), *timed_rules.get(way, ())] for way in DIRECTIONS}
+        if SENSOR in timed_rules:
+            rules["rules_sensor"] = timed_rules[SENSOR]
         specs[name] = node_spec(path, name, "link", {"agent": agent, **rules})
     hosts = network.resolve(
         scenario.get("hosts", {}),
@@ -93,6 +95,22 @@ def timeline_of(
                 faults.setdefault(name, []).append((band["type"], band["at_s"], band["until_s"]))
     visible = sorted((band for band in bands if band["at_s"] <= end_s), key=lambda band: float(band["at_s"]))
     return Timeline(specs, fault_plan, tuple(visible), hosts, faults)
+
+
+def rewrites(links: Mapping[str, NodeSpec]) -> list[str | dict[str, Any]]:
+    """What puts links between their agents and the network, and faulty sensors before their agents."""
+    sensors = [
+        dict(
+            wire=f"agent/{spec.config['agent']}/detections",
+            role="link",
+            input="detections",
+            output="detections_out",
+            node=name,
+        )
+        for name, spec in links.items()
+        if "rules_sensor" in spec.config
+    ]
+    return [*([REWRITE] if links else []), *([{"insert": sensors}] if sensors else [])]
 
 
 def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tuple[str, Mapping[str, Any]]]]:
