@@ -18,6 +18,7 @@ from mast_zenoh.effects import Pose
 from mast_zenoh.evaluation import Evaluation, RunData
 from mast_zenoh.metrics import Attribution, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
+from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.wiring.model import ANY, Wiring
@@ -45,6 +46,7 @@ class Evaluator(Node):
     agents:  their names
     scorer:  None: Scorer()
     attribution, cut_off: rules for the causes of errors, None: Attribution(), CutOff()
+    faults:  of the timeline by agent: type, beginning and end in s; None: none
     The other parameters are described in `evaluation.Evaluation`.
     """
 
@@ -63,6 +65,7 @@ class Evaluator(Node):
         metrics: tuple[Metric, ...] = (),
         attribution: Attribution | None = None,
         cut_off: CutOff | None = None,
+        faults: dict[str, list[tuple[str, float, float | None]]] | None = None,
     ) -> None:
         self.agents = agents
         self.evaluation = Evaluation(
@@ -75,6 +78,7 @@ class Evaluator(Node):
             metrics=metrics,
             attribution=attribution or Attribution(),
             cut_off=cut_off or CutOff(),
+            faults=faults or {},
         )
         self.data = RunData(Record(agents))
         self.routes: dict[str, Route] = {}
@@ -179,6 +183,11 @@ class Evaluator(Node):
                 candidates.append((message, objects))
         self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
 
+    def take_trust(self, message: Overheard, route: Route) -> None:
+        """Store the command centre's trust in agents and objects."""
+        frame = message.header.frame
+        self.data.trust.setdefault(frame, TrustUpdate(frame, message.body))
+
     def take_attack_report(self, message: Overheard, route: Route) -> None:
         """Store an adversary's report of its changes."""
         header = message.header
@@ -214,7 +223,7 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
         ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
         if len(wire.every_leg) > 1:
             shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
-        if wire.message in ("clock", "truth", "attack_report", "link_report"):
+        if wire.message in ("clock", "truth", "trust", "attack_report", "link_report"):
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
             takes[source.key] = "take_pose"

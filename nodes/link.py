@@ -12,10 +12,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import Detections
 from mast_zenoh.errors import MessageError
 from mast_zenoh.gather import LatestBefore
-from mast_zenoh.links import FATES, WIRES, Chain, Outcome, Passage, Rule, displaced, flipped
+from mast_zenoh.links import (
+    FATES,
+    WIRES,
+    Chain,
+    Outcome,
+    Passage,
+    Rule,
+    SenderPose,
+    Sensed,
+    displaced,
+    flipped,
+    has_frame,
+)
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
@@ -37,6 +50,7 @@ class Link(Node):
     """Applies the rules of an agent's link.
 
     agent: the agent of the link; rules_up, rules_down: rules for messages from the agent, and to the agent
+    rules_sensor: rules for the agent's detections, where a map inserts the link there; None: `rules_up`
 
     A wire's messages pass through the port of their type, `tracks` to `tracks_out`. A subclass can have more ports:
     handlers that call `carry`.
@@ -49,18 +63,25 @@ class Link(Node):
     prompt = True
     down = ("picture",)  #: ports of messages to the agent; all others are for messages from the agent
 
-    def __init__(self, agent: str = "", rules_up: tuple[Rule, ...] = (), rules_down: tuple[Rule, ...] = ()) -> None:
+    def __init__(
+        self,
+        agent: str = "",
+        rules_up: tuple[Rule, ...] = (),
+        rules_down: tuple[Rule, ...] = (),
+        rules_sensor: tuple[Rule, ...] | None = None,
+    ) -> None:
         self.agent = agent
-        self.rules = {"up": rules_up, "down": rules_down}
+        self.rules = {"up": rules_up, "down": rules_down, "sensor": rules_up if rules_sensor is None else rules_sensor}
         self.chains: dict[tuple[str, str], Chain] = {}
-        self.places: LatestBefore[Floats] = LatestBefore()
+        self.poses: LatestBefore[SenderPose] = LatestBefore()
+        self.newest_pose: SenderPose | None = None
         self.events: list[Event] = []
         self.clocks: tuple[tuple[int, int], tuple[int, int]] = ((-1, 0), (-1, 0))  # frame and time of the latest two
         self.carried: Counter[str] = Counter()
         self.fates: dict[str, Counter[str]] = {}
 
     def restamps_s(self, duration_s: float) -> float:
-        """The largest shift of message times by the rules of one direction, s."""
+        """The largest shift of message times by the rules of one wire, s."""
         return max(sum(rule.restamps_s(duration_s) for rule in rules) for rules in self.rules.values())
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -69,8 +90,13 @@ class Link(Node):
         self.report(context)
 
     def on_pose(self, received: Received, context: Context) -> None:
-        """Store the agent's position, which takes effect from the frame after its arrival."""
-        self.places.add(context.frame, received.body["position"])
+        """Store the agent's pose, which takes effect from the frame after its arrival."""
+        body = received.body
+        pose = SenderPose.after(
+            self.newest_pose, received.time_ns, body["position"], body["rotation"], body["velocity"]
+        )
+        self.newest_pose = pose
+        self.poses.add(context.frame, pose)
 
     def on_tracks(self, received: Received, context: Context) -> None:
         """The agent's tracks."""
@@ -103,35 +129,50 @@ class Link(Node):
         if not chain.rules:
             context.relay(f"{port}_out", received)
             return
-        place = self.places.get(context.frame) if chain.needs_position else None
+        known = self.poses.get(context.frame) if chain.needs_position else None
+        pose = known[1] if known else None
+        sensed = sensed_of(received, pose) if chain.needs_detections else None
         outcome = chain.carry(
             Passage(
                 time_ns=context.time_ns,
                 now_ns=context.now_ns,
                 size=len(received.encoded) if chain.needs_size else 0,
-                position=place[1] if place else None,
-                referenced=chain.needs_frame and "origin" in columns_of(received),
+                position=pose.position if pose else None,
+                referenced=chain.needs_frame and has_frame(columns_of(received)),
+                sensed=sensed,
             )
         )
         for passage, after_s in outcome.leaving:
-            self.send(f"{port}_out", received, passage, after_s, context)
+            self.send(f"{port}_out", received, passage, after_s, context, sensed)
         if outcome.fates:
             self.note(port, received, outcome)
 
     def chain(self, port: str, subject: str, context: Context) -> Chain:
         """The rules of one wire, which has its own random draws and memory."""
-        rules = self.rules["down" if port in self.down else "up"]
-        chain = Chain(rules, lambda *purpose: context.rng("link", port, subject, *purpose))
+        rules = self.rules["down" if port in self.down else "sensor" if port == "detections" else "up"]
+        of_sender = {type(rule).__name__ for rule in rules if rule.of_sender} if port == "view" else set()
+
+        def rng(kind: str, *more: int) -> np.random.Generator:
+            return context.rng("link", "tracks" if kind in of_sender else port, subject, kind, *more)
+
+        chain = Chain(rules, rng)
         self.chains[port, subject] = chain
         return chain
 
-    def send(self, port: str, received: Received, passage: Passage, after_s: float, context: Context) -> None:
-        """Forward one copy of a message, with the changes of the rules."""
+    def send(
+        self, port: str, received: Received, passage: Passage, after_s: float, context: Context, sensed: Sensed | None
+    ) -> None:
+        """Forward one copy of a message, with the changes of the rules.
+
+        sensed: its detections as received; None: not needed
+        """
         body, time_ns = None, None
         if passage.skew_ns and columns_of(received):
             time_ns = max(0, received.time_ns + passage.skew_ns)
         if passage.turn or passage.shift != (0.0, 0.0):
-            body = displaced(received.body, passage.shift, passage.turn)
+            body = displaced(received.body, passage.shift, passage.turn, passage.position)
+        if passage.sensed is not None and passage.sensed is not sensed:
+            body = {**received.body, **passage.sensed.detections.columns()}
         if passage.flips:
             encoded = received.encoded
             if body is not None or time_ns is not None:
@@ -178,6 +219,18 @@ def columns_of(received: Received) -> Body:
     except MessageError:
         return {}
     return received.body
+
+
+def sensed_of(received: Received, pose: SenderPose | None) -> Sensed | None:
+    """The detections in a message; None if there are none, or the message is malformed.
+
+    pose: of the agent in an earlier frame; None: unknown
+    """
+    body = columns_of(received)
+    if "mount_rotation" not in body:
+        return None
+    mount = rotation_from_quaternion(body["mount_rotation"])
+    return Sensed(Detections.from_columns(body), body["mount_position"], mount, pose)
 
 
 if __name__ == "__main__":

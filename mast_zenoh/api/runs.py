@@ -108,6 +108,19 @@ class Run:
         """A row per frame, vehicle and estimate: effects on driving (docs/metrics.md)."""
         return self._table("driving.parquet")
 
+    @property
+    def trust(self) -> pyarrow.Table:
+        """A row per frame and agent: the command centre's trust (docs/metrics.md).
+
+        Raises RunFolderError for a run whose command centre judges nobody.
+        """
+        return self._table("trust.parquet")
+
+    @property
+    def trust_objects(self) -> pyarrow.Table:
+        """A row per frame and object that a judging command centre tracks, withheld or not."""
+        return self._table("trust_objects.parquet")
+
     def messages(self, pattern: str = "*", *, taps: bool = False) -> Iterator[WireMessage]:
         """The recorded messages on the wires that a glob matches, sorted by frame.
 

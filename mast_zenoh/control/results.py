@@ -20,7 +20,7 @@ from mast_zenoh.errors import MessageError
 EVALUATOR = "evaluator"
 
 #: Tables that only the evaluator may return; they are written to the top of the run folder.
-TABLES = ("metrics", "objects", "attacks", "targets", "driving")
+TABLES = ("metrics", "objects", "attacks", "targets", "driving", "trust", "trust_objects")
 
 MAX_VALUES = 1 << 20  #: lists, maps and their items in a result; arrays count as one
 MAX_TEXTS = 1 << 23  #: items of columns of text in a result of up to 32 MiB; proportionally more in a longer one

@@ -6,6 +6,7 @@
     downstream    estimates that an interposer can influence
     evaluation    the complete evaluation with mast_zenoh.metrics
     tables        attacks.parquet
+    trust         what the command centre's trust was worth
 
 See docs/metrics.md and docs/effects.md.
 """

@@ -10,6 +10,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.effects import Effects, effects_of, reports
+from mast_zenoh.evaluation import trust
 from mast_zenoh.evaluation.from_effects import effects_of_absence, manipulations, stopped_by_links
 from mast_zenoh.evaluation.poses import add_pose_manipulations
 from mast_zenoh.evaluation.run_data import RunData
@@ -33,6 +34,7 @@ from mast_zenoh.metrics import (
 )
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import COLUMNS
+from mast_zenoh.metrics.trust import Fault
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +48,7 @@ class Evaluation:
              frames to begin with; kept when they would be more than half of the run
     picture_age_s: s, for how long an agent uses a picture when no newer one arrives; picture_ages_s: by agent
     attribution, cut_off: settings for the causes of errors
+    faults:  of the timeline by agent, for runs with trust
     Raises ValueError for invalid values.
     """
 
@@ -58,6 +61,7 @@ class Evaluation:
     picture_ages_s: Mapping[str, float] = field(default_factory=dict)
     attribution: Attribution = field(default_factory=Attribution)
     cut_off: CutOff = field(default_factory=CutOff)
+    faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.skip_first < 0 or self.skip_last < 0:
@@ -168,6 +172,7 @@ class _Results:
         )
         drives = consequences.drives(self.settings.driving, data.record, scores, labels, self.truth)
         summary, per_frame, failed_metrics = self._scored(scored)
+        integrity, trust_tables = self._trust(scored)
         return {
             "metrics": {
                 "frames": len(frames),
@@ -182,6 +187,7 @@ class _Results:
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
                 "latency_ms": {"sim_to_picture": percentiles(data.latencies_ns())},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
+                **integrity,
             },
             "tables": {
                 "metrics": per_frame,
@@ -189,6 +195,7 @@ class _Results:
                 "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
                 "targets": targets.table(manipulations.culprits),
                 "driving": consequences.table(drives, frames),
+                **trust_tables,
             },
             "failed_metrics": failed_metrics,
         }
@@ -211,6 +218,29 @@ class _Results:
         values, failed = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, data.period_s)
         user_metrics.add_to(summary, per_frame, scores, values, counts)
         return summary, per_frame, failed
+
+    def _trust(self, scored: slice) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The metrics and the tables of a command centre that judges agents; empty without one."""
+        data, settings, frames = self.data, self.settings, self.scores.frames
+        if not data.trust:
+            return {}, {}
+        updates = [data.trust[frame] for frame in sorted(data.trust)]
+        tables = trust.tables(updates, data.times_ns)
+        agents = data.record.agents
+        part = trust.integrity(
+            updates,
+            trust.lies(self.effects, data.roles, agents, frames, self.from_absence),
+            settings.faults,
+            agents,
+            frames,
+            data.times_ns,
+            data.period_s,
+            settings.attribution.coast_s,
+        )
+        part["withheld"] = trust.withheld(
+            tables["trust_objects"], self.truth, frames, scored, settings.scorer.min_points
+        )
+        return {"integrity": part}, tables
 
     def _victims(self) -> dict[str, set[int]]:
         """By interposer, the columns of the agents whose wires it intercepts."""

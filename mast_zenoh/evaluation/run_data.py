@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from mast_zenoh.effects import Meter, Pose
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import Presence, Record
+from mast_zenoh.metrics.trust import TrustUpdate
 
 _PERIOD_S = 0.1  #: assumed frame period of a run with a single frame
 
@@ -22,6 +23,7 @@ class RunData:
     picture_sent: by frame, the frame in which its picture was sent
     tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
     attack_reports, link_reports: (interposer, frame, sequence number, columns)
+    trust:    by frame, the first message about it
     """
 
     record: Record
@@ -34,6 +36,7 @@ class RunData:
     tracks_sent: dict[tuple[str, int], int] = field(default_factory=dict)
     attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
+    trust: dict[int, TrustUpdate] = field(default_factory=dict)
 
     @property
     def period_s(self) -> float:

@@ -2,6 +2,7 @@
 
     base         base class of faults
     impairments  faults of messages
+    sensors      faults of detections
     churn        faults of processes
     targets      nodes and links that a fault acts on
     plan         conversion of faults to link rules, process steps and bands of the timeline
@@ -30,16 +31,19 @@ from mast_zenoh.faults.impairments import (
 )
 from mast_zenoh.faults.plan import Plan, plan
 from mast_zenoh.faults.schedule import random_schedule
+from mast_zenoh.faults.sensors import BlindSector, GhostDetections, SensorFault
 
 __all__ = [
     "ACTIONS",
     "BandwidthLimit",
+    "BlindSector",
     "BurstLoss",
     "Corrupt",
     "Delay",
     "Duplicate",
     "Fault",
     "Flood",
+    "GhostDetections",
     "Impair",
     "Join",
     "Kill",
@@ -53,6 +57,7 @@ __all__ = [
     "ProcessStep",
     "Reorder",
     "Restart",
+    "SensorFault",
     "SlowNode",
     "Unplug",
     "plan",

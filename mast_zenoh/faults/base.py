@@ -15,6 +15,9 @@ Rule = dict[str, Any]
 #: The two directions of an agent's link: to the command centre and from it.
 DIRECTIONS = ("up", "down")
 
+#: The way of the agent's own detections, which no message passes between agents and command centre.
+SENSOR = "sensor"
+
 LATEST_S = 1e9  #: upper limit of the duration of a run
 
 
@@ -53,7 +56,7 @@ class Fault(ABC):
         """Scene time, s, at which the fault ends; None: at the end of the run."""
 
     def ways(self, role: str) -> Sequence[str]:
-        """The DIRECTIONS that its rules act on, for a target with this role."""
+        """The DIRECTIONS (or SENSOR) that its rules act on, for a target with this role; none: not a target."""
         return DIRECTIONS
 
     def rules(self, lockstep: bool) -> Sequence[Rule]:

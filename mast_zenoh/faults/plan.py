@@ -14,6 +14,7 @@ from mast_zenoh.config.process_steps import REALTIME, UNDONE_BY, ProcessStep
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import targets
 from mast_zenoh.faults.base import DIRECTIONS, Fault, Rule
+from mast_zenoh.faults.impairments import Impair
 from mast_zenoh.streams import stream
 
 #: For each action on a node, the states in which it is allowed, and the resulting state.
@@ -33,16 +34,18 @@ _MAX_NAMES = 3
 class Plan:
     """The effects of a run's faults.
 
-    rules: by agent and direction, the rules of its link with their times, in the order of the faults
+    rules: by agent and direction (or SENSOR), the rules of its link with their times, in the order of the faults
     steps: actions on processes, by frame
     bands: a plain dict of label, kind, type, at_s, until_s, nodes and backend for every fault that begins in the run
     missed: places of faults that begin after the last frame
+    of_agents: type, beginning and end in s (None: of the run) of the faults of what each agent sends
     """
 
     rules: dict[str, dict[str, list[Rule]]] = field(default_factory=dict)
     steps: tuple[ProcessStep, ...] = ()
     bands: list[dict[str, Any]] = field(default_factory=list)
     missed: list[str] = field(default_factory=list)
+    of_agents: dict[str, list[tuple[str, float, float | None]]] = field(default_factory=dict)
 
 
 def frame_at(times_ns: Ints, at_s: float) -> int:
@@ -80,20 +83,26 @@ def plan(
                 "one; use Partition, which acts on links, or real time (mode realtime)"
             )
         nodes = targets.processes(fault.selectors, roles, rng, where) if events else []
+        impaired = [name for name in nodes if roles[name] == "agent"]
         in_run = frame_at(times_ns, fault.at) < len(times_ns)
         if rules:
             ways = {role: fault.ways(role) for role in roles.values()}
             selectors = nodes or fault.selectors
             agents = targets.links(selectors, roles, ways, rng, where)
             nodes = nodes or list(agents)
+            impaired = [agent for agent, directions in agents.items() if directions != ["down"]]
             for agent, directions in agents.items():
                 of_agent = result.rules.setdefault(agent, {way: [] for way in DIRECTIONS})
                 for way in directions:
-                    of_agent[way] += [{**rule, "at": fault.at, "until": fault.over} for rule in rules]
+                    of_agent.setdefault(way, []).extend({**rule, "at": fault.at, "until": fault.over} for rule in rules)
         for name in nodes if events else ():
             actions[name] += [_Action(at_s, action, place, not rules) for at_s, action in events]
         if in_run:
-            result.bands.append(_band(fault, nodes, "links" if rules else "process", times_ns))
+            band = _band(fault, nodes, "links" if rules else "process", times_ns)
+            result.bands.append(band)
+            kind = str(fault.rule["type"]) if isinstance(fault, Impair) else band["type"]
+            for agent in impaired:
+                result.of_agents.setdefault(agent, []).append((kind, band["at_s"], band["until_s"]))
         else:
             result.missed.append(place)
     result.steps = tuple(sorted(step for name in actions for step in _steps(name, actions[name], times_ns)))

@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.faults.base import DIRECTIONS
+from mast_zenoh.faults.base import DIRECTIONS, SENSOR
 
 #: Words for randomly drawn agents.
 WORDS = ("one", "minority", "majority")
@@ -91,7 +91,10 @@ def links(
     the one direction of the links that it passes through.
     """
     agents = [name for name, role in roles.items() if role == "agent"]
-    keys = [f"agent/{name}/{port}" for name in agents for port in ("tracks", "status")] + ["cc/picture"]
+    if tuple(ways.get("agent", ())) == (SENSOR,):
+        keys = [f"agent/{name}/detections" for name in agents]
+    else:
+        keys = [f"agent/{name}/{port}" for name in agents for port in ("tracks", "status")] + ["cc/picture"]
     directions: dict[str, set[str]] = {}
     for selector in selectors:
         if "/" in selector:
@@ -100,7 +103,8 @@ def links(
                 raise ConfigurationError(f"{place}: no wire {selector!r} goes through a link{nearest(selector, keys)}")
             for key in matching:
                 for name in agents if key == "cc/picture" else [key.split("/")[1]]:
-                    directions.setdefault(name, set()).add("down" if key == "cc/picture" else "up")
+                    way = "down" if key == "cc/picture" else SENSOR if key.endswith("/detections") else "up"
+                    directions.setdefault(name, set()).add(way)
             continue
         for name in resolve_names([selector], roles, rng, place, more=keys):
             role = roles[name]
@@ -109,6 +113,9 @@ def links(
                     f"{place}: {name!r} ({role}) has no link of its own; expected an agent, the broker or the "
                     "command centre"
                 )
+            if not ways[role]:
+                raise ConfigurationError(f"{place}: {name!r} ({role}) has no sensor of its own; expected an agent")
             for agent in agents if role in _SERVERS else [name]:
                 directions.setdefault(agent, set()).update(ways[role])
-    return {name: [way for way in DIRECTIONS if way in directions[name]] for name in agents if name in directions}
+    every = (*DIRECTIONS, SENSOR)
+    return {name: [way for way in every if way in directions[name]] for name in agents if name in directions}

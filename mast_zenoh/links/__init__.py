@@ -5,6 +5,7 @@
     loss      lost messages: Loss, GilbertElliott, RangeLimit, Cut
     copies    repeated messages: Duplicate, Flood
     content   changed messages: ClockSkew, PoseError, Corrupt
+    sensors   changed detections: BlindSector, GhostDetections
     chain     the sequence of rules of one wire
     profiles  wired, wireless_v2x, …
 
@@ -13,22 +14,24 @@
 
 from mast_zenoh.links.base import Passage, Rule
 from mast_zenoh.links.chain import Chain, Outcome
-from mast_zenoh.links.content import ClockSkew, Corrupt, PoseError, displaced, flipped
+from mast_zenoh.links.content import ClockSkew, Corrupt, PoseError, displaced, flipped, has_frame
 from mast_zenoh.links.copies import Duplicate, Flood
 from mast_zenoh.links.loss import Cut, GilbertElliott, Loss, RangeLimit
 from mast_zenoh.links.profiles import PROFILES, profile
+from mast_zenoh.links.sensors import BlindSector, GhostDetections, SenderPose, Sensed
 from mast_zenoh.links.timing import Bandwidth, Delay, Hold, Reorder
 
 #: The ports of a link that messages pass through; link reports contain indices into this tuple.
 WIRES = ("tracks", "status", "picture", "detections", "collated", "view")
 #: The effects on a message; link reports contain indices into this tuple.
-FATES = ("dropped", "delayed", "duplicated", "corrupted", "altered")
+FATES = ("dropped", "delayed", "duplicated", "corrupted", "altered", "edited")
 
 __all__ = [
     "FATES",
     "PROFILES",
     "WIRES",
     "Bandwidth",
+    "BlindSector",
     "Chain",
     "ClockSkew",
     "Corrupt",
@@ -36,6 +39,7 @@ __all__ = [
     "Delay",
     "Duplicate",
     "Flood",
+    "GhostDetections",
     "GilbertElliott",
     "Hold",
     "Loss",
@@ -45,7 +49,10 @@ __all__ = [
     "RangeLimit",
     "Reorder",
     "Rule",
+    "SenderPose",
+    "Sensed",
     "displaced",
     "flipped",
+    "has_frame",
     "profile",
 ]

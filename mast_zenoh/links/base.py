@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
+
+if TYPE_CHECKING:
+    from mast_zenoh.links.sensors import Sensed
 
 NANOSECONDS = 1e9
 MAX_DELAY_S = 600.0  #: upper limit of the delay by one rule
@@ -24,13 +27,14 @@ class Passage(NamedTuple):
     now_ns:   time on the clock for delays: the same in lock-step, the wall clock in real time
     size:     bytes of the message; 0 unless a rule of the link needs it
     position: (3,) m, world frame, of the link's agent in an earlier frame; None if unknown
-    referenced: whether its columns are relative to a frame of reference
+    referenced: whether its columns are relative to the sender's pose
     copy:     0 for the message itself, from 1 for copies made in transit
     delay_ns: total delay so far
     overtakes: whether it may overtake earlier messages
     skew_ns:  error of the time in its header
-    shift, turn: m (x, y) and rad, error of its frame of reference
+    shift, turn: m (x, y) and rad, error of the sender's pose
     flips:    positions of flipped bits, as fractions (0 to 1) of its length
+    sensed:   its detections; None if there are none, or unless a rule of the link needs them
     """
 
     time_ns: int
@@ -45,6 +49,7 @@ class Passage(NamedTuple):
     shift: tuple[float, float] = (0.0, 0.0)
     turn: float = 0.0
     flips: tuple[float, ...] = ()
+    sensed: Sensed | None = None
 
 
 class Rule(ABC):
@@ -59,9 +64,11 @@ class Rule(ABC):
 
     fate: ClassVar[str]  #: its effect on a message: one of links.FATES
     draws: ClassVar[bool] = False  #: whether it needs random numbers for every message
+    of_sender: ClassVar[bool] = False  #: whether these are the sender's: the same for its tracks and its view
     needs_size: ClassVar[bool] = False  #: whether it needs the size of the message
     needs_position: ClassVar[bool] = False  #: whether it needs the position of the agent
     needs_frame: ClassVar[bool] = False  #: whether it needs to know if there is a frame of reference
+    needs_detections: ClassVar[bool] = False  #: whether it needs the detections in the message
 
     def __init__(self, at: float = 0.0, until: float | None = None) -> None:
         expect("at", at, math.isfinite(at) and at >= 0.0, "0 s or more")

@@ -47,6 +47,7 @@ class Chain:
         self.needs_size = any(rule.needs_size for rule in self.rules)
         self.needs_position = any(rule.needs_position for rule in self.rules)
         self.needs_frame = any(rule.needs_frame for rule in self.rules)
+        self.needs_detections = any(rule.needs_detections for rule in self.rules)
         of_type: Counter[str] = Counter()
         self._draws: list[_Draws | None] = []
         for rule in self.rules:

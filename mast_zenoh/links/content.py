@@ -39,17 +39,19 @@ class ClockSkew(Rule):
 
 
 class PoseError(Rule):
-    """An error of the sender's own pose, and so of its tracks' frame of reference.
+    """An error of the sender's own pose, and so of the place of its tracks and of its view.
 
     position_std_m, yaw_std_rad: m and rad, standard deviations of the errors in x and y and in heading, drawn for each
-                                 message
+                                 frame
     bias_m, bias_yaw_rad:        m (x, y) and rad, a constant error
 
-    Messages without a frame of reference (`origin` and `rotation`) pass unchanged.
+    Tracks and views of a frame are moved alike: turned about the sender, then shifted. Other messages pass unchanged.
     """
 
     fate = "altered"
     draws = True
+    of_sender = True
+    needs_position = True
     needs_frame = True
 
     def __init__(
@@ -115,9 +117,28 @@ def flipped(payload: bytes, positions: Sequence[float]) -> bytes:
     return bytes(data)
 
 
-def displaced(body: Mapping[str, NDArray[Any]], shift: tuple[float, float], turn: float) -> dict[str, NDArray[Any]]:
-    """Columns with a frame of reference moved by (x, y) m and turned by rad about z."""
+def has_frame(body: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether columns are relative to the sender's pose: a frame of reference, or a sensor's position and rotation."""
+    return "rotation" in body and ("origin" in body or body["position"].shape == (3,))
+
+
+def displaced(
+    body: Mapping[str, NDArray[Any]], shift: tuple[float, float], turn: float, pivot: Floats | None = None
+) -> dict[str, NDArray[Any]]:
+    """Columns of a sender that believes to be (x, y) m farther, and turned by rad about z.
+
+    body:  tracks with their frame of reference, or a view with its sensor's position (see `has_frame`)
+    pivot: (3,) m, true position of the sender, about which it is turned; None: about the frame's own origin
+
+    All messages of one sender are moved alike: the views stay where the tracks are.
+    """
     c, s = math.cos(turn / 2.0), math.sin(turn / 2.0)
     w, x, y, z = body["rotation"]
     rotation = np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
-    return {**body, "origin": body["origin"] + np.array([*shift, 0.0]), "rotation": rotation}
+    name = "origin" if "origin" in body else "position"
+    place = body[name] + np.array([*shift, 0.0])
+    if pivot is not None:
+        east, north = (body[name] - pivot)[:2]
+        c, s = math.cos(turn) - 1.0, math.sin(turn)
+        place = place + np.array([c * east - s * north, s * east + c * north, 0.0])
+    return {**body, name: place, "rotation": rotation}

@@ -10,6 +10,7 @@
     cut_off     objects known only to disconnected agents
     achievement results of each adversary
     driving, braking, consequences   effects of errors on driving
+    trust/      the command centre's trust compared with the agents' conduct; ROC curves
     user_metrics  user-defined metrics
     increments  errors added by an attack
 

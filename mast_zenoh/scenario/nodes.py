@@ -78,6 +78,13 @@ def nodes_of(
     return specs
 
 
+def share_faults(evaluator: NodeSpec, faults: Mapping[str, Any]) -> None:
+    """Let the evaluator know the faults of each agent, to compare them with its trust."""
+    accepted = inspect.signature(loading.node_class(Path(evaluator.file), evaluator.type)).parameters
+    if "faults" in accepted:
+        evaluator.config.setdefault("faults", dict(faults))
+
+
 def _share_max_age(broker: NodeSpec, evaluator: NodeSpec) -> None:
     """Let the evaluator use the broker's maximum age of tracks for cut-off agents."""
     accepted = inspect.signature(loading.node_class(Path(evaluator.file), evaluator.type)).parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,17 @@ import numpy as np
 from mast_zenoh import scenes
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
+from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
 from mast_zenoh.scenario.names import checked_name, name_of_file
-from mast_zenoh.scenario.nodes import nodes_of
+from mast_zenoh.scenario.nodes import nodes_of, share_faults
 from mast_zenoh.scenario.reading import choose_scene
 from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, normalise_keys
-from mast_zenoh.scenario.timeline import REWRITE, timeline_of
+from mast_zenoh.scenario.timeline import rewrites, timeline_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import ANY, Wiring
@@ -61,10 +62,12 @@ def resolve(
     built_nodes = [build_node(spec, name, str(path)) for name, spec in nodes.items()]
     messages = _messages(path, nodes)
     user_types.use(messages)
-    wiring = _wiring(path, scenario, nodes, [REWRITE] if timeline.links else [])
+    wiring = _wiring(path, scenario, nodes, rewrites(timeline.links))
     if any(wire.message == "sweep" for wire in wiring.wires):
         recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key, sweeps=True)
         nodes[driver_of(nodes)].config["recording"] = recording
+    if timeline.faults and any(wire.message == "trust" for wire in wiring.wires):
+        share_faults(nodes[EVALUATOR], timeline.faults)
     return Resolved(
         name=checked_name(scenario.get("name", name_of_file(path.stem)), f"{path}: name"),
         seed=options["seed"],
@@ -131,8 +134,8 @@ def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:
     return int(uneven) + round((LEEWAY_S + sum(node.restamps_s(duration_s) for node in nodes)) * 1e9)
 
 
-def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec], rewrites: list[str]) -> Wiring:
-    """The wiring under the scenario's own rewrites, followed by others in `rewrites`."""
+def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec], more: Sequence[Any]) -> Wiring:
+    """The wiring under the scenario's own rewrites, followed by those in `more`."""
     options = {"map": "testbed.toml", "rewrites": [], **scenario.get("keyexpr", {})}
     for key in options:
         if key not in ("map", "rewrites"):
@@ -140,8 +143,8 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
     if not isinstance(options["rewrites"], (list, tuple)):
         raise ConfigurationError(f"{path}: keyexpr.rewrites: found {options['rewrites']!r}, expected a list")
     sources: list[tuple[str, Mapping[str, Any]]] = []
-    rewrites = [name for name in rewrites if name not in options["rewrites"]]
-    for index, source in enumerate([options["map"], *options["rewrites"], *rewrites]):
+    more = [source for source in more if source not in options["rewrites"]]
+    for index, source in enumerate([options["map"], *options["rewrites"], *more]):
         if isinstance(source, Mapping):
             sources.append((f"{path}: keyexpr.rewrites[{index - 1}]", source))
         else:

@@ -15,7 +15,7 @@ from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
-from mast_zenoh.faults.base import DIRECTIONS, Rule
+from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
 from mast_zenoh.scenario.nodes import best_pattern, node_spec
 from mast_zenoh.scenes.recording import Recording
 
@@ -31,12 +31,14 @@ class Timeline:
 
     links: the specs of the link nodes, by name;  plan: the plan of the faults;  bands: entries of Resolved.timeline
     network: hosts and their faults, see faults/network.py
+    faults: by agent, its faults: type, beginning and end in s (None: the end of the run)
     """
 
     links: dict[str, NodeSpec]
     plan: Plan
     bands: tuple[dict[str, Any], ...]
     network: dict[str, Any]
+    faults: dict[str, list[tuple[str, float, float | None]]]
 
 
 def timeline_of(
@@ -75,6 +77,8 @@ def timeline_of(
             f"rules_{direction}": [*permanent_rules.get(direction, ()), *timed_rules.get(direction, ())]
             for direction in DIRECTIONS
         }
+        if SENSOR in timed_rules:
+            rules["rules_sensor"] = timed_rules[SENSOR]
         specs[name] = node_spec(path, name, "link", {"agent": agent, **rules})
     hosts = network.resolve(
         scenario.get("hosts", {}),
@@ -85,9 +89,31 @@ def timeline_of(
         beside={name: spec.config["agent"] for name, spec in specs.items()},
     )
     end_s = float(times_ns[-1]) * 1e-9
-    bands = [*permanent, *fault_plan.bands, *network.bands(hosts), *_attacks(nodes)]
+    of_hosts = network.bands(hosts)
+    bands = [*permanent, *fault_plan.bands, *of_hosts, *_attacks(nodes)]
+    faults = {agent: list(entries) for agent, entries in fault_plan.of_agents.items()}
+    for band in of_hosts:
+        for name in band["nodes"]:
+            if roles.get(name) == "agent":
+                faults.setdefault(name, []).append((band["type"], band["at_s"], band["until_s"]))
     visible = sorted((band for band in bands if band["at_s"] <= end_s), key=lambda band: float(band["at_s"]))
-    return Timeline(specs, fault_plan, tuple(visible), hosts)
+    return Timeline(specs, fault_plan, tuple(visible), hosts, faults)
+
+
+def rewrites(links: Mapping[str, NodeSpec]) -> list[str | dict[str, Any]]:
+    """What puts links between their agents and the network, and faulty sensors before their agents."""
+    sensors = [
+        dict(
+            wire=f"agent/{spec.config['agent']}/detections",
+            role="link",
+            input="detections",
+            output="detections_out",
+            node=name,
+        )
+        for name, spec in links.items()
+        if "rules_sensor" in spec.config
+    ]
+    return [*([REWRITE] if links else []), *([{"insert": sensors}] if sensors else [])]
 
 
 def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tuple[str, Mapping[str, Any]]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from mast_zenoh.config import registry
 from mast_zenoh.config.process_steps import ACTIONS
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults.base import Fault
-from mast_zenoh.links import FATES, Passage, Rule
+from mast_zenoh.links import FATES, Passage, Rule, SenderPose, Sensed
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.comparison import expect
 
@@ -43,7 +44,8 @@ def _passages(rule: Rule, n: int) -> list[tuple[Passage, ...]]:
     for index, row in enumerate(rows.tolist()):
         now = index * samples.PERIOD_NS
         position = np.zeros(3) if rule.needs_position else None
-        message = Passage(now, now, size=1000 if rule.needs_size else 0, position=position, referenced=rule.needs_frame)
+        size = 1000 if rule.needs_size else 0
+        message = Passage(now, now, size=size, position=position, referenced=rule.needs_frame, sensed=_sensed(rule))
         copies = rule.apply(message, row) if rule.active(now) else (message,)
         expect(
             isinstance(copies, tuple), f"{subject}.apply: found {type(copies).__name__}, expected a tuple of passages"
@@ -53,8 +55,23 @@ def _passages(rule: Rule, n: int) -> list[tuple[Passage, ...]]:
             expect(passage.delay_ns >= message.delay_ns, f"{subject}.apply: a message leaves before it arrives")
             draws = rule.sample_copy(row, random)
             expect(len(draws) == len(row), f"{subject}.sample_copy: found {len(draws)} draws, expected {len(row)}")
-        results.append(tuple(passage._replace(position=None) for passage in copies))
+        results.append(tuple(passage._replace(position=None, sensed=_comparable(passage)) for passage in copies))
     return results
+
+
+def _sensed(rule: Rule) -> Sensed | None:
+    """Detections for a rule that needs them."""
+    if not rule.needs_detections:
+        return None
+    pose = SenderPose(0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), 0.0)
+    return Sensed(samples.detections(3), np.zeros(3), np.eye(3), pose)
+
+
+def _comparable(passage: Passage) -> Any:
+    """The detections of a passage, to compare them with others'."""
+    if passage.sensed is None:
+        return None
+    return tuple(column.tobytes() for column in passage.sensed.detections.columns().values())
 
 
 def check_fault(fault: Fault) -> None:

@@ -40,7 +40,19 @@ BASES = {
 MEMBERS = {
     "Run": {
         *("record", "id", "name", "seed", "status", "running", "headline", "summary", "metrics", "objects", "attacks"),
-        *("targets", "driving", "messages", "truth", "picture", "agents", "agent", "plot", "report"),
+        *(
+            "targets",
+            "driving",
+            "trust",
+            "trust_objects",
+            "messages",
+            "truth",
+            "picture",
+            "agents",
+            "agent",
+            "plot",
+            "report",
+        ),
     },
     "Comparison": {"table", "headline", "plot", "markdown"},
     "FinishedStudy": {"table", "comparison", "results", "frames"},

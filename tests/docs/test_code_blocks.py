@@ -200,7 +200,7 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
 
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
-    "faults.md": [part_of_a_scenario, random_faults, fault_of_ones_own],
+    "faults.md": [part_of_a_scenario, part_of_a_scenario, random_faults, fault_of_ones_own],
     "links.md": [part_of_a_scenario, None],  # test_links_page.py
     "metrics.md": [None],  # test_measurement_pages.py
     "network.md": [whole_scenario],

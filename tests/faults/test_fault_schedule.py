@@ -43,7 +43,8 @@ def test_equal_seeds_give_equal_schedules_and_different_seeds_give_different_one
 
 def test_every_kind_of_fault_occurs() -> None:
     specs = [spec for seed in range(300) for spec in random_schedule(seed, 6.0, AGENTS, servers=SERVERS)]
-    assert {spec["type"] for spec in specs} == KINDS - {"Unplug"}, "only the compose engine can disconnect nodes"
+    left_out = {"Unplug", "BlindSector", "GhostDetections"}
+    assert {spec["type"] for spec in specs} == KINDS - left_out, "only compose disconnects nodes; sensors are intact"
     assert {spec.get("node") for spec in specs} >= {*AGENTS, *SERVERS}
     assert {spec["nodes"] for spec in specs if isinstance(spec.get("nodes"), str)} == {
         *("one", "minority", "majority", "agent")

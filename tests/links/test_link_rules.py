@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from link_bench import PERIOD_NS, arrived, build, carry, chain, delays
+from link_bench import PERIOD_NS, arrived, build, carry, chain, delays, sensed
 
 from mast_zenoh import links
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
@@ -21,12 +21,14 @@ from mast_zenoh.links import FATES, PROFILES, Outcome, Passage, Rule, displaced,
 #: One valid dict of every rule.
 RULES: dict[str, dict[str, Any]] = {
     "Bandwidth": dict(bits_per_s=1e6, queue_s=0.2),
+    "BlindSector": dict(azimuth_min_deg=-10.0, azimuth_max_deg=10.0),
     "ClockSkew": dict(offset_s=0.1, drift=0.01),
     "Corrupt": dict(probability=0.5, flips=2),
     "Cut": dict(),
     "Delay": dict(mean_s=0.12, jitter_s=0.05),
     "Duplicate": dict(probability=0.5, copies=2),
     "Flood": dict(copies=3),
+    "GhostDetections": dict(places=[[20.0, 5.0, 0.75]]),
     "GilbertElliott": dict(good_to_bad=0.1, bad_to_good=0.5),
     "Hold": dict(until=2.0),
     "Loss": dict(probability=0.3),
@@ -61,12 +63,13 @@ def test_a_rule_acts_from_its_start_and_no_longer_at_its_end(name: str) -> None:
     if name == "GilbertElliott":
         parameters = dict(good_to_bad=1.0, bad_to_good=0.0)
     rule = dict(type=name, **(parameters | dict(at=1.0, until=2.0)))
-    far = dict(size=1000, position=np.array([90.0, 0.0, 0.0]), referenced=True)
+    far = dict(size=1000, position=np.array([90.0, 0.0, 0.0]), referenced=True, sensed=sensed((30.0, 0.0)))
     for at_s, acts in ((0.9, False), (1.0, True), (1.9, True), (2.0, False)):
         outcome = outcome_of(rule, at_s=at_s, **far)
         plain = Passage(round(at_s * 1e9), round(at_s * 1e9), **far)
-        untouched = len(outcome.leaving) == 1 and outcome.leaving[0][0] is not None
-        untouched = untouched and outcome.leaving[0][0]._replace(position=None) == plain._replace(position=None)
+        untouched = len(outcome.leaving) == 1 and outcome.leaving[0][0].sensed is plain.sensed
+        arrays = dict(position=None, sensed=None)
+        untouched = untouched and outcome.leaving[0][0]._replace(**arrays) == plain._replace(**arrays)
         assert untouched is not acts, at_s
         assert bool(outcome.fates) is acts
 

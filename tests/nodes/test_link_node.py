@@ -169,12 +169,14 @@ def test_a_corrupted_message_differs_from_the_otherwise_altered_one_in_some_bits
 
 ANY_RULE: dict[str, dict[str, Any]] = {
     "Bandwidth": dict(bits_per_s=1e5, queue_s=0.3),
+    "BlindSector": dict(azimuth_min_deg=-30.0, azimuth_max_deg=30.0),
     "ClockSkew": dict(offset_s=-0.15, drift=0.2),
     "Corrupt": dict(probability=0.4, flips=3),
     "Cut": dict(at=0.4, until=0.6),
     "Delay": dict(mean_s=0.1, jitter_s=0.1),
     "Duplicate": dict(probability=0.4, copies=2),
     "Flood": dict(copies=2, until=0.3),
+    "GhostDetections": dict(places=[[20.0, 5.0, 0.75]]),
     "GilbertElliott": dict(good_to_bad=0.3, bad_to_good=0.5),
     "Hold": dict(at=0.2, until=0.5),
     "Loss": dict(probability=0.3),

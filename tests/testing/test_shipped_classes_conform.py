@@ -15,6 +15,9 @@ from mast_zenoh.config import bundle, loading, registry
 
 #: Values of required parameters.
 NEEDED: dict[str, Any] = {
+    "azimuth_min_deg": -30.0,
+    "azimuth_max_deg": 30.0,
+    "places": ((20.0, 5.0, 0.75),),
     "at": 1.0,
     "until": 2.0,
     "node": "ego",

@@ -137,8 +137,8 @@ def _place(
     """The node's ports on the wire, its other inputs, and the wires that it publishes itself.
 
     An input port is connected to the only other wire of its message type that has no subject or the node's subject
-    (such as the clock, or its agent's pose), unless it is of a type that the node forwards. Those that the testbed's map
-    has for its role are connected in any case. The node publishes the wires that the testbed's map has for its role
+    (such as the clock, or its agent's pose), unless it is of a type that the node forwards. Inputs that the testbed's
+    map has for its role are connected in any case. The node publishes the wires that the testbed's map has for its role
     (such as an adversary's report).
     """
     placed = {port: message for port, message in cls.inputs.items() if port not in cls.listening or port == input}

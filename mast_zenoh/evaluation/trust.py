@@ -1,0 +1,88 @@
+"""What the command centre's trust was worth: metrics and tables of a run with `trust` messages. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.effects import Effects
+from mast_zenoh.integrity import STATES
+from mast_zenoh.metrics import Table
+from mast_zenoh.metrics.places import Places, nearest
+from mast_zenoh.metrics.record import TruthTable
+from mast_zenoh.metrics.trust import Conduct, Fault, TrustHistory, TrustUpdate, fault_frames, summary
+from mast_zenoh.metrics.trust.history import agent_table, object_table
+
+#: Ports of what an agent sends to the command centre, and of what its own tracks depend on.
+UPSTREAM = ("detections", "pose", "sweep", "tracks", "view", "status")
+
+#: m, in the bird's-eye view, from an object of the centre to the real object that it stands for.
+GATE_M = 2.0
+
+
+def lies(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints, no_lie: Bools) -> Bools:
+    """(f, a) whether an interposer other than a link changed what an agent sent about a frame.
+
+    effects: as measured on the wires;  roles: of the nodes;  frames: (f,);  no_lie: (n,) effects that do not count
+    """
+    result = np.zeros((len(frames), len(agents)), bool)
+    counts = ~no_lie
+    counts[effects.rows("unsettled")] = False
+    about = np.where(effects.frame >= 0, effects.frame, effects.step)
+    for index, passage in enumerate(effects.passages):
+        if roles.get(passage.node) != "link" and passage.port in UPSTREAM and passage.subject in agents:
+            changed = about[counts & (effects.passage == index)]
+            result[:, list(agents).index(passage.subject)] |= np.isin(frames, changed)
+    return result
+
+
+def integrity(
+    updates: Sequence[TrustUpdate],
+    lied: Bools,
+    faults: Mapping[str, Sequence[Fault]],
+    agents: Sequence[str],
+    frames: Ints,
+    times_ns: Mapping[int, int],
+    period_s: float,
+    lasting_s: float,
+) -> dict[str, Any]:
+    """The part `integrity` of metrics.json, without withheld objects.
+
+    lied: (f, a) as from `lies`;  faults: by agent;  lasting_s: s for which a lie or a fault counts
+    """
+    times_s = np.array([times_ns.get(frame, 0) for frame in frames.tolist()], np.float64) * 1e-9
+    conduct = Conduct(lied, fault_frames(faults, agents, times_s), round(lasting_s / period_s))
+    part = summary(TrustHistory.of(updates, agents, frames), conduct, agents, times_s, period_s, STATES)
+    for agent, kinds in ((agent, {kind for kind, _, _ in faults.get(agent, ())}) for agent in agents):
+        part["agents"][agent]["faults"] = sorted(kinds)
+    return part
+
+
+def withheld(objects: Table, truth: TruthTable, frames: Ints, scored: slice, min_points: int) -> dict[str, Any]:
+    """Mean numbers per scored frame of withheld objects that were true and false.
+
+    objects: as from `object_table`;  truth: of (f,) frames;  min_points: lidar points from which an object is seen
+
+    An object is true if it is within GATE_M of one that an agent sees.
+    """
+    counted = frames[scored]
+    of_frame = np.searchsorted(frames, objects["frame"])
+    rows = np.flatnonzero(objects["withheld"] & np.isin(objects["frame"], counted))
+    position: Floats = np.column_stack([objects[axis][rows] for axis in "xyz"])
+    seen = truth.seen >= min_points
+    real = Places(truth.boxes.group[seen], truth.boxes.position[seen])
+    match, _ = nearest(Places(of_frame[rows], position), real, GATE_M)
+    true = int((match >= 0).sum())
+    n = max(len(counted), 1)
+    return {"true": true / n, "false": (len(rows) - true) / n}
+
+
+def tables(updates: Sequence[TrustUpdate], times_ns: Mapping[int, int]) -> dict[str, Table]:
+    """The tables trust and trust_objects."""
+    return {
+        "trust": agent_table(updates, times_ns, STATES),
+        "trust_objects": object_table(updates, times_ns),
+    }

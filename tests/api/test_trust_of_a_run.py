@@ -1,0 +1,92 @@
+"""Runs whose command centre judges agents: its trust in tables, and what it was worth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from judged import FAULTS, LOSS_S
+
+import mast_zenoh as mast
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch.measurement import measure
+
+COLUMNS = (
+    *("frame", "time_s", "agent", "mean", "log_odds", "state", "reason"),
+    *("fault_offset_x", "fault_offset_y", "fault_turn", "fault_delay", "fault_loss"),
+)
+
+
+def agents(run: mast.Run) -> dict[str, Any]:
+    """The agents' part of `integrity`."""
+    part: dict[str, Any] = run.summary["integrity"]["agents"]
+    return part
+
+
+def test_trust_of_every_agent_is_a_table(judged: mast.Run) -> None:
+    table = judged.trust
+    assert tuple(table.column_names) == COLUMNS
+    assert set(table["agent"].to_pylist()) == set(judged.agents)
+    assert set(table["state"].to_pylist()) <= {"unknown", "trusted", "faulty", "suspended"}
+
+
+def test_objects_of_the_centre_are_a_table_with_those_withheld(judged: mast.Run) -> None:
+    table = judged.trust_objects
+    withheld = table["withheld"].to_numpy(zero_copy_only=False)
+    assert withheld.any()
+    assert not withheld.all()
+    kept = {
+        (frame, id_)
+        for frame, id_, left_out in zip(table["frame"].to_pylist(), table["id"].to_pylist(), withheld, strict=True)
+        if not left_out
+    }
+    picture = judged.picture
+    assert kept == set(zip(picture["frame"].to_pylist(), picture["id"].to_pylist(), strict=True))
+
+
+def test_a_run_without_trust_has_neither_tables_nor_metrics_of_it(attacked: mast.Run) -> None:
+    assert "integrity" not in attacked.summary
+    assert not list(attacked.path.glob("trust*"))
+    with pytest.raises(RunFolderError, match=r"trust\.parquet: missing"):
+        _ = attacked.trust
+
+
+def test_only_the_agent_with_an_adversary_on_its_wire_lies(judged: mast.Run) -> None:
+    assert [name for name, agent in agents(judged).items() if agent["lied"]] == ["infra_1"]
+    liar = agents(judged)["infra_1"]
+    changes = judged.attacks
+    liar_rows = np.array(changes["role"].to_pylist()) == "adversary"
+    first = min(changes["frame"].to_numpy()[liar_rows])
+    assert liar["first_lie_s"] == pytest.approx(first * 0.1)
+    assert liar["suspensions"][0]["conduct"] == "lying"
+    assert liar["suspended_after_s"] == pytest.approx(liar["suspensions"][0]["from_s"] - liar["first_lie_s"])
+
+
+def test_faults_of_the_timeline_make_their_agents_faulty(judged: mast.Run) -> None:
+    """A delay of what an agent receives is no fault of what it sends."""
+    faulty = {name: agent["faults"] for name, agent in agents(judged).items() if agent["faulty"]}
+    assert faulty == {"infra_2": ["Loss"]}
+    assert [fault["type"] for fault in FAULTS] == ["Loss", "Delay"]
+    assert agents(judged)["infra_2"]["first_fault_s"] == LOSS_S[0]
+    assert agents(judged)["infra_2"]["faults_s"] == pytest.approx(LOSS_S[1] - LOSS_S[0])
+
+
+def test_every_second_has_a_conduct_and_a_state(judged: mast.Run) -> None:
+    duration_s = judged.summary["frames"] * 0.1
+    for agent in agents(judged).values():
+        total = sum(sum(states.values()) for states in agent["seconds"].values())
+        assert total == pytest.approx(duration_s)
+
+
+def test_withheld_objects_are_mostly_false(judged: mast.Run) -> None:
+    withheld = judged.summary["integrity"]["withheld"]
+    assert withheld["false"] > 5 * withheld["true"]
+
+
+def test_trust_is_measured_again_from_the_recording(judged: mast.Run, tmp_path: Path) -> None:
+    before, table = judged.summary, judged.trust
+    assert measure(judged.path) == []
+    assert judged.summary == before
+    assert judged.trust.equals(table)
