@@ -19,6 +19,7 @@ def scenario(
     knowledge="own",
     wires="tracks view",
     n_adversaries=2,
+    attack_start_s=4.0,
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -34,6 +35,7 @@ def scenario(
     """
     attacked = coordinated(
         n_adversaries=n_adversaries,
+        attack_start_s=attack_start_s,
         scene=scene,
         scene_index=scene_index,
         n_infrastructure=n_infrastructure,
@@ -43,9 +45,9 @@ def scenario(
     stage = dict(type=defence) if isinstance(defence, str) else defence
     rewrites = [*attacked["keyexpr"]["rewrites"], "views.toml"]
     if attack is not None:
-        attack = dict(type=attack) if isinstance(attack, str) else attack
+        attack = dict(start_s=attack_start_s) | (dict(type=attack) if isinstance(attack, str) else attack)
         directed = attack["type"] in known_types(Coordination)
-        own = dict(type="CoordinatedAttack", start_s=attack.get("start_s", 4.0)) if directed else attack
+        own = dict(type="CoordinatedAttack", start_s=attack["start_s"]) if directed else attack
         attacked |= dict(
             adversaries={name: config | dict(attack=own) for name, config in attacked["adversaries"].items()},
             coordinator=dict(coordination=attack) if directed else None,
