@@ -15,6 +15,8 @@ from mast_zenoh.integrity.clusters import ClusterBoxes
 MEMBERS = 3
 #: m, standard deviation of the part of an offset that the covariances do not show: boxes seen from two sides.
 FLOOR_M = 0.1
+#: m, the same of objects shorter than SMALL_M: trackers swap pedestrians that walk together.
+SMALL_FLOOR_M, SMALL_M = 0.35, 1.5
 #: m, between two clusters: nearer ones may have swapped members.
 CROWD_M = 3.5
 #: Variance of the median of normal errors, relative to that of their mean.
@@ -55,7 +57,8 @@ def offsets(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Offsets:
     middle = np.stack([weighted_median(position[..., axis], present * weight) for axis in range(2)], axis=-1)
     covariance = np.where(present[..., None, None], batch.states.covariance[batch.member, :2, :2], 0.0)
     spread = covariance.sum(axis=1, keepdims=True) * (MEDIAN / np.maximum(members, 1) ** 2)[:, None, None, None]
-    total = np.where(valid[..., None, None], covariance + spread + FLOOR_M**2 * np.eye(2), np.eye(2))
+    floor = np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)[:, None, None, None]
+    total = np.where(valid[..., None, None], covariance + spread + floor**2 * np.eye(2), np.eye(2))
     offset = np.where(valid[..., None], position - middle[:, None, :], 0.0)
     return Offsets(valid, offset, np.linalg.inv(total))
 

@@ -37,8 +37,8 @@ LEAST_SAY = 0.05
 MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
-LIES_TAIL = Tail(per_hour=57.0, scale=0.26)
-OFFSET_TAIL = Tail(per_hour=18_800.0, scale=4.2)
+LIES_TAIL = Tail(per_hour=83.0, scale=0.29)
+OFFSET_TAIL = Tail(per_hour=1900.0, scale=5.0)
 
 
 class SequentialConsistency(Integrity):
