@@ -25,8 +25,8 @@ from mast_zenoh.integrity.visibility import sightings
 
 #: Standard deviations of a claim's position within which others need not see it.
 ERROR_SD = 2.0
-#: Standard deviations at which one offset stops to count for more.
-CLIP = 2.5
+#: Standard deviations at which one offset stops to count for more: a track of another object may be near for a moment.
+CLIP = 1.5
 #: s, greatest step of the sums: a batch after a gap is no more evidence than one.
 MAX_STEP_S = 0.5
 #: s, before the first evidence against an agent, in which it may have lied unnoticed.
@@ -38,7 +38,7 @@ MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
 LIES_TAIL = Tail(per_hour=83.0, scale=0.29)
-OFFSET_TAIL = Tail(per_hour=1900.0, scale=5.0)
+OFFSET_TAIL = Tail(per_hour=2600.0, scale=4.0)
 
 
 class SequentialConsistency(Integrity):
