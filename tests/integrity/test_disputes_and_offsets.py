@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.disputes import disputes
 from mast_zenoh.integrity.offsets import offsets
 from mast_zenoh.integrity.visibility import sightings
-from tests.integrity.batches import Track, batch, view
 
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 
