@@ -1,8 +1,10 @@
 """Adversaries against a command centre that judges agents and objects."""
 
+from inspect import signature
+
 from coordinated import scenario as coordinated
 
-from mast_zenoh.attacks import Coordination
+from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config.registry import known_types
 
 #: What the adversaries know besides their own wires, and the rewrites that let them hear it.
@@ -18,6 +20,7 @@ def scenario(
     attack=None,
     knowledge="own",
     wires="tracks view",
+    attack_start_s=4.0,
     n_adversaries=2,
     scene="intersection",
     scene_index=None,
@@ -30,10 +33,12 @@ def scenario(
     attack: class of an attack or of a coordination, such as "BlindSpot" or "Collusion", or a dict with its class and
     parameters; None: that of `coordinated`, on tracks alone;
     knowledge: what its adversaries know: own (and each other's views with a coordination), picture (as well), or trust
-    (white box: picture and trust); wires: those that they are on: detections, pose, tracks, view.
+    (white box: picture and trust); wires: those that they are on: detections, pose, tracks, view;
+    attack_start_s: start of the attack, in scene time.
     """
     attacked = coordinated(
         n_adversaries=n_adversaries,
+        attack_start_s=attack_start_s,
         scene=scene,
         scene_index=scene_index,
         n_infrastructure=n_infrastructure,
@@ -44,8 +49,12 @@ def scenario(
     rewrites = [*attacked["keyexpr"]["rewrites"], "views.toml"]
     if attack is not None:
         attack = dict(type=attack) if isinstance(attack, str) else attack
+        start = dict(start_s=attack_start_s)
         directed = attack["type"] in known_types(Coordination)
-        own = dict(type="CoordinatedAttack", start_s=attack.get("start_s", 4.0)) if directed else attack
+        known = known_types(Coordination if directed else Attack).get(attack["type"])
+        if known is not None and "start_s" in signature(known).parameters:
+            attack = start | attack
+        own = dict(type="CoordinatedAttack", **start) if directed else attack
         attacked |= dict(
             adversaries={name: config | dict(attack=own) for name, config in attacked["adversaries"].items()},
             coordinator=dict(coordination=attack) if directed else None,

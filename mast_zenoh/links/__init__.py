@@ -5,6 +5,8 @@
     loss      lost messages: Loss, GilbertElliott, RangeLimit, Cut
     copies    repeated messages: Duplicate, Flood
     content   changed messages: ClockSkew, PoseError, Corrupt
+    sensed    detections in transit, and the pose of their sensor
+    sensed    detections in transit, and the pose of their sensor
     sensors   changed detections: BlindSector, GhostDetections
     chain     the sequence of rules of one wire
     profiles  wired, wireless_v2x, …
@@ -18,7 +20,8 @@ from mast_zenoh.links.content import ClockSkew, Corrupt, PoseError, displaced, f
 from mast_zenoh.links.copies import Duplicate, Flood
 from mast_zenoh.links.loss import Cut, GilbertElliott, Loss, RangeLimit
 from mast_zenoh.links.profiles import PROFILES, profile
-from mast_zenoh.links.sensors import BlindSector, GhostDetections, SenderPose, Sensed
+from mast_zenoh.links.sensed import SenderPose, Sensed
+from mast_zenoh.links.sensors import BlindSector, GhostDetections
 from mast_zenoh.links.timing import Bandwidth, Delay, Hold, Reorder
 
 #: The ports of a link that messages pass through; link reports contain indices into this tuple.

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-
-if TYPE_CHECKING:
-    from mast_zenoh.links.sensors import Sensed
+from mast_zenoh.links.sensed import Sensed
 
 NANOSECONDS = 1e9
 MAX_DELAY_S = 600.0  #: upper limit of the delay by one rule

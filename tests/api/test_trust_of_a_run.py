@@ -10,6 +10,7 @@ import pytest
 from judged import FAULTS, LOSS_S
 
 import mast_zenoh as mast
+from mast_zenoh.api.observability import observability
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.measurement import measure
 
@@ -90,3 +91,57 @@ def test_trust_is_measured_again_from_the_recording(judged: mast.Run, tmp_path: 
     assert measure(judged.path) == []
     assert judged.summary == before
     assert judged.trust.equals(table)
+
+
+def test_lies_are_observable_where_honest_agents_would_have_returns(judged: mast.Run) -> None:
+    result = observability(judged)
+    changes = judged.attacks.to_pydict()
+    of_adversary = [role == "adversary" for role in changes["role"]]
+    assert result.lies.num_rows == sum(of_adversary)
+    lies = result.lies.to_pydict()
+    assert set(lies["agent"]) == {"infra_1"}
+    assert lies["observable"] == [n > 0 for n in lies["honest_viewers"]]
+    pairs = zip(lies["honest_viewers"], lies["lying_viewers"], strict=True)
+    assert lies["identifiable"] == [honest > lying for honest, lying in pairs]
+    assert max(lies["honest_viewers"]) <= 4
+    assert max(lies["lying_viewers"]) == 1
+
+
+def test_delays_count_from_the_first_observable_lie(judged: mast.Run) -> None:
+    result = observability(judged.path)
+    first = result.first_observable_s["infra_1"]
+    assert first is not None
+    assert first >= result.first_lie_s["infra_1"] == agents(judged)["infra_1"]["first_lie_s"]
+    suspended = agents(judged)["infra_1"]["suspensions"][0]["from_s"]
+    assert result.suspended_after_s["infra_1"] == pytest.approx(suspended - first)
+
+
+def test_hidden_objects_are_observable_if_an_honest_agent_sees_the_true_one(judged: mast.Run) -> None:
+    lies = observability(judged).lies.to_pylist()
+    truth = judged.truth.to_pylist()
+    checked = 0
+    for lie in lies:
+        if lie["effect"] == "removed":
+            near = [
+                row
+                for row in truth
+                if row["frame"] == lie["frame"] and np.hypot(row["x"] - lie["x"], row["y"] - lie["y"]) < 4.0
+            ]
+            seen = any(row["points"] >= 5 for row in near)
+            assert lie["honest_viewers"] + lie["lying_viewers"] == 0 or seen
+            checked += 1
+    assert checked
+
+
+def test_observability_works_without_trust_and_without_adversaries(baseline: mast.Run, attacked: mast.Run) -> None:
+    assert observability(baseline).lies.num_rows == 0
+    result = observability(attacked)
+    assert result.lies.num_rows > 0
+    assert set(result.suspended_after_s.values()) == {None}
+
+
+def test_a_run_without_its_scene_is_refused(baseline: mast.Run, tmp_path: Path) -> None:
+    for name in ("run.json", "wiring.json", "attacks.parquet"):
+        (tmp_path / name).write_bytes((baseline.path / name).read_bytes())
+    with pytest.raises(RunFolderError, match=r"scene\.npz"):
+        observability(tmp_path)

@@ -23,6 +23,14 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
     "attack_during_partition": [("partition_s=1.0", "partition_until_s=2.0", "kill_s=2.4", "restart_after_s=0.6")],
     "two_hosts": [("partition_s=0", "run.mode=lockstep")],
     "hide_object": [("attack_start_s=1.5",)],  # it selects its target once, when tracks must exist
+    "defended": [
+        (),
+        ("attack=Replay", "wires=detections pose tracks view"),
+        ("attack=StatePerturbation",),
+        ("attack=PoseDrift", "wires=pose"),
+        ("attack=Collusion", "knowledge=trust", "n_adversaries=3", "coordinator.coordination.budget=9.0"),
+    ],
+    "sybil": [("run.mode=lockstep", "run.record=True")],
     "rogue": [("run.mode=lockstep", "run.record=True")],
 }
 
@@ -45,4 +53,4 @@ def label(variant: Any) -> str:
 
 
 #: Scenarios in which no interposer changes anything.
-HARMLESS = ("baseline", "passthrough", "two_hosts")
+HARMLESS = ("baseline", "passthrough", "sybil", "two_hosts")

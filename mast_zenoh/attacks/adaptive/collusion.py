@@ -25,11 +25,14 @@ class ColludingSelection(Selection):
     """Selects false objects and objects to hide where the compromised agents outnumber the honest ones that look.
 
     Half of the objects are false ones, in the region "outnumbered"; the others are real ones that more compromised than
-    honest agents see, those with the fewest honest witnesses first. If there are too few of these, fewer are hidden.
+    honest agents see, those with the fewest honest witnesses first. If there are too few of these, fewer are hidden. As
+    long as there is nothing to lie about, it selects again in every frame.
 
     budget:    lies per second of all adversaries together: each target costs one per adversary
     speed_mps: σ per axis of the speed of false objects
     """
+
+    until_found = True
 
     def __init__(self, *, budget: float = 4.0, speed_mps: float = 5.0) -> None:
         Budget(budget)
@@ -58,7 +61,9 @@ class ColludingSelection(Selection):
             class_id=np.full(len(position), 1, np.uint8),
         )
         none = ObjectStates.empty()
-        return Targets(false, objects.select(hidden), none, np.zeros((0, 3)), wanted=wanted).numbered(0)
+        found = len(false) + len(hidden) > 0
+        targets = Targets(false, objects.select(hidden), none, np.zeros((0, 3)), wanted=wanted if found else 0)
+        return targets.numbered(0)
 
     @staticmethod
     def _cost(objects: ObjectStates, coverage: Coverage) -> Floats:
