@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.integrity.views import views_of
+from mast_zenoh.integrity.views import SweptView, views_of
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline
@@ -28,7 +29,7 @@ class CommandCenter(Node):
         self.newest_ns = 0  # time of the pipeline's last step
         self.expects_views = False
         self.waiting: dict[int, Received] = {}  # batches without their views yet, by frame
-        self.views: dict[int, Received] = {}  # views without their batch yet
+        self.views: dict[int, Mapping[str, SweptView]] = {}  # views without their batch yet
 
     def start(self, context: Context) -> None:
         """Wait for views with each batch, if agents send any."""
@@ -41,11 +42,16 @@ class CommandCenter(Node):
         self.views.clear()
 
     def on_views(self, received: Received, context: Context) -> None:
-        """Process the batch that the views belong to."""
+        """Process the batch that the views belong to; without views if they are malformed."""
+        try:
+            views = views_of(received.body)
+        except ValueError as error:
+            context.reject(f"malformed: views: {error}")
+            views = {}
         if (batch := self.waiting.pop(received.frame, None)) is None:
-            self.views.setdefault(received.frame, received)
+            self.views.setdefault(received.frame, views)
         else:
-            self.process(batch, context, received)
+            self.process(batch, context, views)
 
     def on_collated(self, received: Received, context: Context) -> None:
         """Publish one picture for each batch, about the same frame, once its views have arrived.
@@ -61,7 +67,7 @@ class CommandCenter(Node):
         else:
             self.process(received, context, views)
 
-    def process(self, received: Received, context: Context, views: Received | None = None) -> None:
+    def process(self, received: Received, context: Context, views: Mapping[str, SweptView] | None = None) -> None:
         """Publish the picture of a batch, and the trust that the pipeline has in agents and objects."""
         if received.time_ns < self.newest_ns:
             least = f"{self.newest_ns}, the time of the previous batch"
@@ -70,10 +76,7 @@ class CommandCenter(Node):
         self.processed.append(received.frame)
         self.newest_ns = received.time_ns
         if views is not None:
-            try:
-                self.pipeline.look(views_of(views.body))
-            except ValueError as error:
-                context.reject(f"malformed: views: {error}")
+            self.pipeline.look(views)
         body = received.body
         picture, support = self.pipeline.step(
             received.time_ns, ObjectStates.from_columns(body), body["agent"], tuple(body["agents"])

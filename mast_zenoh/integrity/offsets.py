@@ -15,6 +15,8 @@ from mast_zenoh.integrity.clusters import ClusterBoxes
 MEMBERS = 3
 #: m, standard deviation of the part of an offset that the covariances do not show: boxes seen from two sides.
 FLOOR_M = 0.1
+#: m, the same of objects shorter than SMALL_M: trackers swap pedestrians that walk together.
+SMALL_FLOOR_M, SMALL_M = 0.35, 1.5
 #: m, between two clusters: nearer ones may have swapped members.
 CROWD_M = 3.5
 #: Variance of the median of normal errors, relative to that of their mean.
@@ -35,15 +37,15 @@ class Offsets:
     information: Floats
 
 
-def offsets(batch: Batch, boxes: ClusterBoxes, vote: Bools) -> Offsets:
-    """Offsets of the tracks of agents with a vote from the median of their clusters.
+def offsets(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Offsets:
+    """Offsets of the tracks of agents from the weighted median of their clusters.
 
-    boxes: of the clusters; vote: (a,) whether an agent counts
+    boxes: of the clusters; weight: (a,) >= 0, of each agent in the median; 0: it has no say, and no offset
 
     The median, coordinate by coordinate, is near the honest majority's position wherever a single liar is. Clusters
     with fewer than MEMBERS tracks have no middle, nor have those nearer than CROWD_M to another one.
     """
-    present = batch.reported & vote
+    present = batch.reported & (weight > 0.0)
     members = present.sum(axis=1)
     lonely = np.ones(batch.clusters, np.bool_)
     i, j, _, _ = neighbours(boxes.position, boxes.position, np.full(batch.clusters, CROWD_M))
@@ -52,11 +54,24 @@ def offsets(batch: Batch, boxes: ClusterBoxes, vote: Bools) -> Offsets:
     if not valid.any():
         return Offsets(valid, np.zeros((*valid.shape, 2)), np.zeros((*valid.shape, 2, 2)))
     position = batch.states.position[batch.member, :2]
-    ordered = np.sort(np.where(present[..., None], position, np.inf), axis=1)
-    low, high = (np.maximum(row, 0)[:, None, None] for row in ((members - 1) // 2, members // 2))
-    middle = 0.5 * (np.take_along_axis(ordered, low, axis=1) + np.take_along_axis(ordered, high, axis=1))
+    middle = np.stack([weighted_median(position[..., axis], present * weight) for axis in range(2)], axis=-1)
     covariance = np.where(present[..., None, None], batch.states.covariance[batch.member, :2, :2], 0.0)
     spread = covariance.sum(axis=1, keepdims=True) * (MEDIAN / np.maximum(members, 1) ** 2)[:, None, None, None]
-    total = np.where(valid[..., None, None], covariance + spread + FLOOR_M**2 * np.eye(2), np.eye(2))
-    offset = np.where(valid[..., None], position - middle, 0.0)
+    floor = np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)[:, None, None, None]
+    total = np.where(valid[..., None, None], covariance + spread + floor**2 * np.eye(2), np.eye(2))
+    offset = np.where(valid[..., None], position - middle[:, None, :], 0.0)
     return Offsets(valid, offset, np.linalg.inv(total))
+
+
+def weighted_median(values: Floats, weight: Floats) -> Floats:
+    """(c,) weighted median of each row of values (c, a): the mean of the two in the middle if they share it.
+
+    weight: (c, a) >= 0
+    """
+    order = np.argsort(values, axis=1, kind="stable")
+    ordered = np.take_along_axis(values, order, axis=1)
+    below = np.cumsum(np.take_along_axis(weight, order, axis=1), axis=1)
+    half = 0.5 * below[:, -1:]
+    low, high = (below >= half * (1.0 - 1e-9)).argmax(axis=1), (below > half * (1.0 + 1e-9)).argmax(axis=1)
+    rows = np.arange(len(values))
+    return np.asarray(0.5 * (ordered[rows, low] + ordered[rows, high]))

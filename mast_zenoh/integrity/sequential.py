@@ -13,11 +13,11 @@ from mast_zenoh.integrity.base import (
     Assessment,
     Batch,
     Integrity,
-    ObjectTrust,
 )
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.cumulative import Tail, accumulate, discoveries
 from mast_zenoh.integrity.disputes import Disputes, disputes
+from mast_zenoh.integrity.existence import Existence, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.offsets import Offsets, offsets
 from mast_zenoh.integrity.track_sums import TrackSums
@@ -25,16 +25,20 @@ from mast_zenoh.integrity.visibility import sightings
 
 #: Standard deviations of a claim's position within which others need not see it.
 ERROR_SD = 2.0
-#: Standard deviations at which one offset stops to count for more.
-CLIP = 2.5
+#: Standard deviations at which one offset stops to count for more: a track of another object may be near for a moment.
+CLIP = 1.5
 #: s, greatest step of the sums: a batch after a gap is no more evidence than one.
 MAX_STEP_S = 0.5
+#: s, before the first evidence against an agent, in which it may have lied unnoticed.
+GRACE_S = 1.0
+#: Least weight of an agent that is not suspended in the middle of its objects.
+LEAST_SAY = 0.05
 #: Log-odds are limited to this, either way.
 MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
-LIES_TAIL = Tail(per_hour=57.0, scale=0.26)
-OFFSET_TAIL = Tail(per_hour=18_800.0, scale=4.2)
+LIES_TAIL = Tail(per_hour=83.0, scale=0.29)
+OFFSET_TAIL = Tail(per_hour=2600.0, scale=4.0)
 
 
 class SequentialConsistency(Integrity):
@@ -46,7 +50,7 @@ class SequentialConsistency(Integrity):
     from the median of the agents, summed over `offset_memory_s`. Each counts as an alarm by how rarely an honest agent
     exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995).
 
-    An object is withheld while more trusted agents see through it than report it, or none reports it.
+    Which objects are withheld is decided by `ExistenceVotes`, in which a suspended agent has no vote.
 
     false_alarms_per_hour: of all agents together
     drift: lies in progress that an honest agent has for a moment
@@ -74,7 +78,9 @@ class SequentialConsistency(Integrity):
         self._drift = drift
         self._release_s = release_s
         self._tails = (Tail(*lies_tail), Tail(*offset_tail))
+        self._memory_s = offset_memory_s
         self._sums = TrackSums(5, offset_memory_s)
+        self._existence = ExistenceVotes()
         self.reset()
 
     def reset(self) -> None:
@@ -86,6 +92,9 @@ class SequentialConsistency(Integrity):
         self._clean_s = np.zeros(0)  # since the last alarm or evidence
         self._suspensions = np.zeros(0, np.int64)
         self._suspended = np.zeros(0, np.bool_)
+        self._offset = np.zeros(0)
+        self._quiet_ns = np.zeros(0, np.int64)  # time, ns, of the last batch without evidence
+        self._existence.reset()
         self._seen_s = np.zeros(0)  # for which the agent has been observed
         self._reasons: dict[str, str] = {}
 
@@ -110,15 +119,28 @@ class SequentialConsistency(Integrity):
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, ERROR_SD * position_error(batch))
         dispute = disputes(batch.reported, boxes.size, seen, vote.astype(np.float64))
         lies = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
-        offset = self._offset_statistics(batch, offsets(batch, boxes, np.ones_like(vote)))
+        offset = self._offset_statistics(batch, offsets(batch, boxes, self._say(rows)))
         count = lies.sum(axis=0)
         # An honest agent errs about one object at a time: several at once are much rarer.
         self._lies[rows] = accumulate(self._lies[rows], 0.5 * count * (count + 1), self._drift, dt)
         self._last = self._lies[rows].copy(), offset
+        self._offset[rows] = offset
         rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
         alarms = discoveries(rates, self._per_hour)
         self._judge(batch, rows, alarms, dispute, dt)
-        return self._assessment(batch, rows, rates, seen.in_view | batch.reported, dispute)
+        existence = self._existence.count(batch, boxes, seen, (~self._suspended[rows]).astype(np.float64))
+        return self._assessment(batch, rows, rates, existence)
+
+    def _say(self, rows: Ints) -> Floats:
+        """(a,) weight of each agent in the middle of its objects: the less, the nearer its own offset is to an alarm.
+
+        Of two liars and one honest agent that report an object, the liars thus have no majority once they are off
+        elsewhere, where others see the object, too.
+        """
+        tests = 2 * len(rows)
+        alarm = self._tails[1].scale * np.log(self._tails[1].per_hour * tests / self._per_hour)
+        weight = np.clip(1.0 - self._offset[rows] / max(alarm, 1.0), LEAST_SAY, 1.0)
+        return np.asarray(np.where(self._suspended[rows], 0.0, weight))
 
     def _meet(self, batch: Batch) -> Ints:
         """Rows (a,) of the agents of a batch; new ones have no record."""
@@ -128,7 +150,8 @@ class SequentialConsistency(Integrity):
         carry = self._agents.carry
         self._lies, self._clean_s = carry(self._lies, 0.0), carry(self._clean_s, 0.0)
         self._suspensions, self._seen_s = carry(self._suspensions, 0), carry(self._seen_s, 0.0)
-        self._suspended = carry(self._suspended, False)
+        self._suspended, self._offset = carry(self._suspended, False), carry(self._offset, 0.0)
+        self._quiet_ns = carry(self._quiet_ns, batch.time_ns)
         return rows
 
     def _offset_statistics(self, batch: Batch, measured: Offsets) -> Floats:
@@ -154,16 +177,33 @@ class SequentialConsistency(Integrity):
         """Suspend and release agents."""
         self._seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
+        self._quiet_ns[rows] = np.where(self._last[0] > 0.0, self._quiet_ns[rows], batch.time_ns)
         self._clean_s[rows] = np.where(alarmed | (self._last[0] > 0.0), 0.0, self._clean_s[rows] + dt)
         patience = self._release_s * 2.0 ** np.maximum(self._suspensions[rows] - 1, 0)
         released = self._suspended[rows] & (self._clean_s[rows] >= patience)
         new = alarmed & ~self._suspended[rows]
+        if new.any():
+            # The worst first: the others may only look bad because it has moved the middle of their objects.
+            worst = np.argmax(
+                np.where(new, self._last[0] / self._tails[0].scale + self._last[1] / self._tails[1].scale, -1.0)
+            )
+            new = np.arange(len(new)) == worst
+            self._sums.reset()
+        for row in np.flatnonzero(new).tolist():
+            self._existence.vouch(self._honest_until(rows[row], bool(alarms[row, 0])))
         self._suspensions[rows] += new
         self._suspended[rows] = (self._suspended[rows] | new) & ~released
         for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
         for row in np.flatnonzero(new).tolist():
             self._reasons[batch.agents[row]] = self._reason(row, alarms[row], dispute)
+
+    def _honest_until(self, row: int, lied: bool) -> int:
+        """Time, ns, until which there was no evidence against an agent that is suspended now."""
+        assert self._time_ns is not None
+        if lied:
+            return int(self._quiet_ns[row]) - round(GRACE_S * 1e9)
+        return self._time_ns - round(2.0 * self._memory_s * 1e9)
 
     def _reason(self, row: int, alarms: Bools, dispute: Disputes) -> str:
         """Why an agent is suspended."""
@@ -178,26 +218,14 @@ class SequentialConsistency(Integrity):
         most = max(kinds, key=lambda kind: int(kinds[kind][:, row].sum()))
         return f"{most}, {self._last[0][row]:.1f} object-seconds"
 
-    def _assessment(self, batch: Batch, rows: Ints, rates: Floats, expected: Bools, dispute: Disputes) -> Assessment:
+    def _assessment(self, batch: Batch, rows: Ints, rates: Floats, existence: Existence) -> Assessment:
         suspended = self._suspended[rows]
         log_odds = np.clip(np.log(rates / self._per_hour).min(axis=1), -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)
         state = np.where(suspended, SUSPENDED, np.where(self._seen_s[rows] >= 1.0, TRUSTED, UNKNOWN))
         reasons = tuple(self._reasons.get(name, "") for name in batch.agents)
         agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state.astype(np.uint8), reasons, log_odds=log_odds)
-        believed = batch.reported & ~dispute.inconsistent & ~suspended
-        withheld = (dispute.contradicting > dispute.confirming) | ~believed.any(axis=1)
-        trust = (1.0 + dispute.confirming) / (2.0 + dispute.confirming + dispute.contradicting)
-        objects = ObjectTrust(
-            trust,
-            expected.sum(axis=1),
-            (believed).sum(axis=1),
-            dispute.contradicting.astype(np.int64),
-            withheld,
-        )
-        # A cluster that nobody trusted reports keeps all its members: it is tracked on, but withheld.
-        kept = believed | ~believed.any(axis=1, keepdims=True)
-        return Assessment(kept[batch.labels, batch.agent].astype(np.float64), agents, objects)
+        return Assessment(existence.kept, agents, existence.objects)
 
 
 def position_error(batch: Batch) -> Floats:

@@ -6,7 +6,6 @@
     copies    repeated messages: Duplicate, Flood
     content   changed messages: ClockSkew, PoseError, Corrupt
     sensed    detections in transit, and the pose of their sensor
-    sensed    detections in transit, and the pose of their sensor
     sensors   changed detections: BlindSector, GhostDetections
     chain     the sequence of rules of one wire
     profiles  wired, wireless_v2x, …

@@ -39,6 +39,7 @@ from mast_zenoh.report.tables.achievement import achieved_rows
 from mast_zenoh.report.tables.driving import driving_rows
 from mast_zenoh.report.tables.interposers import BAD, EFFECTS, exit_expected, failures_of, interposers
 from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
+from mast_zenoh.report.tables.trust import conduct_rows, suspension_rows, trust_sentences
 from mast_zenoh.report.tables.wiring import wire_rows
 
 
@@ -164,6 +165,9 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
         "user_figures": user_figures,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
         "interposers": interposers(run),
+        "suspensions": suspension_rows(run),
+        "conduct": conduct_rows(run),
+        "trust": trust_sentences(run),
         "achieved": achieved_rows(run, reference.run if reference else None),
         "driving": driving_rows(run, reference.run, reference.name) if reference else driving_rows(run),
         "effects": EFFECTS,

@@ -24,6 +24,8 @@ _TARGETS = (
     *("adversary", "kind", "object", "frame", "x", "y", "seen_by_others"),
     *("believed_centre", "judged_centre", "error_m_centre", "believed_ego", "judged_ego", "error_m_ego"),
 )
+_TRUST = ("frame", "time_s", "agent", "mean", "state", "reason")
+_JUDGED = ("frame", "id", "x", "y", "z", "l", "w", "h", "yaw", "withheld")
 _DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "needless", "omitted")
 
 
@@ -47,6 +49,7 @@ class RunFolder:
     targets:   targets.parquet: a row per manipulated object and frame
     driving:   driving.parquet: a row per frame, vehicle and estimate
     results:   by node, the names of its files under results/
+    trust, trust_objects: trust.parquet, trust_objects.parquet: of a command centre that judges agents
     """
 
     path: Path
@@ -63,6 +66,8 @@ class RunFolder:
     targets: Table | None = None
     driving: Table | None = None
     results: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    trust: Table | None = None
+    trust_objects: Table | None = None
 
     @classmethod
     def load(cls, path: Path) -> RunFolder:
@@ -97,8 +102,11 @@ class RunFolder:
         driving = (read if metrics.get("driving") else optional)(
             "driving.parquet", files.table(_DRIVING), "no chart of driving", None
         )
+        read_trust = read if metrics.get("integrity") else optional
+        trust = read_trust("trust.parquet", files.table(_TRUST), "trust in agents is not shown", None)
+        judged = read_trust("trust_objects.parquet", files.table(_JUDGED), "withheld objects are not shown", None)
         read_all = run, scenario, wiring, metrics, counts, boxes, effects, recording, tuple(reader.missing)
-        return cls(path, *read_all, checks, targets, driving, files.node_results(path / "results"))
+        return cls(path, *read_all, checks, targets, driving, files.node_results(path / "results"), trust, judged)
 
     @cached_property
     def label(self) -> str:

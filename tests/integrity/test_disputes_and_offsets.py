@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.disputes import disputes
 from mast_zenoh.integrity.offsets import offsets
 from mast_zenoh.integrity.visibility import sightings
-from tests.integrity.batches import Track, batch, view
 
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 
@@ -60,7 +60,7 @@ def test_a_claim_in_space_that_its_own_sensor_sees_through_confirms_nothing() ->
 
 def test_the_offset_of_one_of_three_is_seen_in_its_own_track() -> None:
     given = batch([("a", 0, (0.0, 0.0)), ("b", 0, (0.1, 0.0)), ("c", 0, (1.5, 0.0))], ("a", "b", "c"))
-    measured = offsets(given, ClusterBoxes.of(given), np.ones(3, np.bool_))
+    measured = offsets(given, ClusterBoxes.of(given), np.ones(3))
     assert measured.valid.tolist() == [[True, True, True]]
     assert measured.offset[0, :, 0] == pytest.approx([-0.1, 0.0, 1.4])
 
@@ -70,4 +70,4 @@ def test_two_tracks_and_crowded_objects_have_no_middle(others: list[Track]) -> N
     tracks: list[Track] = [("a", 0, (0.0, 0.0)), ("b", 0, (0.1, 0.0))]
     tracks += [("c", 0, (0.0, 0.1))] if others else []
     given = batch([*tracks, *others], ("a", "b", "c"))
-    assert not offsets(given, ClusterBoxes.of(given), np.ones(3, np.bool_)).valid.any()
+    assert not offsets(given, ClusterBoxes.of(given), np.ones(3)).valid.any()

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from integrity_batches import CAR, STEP_NS, VARIANCE
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity import Batch, FaultOrLie
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED
 from mast_zenoh.integrity.fault_fit import corrected
-from tests.integrity.batches import CAR, STEP_NS, VARIANCE
 
 AGENTS = ("a", "b", "c", "d")
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.integrity.cumulative import Tail, accumulate, discoveries
 from mast_zenoh.integrity.track_sums import TrackSums
-from tests.integrity.batches import Track, batch, view
 
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 PHANTOM, CAR = (0.0, 0.0), (9.0, 9.0)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from integrity_batches import CAR, view
 
 from mast_zenoh.integrity.views import SweptView, check_view, collated_columns, view_columns, views_of
 from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, sightings
-from tests.integrity.batches import CAR, view
 
 
 def seen(place: tuple[float, float], *views: SweptView | None, error: float = 0.0):

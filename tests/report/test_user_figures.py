@@ -161,7 +161,9 @@ def test_a_figure_that_cannot_be_drawn_is_named_with_the_reason(run_folder: Fold
     assert "broken.py:9)" in page
     assert "Text could not be drawn: TypeError: draw returned str, expected a Matplotlib figure or None" in page
     assert "Camera could not be drawn: ValueError: name: found 'camera', which another figure has" in page
-    assert "Lost could not be drawn: ValueError: after: found 'nowhere', expected one of scores, achieved" in page
+    assert (
+        "Lost could not be drawn: ValueError: after: found 'nowhere', expected one of scores, trust, achieved" in page
+    )
     assert page.count('<h2 id="camera">') == 1, "the built-in one is there too"
 
 
@@ -200,7 +202,7 @@ def test_the_command_adds_the_figures_of_a_file(run_folder: Folder, tmp_path: Pa
 
 
 def test_the_built_in_figures_use_the_same_base_class(run_folder: Folder) -> None:
-    assert {kind.label() for kind in OURS} == {"birdseye", "camera", "counts", "causes", "driving", "wiring"}
+    assert {kind.label() for kind in OURS} == {"birdseye", "trust", "camera", "counts", "causes", "driving", "wiring"}
     context = FigureContext(RunFolder.load(run_folder("uncoordinated")), None)
     drawn: dict[str, Any] = {kind.label(): kind().draw(context) for kind in OURS}
     assert {name for name, figure in drawn.items() if figure is not None} == {"counts", "wiring"}

@@ -23,7 +23,7 @@ from mast_zenoh.runtime.replaying import replay
 
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parents[2] / "scenarios").glob("*.py"))
 #: These affect hosts or need real time, which one process cannot provide.
-ELSEWHERE = {"rogue", "two_hosts"}
+ELSEWHERE = {"rogue", "sybil", "two_hosts"}
 
 
 def recorded(folder: Path, name: str, *settings: str, frames: int = 60) -> Path:

@@ -92,7 +92,7 @@ class Sorting(NoIntegrity):
 
 class Dropping(NoIntegrity):
     def correct(self, time_ns: int, states: Any, agent: Any, agents: Any, views: Any) -> Any:
-        return states.select(np.arange(len(states)) > 0)
+        return states.select(np.arange(len(states)) > 0), views
 
 
 @pytest.mark.parametrize(

@@ -26,16 +26,22 @@ from mast_zenoh.report.figures.style import (
     GROUND,
     OUTCOME_COLOURS,
     OUTCOME_LABELS,
+    STATES,
+    WITHHELD,
     dark_axes,
     plain,
 )
 from mast_zenoh.report.figures.view import Boxes, FrameView, Marks
 from mast_zenoh.report.tables.interposers import adversaries_by_agent, interposers
+from mast_zenoh.report.trust_facts import states_at, withheld_at
 
 #: Minimum length and width of drawn boxes, m, so that pedestrians are visible.
 _SMALLEST = 1.4
 #: Length of the wedge of a sector sensor, m; its actual range would cover the scene.
 _WEDGE = 22.0
+
+#: Line style of withheld objects.
+_DASHED = (0, (3.0, 2.0))
 
 _HALO = [patheffects.withStroke(linewidth=2.5, foreground=GROUND)]
 
@@ -63,6 +69,8 @@ def draw_birdseye(axes: Axes, view: FrameView, estimator: str, window: tuple[flo
         )
     for order, (outcome, colour) in enumerate(OUTCOME_COLOURS.items()):
         _draw_boxes(axes, view.boxes[estimator][outcome], outcome, colour, 3 + 0.1 * order)
+    if estimator not in ("local", "received"):
+        _draw_withheld(axes, view)
     _draw_attack(axes, view.marks(estimator))
     _draw_agents(axes, view, window)
 
@@ -91,6 +99,15 @@ def _draw_boxes(axes: Axes, boxes: Boxes, outcome: str, colour: str, zorder: flo
     axes.add_collection(LineCollection(list(np.concatenate(lines)), colors=colour, linewidths=1.1, zorder=zorder))
 
 
+def _draw_withheld(axes: Axes, view: FrameView) -> None:
+    position, size, yaw = withheld_at(view.run, view.frame)
+    if len(yaw):
+        corners = box_corners(position, np.maximum(size, _SMALLEST), yaw)[:, :4, :2]
+        boxes = PolyCollection(list(corners), facecolors="none", edgecolors=WITHHELD, linewidths=1.2, zorder=3.5)
+        boxes.set_linestyle(_DASHED)
+        axes.add_collection(boxes)
+
+
 def _draw_attack(axes: Axes, marks: Marks) -> None:
     if len(marks.added):
         axes.plot(*marks.added[:, :2].T, "D", ms=12, mfc="none", mec=ADVERSARY, mew=1.3, zorder=4)
@@ -108,11 +125,15 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
     x, y, half = window
     occupied: list[tuple[float, float, float, float]] = []
     attacked = adversaries_by_agent(interposers(view.run))
+    states = states_at(view.run, view.frame)
     for index, agent in enumerate(recording.agents):
         position = recording.agent_position[view.frame, index]
         if max(abs(position[0] - x), abs(position[1] - y)) > half:
             continue
-        colour = ADVERSARY if agent.name in attacked else AGENT
+        state = states.get(agent.name, "unknown")
+        colour = STATES[state] if states else ADVERSARY if agent.name in attacked else AGENT
+        name_colour = ADVERSARY if agent.name in attacked else colour
+        label = f"{agent.name}\n{state}" if state in ("faulty", "suspended") else agent.name
         sector = agent.sensor.azimuth_max_deg - agent.sensor.azimuth_min_deg
         facing = recording.agent_rotation[view.frame, index] @ agent.sensor.mount_rotation
         turn = float(heading(facing))
@@ -126,17 +147,19 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         # The name goes behind the agent, away from its wedge and the observed traffic.
         behind = -np.array([np.cos(turn), np.sin(turn)])
         inside = np.abs(position[:2] + behind * 0.25 * half - [x, y]) < half
-        side = _free_side(occupied, position, len(agent.name), half, np.where(inside, behind, -behind) > 0)
+        letters = max(map(len, label.split("\n")))
+        side = _free_side(occupied, position, letters, half, np.where(inside, behind, -behind) > 0)
         axes.annotate(
-            plain(agent.name),
+            plain(label),
             (position[0], position[1]),
             (7 if side[0] else -7, 4 if side[1] else -4),
             textcoords="offset points",
             ha="left" if side[0] else "right",
             va="bottom" if side[1] else "top",
-            color=colour,
+            color=name_colour,
             fontsize=10,
-            fontweight="bold" if colour == ADVERSARY else "normal",
+            linespacing=1.0,
+            fontweight="bold" if name_colour == ADVERSARY else "normal",
             path_effects=_HALO,
             zorder=6,
         )
@@ -173,10 +196,17 @@ def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
         filled = to_rgba(colour, 0.35 if outcome in ("truth missed", "track false") else 0.0)
         handles.append(Patch(facecolor=filled, edgecolor=colour, linewidth=1.5, label=OUTCOME_LABELS[outcome]))
     if agents and any(v.run.recording is not None for v in views):
-        handles.append(_marker("o", AGENT, "vehicle with sensors", hollow=True))
-        handles.append(_marker("^", AGENT, "roadside sensor"))
-        if any(adversaries_by_agent(interposers(v.run)) for v in views):
-            handles.append(_marker("^", ADVERSARY, "adversary on its wire"))
+        states = {state for v in views for state in states_at(v.run, v.frame).values()}
+        handles.append(_marker("o", WITHHELD if states else AGENT, "vehicle with sensors", hollow=True))
+        handles.append(_marker("^", WITHHELD if states else AGENT, "roadside sensor"))
+        attacked = any(adversaries_by_agent(interposers(v.run)) for v in views)
+        handles += [_marker("^", STATES[state], f"{state} agent") for state in STATES if state in states]
+        if attacked:
+            name = Line2D([], [], linestyle="", marker="$name$", ms=24, mew=0.0, color=ADVERSARY)
+            name.set_label("adversary on its wire")
+            handles.append(name if states else _marker("^", ADVERSARY, "adversary on its wire"))
+    if any(len(withheld_at(v.run, v.frame)[2]) for v in views):
+        handles.append(Patch(facecolor="none", edgecolor=WITHHELD, linewidth=1.2, linestyle=_DASHED, label="withheld"))
     marks = [v.before.joined(v.behind) for v in views]
     if any(len(each.added) for each in marks):
         handles.append(_marker("D", ADVERSARY, "inserted by adversary", hollow=True))

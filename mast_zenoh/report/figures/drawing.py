@@ -75,7 +75,7 @@ def _dark_figure(views: Sequence[FrameView], width: float, height: float, *, age
     height: inches, without the legend
     """
     handles = key(views, agents=agents)
-    lines = 1 if len(handles) <= 6 else 2
+    lines = 1 if len(handles) <= 6 else -(-len(handles) // 7) if len(handles) > 12 else 2
     figure = Figure(figsize=(width, height + 0.24 + 0.22 * lines), facecolor=GROUND)
     figure.legend(
         handles=handles,

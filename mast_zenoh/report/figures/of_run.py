@@ -12,11 +12,13 @@ from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.drawing import RenderedFigure, birdseye_figure, camera_figure, render
 from mast_zenoh.report.figures.driving import driving_over_time
 from mast_zenoh.report.figures.style import Figure
+from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import FrameView
 from mast_zenoh.report.run_figure import FigureContext, RunFigure
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.interposers import interposers
 from mast_zenoh.report.tables.scores import ESTIMATES
+from mast_zenoh.report.trust_facts import states_at, suspensions
 
 _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
@@ -44,6 +46,10 @@ class Birdseye(RunFigure):
             "together, on which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, "
             "not how far."
         )
+        if states_at(context.view.run, context.view.frame):
+            caption += (
+                " Agents have the colour of their state at the command centre; dashed: objects that it withholds."
+            )
         return f"{caption} {context.frame_note}".strip()
 
 
@@ -124,8 +130,25 @@ class Wiring(RunFigure):
         return caption
 
 
+class Trust(RunFigure):
+    """The command centre's trust in each agent, and when it was suspended or taken to be faulty. Below each line: when
+    adversaries changed what the agent sent, as measured on its wires, and when faults of the timeline acted on it.
+    """
+
+    def draw(self, context: FigureContext) -> Figure | None:
+        return trust_over_time(context.run, context.frame)
+
+    def alt(self, context: FigureContext) -> str:
+        spells = [
+            f"{each['agent']} from {each['from_s']:.1f} s to "
+            + ("the end" if each["until_s"] is None else f"{each['until_s']:.1f} s")
+            for each in suspensions(context.run)
+        ]
+        return f"Trust in each agent over time. Suspended: {'; '.join(spells) or 'no agent'}."
+
+
 #: In the order in which they are drawn. The page has a place for each.
-OURS: tuple[type[RunFigure], ...] = (Birdseye, Camera, Counts, Causes, Driving, Wiring)
+OURS: tuple[type[RunFigure], ...] = (Birdseye, Trust, Camera, Counts, Causes, Driving, Wiring)
 
 
 def run_figures(context: FigureContext) -> dict[str, RenderedFigure]:

@@ -34,6 +34,11 @@ OUTCOME_LABELS = {
 #: Adversaries, their wires and their effects, in every figure.
 ADVERSARY = "#ff4fd8"
 ADVERSARY_ON_LIGHT = "#b5128f"
+#: States of agents at the command centre: on dark panels, and those that light charts mark.
+STATES = {"unknown": "#9aa7b8", "trusted": "#7fe3ff", "faulty": "#ffb347", "suspended": "#ff7a59"}
+STATES_ON_LIGHT = {"faulty": "#f0c75e", "suspended": "#ef8a6a"}
+#: Objects that the command centre withholds.
+WITHHELD = "#c9d2de"
 #: Links, faults and their effects.
 FAULT_ON_LIGHT = "#8a6100"
 

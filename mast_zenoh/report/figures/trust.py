@@ -1,0 +1,120 @@
+"""The chart of the command centre's trust in each agent over time."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+
+from mast_zenoh.report.figures.bands import HATCH
+from mast_zenoh.report.figures.style import (
+    ADVERSARY_ON_LIGHT,
+    FAULT_ON_LIGHT,
+    INK,
+    STATES_ON_LIGHT,
+    Figure,
+    light_axes,
+    plain,
+)
+from mast_zenoh.report.figures.timeaxis import padded
+from mast_zenoh.report.files import column, rows
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.trust_facts import Spans, fault_spans, judged_agents, lie_spans, state_spans
+
+#: Inches: width of the figure, of its left margin with the agents' names; heights of the legend and the time axis.
+_WIDTH, _LEFT, _RIGHT, _HEAD, _FOOT = 11.5, 1.35, 0.15, 0.46, 0.55
+#: Inches, height of one agent's row: least, greatest, the sum of all from which it shrinks; least with names of faults.
+_ROW = (0.42, 0.86, 5.5)
+_NAMED = 0.7
+#: Below the trust, from 0 to 1: lower edges and height of the bands of lies and of faults.
+_LIES, _FAULTS, _BAND = -0.24, -0.46, 0.18
+
+
+def trust_over_time(run: RunFolder, frame: int | None) -> Figure | None:
+    """Mean trust in each agent by time; None: the run's command centre judges nobody.
+
+    Background: when an agent was taken to be faulty, or was suspended. Bands below: when it lied, and when it was
+    faulty. frame: marked by a line, if given
+    """
+    agents = judged_agents(run)
+    if run.trust is None or not agents:
+        return None
+    times = column(run.trust, "time_s")
+    low, high = float(times.min()), float(times.max())
+    end = high + run.period_s
+    row = float(np.clip(_ROW[2] / len(agents), *_ROW[:2]))
+    height = _HEAD + row * len(agents) + _FOOT
+    figure = Figure(figsize=(_WIDTH, height), facecolor="white")
+    for index, agent in enumerate(agents):
+        bottom = _FOOT + (len(agents) - 1 - index) * row
+        width = _WIDTH - _LEFT - _RIGHT
+        axes = figure.add_axes((_LEFT / _WIDTH, bottom / height, width / _WIDTH, 0.88 * row / height))
+        _draw_agent(axes, run, agent, end, named=row >= _NAMED)
+        axes.set_xlim(*padded(low, end))
+        axes.tick_params(labelbottom=index == len(agents) - 1)
+        if frame is not None:
+            seconds = run.seconds(np.array([frame]))
+            at = frame * run.period_s if seconds is None else float(seconds[0])
+            axes.axvline(at, color=INK, linewidth=0.9)
+        if index == len(agents) - 1:
+            axes.set_xlabel("time (s)", fontsize=10, color=INK)
+    handles = _legend(run, agents, end)
+    if frame is not None:
+        handles.append(Line2D([], [], color=INK, linewidth=0.9, label="frame shown"))
+    figure.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(0.055, 1.0),
+        ncols=len(handles),
+        frameon=False,
+        fontsize=10,
+        columnspacing=1.5,
+    )
+    return figure
+
+
+def _draw_agent(axes: Axes, run: RunFolder, agent: str, end: float, *, named: bool) -> None:
+    """Draw one agent's row; named: whether there is room for the names of faults."""
+    assert run.trust is not None
+    table = rows(run.trust, run.trust["agent"] == agent)
+    light_axes(axes)
+    for state, colour in STATES_ON_LIGHT.items():
+        for start, stop in state_spans(table, state, end):
+            axes.add_patch(Rectangle((start, 0.0), stop - start, 1.0, facecolor=colour, alpha=0.45, linewidth=0))
+    _bands(axes, lie_spans(run, agent), _LIES, ADVERSARY_ON_LIGHT)
+    faults = fault_spans(run, agent, end)
+    _bands(axes, [(start, stop) for _, start, stop in faults], _FAULTS, FAULT_ON_LIGHT, hatched=True)
+    if named:
+        for kind, start, stop in faults:
+            after = stop < 0.8 * end
+            place, align = (stop + 0.006 * end, "left") if after else (start - 0.006 * end, "right")
+            middle = _FAULTS + 0.5 * _BAND
+            axes.text(place, middle, plain(kind), ha=align, va="center", fontsize=8.5, color=FAULT_ON_LIGHT)
+    axes.plot(column(table, "time_s"), column(table, "mean"), color=INK, linewidth=1.6, drawstyle="steps-post")
+    axes.set_ylim(_FAULTS - 0.06, 1.06)
+    axes.set_yticks([0.0, 0.5, 1.0], ["0", "", "1"], fontsize=9)
+    axes.set_ylabel(plain(agent), rotation=0, ha="right", va="center", fontsize=10.5, color=INK, labelpad=10)
+
+
+def _bands(axes: Axes, spans: Spans, lower: float, colour: str, *, hatched: bool = False) -> None:
+    for start, stop in spans:
+        band = Rectangle((start, lower), stop - start, _BAND, linewidth=0.6)
+        band.set(facecolor=(colour, 0.25 if hatched else 0.9), edgecolor=colour, hatch=HATCH if hatched else None)
+        axes.add_patch(band)
+
+
+def _legend(run: RunFolder, agents: list[str], end: float) -> list[Line2D | Patch]:
+    """Legend entries for what the chart shows."""
+    assert run.trust is not None
+    handles: list[Line2D | Patch] = [Line2D([], [], color=INK, linewidth=1.6, label="trust, 0 to 1")]
+    for state, colour in STATES_ON_LIGHT.items():
+        if (run.trust["state"] == state).any():
+            words = {"suspended": "suspended", "faulty": "taken to be faulty"}
+            handles.append(Patch(facecolor=colour, alpha=0.45, label=words[state]))
+    if any(lie_spans(run, agent) for agent in agents):
+        handles.append(Patch(facecolor=(ADVERSARY_ON_LIGHT, 0.9), edgecolor=ADVERSARY_ON_LIGHT, label="lies"))
+    if any(fault_spans(run, agent, end) for agent in agents):
+        fault = Patch(facecolor=(FAULT_ON_LIGHT, 0.25), edgecolor=FAULT_ON_LIGHT, hatch=HATCH, label="is faulty")
+        handles.append(fault)
+    return handles

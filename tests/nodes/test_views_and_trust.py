@@ -1,0 +1,142 @@
+"""Views go from sensors to the command centre, and its trust is published; neither changes other messages."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from tiny_world import PERIOD_NS, Bench, states, tiny, tracks
+
+from mast_zenoh import scenario as scenarios
+from mast_zenoh.integrity import STATES
+from mast_zenoh.integrity.views import collated_columns, view_columns, views_of
+from mast_zenoh.messages.schemas import text
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.tracking.view import SensorView
+
+AGENTS = ("ego", "infra_1", "infra_2")
+VIEW = SensorView(np.array([1.0, 2.0, 3.0]), np.eye(3), -1.0, 1.0, -0.4, 0.2, 80.0)
+
+
+@pytest.fixture(scope="module")
+def resolved():
+    return tiny("defended", "n_adversaries=0")
+
+
+def view(free: float = 50.0) -> dict[str, np.ndarray]:
+    return view_columns(VIEW, np.full((2, 3), free))
+
+
+def test_an_agent_sends_its_view_with_its_tracks(resolved) -> None:
+    sent = []
+    InProcess(resolved, tap=lambda message: sent.append(message.payload)).run()
+    views = [message for message in sent if message.header.schema == "view"]
+    counts = Counter(message.header.schema for message in sent)
+    assert counts["view"] == counts["sweep"] == len(AGENTS) * resolved.frames
+    assert counts["views"] == counts["trust"] == counts["picture"] == resolved.frames
+    by_source = {message.header.source: message.body for message in views}
+    assert by_source["infra_1"]["max_range"].tolist() == [100.0]
+    assert not np.array_equal(by_source["infra_1"]["position"], by_source["infra_2"]["position"])
+
+
+def test_the_broker_collates_views_with_the_tracks_of_their_frame(resolved) -> None:
+    broker = Bench(resolved, "broker")
+    broker.clock(0)
+    for agent in AGENTS:
+        broker.send("tracks", tracks((0.0, 0.0)), 0, subject=agent)
+    for agent in AGENTS[:-1]:
+        assert broker.send("view", view(), 0, subject=agent) == []
+    (_, collated), (key, views) = broker.send("view", view(7.0), 0, subject=AGENTS[-1])
+    assert collated.header.schema == "collated"
+    assert key == "cc/views"
+    received = views_of(views.body)
+    assert sorted(received) == sorted(AGENTS)
+    assert received["infra_2"].free.tolist() == [[7.0] * 3] * 2
+    assert received["ego"].age_s == 0.0
+
+
+def test_a_missing_view_delays_a_batch_to_the_next_clock_and_is_replaced_by_the_last_one(resolved) -> None:
+    broker = Bench(resolved, "broker")
+    broker.clock(0)
+    for agent in AGENTS:
+        broker.send("tracks", tracks((0.0, 0.0)), 0, subject=agent)
+        broker.send("view", view(), 0, subject=agent)
+    broker.clock(1)
+    for agent in AGENTS:
+        broker.send("tracks", tracks((0.0, 0.0)), 1, subject=agent)
+    messages = [message for key, message in broker.clock(2) if key == "cc/views"]
+    assert [message.header.frame for message in messages] == [1]
+    assert {view.age_s for view in views_of(messages[0].body).values()} == {PERIOD_NS * 1e-9}
+
+
+@pytest.mark.parametrize("column", ["azimuth", "elevation"])
+def test_a_view_that_covers_nothing_is_rejected_and_counted(resolved, column: str) -> None:
+    broker = Bench(resolved, "broker")
+    broker.clock(0)
+    broker.send("view", view() | {column: np.array([0.5, 0.5])}, 0, subject="ego")
+    assert broker.host.rejected["agent/ego/view", "implausible"] == 1
+
+
+def batch() -> dict[str, np.ndarray]:
+    columns = states((0.0, 0.0), (30.0, 0.0)).columns()
+    return columns | {"agent": np.zeros(2, np.int64), "agents": text(["ego"]), "age_ns": np.zeros(1, np.int64)}
+
+
+def views() -> dict[str, np.ndarray]:
+    return collated_columns([view()]) | {"agents": text(["ego"]), "age_ns": np.zeros(1, np.int64)}
+
+
+@pytest.mark.parametrize("first", ["collated", "views"])
+def test_the_command_centre_waits_for_batch_and_views_in_either_order(resolved, first: str) -> None:
+    centre = Bench(resolved, "command_center")
+    centre.clock(0)
+    bodies = {"collated": batch(), "views": views()}
+    second = next(name for name in bodies if name != first)
+    assert centre.send(first, bodies[first], 0) == []
+    assert [key for key, _ in centre.send(second, bodies[second], 0)] == ["cc/picture", "cc/trust"]
+
+
+def test_a_batch_whose_views_are_lost_is_processed_at_the_next_clock(resolved) -> None:
+    centre = Bench(resolved, "command_center")
+    centre.clock(0)
+    centre.send("collated", batch(), 0)
+    assert [(key, message.header.frame) for key, message in centre.clock(1)] == [("cc/picture", 0), ("cc/trust", 0)]
+
+
+def test_views_with_impossible_grids_cost_one_message_not_the_picture(resolved) -> None:
+    centre = Bench(resolved, "command_center")
+    centre.clock(0)
+    centre.send("views", views() | {"grid": np.array([[10**9, 10**9]])}, 0)
+    assert [key for key, _ in centre.send("collated", batch(), 0)] == ["cc/picture", "cc/trust"]
+    assert centre.host.rejected["cc/views", "malformed"] == 1
+
+
+def test_trust_names_every_agent_with_a_known_state(resolved) -> None:
+    centre = Bench(resolved, "command_center")
+    centre.clock(0)
+    centre.send("views", views(), 0)
+    _, (_, trust) = centre.send("collated", batch(), 0)
+    assert trust.body["agents"].tolist() == ["ego"]
+    assert all(state < len(STATES) for state in trust.body["state"])
+
+
+def test_a_stage_that_trusts_everybody_changes_no_other_message() -> None:
+    def messages(name: str, *settings: str) -> dict[tuple, bytes]:
+        sent = {}
+
+        def tap(out) -> None:
+            header, body = out.payload
+            columns = b"".join(
+                bytes(np.ascontiguousarray(column).astype("S" if column.dtype == object else column.dtype))
+                for column in body.values()
+            )
+            sent[out.key, header.seq] = columns
+
+        path, content = scenarios.load(name, list(settings))
+        InProcess(scenarios.resolve(path, content, seed=3, frames=50), tap=tap).run()
+        return sent
+
+    settings = "n_infrastructure=2", "n_adversaries=1", "attack_start_s=1.0"
+    plain, judged = messages("coordinated", *settings), messages("defended", *settings)
+    kinds = ("/sweep", "/view", "cc/views", "cc/trust")
+    assert {key: value for key, value in judged.items() if not key[0].endswith(kinds)} == plain
+    assert len(judged) > len(plain)

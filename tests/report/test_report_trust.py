@@ -1,0 +1,193 @@
+"""The report shows the command centre's trust: states, withheld objects, suspensions and their reasons."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.patches import Rectangle
+
+from mast_zenoh.launch.tables import write_table
+from mast_zenoh.report.figures.drawing import birdseye_figure
+from mast_zenoh.report.figures.style import STATES, WITHHELD, png
+from mast_zenoh.report.figures.trust import trust_over_time
+from mast_zenoh.report.figures.view import frame_view
+from mast_zenoh.report.html import write_report
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.tables.trust import conduct_rows, suspension_rows, trust_sentences
+from mast_zenoh.report.trust_facts import fault_spans, judged_agents, lie_spans, state_spans, states_at, withheld_at
+
+AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
+FRAMES, DETECTED, FAULTY = 40, 20, 25
+REASON = "reports objects in free space"
+
+
+def seconds(trusted: float, suspended: float) -> dict[str, float]:
+    return {"unknown": 0.0, "trusted": trusted, "faulty": 0.0, "suspended": suspended}
+
+
+def of_agent(**changes: Any) -> dict[str, Any]:
+    """The entry of an honest agent in metrics.json, changed."""
+    honest = dict(lied=False, first_lie_s=None, suspended_after_s=None, observed_s=None, suspensions=[])
+    return honest | changes
+
+
+def suspension(from_s: float, until_s: float | None, conduct: str) -> dict[str, Any]:
+    return dict(from_s=from_s, until_s=until_s, reason=REASON, conduct=conduct)
+
+
+INTEGRITY: dict[str, Any] = {
+    "agents": {
+        "ego": of_agent(),
+        "infra_1": of_agent(
+            lied=True,
+            first_lie_s=1.5,
+            suspended_after_s=0.5,
+            observed_s=0.5,
+            suspensions=[suspension(2.0, 3.0, "lying"), suspension(3.5, None, "lying")],
+        ),
+        "infra_2": of_agent(suspensions=[suspension(1.0, 1.2, "honest")]),
+        "infra_3": of_agent(lied=True, first_lie_s=1.5, observed_s=2.4),
+        "infra_4": of_agent(),
+    },
+    "seconds": {"honest": seconds(14.0, 0.2), "faulty": seconds(0.0, 0.0), "lying": seconds(3.4, 1.4)},
+    "honest_suspended": ["infra_2"],
+    "false_alarms": 1,
+    "withheld": {"true": 0.25, "false": 1.5},
+}
+
+
+@pytest.fixture
+def folder(run_folder: Callable[..., Path]) -> Path:
+    """A run with adversaries on infra_1 and infra_3; infra_1 is suspended from frame 20, infra_4 faulty from 25."""
+    path = run_folder("uncoordinated")
+    frame, agent = np.repeat(np.arange(FRAMES), 5), np.tile(np.array(AGENTS, object), FRAMES)
+    suspended = (agent == "infra_1") & (frame >= DETECTED)
+    faulty = (agent == "infra_4") & (frame >= FAULTY)
+    state = np.where(suspended, "suspended", np.where(faulty, "faulty", "trusted")).astype(object)
+    columns = dict(frame=frame, time_s=frame * 0.1, agent=agent, mean=np.where(suspended, 0.1, 0.9), state=state)
+    write_table(path / "trust.parquet", columns | dict(reason=np.where(suspended, REASON, "").astype(object)))
+    boxes = {name: np.full(FRAMES, value) for name, value in dict(l=6.0, w=4.0, h=1.5, z=0.75, yaw=0.0).items()}
+    place = dict(x=np.full(FRAMES, -30.0), y=np.full(FRAMES, -40.0), withheld=np.arange(FRAMES) >= DETECTED)
+    frames = dict(frame=np.arange(FRAMES), id=np.full(FRAMES, 7))
+    write_table(path / "trust_objects.parquet", frames | boxes | place)
+    metrics = json.loads((path / "metrics.json").read_text())
+    (path / "metrics.json").write_text(json.dumps(metrics | {"integrity": INTEGRITY}))
+    scenario = json.loads((path / "scenario.json").read_text())
+    faults = {"infra_4": [["BlindSector", 2.5, None], ["Loss", 0.5, 1.0]]}
+    scenario["nodes"] = {"evaluator": {"config": {"faults": faults}}}
+    (path / "scenario.json").write_text(json.dumps(scenario))
+    return path
+
+
+def pixels(picture: bytes, colour: str) -> int:
+    image = np.asarray(matplotlib.image.imread(io.BytesIO(picture)))[..., :3]
+    return int((np.abs(image - to_rgb(colour)) < 0.02).all(axis=-1).sum())
+
+
+def test_the_state_of_an_agent_is_that_of_the_latest_message(folder: Path) -> None:
+    run = RunFolder.load(folder)
+    assert judged_agents(run) == list(AGENTS)
+    assert states_at(run, DETECTED - 1) == dict.fromkeys(AGENTS, "trusted")
+    assert states_at(run, FRAMES + 10) == dict.fromkeys(AGENTS, "trusted") | {
+        "infra_1": "suspended",
+        "infra_4": "faulty",
+    }
+
+
+def test_spans_are_periods_of_a_state_and_of_faults(folder: Path) -> None:
+    run = RunFolder.load(folder)
+    assert run.trust is not None
+    rows = {name: column[run.trust["agent"] == "infra_1"] for name, column in run.trust.items()}
+    assert state_spans(rows, "suspended", 4.0) == [(2.0, 4.0)]
+    assert state_spans(rows, "trusted", 4.0) == [(0.0, 2.0)]
+    assert fault_spans(run, "infra_4", 4.0) == [("BlindSector", 2.5, 4.0), ("Loss", 0.5, 1.0)]
+    assert fault_spans(run, "ego", 4.0) == []
+
+
+def test_lies_are_the_measured_changes_on_an_agents_own_wires(folder: Path) -> None:
+    run = RunFolder.load(folder)
+    assert run.attacks is not None
+    wire = np.where(run.attacks["interposer"] == "adversary_1", "agent/infra_1/tracks", "cc/picture")
+    run.attacks["wire"] = wire.astype(object)
+    ((start, end),) = lie_spans(run, "infra_1")
+    assert (start, end) == pytest.approx((1.5, 3.9), abs=0.11)
+    assert lie_spans(run, "infra_3") == [], "a change of the picture is no lie of an agent"
+
+
+def test_agents_have_the_colour_of_their_state_and_withheld_objects_are_outlined(folder: Path) -> None:
+    run = RunFolder.load(folder)
+    assert len(withheld_at(run, DETECTED)[2]) == 1
+    assert len(withheld_at(run, DETECTED - 1)[2]) == 0
+    views = [frame_view(run, frame) for frame in (DETECTED - 1, FAULTY + 1)]
+    before, after = (png(birdseye_figure(view)) for view in views if view is not None)
+    assert pixels(before, STATES["suspended"]) == pixels(before, STATES["faulty"]) == 0
+    assert pixels(after, STATES["suspended"]) > 50
+    assert pixels(after, STATES["faulty"]) > 50
+    assert pixels(after, WITHHELD) > pixels(before, WITHHELD)
+
+
+def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder("uncoordinated"))
+    view = frame_view(run, 33)
+    assert view is not None
+    assert pixels(png(birdseye_figure(view)), STATES["suspended"]) == 0
+    assert trust_over_time(run, 33) is None
+    assert trust_sentences(run) == suspension_rows(run) == []
+    assert "trust.parquet" not in " ".join(run.missing)
+
+
+def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(folder: Path) -> None:
+    figure = trust_over_time(RunFolder.load(folder), 33)
+    assert figure is not None
+    assert [axes.get_ylabel() for axes in figure.axes] == list(AGENTS)
+
+    def spans(index: int) -> list[tuple[float, float]]:
+        patches = [patch for patch in figure.axes[index].patches if isinstance(patch, Rectangle)]
+        return [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in patches]
+
+    assert spans(0) == []
+    assert spans(1) == [pytest.approx((2.0, 4.0))]
+    assert spans(4) == [pytest.approx((2.5, 4.0)), pytest.approx((2.5, 4.0)), pytest.approx((0.5, 1.0))]
+    assert [text.get_text() for text in figure.axes[4].texts] == ["BlindSector", "Loss"]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["trust, 0 to 1", "taken to be faulty", "suspended", "is faulty", "frame shown"]
+
+
+def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
+    rows = suspension_rows(RunFolder.load(folder))
+    assert [(row.agent, row.from_s, row.until_s, row.conduct, row.after_s) for row in rows] == [
+        ("infra_2", "1.0", "1.2", "honest", "\u2013"),
+        ("infra_1", "2.0", "3.0", "lying", "0.5"),
+        ("infra_1", "3.5", "end", "lying", "\u2013"),
+    ]
+    assert [row.false_alarm for row in rows] == [True, False, False]
+    assert {row.reason for row in rows} == {REASON}
+
+
+def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
+    states, rows = conduct_rows(RunFolder.load(folder))
+    assert states == ["unknown", "trusted", "faulty", "suspended"]
+    assert rows == [("honest", ["0.0", "14.0", "0.0", "0.2"]), ("lying", ["0.0", "3.4", "0.0", "1.4"])]
+
+
+def test_the_page_states_missed_liars_false_alarms_and_withheld_objects(folder: Path) -> None:
+    page = write_report(folder).read_text()
+    assert '<h2 id="trust">' in page
+    assert "infra_3 was never suspended in the 2.4 s after its first lie" in page
+    assert "Honest agents were suspended once: infra_2" in page
+    assert "1.50 false and 0.25 true objects" in page
+    assert REASON in page
+    assert (folder / "figures" / "trust.png").is_file()
+
+
+def test_a_missing_trust_table_is_named(folder: Path) -> None:
+    (folder / "trust.parquet").unlink()
+    assert "trust.parquet is absent: trust in agents is not shown." in RunFolder.load(folder).missing
