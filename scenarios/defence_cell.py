@@ -4,8 +4,10 @@ from defended import scenario as defended
 
 from mast_zenoh.attacks import Coordination
 from mast_zenoh.integrity import Integrity
+from mast_zenoh.scenario import agents_of
 from mast_zenoh.study.defences import adversary_base, named, place
 from mast_zenoh.study.defences.choices import has_budget
+from mast_zenoh.study.defences.natural import faults_of
 
 #: The adversaries of the scenario `coordinated`: on tracks alone, without a budget and without knowledge.
 COORDINATED = "coordinated"
@@ -23,6 +25,8 @@ def scenario(
     budget=None,
     placement_seed=0,
     placement_frames=None,
+    fault=None,
+    n_faulty=1,
     attack_start_s=4.0,
     scene="intersection",
     scene_index=None,
@@ -35,7 +39,8 @@ def scenario(
     wires: those of the adversaries; None: tracks and view, or what the attack needs;
     placement: of the adversaries: poles, random, or worst (the agents that cover the most objects);
     budget: lies per second of each adversary, for attacks that have one; None: the attack's own;
-    placement_seed, placement_frames: the seed and the frames of the run, for the placement.
+    placement_seed, placement_frames: the seed and the frames of the run, for the placement;
+    fault: pose, delay, skew, loss, blind or ghosts: of n_faulty agents without an adversary, from attack_start_s on.
     """
     adversary = None
     if attack == COORDINATED:
@@ -58,11 +63,15 @@ def scenario(
         n_infrastructure=n_infrastructure,
         n_mobile=n_mobile,
     )
-    victims = place(content["scene"], n_adversaries, placement, placement_seed, placement_frames)
+    where = (placement, placement_seed, placement_frames)
+    victims = place(content["scene"], n_adversaries, *where)
+    most = len(agents_of(content["scene"])) - 1
+    faulty = place(content["scene"], min(most, n_adversaries + n_faulty), *where)[n_adversaries:]
     configs = content["adversaries"].items()
     return content | dict(
         name="defence_cell",
         adversaries={
             name: config | dict(agent=victim) for (name, config), victim in zip(configs, victims, strict=True)
         },
+        faults=faults_of(fault, faulty, attack_start_s),
     )

@@ -7,7 +7,7 @@ from mast_zenoh.study.defences import matrix, parsed
 PRESETS = dict(
     quick=dict(
         defences="NoIntegrity,KOfN,Mate,FaultOrLie",
-        adversaries="coordinated,BlindSpot,Collusion",
+        adversaries="coordinated,BlindSpot,Collusion,fault:pose",
         counts=(1, 2),
         placements="worst",
         budgets=(2.0,),
@@ -18,7 +18,7 @@ PRESETS = dict(
     full=dict(
         defences="NoIntegrity,KOfN,Plausibility,Mate,FreeSpace,RobustFusion,SequentialConsistency,TruthDiscovery,FaultOrLie",
         adversaries="coordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,"
-        "StatePerturbation,PoseDrift",
+        "StatePerturbation,PoseDrift,fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts",
         counts=(1, 2, 3, 4),
         placements="random,worst",
         budgets=(1.0, 4.0),
@@ -40,6 +40,7 @@ def study(
     trials=None,
     frames=None,
     knowledge="trust",
+    fault=None,
     n_infrastructure=None,
     n_mobile=None,
     attack_start_s=4.0,
@@ -52,7 +53,9 @@ def study(
     these and of dicts with parameters; counts: numbers of adversaries; placements: random, worst, poles;
     budgets: lies per second of each adversary: a cell counts with the one that does the most damage;
     scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH;
-    knowledge: of the adversaries (own, picture, trust).
+    knowledge: of the adversaries (own, picture, trust);
+    fault: of one agent without an adversary, in all runs (pose, delay, skew, loss, blind, ghosts). In the list of
+    adversaries, fault:pose stands for as many agents with this fault, and nobody who lies.
     """
     if preset not in PRESETS:
         raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
@@ -77,6 +80,7 @@ def study(
             budgets=several(chosen["budgets"]),
             parameters=dict(
                 knowledge=knowledge,
+                fault=fault,
                 n_infrastructure=n_infrastructure,
                 n_mobile=n_mobile,
                 attack_start_s=attack_start_s,

@@ -22,6 +22,7 @@ MEASURES = {
     "fp_unidentifiable": "false objects inserted, not identifiable",
     "lies_detected": "observable lies detected (share)",
     "honest_suspended_per_hour": "honest agents suspended per hour",
+    "faulty_suspended_per_hour": "faulty agents suspended per hour",
     "honest_majority": "objects with an honest majority (share)",
 }
 

@@ -1,6 +1,7 @@
 """Defences against adversaries: a matrix of runs, and what each defence is worth.
 
     choices     names, files or dicts of defences and adversaries
+    natural     faults that a defence may mistake for lies
     placement   which agents are compromised
     cells       the cells of the matrix as configurations of a study
     bound       where honest viewers outnumber malicious ones

@@ -8,6 +8,7 @@ from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.study.defences.choices import Choice, has_budget, title
+from mast_zenoh.study.defences.natural import PREFIX, check_fault
 from mast_zenoh.study.defences.placement import PLACEMENTS
 
 #: The command centre without a defence: the reference of all others.
@@ -22,7 +23,7 @@ BASELINE = f"{UNDEFENDED} alone"
 class Cell:
     """One configuration of the matrix.
 
-    defence, attack: short names; attack: "" without adversaries
+    defence, attack: short names; attack: "" without adversaries, or a fault: then faulty agents take their places
     n_adversaries, placement: how many agents are compromised, and which (`placement.PLACEMENTS`)
     budget:          lies per second of each adversary; None: the attack's own, or it has none
     """
@@ -73,10 +74,25 @@ def matrix(
             raise ConfigurationError(f"two configurations are called {cell.label!r}: expected each choice once")
         own: dict[str, Any] = {"defence": defence, "n_adversaries": cell.n_adversaries}
         if attack is not None:
-            own |= {"attack": attack, "placement": cell.placement, "budget": cell.budget}
+            own |= _attacked(cell, attack)
         runs[cell.label] = {"scenario": scenario, "parameters": {**parameters, **own}}
         cells[cell.label] = cell
     return {"runs": runs, "cells": cells, "baseline": BASELINE}
+
+
+def _has_budget(attack: Choice) -> bool:
+    if isinstance(attack, str) and (attack == COORDINATED or attack.startswith(PREFIX)):
+        return False
+    return has_budget(attack)
+
+
+def _attacked(cell: Cell, attack: Choice) -> dict[str, Any]:
+    """The parameters of a scenario with adversaries, or with faulty agents in their places."""
+    if isinstance(attack, str) and attack.startswith(PREFIX):
+        fault = attack.removeprefix(PREFIX)
+        check_fault(fault)
+        return {"n_adversaries": 0, "fault": fault, "n_faulty": cell.n_adversaries, "placement": cell.placement}
+    return {"attack": attack, "placement": cell.placement, "budget": cell.budget}
 
 
 def _cells(
@@ -90,7 +106,7 @@ def _cells(
     for defence in defences:
         yield Cell(title(defence)), defence, None
         for attack in adversaries:
-            own_budgets = budgets if attack != COORDINATED and has_budget(attack) else (None,)
+            own_budgets = budgets if _has_budget(attack) else (None,)
             for count in sorted({*counts} - {0}):
                 for placement in placements:
                     for budget in own_budgets:

@@ -12,6 +12,7 @@ from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config import loading, registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenario.names import name_of_file
+from mast_zenoh.study.defences.natural import PREFIX
 
 #: The name of a class, FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters.
 Choice = str | dict[str, Any]
@@ -71,6 +72,8 @@ def has_budget(choice: Choice) -> bool:
 def title(choice: Choice) -> str:
     """A short name for tables: the class, and parameters if there are any."""
     text = choice if isinstance(choice, str) else str(choice["type"])
+    if text.startswith(PREFIX):
+        return text.replace(":", " ")
     file, _, name = text.partition(":")
     name = name or (Path(file).stem if file.endswith(".py") else file)
     parameters = {} if isinstance(choice, str) else {key: value for key, value in choice.items() if key != "type"}

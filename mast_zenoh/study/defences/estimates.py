@@ -32,6 +32,7 @@ class TrialRecord:
     delays:    (s, whether it was suspended) of each agent with an observable lie, from that lie on
     suspicion: (greatest score, whether it lied) of each agent
     confusion: s by conduct and state;  hours: of the run, 0 without trust;  alarms: suspensions of honest agents
+    fault_alarms: suspensions of faulty agents that did not lie
     """
 
     scores: Mapping[str, float]
@@ -41,6 +42,7 @@ class TrialRecord:
     confusion: Mapping[str, Mapping[str, float]]
     hours: float
     alarms: int
+    fault_alarms: int
 
     @classmethod
     def of(cls, metrics: Mapping[str, Any]) -> TrialRecord:
@@ -52,7 +54,7 @@ class TrialRecord:
         scores |= {f"fp_{name}": value for name, value in part["false"].items()}
         scores["honest_majority"] = part["honest_majority"]
         watched = [each for each in part["agents"].values() if each["observed_s"] is not None]
-        judged = trust.get("agents", {}).values()
+        judged = list(trust.get("agents", {}).values())
         return cls(
             scores,
             (part["lies"]["observable"], part["lies"]["detected"]),
@@ -61,6 +63,7 @@ class TrialRecord:
             trust.get("seconds", {}),
             trust.get("hours", 0.0),
             trust.get("false_alarms", 0),
+            sum(each["fault_alarms"] for each in judged),
         )
 
 
@@ -118,7 +121,7 @@ class Collection:
         for name in ("fp_identifiable", "fp_unidentifiable", "honest_majority"):
             values[name] = self._values(cell, name)
         records = self._records[cell]
-        for name in ("lies_detected", "honest_suspended_per_hour"):
+        for name in ("lies_detected", "honest_suspended_per_hour", "faulty_suspended_per_hour"):
             values[name] = np.full_like(values["damage"], np.nan)
         for place, record in records.items():
             observable, detected = record.lies
@@ -126,6 +129,7 @@ class Collection:
                 values["lies_detected"][place] = detected / observable
             if record.hours:
                 values["honest_suspended_per_hour"][place] = record.alarms / record.hours
+                values["faulty_suspended_per_hour"][place] = record.fault_alarms / record.hours
         return DefenceRow(
             cell.defence,
             cell.attack,

@@ -52,8 +52,8 @@ def metrics(
     if trusted:
         content["integrity"] = {
             "agents": {
-                "liar": {"lied": lied, "suspicion": {"max": 3.0 if lied else -3.0}},
-                "honest": {"lied": False, "suspicion": {"max": -2.0}},
+                "liar": {"lied": lied, "suspicion": {"max": 3.0 if lied else -3.0}, "fault_alarms": 2},
+                "honest": {"lied": False, "suspicion": {"max": -2.0}, "fault_alarms": 0},
             },
             "seconds": {"honest": {"trusted": 36.0, "suspended": 4.0}},
             "hours": 0.01,
@@ -101,6 +101,7 @@ def test_the_cost_is_the_damage_without_an_attack(matrix: DefenceMatrix) -> None
     assert alone.attack == ""
     assert alone.estimates["fp_added"].trial_mean == pytest.approx(0.5)
     assert alone.estimates["honest_suspended_per_hour"].trial_mean == pytest.approx(100.0 / 5)
+    assert alone.estimates["faulty_suspended_per_hour"].trial_mean == pytest.approx(200.0)
 
 
 def test_delays_and_characteristics_are_over_all_trials_of_a_defence(matrix: DefenceMatrix) -> None:

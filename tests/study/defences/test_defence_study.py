@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 import mast_zenoh as mast
+from mast_zenoh import scenario
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.study import definition, identity, plan
 from mast_zenoh.study.defences import PLACEMENTS, place
+from mast_zenoh.study.defences.natural import FAULTS
 
 DEFENCE = """
 from mast_zenoh.integrity import NoIntegrity
@@ -52,6 +54,36 @@ def test_budgets_are_for_adversaries_that_have_one() -> None:
     study = definition.load("defences", ["adversaries=PoseDrift,Framing", "counts=1", "budgets=(1.0, 4.0)"])
     cells = [cell for cell in study.cells.values() if cell.defence == "KOfN" and cell.attack]
     assert [(cell.attack, cell.budget) for cell in cells] == [("PoseDrift", None), ("Framing", 1.0), ("Framing", 4.0)]
+
+
+def test_a_fault_takes_the_places_of_adversaries() -> None:
+    study = definition.load("defences", [*SMALL[:1], "adversaries=fault:ghosts", "counts=2"])
+    assert [each.label for each in study.configurations][1] == "NoIntegrity fault ghosts 2 worst"
+    settings = [*study.configurations[1].settings, "scene=intersection:4", "placement_frames=8"]
+    _, content = scenario.load("defence_cell", settings)
+    assert content["adversaries"] == {}
+    (fault,) = content["faults"]
+    assert (fault["type"], fault["nodes"]) == ("GhostDetections", list(place("intersection:4", 2, "worst", 0, 8)))
+
+
+def test_a_fault_beside_an_attack_is_that_of_an_honest_agent() -> None:
+    _, content = scenario.load("defence_cell", ["scene=intersection:4", "placement_frames=8", "fault=pose"])
+    liars = {config["agent"] for config in content["adversaries"].values()}
+    assert len(liars) == 2
+    assert not liars & set(content["faults"][0]["nodes"])
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_every_fault_is_accepted_by_the_scenario(fault: str) -> None:
+    path, content = scenario.load(
+        "defence_cell", [f"fault={fault}", "n_infrastructure=2", "n_adversaries=0", "attack_start_s=0.1"]
+    )
+    assert scenario.resolve(path, content, frames=4).timeline
+
+
+def test_an_unknown_fault_names_the_known_ones() -> None:
+    with pytest.raises(ConfigurationError, match="fault: found 'fog'"):
+        definition.load("defences", ["adversaries=fault:fog"])
 
 
 def test_a_full_preset_has_every_shipped_defence() -> None:
