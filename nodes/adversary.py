@@ -10,58 +10,29 @@ from __future__ import annotations
 
 import copy
 from collections import deque
-from dataclasses import replace
 
-import numpy as np
-
-from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_local, states_to_world
-from mast_zenoh.arrays.states import Detections, ObjectStates
+from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
 from mast_zenoh.attacks.campaign import COUNTS, shortfall
+from mast_zenoh.attacks.forging import (
+    claimed_view,
+    directed_targets,
+    forged_detections,
+    forged_states,
+    observed_pose,
+    observed_view,
+    seen_detections,
+    sensor_of,
+)
 from mast_zenoh.attacks.knowledge import Trust
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.attacks.targets import Changes
+from mast_zenoh.attacks.victim import Victim
 from mast_zenoh.gather import LatestBefore
-from mast_zenoh.integrity.views import SweptView, check_view
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
-from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
-from mast_zenoh.tracking.view import SensorView
-
-POSES_KEPT = 16  #: frames by which a message may be late and still be attacked
-
-
-class Victim:
-    """What an adversary keeps of one compromised agent.
-
-    name: of the agent; attack: on its messages
-    """
-
-    def __init__(self, name: str, attack: Attack) -> None:
-        self.name = name
-        self.attack = attack
-        self.poses: dict[int, Body] = {}
-        self.last_view: tuple[bytes, SensorView] | None = None  # latest pose, and the view from it
-        self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
-        self.views: deque[Received] = deque()  # claimed views that wait for the lies of their frame
-        self.attacked: deque[int] = deque(maxlen=POSES_KEPT)  # frames whose lies are known
-        self.heard = {"picture": -1, "trust": -1}  # frames of arrival of what its attack has heard
-        self.reports: list[tuple[Received, Changes]] = []  # that have not been published
-
-    def store_pose(self, frame: int, pose: Body) -> None:
-        """Store the true pose of a frame; the first one counts."""
-        self.poses.setdefault(frame, pose)
-        if len(self.poses) > POSES_KEPT:
-            del self.poses[min(self.poses)]
-
-    def view(self, surroundings: Surroundings, pose: Body) -> SensorView:
-        """The view of its sensor; cached, because most agents are static."""
-        key = pose["position"].tobytes() + pose["rotation"].tobytes()
-        if self.last_view is None or self.last_view[0] != key:
-            rotation = rotation_from_quaternion(pose["rotation"])
-            self.last_view = (key, surroundings.view(self.name, pose["position"], rotation))
-        return self.last_view[1]
 
 
 class Adversary(Node):
@@ -177,7 +148,7 @@ class Adversary(Node):
 
     def on_directive(self, received: Received, context: Context) -> None:
         """Store the coordinator's plan, which takes effect in the frame after its arrival."""
-        self.directives.add(context.frame, targets_of(received))
+        self.directives.add(context.frame, directed_targets(received.body, received.time_ns))
 
     def on_message(self, received: Received, context: Context) -> None:
         """Queue a message, to attack it in order as soon as the victim's pose is known."""
@@ -225,9 +196,9 @@ class Adversary(Node):
 
     def attack_view(self, victim: Victim, received: Received, context: Context) -> None:
         """Forward a view, with the free space that the attack wants; an implausible one is forwarded unchanged."""
-        swept = swept_view(received.body)
+        swept = claimed_view(received.body)
         forged = swept if swept is None else victim.attack.forge_view(received.frame, received.time_ns, swept)
-        if swept is None or forged is None or np.array_equal(forged.free, swept.free):
+        if swept is None or forged is None or forged.free.tobytes() == swept.free.tobytes():
             context.relay("view_out", received)
         else:
             context.relay("view_out", received, {**received.body, "free": forged.free})
@@ -235,48 +206,13 @@ class Adversary(Node):
 
     def attack_detections(self, victim: Victim, received: Received, pose: Body, context: Context) -> None:
         """Tamper with detections in the world frame; untouched rows keep their bytes."""
-        body = received.body
-        sensor = sensor_pose(
-            pose["position"],
-            rotation_from_quaternion(pose["rotation"]),
-            body["mount_position"],
-            rotation_from_quaternion(body["mount_rotation"]),
-        )
-        seen = to_world(Detections.from_columns(body), *sensor)
-        covariance = np.zeros((len(seen), 9, 9))
-        covariance[:, :3, :3] = seen.covariance
-        objects = ObjectStates.of(
-            seen.position,
-            id=np.full(len(seen), -1),  # detections have no identity
-            size=seen.size,
-            yaw=seen.yaw,
-            score=seen.score,
-            class_id=seen.class_id,
-            covariance=covariance,
-        )
+        sensor = sensor_of(received.body, pose)
         victim.attack.look(victim.view(self.surroundings, pose), fused=False)
-        tampering = self.tamper(victim, received, objects, pose, context)
+        tampering = self.tamper(victim, received, seen_detections(received.body, sensor), pose, context)
         if len(tampering.report) == 0:
             context.relay("detections_out", received)
-            return
-
-        def local(states: ObjectStates) -> Detections:
-            position_covariance = states.covariance[:, :3, :3]
-            world = Detections(
-                states.position, states.size, states.yaw, states.score, states.class_id, position_covariance
-            )
-            return to_sensor(world, *sensor)
-
-        columns = Detections.from_columns(body).columns()
-        if len(tampering.moved):
-            for name, moved in local(tampering.moved).columns().items():
-                columns[name] = columns[name].copy()
-                columns[name][tampering.moved_index] = moved
-        kept = tampering.keep.nonzero()[0]
-        for name, added in local(tampering.added).columns().items():
-            columns[name] = np.concatenate([columns[name].take(kept, 0), added])
-        mount = {name: body[name] for name in ("mount_position", "mount_rotation")}
-        context.relay("detections_out", received, columns | mount)
+        else:
+            context.relay("detections_out", received, forged_detections(received.body, sensor, tampering))
 
     def attack_states(self, schema: str, victim: Victim, received: Received, pose: Body, context: Context) -> None:
         """Send the coordinator an observation, then tamper with tracks or with a picture."""
@@ -287,7 +223,7 @@ class Adversary(Node):
         if context.connected("observation"):
             context.publish(
                 "observation",
-                objects.columns() | agent_columns(pose) | view_columns(view),
+                objects.columns() | observed_pose(pose) | observed_view(view),
                 frame=received.frame,
                 time_ns=received.time_ns,
             )
@@ -295,22 +231,8 @@ class Adversary(Node):
         tampering = self.tamper(victim, received, objects, pose, context)
         if len(tampering.report) == 0:
             context.relay(f"{schema}_out", received)
-        elif in_world:
-            columns = tampering.applied_to(states).columns()
-            context.relay(f"{schema}_out", received, columns | {"support": self.support(body["support"], tampering)})
         else:
-            reference = {name: body[name] for name in ("origin", "rotation")}
-            forged = replace(
-                tampering,
-                moved=states_to_local(tampering.moved, **reference),
-                added=states_to_local(tampering.added, **reference),
-            )
-            context.relay(f"{schema}_out", received, forged.applied_to(states).columns() | reference)
-
-    def support(self, support: np.ndarray, tampering: Tampering) -> np.ndarray:
-        """The support of each object in a forged picture: false objects get the median."""
-        usual = int(np.median(support)) if len(support) else 1
-        return np.concatenate([support[tampering.keep], np.full(len(tampering.added), usual, np.int64)])
+            context.relay(f"{schema}_out", received, forged_states(body, states, tampering))
 
     def tamper(
         self, victim: Victim, received: Received, objects: ObjectStates, pose: Body, context: Context
@@ -351,45 +273,6 @@ class Adversary(Node):
                 victim.attack.hear_picture(*about, ObjectStates.from_columns(received.body))
             else:
                 victim.attack.hear_trust(*about, Trust.of_columns(received.body))
-
-
-def agent_columns(pose: Body) -> dict[str, np.ndarray]:
-    """The pose of an agent as columns of an observation."""
-    return {f"agent_{name}": pose[name] for name in ("position", "rotation", "velocity")}
-
-
-def view_columns(view: SensorView) -> dict[str, np.ndarray]:
-    """A view as columns of an observation."""
-    return {
-        "sensor_position": view.position,
-        "sensor_rotation": view.rotation,
-        "azimuth": np.array([view.azimuth_min, view.azimuth_max]),
-        "elevation": np.array([view.elevation_min, view.elevation_max]),
-        "max_range": np.array([view.max_range]),
-    }
-
-
-def swept_view(body: Body) -> SweptView | None:
-    """The view in a `view` message; None if it describes no field of view."""
-    try:
-        check_view(body)
-    except ValueError:
-        return None
-    limits = *body["azimuth"].tolist(), *body["elevation"].tolist(), float(body["max_range"][0])
-    return SweptView(SensorView(body["position"], rotation_from_quaternion(body["rotation"]), *limits), body["free"])
-
-
-def targets_of(received: Received) -> Targets:
-    """The targets in a directive."""
-    body = received.body
-
-    def states(prefix: str) -> ObjectStates:
-        if len(body[f"{prefix}_id"]) == 0:
-            return ObjectStates.empty()
-        names = ("id", "velocity", "size", "yaw", "class_id")
-        return ObjectStates.of(body[f"{prefix}_position"], **{name: body[f"{prefix}_{name}"] for name in names})
-
-    return Targets(states("add"), states("remove"), states("move"), body["move_offset"], received.time_ns)
 
 
 if __name__ == "__main__":

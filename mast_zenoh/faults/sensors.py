@@ -43,7 +43,8 @@ class SensorFault(Fault):
 class BlindSector(SensorFault):
     """Loses all detections in a sector, which the agent still claims to see.
 
-    azimuth_min_deg, azimuth_max_deg: deg, from the one counter-clockwise to the other, in the sensor's frame
+    azimuth_min_deg: deg, at which the sector begins, in the sensor's frame
+    azimuth_max_deg: deg, at which it ends, counter-clockwise from there
     """
 
     azimuth_min_deg: float
@@ -61,7 +62,9 @@ class GhostDetections(SensorFault):
     places: m, (x, y, z) of each: x ahead and y left of the sensor, or in the world; z is always that in the world
     frame:  "sensor": the ghosts move with the sensor; "world": they stay
     probability: that a ghost is detected in a frame
-    size, yaw_rad, kind: m, length, width and height; rad, heading; class
+    size:    m, length, width and height
+    yaw_rad: rad, heading: less the sensor's, or in the world
+    kind:    class
     """
 
     places: tuple[tuple[float, float, float], ...]

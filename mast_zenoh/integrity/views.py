@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_quaternion
 from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.view import SensorView
 
 #: Free space of a sensor that gives none.
@@ -36,22 +37,27 @@ class SweptView:
 
         World frame, m. The free distance of a direction without information is not a number.
         """
-        view = self.view
-        x, y, z = ((points - view.position) @ view.rotation).T
-        ground = np.hypot(x, y)
-        distance = np.hypot(ground, z)
-        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, ground)
-        inside = (distance <= view.max_range) & (elevation >= view.elevation_min) & (elevation <= view.elevation_max)
-        width = view.azimuth_max - view.azimuth_min
-        turned = (azimuth - view.azimuth_min) % (2 * np.pi)
-        inside &= turned <= width
-        if self.free.size == 0:
-            return distance, np.full(len(points), np.nan), inside
-        bands, sectors = self.free.shape
-        height = view.elevation_max - view.elevation_min
-        band = np.clip(((elevation - view.elevation_min) * (bands / height)).astype(np.int64), 0, bands - 1)
-        sector = np.clip((turned * (sectors / width)).astype(np.int64), 0, sectors - 1)
-        return distance, np.where(inside, self.free[band, sector], np.nan), inside
+        return free_ranges(points, self.view, self.free)
+
+
+@kernel
+def free_ranges(points: Floats, view: SensorView, free: Floats) -> tuple[Floats, Floats, Bools]:
+    """See `SweptView.ranges`; free: (bands, sectors) m."""
+    x, y, z = ((points - view.position) @ view.rotation).T
+    ground = np.hypot(x, y)
+    distance = np.hypot(ground, z)
+    azimuth, elevation = np.arctan2(y, x), np.arctan2(z, ground)
+    inside = (distance <= view.max_range) & (elevation >= view.elevation_min) & (elevation <= view.elevation_max)
+    width = view.azimuth_max - view.azimuth_min
+    turned = (azimuth - view.azimuth_min) % (2 * np.pi)
+    inside &= turned <= width
+    if free.size == 0:
+        return distance, np.full(len(points), np.nan), inside
+    bands, sectors = free.shape
+    height = view.elevation_max - view.elevation_min
+    band = np.clip(((elevation - view.elevation_min) * (bands / height)).astype(np.int64), 0, bands - 1)
+    sector = np.clip((turned * (sectors / width)).astype(np.int64), 0, sectors - 1)
+    return distance, np.where(inside, free[band, sector], np.nan), inside
 
 
 def view_columns(view: SensorView, free: Floats) -> dict[str, NDArray[Any]]:

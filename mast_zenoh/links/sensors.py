@@ -19,15 +19,16 @@ MAX_GHOSTS = 100
 _MAX_M = 1e5
 #: Random numbers of one ghost in one frame: whether it is detected, its score, errors of position, size and yaw.
 _DRAWS = 9
-#: Errors of the shipped detector grow by a factor of sqrt(2) at this range, m, and for an object of as few returns as
-#: its own false detections have.
+#: Errors grow as those of `DetectionModel`'s false detections: sqrt(1 + (range / _RANGE_SCALE_M)^2 + _FEW_POINTS). The
+#: latter is its few_points / points_scale.
 _RANGE_SCALE_M, _FEW_POINTS = 60.0, 0.4
 
 
 class BlindSector(Rule):
     """A sector of the sensor is blind: its detections are lost, while the agent still claims to see there.
 
-    azimuth_min_deg, azimuth_max_deg: deg, from the one counter-clockwise to the other, in the sensor's frame
+    azimuth_min_deg: deg, at which the sector begins, in the sensor's frame
+    azimuth_max_deg: deg, at which it ends, counter-clockwise from there
     """
 
     fate = "edited"
@@ -61,7 +62,9 @@ class GhostDetections(Rule):
             always that in the world
     frame:  "sensor": the ghosts move with the sensor; "world": they stay
     probability: that a ghost is detected in a frame
-    size, yaw_rad, kind: m, length, width and height; rad, heading less the sensor's, or in the world; class
+    size:    m, length, width and height
+    yaw_rad: rad, heading: less the sensor's, or in the world
+    kind:    class
     position_noise_m, vertical_noise_m, size_noise_m, yaw_noise_deg: standard deviations at the sensor, drawn for each
             frame; they grow with range as the shipped detector's do
     score:  (low, high), uniform

@@ -27,7 +27,12 @@ BASES = {
     *("mast_zenoh.attacks.Propagation", "mast_zenoh.attacks.Imitation"),
     *("mast_zenoh.tracking.Tracker", "mast_zenoh.tracking.Assignment"),
     *("mast_zenoh.pipelines.Pipeline", "mast_zenoh.fusion.Clusterer", "mast_zenoh.fusion.Fusion"),
-    *("mast_zenoh.fusion.GroupTracker", "mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector"),
+    *(
+        "mast_zenoh.fusion.GroupTracker",
+        "mast_zenoh.integrity.Integrity",
+        "mast_zenoh.scenes.Scene",
+        "mast_zenoh.sensing.Detector",
+    ),
     *("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
     *(
         "mast_zenoh.links.Rule",

@@ -86,6 +86,13 @@ def test_the_fusion_returns_one_member(play: Callable[..., mast.Run], baseline: 
     assert picture(run, "rmse_m") != picture(baseline, "rmse_m")
 
 
+def test_the_integrity_stage_withholds_what_one_agent_reports_alone(play: Callable[..., mast.Run]) -> None:
+    run, undefended = play("crowded_out.py"), play("uncoordinated", n_adversaries=1, attack_start_s=1.0)
+    assert picture(run, "fp") < picture(undefended, "fp") - 1.0
+    trust = run.trust.to_pylist()
+    assert {row["mean"] for row in trust if row["agent"] == "infra_1"} == {0.25, 0.75}
+
+
 def test_the_scene_has_the_requested_number_of_cars(play: Callable[..., mast.Run]) -> None:
     run = play("parked.py", n_cars=2)
     assert np.unique(run.truth["id"].to_numpy()).tolist() == [0, 1, 2]
@@ -155,6 +162,7 @@ CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
     "nearest.py": ("NearestTracker", testing.check_tracker, {}),
     "unclustered.py": ("EveryTrackAlone", testing.check_clusterer, {}),
     "surest.py": ("SurestMember", testing.check_fusion, {}),
+    "crowded_out.py": ("CrowdedOut", testing.check_integrity, {}),
     "parked.py": ("Parked", testing.check_scene, {}),
     "short_sighted.py": ("ShortSighted", testing.check_detector, {}),
     "alarms.py": ("AlarmShare", testing.check_metric, {}),

@@ -295,6 +295,21 @@ def test_a_disconnected_node_cannot_be_killed_or_paused() -> None:
             planned(UNPLUG, other, lockstep=False)
 
 
+def test_faults_of_what_an_agent_sends_are_listed_by_agent() -> None:
+    fault_plan = planned(
+        dict(type="Loss", at=1.0, until=2.0, node="infra_1", probability=0.5),
+        dict(type="Delay", at=1.0, node="infra_2", mean_s=0.2, direction="down"),
+        dict(type="Impair", at=3.0, node="infra_1", rule=dict(type="PoseError", yaw_std_rad=0.1)),
+        dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0),
+        dict(type="Kill", at=4.0, node="broker", restart_after=2.0),
+        dict(type="Loss", at=30.0, node="infra_4", probability=0.5),
+    )
+    assert fault_plan.of_agents == {
+        "infra_1": [("Loss", 1.0, 2.0), ("PoseError", 3.0, None)],
+        "infra_3": [("Kill", 4.0, 6.0)],
+    }
+
+
 # -- refusals --------------------------------------------------------------------------------------------------------
 
 

@@ -101,6 +101,12 @@ def view(random, n, m):
     return boxes(random, n), boxes(random, m), sensor, 2.5, 0.1
 
 
+def swept(random, n, m):
+    sensor = view(random, n, m)[2]
+    free = random.uniform(1, 90, (int(random.integers(0, 6)), int(random.integers(1, 40))))
+    return places(random, n), sensor, free if len(free) else np.zeros((0, 0))
+
+
 def boxes(random, n):
     return table(random, n)[:, :6]
 
@@ -198,6 +204,7 @@ ARGUMENTS = {
     "track_status": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
     "to_columns": lambda r, n, m: (table(r, n),),
     "visible_fraction": view,
+    "free_ranges": swept,
     "overlap": overlap,
     "constant_velocity": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
     "rigid_transform": lambda r, n, m: (

@@ -22,6 +22,10 @@ class Later:
             more |= {"frame": frame + self.frames, "time_ns": time_ns + self.time_ns}
         self.context.publish(port, body, **more)
 
+    def connected(self, port: str, subject: str | None = None) -> bool:
+        """Whether a wire is connected to an output port."""
+        return self.context.connected(port, subject)
+
 
 class Endless(loading.node_class(bundle.ROOT / "nodes" / "simulator.py")):
     """Like the shipped simulator."""
