@@ -82,8 +82,8 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
     attacks, defences = matrix.names("attack"), matrix.names("defence")
     placements, counts = matrix.names("placement"), [0, *map(int, map(str, matrix.names("n_adversaries")))]
     panels = [*attacks, None]
-    columns = min(4, len(panels))
-    lines = -(-len(panels) // columns)
+    lines = -(-len(panels) // 4)
+    columns = -(-len(panels) // lines)
     figure = Figure(figsize=(11.25, 0.8 + 2.7 * lines), layout="constrained", facecolor="white")
     grid = figure.subplots(lines, columns, squeeze=False, sharex=True).ravel()
     for axes, attack in zip(grid, panels, strict=False):
@@ -98,6 +98,7 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
                     _curve(axes, counts, rows, index, at, f"{defence}, {placement}" if len(placements) > 1 else defence)
             axes.set_title(plain(attack), fontsize=9.5, color=INK, loc="left")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.tick_params(axis="x", labelbottom=True)
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
     for axes in grid[::columns]:

@@ -35,8 +35,9 @@ def as_markdown(matrix: DefenceMatrix) -> str:
         "s from the first of them to the suspension of its agent.",
         _table(
             ["defence", "adversary", "n", "placement", "budget", *_detection_headings()],
-            [_detection(row) for row in matrix.rows if row.attack and row.defence in matrix.delays],
+            [_detection(row) for row in matrix.rows if row.delay and row.defence in matrix.delays],
         ),
+        *_faults(matrix),
         "## Honest, faulty or lying",
         "Share of the time in which agents were in each state of trust, in per cent.",
         _table(*_confusion(matrix)),
@@ -121,6 +122,19 @@ def _damage_tables(matrix: DefenceMatrix) -> Iterator[tuple[str, list[str], list
 
 def _costs(matrix: DefenceMatrix) -> list[list[str]]:
     return [[row.defence, *(_text(row, name) for name in _COSTS)] for row in matrix.rows if not row.attack]
+
+
+def _faults(matrix: DefenceMatrix) -> list[str]:
+    """The table of suspensions of faulty agents; [] without any."""
+    rows = [row for row in matrix.rows if any(row.confusion.get("faulty", {}).values())]
+    if not rows:
+        return []
+    names = ("faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
+    lines = [
+        [row.defence, row.attack or DASH, str(row.n_adversaries), *(_text(row, name) for name in names)] for row in rows
+    ]
+    text = "Agents with a natural fault that did not lie."
+    return ["## Faults", text, _table(["defence", "attack", "n", *(MEASURES[name] for name in names)], lines)]
 
 
 def _detection_headings() -> list[str]:

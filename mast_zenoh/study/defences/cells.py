@@ -35,12 +35,18 @@ class Cell:
     budget: float | None = None
 
     @property
+    def is_fault(self) -> bool:
+        """Whether its agents are faulty and nobody lies."""
+        return self.attack.startswith(PREFIX)
+
+    @property
     def label(self) -> str:
         """The label of its configuration."""
         if not self.attack:
             return f"{self.defence} alone"
         budget = "" if self.budget is None else f" budget {self.budget:g}"
-        return f"{self.defence} {self.attack} {self.n_adversaries} {self.placement}{budget}"
+        attack = self.attack.replace(":", " ")
+        return f"{self.defence} {attack} {self.n_adversaries} {self.placement}{budget}"
 
 
 def matrix(

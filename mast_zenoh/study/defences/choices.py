@@ -73,7 +73,7 @@ def title(choice: Choice) -> str:
     """A short name for tables: the class, and parameters if there are any."""
     text = choice if isinstance(choice, str) else str(choice["type"])
     if text.startswith(PREFIX):
-        return text.replace(":", " ")
+        return text
     file, _, name = text.partition(":")
     name = name or (Path(file).stem if file.endswith(".py") else file)
     parameters = {} if isinstance(choice, str) else {key: value for key, value in choice.items() if key != "type"}

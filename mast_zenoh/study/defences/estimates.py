@@ -120,6 +120,8 @@ class Collection:
             values[f"{_stem(name)}_vs_undefended{_unit(name)}"] = difference
         for name in ("fp_identifiable", "fp_unidentifiable", "honest_majority"):
             values[name] = self._values(cell, name)
+        if cell.is_fault:  # nobody lies, so there is no bound
+            values["honest_majority"] = np.full_like(values["damage"], np.nan)
         records = self._records[cell]
         for name in ("lies_detected", "honest_suspended_per_hour", "faulty_suspended_per_hour"):
             values[name] = np.full_like(values["damage"], np.nan)
