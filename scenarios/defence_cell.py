@@ -36,11 +36,13 @@ def scenario(
     """As `defended`, and:
 
     defence, attack: class, FILE.py or FILE.py:CLASS, or a dict with one of these as `type`, and parameters;
+    knowledge: of the adversaries: own, picture or trust;
     wires: those of the adversaries; None: tracks and view, or what the attack needs;
     placement: of the adversaries: poles, random, or worst (the agents that cover the most objects);
     budget: lies per second of each adversary, for attacks that have one; None: the attack's own;
     placement_seed, placement_frames: the seed and the frames of the run, for the placement;
-    fault: pose, delay, skew, loss, blind or ghosts: of n_faulty agents without an adversary, from attack_start_s on.
+    fault: pose, delay, skew, loss, blind or ghosts, from attack_start_s on;
+    n_faulty: number of agents with that fault, none of them with an adversary.
     """
     adversary = None
     if attack == COORDINATED:

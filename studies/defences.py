@@ -53,6 +53,7 @@ def study(
     these and of dicts with parameters; counts: numbers of adversaries; placements: random, worst, poles;
     budgets: lies per second of each adversary: a cell counts with the one that does the most damage;
     scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH;
+    trials: seeds of each scene; frames: of each run; seed: the first one;
     knowledge: of the adversaries (own, picture, trust);
     fault: of one agent without an adversary, in all runs (pose, delay, skew, loss, blind, ghosts). In the list of
     adversaries, fault:pose stands for as many agents with this fault, and nobody who lies.

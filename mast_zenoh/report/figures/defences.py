@@ -158,7 +158,8 @@ def _delays(matrix: DefenceMatrix) -> RenderedFigure:
     figure = Figure(figsize=(7.0, 3.8), layout="constrained", facecolor="white")
     axes = figure.subplots()
     light_axes(axes)
-    for index, (defence, delay) in enumerate(matrix.delays.items()):
+    for defence, delay in matrix.delays.items():
+        index = matrix.names("defence").index(defence)  # the colour is the same in all figures
         axes.step(
             delay.time_s,
             100.0 * delay.undetected,
@@ -189,7 +190,8 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
     axes = figure.subplots()
     light_axes(axes)
     axes.plot([0, 100], [0, 100], color=LOCAL, linewidth=0.8)
-    for index, each in enumerate(matrix.rocs):
+    for each in matrix.rocs:
+        index = matrix.names("defence").index(each.defence)
         axes.plot(
             100.0 * each.roc.false_positive_rate,
             100.0 * each.roc.true_positive_rate,
