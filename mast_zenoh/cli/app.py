@@ -126,7 +126,6 @@ def study(
     if count is None and not (jobs or cluster or resume):
         _compare(loaded, out, frames=frames, seed=seed, runtime=runtime, allow_failures=allow_failures)
         return
-    from mast_zenoh.report.tables import study as study_table
     from mast_zenoh.study import execution
     from mast_zenoh.study import trials as study_trials
 
@@ -143,7 +142,7 @@ def study(
         allow_failures=allow_failures,
         console=_out,
     )
-    _out.print(study_table.as_rich(finished.rows, finished.facts))
+    _out.print(finished.as_rich())
     for path in finished.files:
         _out.print(str(path), markup=False, highlight=False)
     _out.print(f"report: {finished.report}", markup=False, highlight=False)

@@ -116,6 +116,25 @@ def concrete(modules: Iterable[ModuleType], base: type) -> list[Any]:
     ]
 
 
+def class_name(text: str, base: type) -> str:
+    """The name of a class from its name, FILE.py or FILE.py:CLASS; a file is loaded first.
+
+    Raises ConfigurationError for a file without a subclass of `base`, or with several and no name.
+    """
+    file, _, name = text.partition(":")
+    if not file.endswith(".py"):
+        return text
+    known = {cls.__name__: cls for cls in concrete([module(Path(file))], base)}
+    if name and name not in known:
+        raise ConfigurationError(f"{file}: defines no {base.__name__} named {name!r}{nearest(name, known)}")
+    if not name and len(known) != 1:
+        raise ConfigurationError(
+            f"{file}: defines {len(known)} classes of type {base.__name__} ({', '.join(sorted(known))}): "
+            "expected FILE.py:CLASS to choose one"
+        )
+    return name or next(iter(known))
+
+
 def defining_file(function: Callable[..., Any]) -> Path:
     """The file that defines a function.
 

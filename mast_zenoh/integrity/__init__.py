@@ -9,6 +9,7 @@ disputes   who contradicts whom
 offsets    how far each agent's tracks are from the others'
 cumulative sums of evidence, and when they are alarms
 record     how often each agent's claims have held up
+calibration seeds and scenes on which thresholds were chosen, and which no test may use
 
 Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate, SequentialConsistency, TruthDiscovery,
 FaultOrLie (with fault_fit).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from mast_zenoh.config.settings import from_values, split
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
+from mast_zenoh.study.defences.cells import Cell
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
@@ -24,8 +25,11 @@ KEYS = {
     "seed": "the first seed",
     "frames": "frames of each run, None for all",
     "runtime": "mesh or inproc",
+    "cells": "label to a cell of a matrix of defences: lies and detections are evaluated (mast_zenoh.study.defences)",
+    "per_trial": "launch-time parameters that get each trial's seed and frames: dict(seed=…, frames=…)",
     "security": "security levels at which the attackers in each run's scenario file are tried",
 }
+PER_TRIAL = ("seed", "frames")
 RUN_KEYS = ("scenario", "parameters", "grid")
 RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
@@ -67,7 +71,11 @@ class StudyScene:
 
 @dataclass(frozen=True)
 class Study:
-    """A validated study file with its parameters set; trials: None if not set."""
+    """A validated study file with its parameters set; trials: None if not set.
+
+    cells: by label of configuration, its cell in a matrix of defences; {}: another study
+    per_trial: names of launch-time parameters that get the `seed` and the `frames` of each trial
+    """
 
     path: Path
     name: str
@@ -79,6 +87,13 @@ class Study:
     frames: int | None
     runtime: str | None
     security: tuple[str, ...] = ()
+    cells: Mapping[str, Cell] = field(default_factory=dict)
+    per_trial: Mapping[str, str] = field(default_factory=dict)
+
+    def trial_settings(self, seed: int, frames: int | None) -> tuple[str, ...]:
+        """The settings of a trial that depend on its seed and its frames."""
+        values = {"seed": seed, "frames": frames}
+        return tuple(f"{parameter}={values[name]}" for name, parameter in self.per_trial.items())
 
 
 def load(name: str, settings: Sequence[str] = ()) -> Study:
@@ -139,6 +154,8 @@ def _validated(path: Path, content: Any) -> Study:
         frames=_integer(path, content, "frames", 1),
         runtime=content.get("runtime"),
         security=_levels(path, content.get("security", ())),
+        cells=_cells(path, content.get("cells", {}), labels),
+        per_trial=_per_trial(path, content.get("per_trial", {})),
     )
 
 
@@ -150,6 +167,22 @@ def _levels(path: Path, content: Any) -> tuple[str, ...]:
         if level not in LEVELS:
             raise ConfigurationError(f"{path}: security: found {level!r}{nearest(str(level), LEVELS)}")
     return tuple(dict.fromkeys(content))
+
+
+def _cells(path: Path, content: Any, labels: Sequence[str]) -> dict[str, Cell]:
+    """The cells of all configurations, or of none."""
+    if not isinstance(content, Mapping) or not all(isinstance(cell, Cell) for cell in content.values()):
+        raise ConfigurationError(f"{path}: cells: found {content!r:.120}, expected label to Cell")
+    if content and set(content) != set(labels):
+        different = sorted(set(content) ^ set(labels))[0]
+        raise ConfigurationError(f"{path}: cells: {different!r}: expected exactly the labels of `runs`")
+    return dict(content)
+
+
+def _per_trial(path: Path, content: Any) -> dict[str, str]:
+    if not isinstance(content, Mapping) or not set(content) <= set(PER_TRIAL):
+        raise ConfigurationError(f"{path}: per_trial: found {content!r}, expected a dict with {', '.join(PER_TRIAL)}")
+    return dict(content)
 
 
 def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:

@@ -53,15 +53,22 @@ def input_files(scene: scenes.Scene) -> tuple[Path, ...]:
     return tuple(scene.inputs())
 
 
-def user_files(path: Path, loaded: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Python files in a user's scenario folder, which the scenario may import."""
-    if path.parent == bundle.ROOT / "scenarios":
-        return ()
-    return tuple(sorted(path.parent.glob("*.py")))
+def user_files(path: Path, loaded: Mapping[str, Any], modules: Iterable[str] = ()) -> tuple[Path, ...]:
+    """Python files in a user's scenario folder, which the scenario may import, and in those of its classes.
+
+    modules: files of classes that the scenario uses
+    """
+    folders = {path.parent, *(Path(file).parent for file in modules)} - {bundle.ROOT / "scenarios"}
+    return tuple(file for folder in sorted(folders) for file in sorted(folder.glob("*.py")))
 
 
-def digest(loaded: Mapping[str, Any], files: str, seed: int, frames: int | None, runtime: str) -> str:
-    """Digest of a scenario's content, files and run options; 40 hexadecimal digits."""
+def digest(
+    loaded: Mapping[str, Any], files: str, seed: int, frames: int | None, runtime: str, *, lies: bool = False
+) -> str:
+    """Digest of a scenario's content, files and run options; 40 hexadecimal digits.
+
+    lies: whether lies and their detection are evaluated
+    """
     parts = {
         "scenario": loaded,
         "files": files,
@@ -69,6 +76,7 @@ def digest(loaded: Mapping[str, Any], files: str, seed: int, frames: int | None,
         "frames": frames,
         "runtime": runtime,
         "environment": environment(),
+        **({"lies": True} if lies else {}),
     }
     return _hash([json.dumps(parts, sort_keys=True, default=repr).encode()])
 

@@ -16,7 +16,6 @@ from mast_zenoh.api.runs import Run
 from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError
 from mast_zenoh.launch.tables import read_arrow
 from mast_zenoh.report.html import write_study_report
-from mast_zenoh.report.tables import study as study_table
 from mast_zenoh.study import comparison, definition, execution
 from mast_zenoh.study import trials as repeated_runs
 
@@ -125,7 +124,7 @@ def carry_out(
     jobs = jobs or execution.default_jobs()
     finished = repeated_runs.run(loaded, folder, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **chosen)
     _raise(finished, finished.out)
-    return FinishedStudy(finished.out, finished.report, {}, as_text(study_table.as_rich(finished.rows, finished.facts)))
+    return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
 
 
 def _raise(finished: Any, folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mast_zenoh import scenario, scenes
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.study import identity
 from mast_zenoh.study.definition import Study
@@ -15,7 +16,7 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
     """One trial per configuration, scene and seed, grouped by scene and seed.
 
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
-    `scenario.resolve` raise.
+    `scenario.resolve` raise, and ConfigurationError for a matrix of defences on calibration data.
     """
     environment = tuple(sorted(identity.environment().items()))
     by_seed: list[list[Trial]] = [[] for _ in range(count)]
@@ -24,16 +25,24 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
         for seed_trials in by_seed:
             seed_trials.clear()
         for configuration in study.configurations:
-            settings = (*study_scene.settings, *configuration.settings)
+            common = (*study_scene.settings, *configuration.settings)
+            settings = (*common, *study.trial_settings(seed, frames))
             path, loaded = scenario.load(configuration.scenario, settings)
             resolved = scenario.resolve(path, loaded, seed=seed, frames=frames)
             scene = registry.build(resolved.scene, scenes.Scene, f"{path}: scene")
-            files = identity.files_key((*identity.user_files(path, loaded), *identity.input_files(scene)))
+            if study.cells:
+                refuse_calibration_data(range(seed, seed + count), resolved.scene, str(study.path))
+            files = identity.files_key(
+                (*identity.user_files(path, loaded, resolved.modules), *identity.input_files(scene))
+            )
             idle = _idle_period(resolved)
             for index, seed_trials in enumerate(by_seed):
+                if study.per_trial and index:
+                    settings = (*common, *study.trial_settings(seed + index, frames))
+                    _, loaded = scenario.load(configuration.scenario, settings)
                 seed_trials.append(
                     Trial(
-                        digest=identity.digest(loaded, files, seed + index, frames, runtime),
+                        digest=identity.digest(loaded, files, seed + index, frames, runtime, lies=bool(study.cells)),
                         configuration=configuration.label,
                         scene=study_scene.label,
                         seed=seed + index,
@@ -44,6 +53,7 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
                         scene_key=identity.scene_key(scene),
                         environment=environment,
                         idle=idle,
+                        lies=bool(study.cells),
                     )
                 )
         result += [trial for seed_trials in by_seed for trial in seed_trials]

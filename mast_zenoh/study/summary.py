@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -74,27 +75,38 @@ def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, r
     pooled = ~np.isnan(values) & ~np.isnan(stds) & (frames > 0)
     over_frames = [Moments(*each) for each in zip(frames[pooled], values[pooled], stds[pooled], strict=True)]
     mean, std = statistics.pooled(over_frames)
+    bounds = value_range(series)
+    estimate = trial_estimate(values, bounds, rate=rate, paired=series.metric.endswith("_iob"))
+    return replace(estimate, mean=mean if over_frames else estimate.trial_mean, std=std)
+
+
+def trial_estimate(
+    values: Floats, bounds: tuple[float, float], *, rate: bool = False, paired: bool = False
+) -> Estimate:
+    """The mean over trials and its intervals, from an array (scenes, seeds), NaN where a trial has no value.
+
+    bounds: smallest and largest possible value;  rate: whether values are 0 or 1
+    paired: whether values are differences, which have a p-value
+    """
     known = ~np.isnan(values)
     nonempty_scenes = known.any(axis=1)
     complete = values[nonempty_scenes][:, known[nonempty_scenes].all(axis=0)]
     scenes, seeds = complete.shape
     left_out = values.shape[1] - seeds
     if not complete.size:
-        return Estimate(mean, std, left_out=left_out)
-    trial_mean = float(complete.mean())
+        return Estimate(left_out=left_out)
+    mean = float(complete.mean())
     low, high = statistics.rate_interval(complete) if rate else statistics.over_seeds(complete)
     scenes_interval = (NAN, NAN) if rate else statistics.over_scenes(complete)
-    minimum, maximum = value_range(series)
-    low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], minimum, maximum).tolist()
+    low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], *bounds).tolist()
     return Estimate(
-        mean=mean if over_frames else trial_mean,
-        std=std,
-        trial_mean=trial_mean,
+        mean=mean,
+        trial_mean=mean,
         low=low,
         high=high,
         scenes_low=wide_low,
         scenes_high=wide_high,
-        p=float(statistics.p_value_of_zero_mean(complete)) if series.metric.endswith("_iob") else NAN,
+        p=float(statistics.p_value_of_zero_mean(complete)) if paired else NAN,
         scenes=scenes,
         seeds=seeds,
         left_out=left_out,

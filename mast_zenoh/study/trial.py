@@ -34,6 +34,7 @@ class Trial:
     allow_failures:       whether the trial counts even if handlers of its nodes failed
     idle:                 s of scene time: start of the first attack and end of the trial, if the trial ends first;
                           None: an attack starts, or there is none
+    lies:                 whether lies and their detection are evaluated (`defences.lies`)
     """
 
     digest: str
@@ -48,6 +49,7 @@ class Trial:
     environment: tuple[tuple[str, str], ...]
     allow_failures: bool = False
     idle: tuple[float, float] | None = None
+    lies: bool = False
 
     def command(self) -> str:
         """The command that runs this trial alone, with a run folder and a report."""
@@ -99,8 +101,10 @@ def run(trial: Trial) -> Outcome:
                 )
         resolved = _resolve(trial)
         compromised = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
-        run_trial = _run_in_process if trial.runtime == "inproc" else _run_on_mesh
-        metrics, table, handler_failures = run_trial(resolved, trial.allow_failures)
+        if trial.runtime == "inproc" and not trial.lies:
+            metrics, table, handler_failures = _run_in_process(resolved, trial.allow_failures)
+        else:
+            metrics, table, handler_failures = _run_in_folder(resolved, trial)
         cpu_s = round(time.process_time() - cpu_start_s, 3)
         warning = failures.summary(handler_failures) if handler_failures else ""
         return Outcome(trial, metrics, table, tuple(sorted(compromised)), cpu_s=cpu_s, warning=warning)
@@ -110,7 +114,7 @@ def run(trial: Trial) -> Outcome:
 
 def _resolve(trial: Trial) -> Resolved:
     path, loaded = scenario.load(trial.scenario, trial.settings)
-    return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames)
+    return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=trial.lies)
 
 
 #: metrics.json, the columns of metrics.parquet, and the failures of handlers by node.
@@ -130,19 +134,23 @@ def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
     return {**evaluation["metrics"], "late": late}, evaluation["tables"]["metrics"], handler_failures
 
 
-def _run_on_mesh(resolved: Resolved, allow_failures: bool) -> RunResult:
+def _run_in_folder(resolved: Resolved, trial: Trial) -> RunResult:
+    """Run a trial on the mesh, or one whose recording is evaluated, in a temporary run folder."""
     from mast_zenoh.launch import folder as run_folder  # trials in this process need neither Zenoh nor Parquet
     from mast_zenoh.launch import run as launcher
     from mast_zenoh.launch.tables import read_table
+    from mast_zenoh.study.defences import lies
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
-        finished = launcher.run(resolved, folder / "run", allow_failures=allow_failures)
+        finished = launcher.run(resolved, folder / "run", runtime=trial.runtime, allow_failures=trial.allow_failures)
         if isinstance(finished.error, HandlerFailed):
             raise HandlerFailed(failures.summary(finished.failures))  # without the logs, which are not kept
         if finished.error:
             raise finished.error
         metrics = run_folder.read_json(finished.folder / "metrics.json")
+        if trial.lies:
+            metrics["defence"] = lies.evaluate(finished.folder, metrics)
         return metrics, read_table(finished.folder / "metrics.parquet"), finished.failures
     finally:
         shutil.rmtree(folder, ignore_errors=True)

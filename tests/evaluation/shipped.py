@@ -30,6 +30,7 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
         ("attack=PoseDrift", "wires=pose"),
         ("attack=Collusion", "knowledge=trust", "n_adversaries=3", "coordinator.coordination.budget=9.0"),
     ],
+    "defence_cell": [("defence=FaultOrLie", "attack=BlindSpot", "placement=random")],
     "sybil": [("run.mode=lockstep", "run.record=True")],
     "rogue": [("run.mode=lockstep", "run.record=True")],
 }

@@ -1,0 +1,231 @@
+"""The figures of a matrix of defences: damage, the bound of a majority, delays, ROC."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.ticker import MaxNLocator
+
+from mast_zenoh.report.defence_rows import DefenceMatrix, DefenceRow
+from mast_zenoh.report.figures.drawing import RenderedFigure, render
+from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
+from mast_zenoh.report.tables.study_rows import number
+
+_STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_HEAT = "PuOr_r"
+_ADDED = "missed and false objects added\nper frame, picture"
+
+
+def figures_of_defences(matrix: DefenceMatrix) -> dict[str, RenderedFigure]:
+    """The figures by file name, without empty ones."""
+    figures = {}
+    if matrix.names("attack"):
+        figures["defence_matrix"] = _heat_maps(matrix)
+        figures["damage_over_adversaries"] = _damage(matrix)
+    if matrix.delays:
+        figures["detection_delay"] = _delays(matrix)
+    if matrix.rocs:
+        figures["roc"] = _rocs(matrix)
+    return figures
+
+
+def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
+    """Damage of every adversary to every defence: a row of maps per placement, a map per number of adversaries."""
+    defences, attacks = matrix.names("defence"), matrix.names("attack")
+    counts, placements = matrix.names("n_adversaries"), matrix.names("placement")
+    width = min(22.0, 1.9 + len(counts) * (0.8 + 0.75 * len(attacks)))
+    height = 0.5 + len(placements) * (1.3 + 0.34 * len(defences))
+    figure = Figure(figsize=(max(6.5, width), height), layout="constrained", facecolor="white")
+    grid = figure.subplots(len(placements), len(counts), squeeze=False, sharey=True)
+    sizes = [abs(row.estimates["damage"].trial_mean) for row in matrix.rows if row.attack]
+    scale = max((size for size in sizes if not math.isnan(size)), default=0.0) or 1.0
+    for line, placement in zip(grid, placements, strict=True):
+        for axes, count in zip(line, counts, strict=True):
+            axes.set_facecolor("#e8e8e8")  # unknown values
+            cells = [[matrix.row(defence, attack, count, placement) for attack in attacks] for defence in defences]
+            _heat_map(axes, cells, scale)
+            axes.set_title(f"{_agents(count)}, {placement}", fontsize=9.5, color=INK, loc="left")
+            axes.set_xticks(range(len(attacks)), [plain(name) for name in attacks])
+            axes.set_yticks(range(len(defences)), [plain(name) for name in defences])
+            for text in axes.get_xticklabels():
+                text.set(rotation=30, ha="right", rotation_mode="anchor")
+            axes.tick_params(length=0, labelsize=9)
+    caption = (
+        "Missed and false objects that each adversary adds to the ego's picture per frame, compared with no attack and "
+        f"no defence ({matrix.size}). Brackets: the 95 % interval contains 0, or there is none."
+    )
+    return render("defence_matrix", figure, f"Heat maps of damage. {_worst(matrix)}", caption)
+
+
+def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) -> None:
+    means = np.array([[_mean(row, "damage") for row in line] for line in cells])
+    axes.imshow(means, cmap=_HEAT, norm=Normalize(-scale, scale), aspect="auto")
+    for y, line in enumerate(cells):
+        for x, row in enumerate(line):
+            if row is None or math.isnan(means[y, x]):
+                continue
+            estimate = row.estimates["damage"]
+            text = number(estimate.trial_mean)
+            certain = estimate.low > 0.0 or estimate.high < 0.0 or estimate.certain
+            colour = "white" if abs(means[y, x]) > 0.75 * scale else INK
+            axes.text(x, y, text if certain else f"({text})", ha="center", va="center", fontsize=8.5, color=colour)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _damage(matrix: DefenceMatrix) -> RenderedFigure:
+    """Damage over the number of adversaries, a column per adversary; the bound of a majority in the last one."""
+    attacks, defences = matrix.names("attack"), matrix.names("defence")
+    placements, counts = matrix.names("placement"), [0, *map(int, map(str, matrix.names("n_adversaries")))]
+    panels = [*attacks, None]
+    lines = -(-len(panels) // 4)
+    columns = -(-len(panels) // lines)
+    figure = Figure(figsize=(11.25, 0.8 + 2.7 * lines), layout="constrained", facecolor="white")
+    grid = figure.subplots(lines, columns, squeeze=False, sharex=True).ravel()
+    for axes, attack in zip(grid, panels, strict=False):
+        light_axes(axes)
+        if attack is None:
+            _bound(axes, matrix, counts)
+        else:
+            axes.axhline(0.0, color=LOCAL, linewidth=0.8)
+            for index, defence in enumerate(defences):
+                for at, placement in enumerate(placements):
+                    rows = [matrix.row(defence, attack, count, placement) for count in counts]
+                    _curve(axes, counts, rows, index, at, f"{defence}, {placement}" if len(placements) > 1 else defence)
+            axes.set_title(plain(attack), fontsize=9.5, color=INK, loc="left")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.tick_params(axis="x", labelbottom=True)
+    for axes in grid[len(panels) :]:
+        axes.set_visible(False)
+    for axes in grid[::columns]:
+        if axes is not grid[len(panels) - 1]:
+            axes.set_ylabel(_ADDED, fontsize=9, color=INK)
+    handles, labels = grid[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
+    figure.supxlabel("number of adversaries", fontsize=9.5, color=INK)
+    caption = (
+        f"Damage over the number of adversaries ({matrix.size}), with 95 % intervals over seeds where there are five "
+        "seeds or more. Last: the share of objects that more honest agents see than compromised ones. No rule that "
+        "counts viewers can know more."
+    )
+    return render("damage_over_adversaries", figure, f"Damage over number of adversaries. {_worst(matrix)}", caption)
+
+
+def _curve(
+    axes: Axes, counts: list[int], rows: list[DefenceRow | None], colour: int, style: int, label: object
+) -> None:
+    estimates = [None if row is None else row.estimates["damage"] for row in rows]
+    known = [(count, each) for count, each in zip(counts, estimates, strict=True) if each is not None]
+    mean = np.array([each.trial_mean for _, each in known])
+    bars = np.nan_to_num([[each.trial_mean - each.low, each.high - each.trial_mean] for _, each in known]).T
+    axes.errorbar(
+        [count for count, _ in known],
+        mean,
+        yerr=bars if len(known) else None,
+        color=RUN_COLOURS[colour % len(RUN_COLOURS)],
+        marker=_MARKERS[colour % len(_MARKERS)],
+        linestyle=_STYLES[style % len(_STYLES)],
+        markersize=4.5,
+        linewidth=1.6,
+        capsize=3,
+        label=plain(label),
+    )
+
+
+def _bound(axes: Axes, matrix: DefenceMatrix, counts: list[int]) -> None:
+    """Share of objects with an honest majority, by placement: the same for every defence and adversary."""
+    for index, placement in enumerate(matrix.names("placement")):
+        values = []
+        for count in counts:
+            shares = [
+                row.estimates["honest_majority"].trial_mean
+                for row in matrix.rows
+                if row.n_adversaries == count and (count == 0 or row.placement == placement)
+            ]
+            values.append(next((share for share in shares if not math.isnan(share)), math.nan))
+        style = _STYLES[index % len(_STYLES)]
+        axes.plot(counts, values, color=INK, linestyle=style, marker=".", label=plain(placement))
+    axes.set_ylim(0.0, 1.05)
+    axes.set_title("honest majority (share of objects)", fontsize=9.5, color=INK, loc="left")
+    axes.legend(frameon=False, fontsize=9, labelcolor=INK)
+
+
+def _delays(matrix: DefenceMatrix) -> RenderedFigure:
+    figure = Figure(figsize=(7.0, 3.8), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    light_axes(axes)
+    for defence, delay in matrix.delays.items():
+        index = matrix.names("defence").index(defence)  # the colour is the same in all figures
+        axes.step(
+            delay.time_s,
+            100.0 * delay.undetected,
+            where="post",
+            color=RUN_COLOURS[index % len(RUN_COLOURS)],
+            linestyle=_STYLES[index % len(_STYLES)],
+            linewidth=1.8,
+            label=plain(f"{defence}: {delay.detections} of {delay.watched}"),
+        )
+    axes.set_xlabel("s since the first observable lie", fontsize=9.5, color=INK)
+    axes.set_ylabel("liars not suspended yet (%)", fontsize=9.5, color=INK)
+    axes.set_ylim(0.0, 103.0)
+    axes.set_xlim(left=0.0)
+    axes.legend(frameon=False, fontsize=9, labelcolor=INK, title="suspended", alignment="left")
+    caption = (
+        "Time from an agent's first observable lie to its suspension, over all adversaries (Kaplan-Meier). Agents that "
+        "were not suspended count for as long as they were watched."
+    )
+    values = "; ".join(
+        f"{defence} {delay.detections} of {delay.watched}, median {number(delay.median_s)} s"
+        for defence, delay in matrix.delays.items()
+    )
+    return render("detection_delay", figure, f"Share of liars not suspended: {values}.", caption)
+
+
+def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
+    figure = Figure(figsize=(5.6, 4.4), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    light_axes(axes)
+    axes.plot([0, 100], [0, 100], color=LOCAL, linewidth=0.8)
+    for each in matrix.rocs:
+        index = matrix.names("defence").index(each.defence)
+        axes.plot(
+            100.0 * each.roc.false_positive_rate,
+            100.0 * each.roc.true_positive_rate,
+            color=RUN_COLOURS[index % len(RUN_COLOURS)],
+            linestyle=_STYLES[index % len(_STYLES)],
+            linewidth=1.8,
+            label=plain(f"{each.defence}: AUC {number(each.auc)}"),
+        )
+    axes.set_xlabel("honest agent-runs above the threshold (%)", fontsize=9.5, color=INK)
+    axes.set_ylabel("lying agent-runs above the threshold (%)", fontsize=9.5, color=INK)
+    axes.legend(frameon=False, fontsize=9, labelcolor=INK, loc="lower right")
+    caption = (
+        "Each agent of each run has one score, its greatest suspicion. One honest agent-run is at most one false alarm "
+        "in the hours of all runs together, so few runs say nothing about one alarm per hour."
+    )
+    values = "; ".join(f"{each.defence} {number(each.auc)}" for each in matrix.rocs)
+    return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption)
+
+
+def _mean(row: DefenceRow | None, name: str) -> float:
+    return math.nan if row is None else row.estimates[name].trial_mean
+
+
+def _worst(matrix: DefenceMatrix) -> str:
+    """The adversary that does the most damage to each defence."""
+    parts = []
+    for defence in matrix.names("defence"):
+        rows = [row for row in matrix.rows if row.defence == defence and row.attack]
+        rows = [row for row in rows if not math.isnan(_mean(row, "damage"))]
+        if rows:
+            row = max(rows, key=lambda each: _mean(each, "damage"))
+            parts.append(f"{defence}: {number(_mean(row, 'damage'))} by {row.attack}, {_agents(row.n_adversaries)}")
+    return f"Most damage to {'; '.join(parts)}." if parts else ""
+
+
+def _agents(count: object) -> str:
+    return f"{count} adversar{'y' if count == 1 else 'ies'}"

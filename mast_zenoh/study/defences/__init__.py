@@ -1,0 +1,35 @@
+"""Defences against adversaries: a matrix of runs, and what each defence is worth.
+
+    choices     names, files or dicts of defences and adversaries
+    natural     faults that a defence may mistake for lies
+    placement   which agents are compromised
+    cells       the cells of the matrix as configurations of a study
+    bound       where honest viewers outnumber malicious ones
+    lies        the lies of one run, and which of them were detected
+    survival    times until detection, with censored ones
+    estimates   numbers of each cell, from its trials
+    outputs     tables and figures
+
+See docs/studies.md.
+"""
+
+from mast_zenoh.study.defences.bound import expected_honest_majority, honest_majority
+from mast_zenoh.study.defences.cells import Cell, matrix
+from mast_zenoh.study.defences.choices import adversary_base, named, parsed
+from mast_zenoh.study.defences.placement import PLACEMENTS, by_coverage, place
+from mast_zenoh.study.defences.survival import Survival, kaplan_meier
+
+__all__ = [
+    "PLACEMENTS",
+    "Cell",
+    "Survival",
+    "adversary_base",
+    "by_coverage",
+    "expected_honest_majority",
+    "honest_majority",
+    "kaplan_meier",
+    "matrix",
+    "named",
+    "parsed",
+    "place",
+]

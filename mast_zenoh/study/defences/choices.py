@@ -1,0 +1,96 @@
+"""Defences and adversaries by name, file or dict."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.attacks import Attack, Coordination
+from mast_zenoh.config import loading, registry
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenario.names import name_of_file
+from mast_zenoh.study.defences.natural import PREFIX
+
+#: The name of a class, FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters.
+Choice = str | dict[str, Any]
+
+
+def parsed(text: str | list[Choice] | tuple[Choice, ...], place: str) -> list[Choice]:
+    """Choices from names separated by commas, or from a Python list of names and dicts; files with absolute paths.
+
+    place: names the setting in errors. Raises ConfigurationError.
+    """
+    choices: Any = text
+    if isinstance(text, str):
+        try:
+            choices = ast.literal_eval(text) if text.lstrip().startswith(("[", "(", "{")) else text.split(",")
+        except (ValueError, SyntaxError):
+            raise ConfigurationError(f"{place}: found {text!r}, expected names, or a list of names and dicts") from None
+    choices = [choices] if isinstance(choices, Mapping) else choices
+    result = []
+    for choice in choices:
+        name = choice if isinstance(choice, str) else choice.get("type") if isinstance(choice, Mapping) else None
+        if not isinstance(name, str) or not name.strip():
+            raise ConfigurationError(f"{place}: found {choice!r}, expected a name, a file or a dict with `type`")
+        name = _absolute(name.strip())
+        result.append(name if isinstance(choice, str) else {**choice, "type": name})
+    return result
+
+
+def named(choice: Choice, base: type) -> dict[str, Any]:
+    """A dict with the name of a class as `type`; its file is loaded.
+
+    choice: text may also be that of a dict. Raises ConfigurationError.
+    """
+    choice = _literal(choice)
+    spec = {"type": choice} if isinstance(choice, str) else dict(choice)
+    return spec | {"type": loading.class_name(spec["type"], base)}
+
+
+def adversary_base(choice: Choice) -> type:
+    """Coordination if the adversaries of a choice are directed by a coordinator, otherwise Attack."""
+    choice = _literal(choice)
+    text = choice if isinstance(choice, str) else str(choice["type"])
+    if ".py" in text:
+        file, _, name = text.partition(":")
+        classes = loading.concrete([loading.module(Path(file))], Coordination)
+        return Coordination if any(name in ("", cls.__name__) for cls in classes) else Attack
+    return Coordination if text in registry.known_types(Coordination) else Attack
+
+
+def has_budget(choice: Choice) -> bool:
+    """Whether an adversary has a parameter `budget` that the choice leaves open."""
+    base = adversary_base(choice)
+    spec = named(choice, base)
+    known = registry.known_types(base).get(spec["type"])
+    return known is not None and "budget" not in spec and "budget" in inspect.signature(known).parameters
+
+
+def title(choice: Choice) -> str:
+    """A short name for tables: the class, and parameters if there are any."""
+    text = choice if isinstance(choice, str) else str(choice["type"])
+    if text.startswith(PREFIX):
+        return text
+    file, _, name = text.partition(":")
+    name = name or (Path(file).stem if file.endswith(".py") else file)
+    parameters = {} if isinstance(choice, str) else {key: value for key, value in choice.items() if key != "type"}
+    return name_of_file(" ".join([name, *(f"{key}={value}" for key, value in parameters.items())]))
+
+
+def _literal(choice: Choice) -> Choice:
+    """A choice whose text is that of a dict, as a dict."""
+    if not isinstance(choice, str) or not choice.startswith("{"):
+        return choice
+    try:
+        spec: dict[str, Any] = ast.literal_eval(choice)
+    except (ValueError, SyntaxError):
+        raise ConfigurationError(f"found {choice!r}, expected a dict(type=…)") from None
+    return spec
+
+
+def _absolute(text: str) -> str:
+    file, colon, name = text.partition(":")
+    return f"{Path(file).resolve()}{colon}{name}" if file.endswith(".py") else text

@@ -1,0 +1,59 @@
+"""Which agents are compromised."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh import scenes
+from mast_zenoh.config import registry
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.scenario import choose_scene, victims_of
+from mast_zenoh.streams import stream
+
+#: poles: static agents first, as in the other scenarios; random: by the seed; worst: those that cover the most objects.
+PLACEMENTS = ("poles", "random", "worst")
+#: Lidar returns from which an agent sees an object.
+MIN_RETURNS = 5
+
+
+def place(
+    scene: str | Mapping[str, Any], count: int, placement: str = "poles", seed: int = 0, frames: int | None = None
+) -> tuple[str, ...]:
+    """The names of `count` agents to compromise, never the ego.
+
+    placement: one of PLACEMENTS;  seed, frames: of the run. With the same seed, fewer agents are always among more.
+    Raises ConfigurationError for an unknown placement, or if the scene has too few agents.
+    """
+    poles = victims_of(scene, count)
+    if placement == "poles":
+        return poles
+    spec = choose_scene(scene)
+    built = registry.build(spec, scenes.Scene, "scene")
+    if placement == "random":
+        names = scenes.prepare(built, 0, 1, json.dumps(spec, sort_keys=True)).agent_names[1:]
+        order = stream(seed, "placement").permutation(len(names))
+    elif placement == "worst":
+        recording = scenes.prepare(built, seed, frames, json.dumps(spec, sort_keys=True))
+        names = recording.agent_names[1:]
+        order = by_coverage(recording.points[:, 1:])
+    else:
+        raise ConfigurationError(f"placement: found {placement!r}{nearest(str(placement), PLACEMENTS)}")
+    return _chosen(names, order, count)
+
+
+def by_coverage(points: NDArray[np.int32], min_returns: int = MIN_RETURNS) -> NDArray[np.int64]:
+    """(a,) agents from the one that covers the most objects to the one that covers the fewest; ties in their order.
+
+    points: (n, a) lidar returns of n objects, over all frames, at a agents
+    """
+    covered = (np.asarray(points) >= min_returns).sum(axis=0)
+    return np.argsort(-covered, kind="stable").astype(np.int64)
+
+
+def _chosen(names: Sequence[str], order: NDArray[Any], count: int) -> tuple[str, ...]:
+    return tuple(names[index] for index in order[:count].tolist())

@@ -1,0 +1,79 @@
+"""One cell of the study `defences`: a defence, an adversary, and where it sits."""
+
+from defended import scenario as defended
+
+from mast_zenoh.attacks import Coordination
+from mast_zenoh.integrity import Integrity
+from mast_zenoh.scenario import agents_of
+from mast_zenoh.study.defences import adversary_base, named, place
+from mast_zenoh.study.defences.choices import has_budget
+from mast_zenoh.study.defences.natural import faults_of
+
+#: The adversaries of the scenario `coordinated`: on tracks alone, without a budget and without knowledge.
+COORDINATED = "coordinated"
+#: Wires of attacks that are not on tracks and views.
+WIRES = {"PoseDrift": "pose"}
+
+
+def scenario(
+    defence="NoIntegrity",
+    attack=COORDINATED,
+    knowledge="trust",
+    wires=None,
+    n_adversaries=2,
+    placement="worst",
+    budget=None,
+    placement_seed=0,
+    placement_frames=None,
+    fault=None,
+    n_faulty=1,
+    attack_start_s=4.0,
+    scene="intersection",
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=None,
+):
+    """As `defended`, and:
+
+    defence, attack: class, FILE.py or FILE.py:CLASS, or a dict with one of these as `type`, and parameters;
+    knowledge: of the adversaries: own, picture or trust;
+    wires: those of the adversaries; None: tracks and view, or what the attack needs;
+    placement: of the adversaries: poles, random, or worst (the agents that cover the most objects);
+    budget: lies per second of each adversary, for attacks that have one; None: the attack's own;
+    placement_seed, placement_frames: the seed and the frames of the run, for the placement;
+    fault: pose, delay, skew, loss, blind or ghosts, from attack_start_s on;
+    n_faulty: number of agents with that fault, none of them with an adversary.
+    """
+    adversary = None
+    if attack == COORDINATED:
+        knowledge = "own"
+    else:
+        base = adversary_base(attack)
+        adversary = named(attack, base)
+        if budget is not None and has_budget(attack):
+            # A coordination has one budget for all of its adversaries.
+            adversary["budget"] = budget * (max(1, n_adversaries) if base is Coordination else 1)
+    content = defended(
+        defence=named(defence, Integrity),
+        attack=adversary,
+        knowledge=knowledge,
+        wires=wires or WIRES.get(adversary and adversary["type"], "tracks view"),
+        attack_start_s=attack_start_s,
+        n_adversaries=n_adversaries,
+        scene=scene,
+        scene_index=scene_index,
+        n_infrastructure=n_infrastructure,
+        n_mobile=n_mobile,
+    )
+    where = (placement, placement_seed, placement_frames)
+    victims = place(content["scene"], n_adversaries, *where)
+    most = len(agents_of(content["scene"])) - 1
+    faulty = place(content["scene"], min(most, n_adversaries + n_faulty), *where)[n_adversaries:]
+    configs = content["adversaries"].items()
+    return content | dict(
+        name="defence_cell",
+        adversaries={
+            name: config | dict(agent=victim) for (name, config), victim in zip(configs, victims, strict=True)
+        },
+        faults=faults_of(fault, faulty, attack_start_s),
+    )

@@ -1,0 +1,106 @@
+"""Every defence against every adversary, with 0 to n - 1 adversaries."""
+
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.study.defences import matrix, parsed
+
+# A few minutes on two cores, and a night on many.
+PRESETS = dict(
+    quick=dict(
+        defences="NoIntegrity,KOfN,Mate,FaultOrLie",
+        adversaries="coordinated,BlindSpot,Collusion,fault:pose",
+        counts=(1, 2),
+        placements="worst",
+        budgets=(2.0,),
+        scenes="intersection:4",
+        trials=2,
+        frames=100,
+    ),
+    full=dict(
+        defences="NoIntegrity,KOfN,Plausibility,Mate,FreeSpace,RobustFusion,SequentialConsistency,TruthDiscovery,FaultOrLie",
+        adversaries="coordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,"
+        "StatePerturbation,PoseDrift,fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts",
+        counts=(1, 2, 3, 4),
+        placements="random,worst",
+        budgets=(1.0, 4.0),
+        scenes="intersection:4,intersection:5,intersection:6,intersection:7,intersection:8",
+        trials=5,
+        frames=150,
+    ),
+)
+
+
+def study(
+    preset="quick",
+    defences=None,
+    adversaries=None,
+    counts=None,
+    placements=None,
+    budgets=None,
+    scenes=None,
+    trials=None,
+    frames=None,
+    knowledge="trust",
+    fault=None,
+    n_infrastructure=None,
+    n_mobile=None,
+    attack_start_s=4.0,
+    seed=0,
+):
+    """Paired runs: the same scenes and seeds for every cell.
+
+    preset: quick or full; it sets all that is None;
+    defences, adversaries: names or files (my_defence.py, my_attack.py:MyAttack), separated by commas, or a list of
+    these and of dicts with parameters; counts: numbers of adversaries; placements: random, worst, poles;
+    budgets: lies per second of each adversary: a cell counts with the one that does the most damage;
+    scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH;
+    trials: seeds of each scene; frames: of each run; seed: the first one;
+    knowledge: of the adversaries (own, picture, trust);
+    fault: of one agent without an adversary, in all runs (pose, delay, skew, loss, blind, ghosts). In the list of
+    adversaries, fault:pose stands for as many agents with this fault, and nobody who lies.
+    """
+    if preset not in PRESETS:
+        raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
+    given = dict(
+        defences=defences,
+        adversaries=adversaries,
+        counts=counts,
+        placements=placements,
+        budgets=budgets,
+        scenes=scenes,
+        trials=trials,
+        frames=frames,
+    )
+    chosen = PRESETS[preset] | {key: value for key, value in given.items() if value is not None}
+    return dict(
+        name="defences",
+        **matrix(
+            defences=parsed(chosen["defences"], "defences"),
+            adversaries=parsed(chosen["adversaries"], "adversaries"),
+            counts=several(chosen["counts"]),
+            placements=words(chosen["placements"]),
+            budgets=several(chosen["budgets"]),
+            parameters=dict(
+                knowledge=knowledge,
+                fault=fault,
+                n_infrastructure=n_infrastructure,
+                n_mobile=n_mobile,
+                attack_start_s=attack_start_s,
+            ),
+        ),
+        per_trial=dict(seed="placement_seed", frames="placement_frames"),
+        scenes=words(chosen["scenes"]),
+        trials=chosen["trials"],
+        frames=chosen["frames"],
+        seed=seed,
+        runtime="inproc",
+    )
+
+
+def words(text):
+    """The words of a text with commas, or a list."""
+    return [word.strip() for word in text.split(",")] if isinstance(text, str) else list(text)
+
+
+def several(value):
+    """A list of one value or several."""
+    return list(value) if isinstance(value, (list, tuple)) else [value]
