@@ -9,7 +9,7 @@ JUNCTION = {"type": "Intersection", "scene_index": 4}
 
 
 def test_other_seeds_and_junctions_are_accepted() -> None:
-    refuse_calibration_data([0, 100, 200], JUNCTION, "study")
+    refuse_calibration_data([0, 100, 203], JUNCTION, "study")
     refuse_calibration_data([0], {"type": "AV2Log", "path": "log"}, "study")
 
 
