@@ -7,8 +7,9 @@ from typing import Any
 
 from mast_zenoh.errors import ConfigurationError
 
-#: Seeds, and generated junctions (`Intersection.scene_index`), of the runs from which thresholds were chosen.
-CALIBRATION_SEEDS = range(101, 200)
+#: Seeds, and generated junctions (`Intersection.scene_index`), of the runs from which thresholds were chosen. (Runs of
+#: seeds 201 and 202 on other junctions showed a weakness of a statistic, and are test data no more.)
+CALIBRATION_SEEDS = range(101, 203)
 CALIBRATION_SCENES = range(4)
 
 

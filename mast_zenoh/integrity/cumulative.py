@@ -24,6 +24,29 @@ class Tail:
         """How often an hour, of one honest agent, a statistic of this size is exceeded."""
         return np.asarray(self.per_hour * np.exp(-np.minimum(statistic / self.scale, 700.0)))
 
+    def value_at(self, per_hour: float) -> float:
+        """The value that an honest agent exceeds `per_hour` times."""
+        return float(self.scale * np.log(self.per_hour / per_hour))
+
+
+#: Share of the maxima, the largest, that a tail is fitted to.
+LARGEST = 0.1
+
+
+def fitted_tail(maxima: Floats, hours: float) -> Tail:
+    """The exponential tail of the maxima of blocks, by maximum likelihood over a threshold.
+
+    maxima: (n,) of a statistic in n blocks of honest agents, nearly independent; hours: their total length
+
+    Raises ValueError for fewer maxima than a tail can be fitted to.
+    """
+    threshold = np.quantile(maxima, 1.0 - LARGEST)
+    excess = maxima[maxima > threshold] - threshold
+    if len(excess) < 2:
+        raise ValueError(f"maxima: found {len(maxima)} blocks, expected at least {round(3 / LARGEST)}")
+    scale = float(excess.mean())
+    return Tail(float(len(excess) / hours * np.exp(threshold / scale)), scale)
+
 
 def discoveries(rates: Floats, per_hour: float) -> Bools:
     """Which of m statistics are alarms, at `per_hour` false ones among all.

@@ -169,7 +169,7 @@ class FaultOrLie(Integrity):
             reason=reasons,
             offset=faults[:, :2],
             turn=faults[:, 2],
-            delay=faults[:, 3],
+            delay=-faults[:, 3],
             loss=np.array([estimate.loss for estimate in estimates]),
         )
         return replace(assessment, agents=agents)
@@ -203,10 +203,15 @@ def size_m(fault: Floats) -> float:
     return float(max(np.hypot(x, y), ARM_M * abs(turn), SPEED_MPS * abs(delay)))
 
 
+def late(delay: float) -> str:
+    """A time offset in words; delay: s, positive if the tracks are ahead."""
+    return f"{abs(delay):.2f} s {'early' if delay > 0.0 else 'late'}"
+
+
 def described(fault: Floats) -> str:
     """A fault (4,) in words."""
     x, y, turn, delay = fault.tolist()
-    return f"all its tracks are off by {np.hypot(x, y):.1f} m, {np.degrees(turn):.1f} degrees, {delay:.2f} s"
+    return f"all its tracks are off by {np.hypot(x, y):.1f} m and {np.degrees(turn):.1f} degrees, and {late(delay)}"
 
 
 def corrected_view(view: SweptView, fault: Floats) -> SweptView:

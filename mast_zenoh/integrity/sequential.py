@@ -58,6 +58,11 @@ class SequentialConsistency(Integrity):
     release_s: s without evidence after which a suspended agent is trusted again, at first; doubled each time
     lies_tail, offset_tail: (per hour, scale) of the statistics of an honest agent
 
+    An agent's log-odds are the logarithm of how often an honest agent would look worse, relative to the permitted rate.
+
+    Weaknesses: a lie that no other agent could notice, and liars that outnumber the honest viewers of an object, are
+    believed; pedestrians may be moved by half a metre. Suspending an agent costs the objects that it alone reports and
+    that were not known before.
     Needs views for all but the offsets. A dispute between two agents without a third counts against neither.
     """
 

@@ -247,13 +247,15 @@ BUILT_IN: Mapping[str, Schema] = {
             (
                 Column("agents", "str", ("a",), "", "names of the agents, sorted"),
                 Column("mean", "float64", ("a",), "", "trust in each agent, 0 to 1"),
-                Column("log_odds", "float64", ("a",), "", "log odds that it is honest"),
+                Column(
+                    "log_odds", "float64", ("a",), "", "log odds that it is honest; 0: at the limit of a suspension"
+                ),
                 Column("state", "uint8", ("a",), "", "index into mast_zenoh.integrity.STATES", below=4),
                 Column("reason", "str", ("a",), "", "of its state; empty if there is none"),
                 Column("fault_offset", "float64", ("a", 2), "m", "estimated error of its tracks' position, x and y"),
                 Column("fault_turn", "float64", ("a",), "rad", "estimated error of its heading"),
                 Column("fault_delay", "float64", ("a",), "s", "by which its tracks are late"),
-                Column("fault_loss", "float64", ("a",), "", "share of the objects in view that it does not report"),
+                Column("fault_loss", "float64", ("a",), "", "share of the frames in which nothing arrived from it"),
                 Column("id", "int64", ("n",), "", "of each object that the centre tracks, withheld ones too"),
                 Column("position", "float64", ("n", 3), "m", ""),
                 Column("size", "float64", ("n", 3), "m", "length, width, height"),

@@ -43,7 +43,7 @@ def test_a_fault_is_found_corrected_and_not_punished(fault: tuple[float, float, 
     found = assessed(fault)
     assert found.state.tolist()[3] == FAULTY
     assert SUSPENDED not in found.state
-    measured = [*found.offset[3], found.turn[3], found.delay[3]]
+    measured = [*found.offset[3], found.turn[3], -found.delay[3]]
     assert measured == pytest.approx(fault, abs=0.15)
     assert "all its tracks are off" in found.reason[3]
 

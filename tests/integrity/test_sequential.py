@@ -6,7 +6,7 @@ from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.base import SUSPENDED
-from mast_zenoh.integrity.cumulative import Tail, accumulate, discoveries
+from mast_zenoh.integrity.cumulative import Tail, accumulate, discoveries, fitted_tail
 from mast_zenoh.integrity.track_sums import TrackSums
 
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
@@ -126,3 +126,13 @@ def test_sums_of_tracks_are_bounded() -> None:
     for frame in range(20):
         sums.add(frame * 100_000_000, np.zeros(3, np.int64), np.arange(3 * frame, 3 * frame + 3), np.ones((3, 1)))
     assert sums.add(2_100_000_000, np.zeros(1, np.int64), np.array([0]), np.ones((1, 1))).item() == 1.0
+
+
+def test_the_tail_of_exponential_maxima_is_found() -> None:
+    maxima = np.random.default_rng(5).exponential(0.5, 20_000)
+    tail = fitted_tail(maxima, hours=100.0)
+    assert tail.scale == pytest.approx(0.5, rel=0.05)
+    assert tail.per_hour == pytest.approx(200.0, rel=0.2)
+    assert tail.value_at(tail.per_hour / np.e) == pytest.approx(tail.scale)
+    with pytest.raises(ValueError, match="expected at least 30"):
+        fitted_tail(np.zeros(5), 1.0)

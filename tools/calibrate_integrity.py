@@ -1,0 +1,80 @@
+"""Measures how often honest agents exceed the statistics of `SequentialConsistency`, and fits their tails.
+
+    .venv/bin/python tools/calibrate_integrity.py [FIRST_SEED LAST_SEED] [--frames N]
+
+Plays unattacked junctions 0 to 3 with the seeds given (101 to 106 by default), which no test of a defence may use, and
+prints for each statistic the tail to be written into `mast_zenoh/integrity/sequential.py`, with 95 % intervals from a
+bootstrap over runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from mast_zenoh import scenario
+from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.fusion import SampledAssignmentClusterer
+from mast_zenoh.integrity import Batch, SequentialConsistency
+from mast_zenoh.integrity.cumulative import fitted_tail
+from mast_zenoh.integrity.views import views_of
+from mast_zenoh.runtime.inproc import InProcess
+
+SCENES = range(4)
+BLOCK_FRAMES = 100  # 10 s: statistics of two blocks are nearly independent
+RESAMPLES = 1000
+
+
+def statistics(seed: int, scene_index: int, frames: int) -> tuple[Floats, Floats]:
+    """(blocks, agents) maxima of both statistics in each block of an unattacked run."""
+    path, content = scenario.load_values("defended", {"n_adversaries": 0, "scene_index": scene_index}, [])
+    resolved = scenario.resolve(path, content, seed=seed, frames=frames)
+    messages: dict[str, dict[int, tuple[int, dict]]] = {"collated": {}, "views": {}}
+
+    def tap(out: object) -> None:
+        header, body = out.payload  # type: ignore[attr-defined]
+        if header.schema in messages:
+            messages[header.schema][header.frame] = header.time_ns, dict(body)
+
+    InProcess(resolved, tap=tap).run()
+    clusterer, stage = SampledAssignmentClusterer(), SequentialConsistency(false_alarms_per_hour=1e-30)
+    rows = []
+    for frame, (time_ns, body) in sorted(messages["collated"].items()):
+        states, names = ObjectStates.from_columns(body), tuple(map(str, body["agents"]))
+        views = views_of(messages["views"][frame][1])
+        labels = clusterer.cluster(states, body["agent"])
+        stage.assess(Batch(time_ns, states, body["agent"], labels, names, tuple(map(views.get, names))))
+        rows.append(stage.statistics)
+    lies, offsets = (np.array(column) for column in zip(*rows, strict=True))
+    starts = np.arange(0, len(lies), BLOCK_FRAMES)
+    return np.maximum.reduceat(lies, starts), np.maximum.reduceat(offsets, starts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("first", nargs="?", type=int, default=101)
+    parser.add_argument("last", nargs="?", type=int, default=106)
+    parser.add_argument("--frames", type=int, default=300)
+    options = parser.parse_args()
+    runs = [
+        statistics(seed, index, options.frames) for seed in range(options.first, options.last + 1) for index in SCENES
+    ]
+    random = np.random.default_rng(0)
+    for name, column in (("lies", 0), ("offset", 1)):
+        maxima = [run[column].ravel() for run in runs]
+        hours = [len(run) * BLOCK_FRAMES / 36_000 for run in maxima]
+        tail = fitted_tail(np.concatenate(maxima), sum(hours))
+        draws = []
+        for _ in range(RESAMPLES):
+            rows = random.integers(0, len(runs), len(runs))
+            again = fitted_tail(np.concatenate([maxima[row] for row in rows]), sum(hours[row] for row in rows))
+            draws.append((again.per_hour, again.scale, again.value_at(0.1)))
+        low, high = np.percentile(draws, [2.5, 97.5], axis=0)
+        fits = (tail.per_hour, tail.scale, tail.value_at(0.1))
+        for what, value, least, most in zip(("per hour", "scale", "at 0.1 an hour"), fits, low, high, strict=True):
+            print(f"{name:8} {what:16} {value:10.3g}  95 % {least:.3g} to {most:.3g}  ({sum(hours):.1f} agent-hours)")
+
+
+if __name__ == "__main__":
+    main()
