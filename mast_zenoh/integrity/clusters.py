@@ -45,11 +45,17 @@ class ClusterBoxes:
             table = np.where(present[..., None], values[batch.member], 0.0)
             return np.asarray(table.sum(axis=1) / count[:, None])
 
+        def median(values: Floats) -> Floats:
+            ordered = np.sort(np.where(present[..., None], values[batch.member], np.inf), axis=1)
+            low, high = ((count - 1) // 2)[:, None, None], (count // 2)[:, None, None]
+            middle = np.take_along_axis(ordered, low, axis=1) + np.take_along_axis(ordered, high, axis=1)
+            return np.asarray(0.5 * middle[:, 0])
+
         double = mean(np.column_stack([np.cos(2.0 * states.yaw), np.sin(2.0 * states.yaw)]))
         return cls(
-            position=mean(states.position),
-            velocity=mean(states.velocity),
-            size=mean(states.size),
+            position=median(states.position),
+            velocity=median(states.velocity),
+            size=median(states.size),
             yaw=0.5 * np.arctan2(double[:, 1], double[:, 0]),
         )
 

@@ -36,16 +36,17 @@ class Disputes:
     contradicting: Floats
 
 
-def disputes(reported: Bools, size: Floats, seen: Sightings, weight: Floats) -> Disputes:
+def disputes(reported: Bools, own: Bools, size: Floats, seen: Sightings, weight: Floats) -> Disputes:
     """Settle the disputes about c objects by the majority of their viewers.
 
-    reported: (c, a) whether the agent reports the object; size: (c, 3) m; seen: what the sensors see
+    reported: (c, a) whether the agent reports the object; own: (c, a) and its sensor sees through its own track of it
+    size: (c, 3) m; seen: what the sensors see of the objects
     weight: (a,) 0 to 1, of each agent's vote
 
     A dispute of fewer than VIEWERS agents counts against nobody, and so does a tie. An agent whose own sensor sees
     through its object does not confirm it.
     """
-    confirms = reported & ~seen.swept
+    confirms = reported & ~own
     denies = seen.swept & ~reported
     voter = weight > 0.0
     confirming, contradicting = confirms @ weight, denies @ weight
@@ -56,7 +57,7 @@ def disputes(reported: Bools, size: Floats, seen: Sightings, weight: Floats) -> 
         contradicted=false[:, None] & reported,
         overlooked=true[:, None] & denies,
         silent=true[:, None] & ~reported & ~seen.swept & seen.in_view & clear(size, seen.distance),
-        inconsistent=reported & seen.swept,
+        inconsistent=reported & own,
         confirming=confirming,
         contradicting=contradicting,
     )

@@ -11,6 +11,8 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 
 #: m, farthest from a track of another agent that the same object may be reported, by an agent with a fault.
 GATE_M = 6.0
+#: Tracks of an agent that a fault is fitted to, at most, and tracks of others for each: a flood must cost little.
+MAX_TRACKS, MAX_PAIRS = 200, 16
 #: m, distance from where a fault puts a track within which another agent's track is of the same object.
 MATCH_M = 1.6
 #: Share of the tracks that must be matched so; else the fault is not the known one.
@@ -51,7 +53,8 @@ def displacements(own: ObjectStates, other: ObjectStates, agent: Ints, pivot: Fl
     is decided by the displacement that most of them have in common, which can be larger than the distance between
     objects.
     """
-    i, j, dx, dy = neighbours(own.position, other.position, np.full(len(own), GATE_M))
+    own = own.select(slice(MAX_TRACKS))
+    i, j, dx, dy = _nearest(own.position, other.position)
     design = np.zeros((len(i), 2, 4))
     design[:, 0, 0] = design[:, 1, 1] = 1.0
     arm = own.position[i, :2] - pivot
@@ -72,6 +75,16 @@ def displacements(own: ObjectStates, other: ObjectStates, agent: Ints, pivot: Fl
     covariance = own.covariance[i, :2, :2] + other.covariance[j, :2, :2] + FLOOR_M**2 * np.eye(2)
     information: Floats = np.asarray(np.linalg.inv(covariance), np.float64)
     return Displacements(shift[first], information, design[first], len(np.unique(agent[j])))
+
+
+def _nearest(own: Floats, other: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+    """As `neighbours` within GATE_M, with at most MAX_PAIRS for each of the own tracks, the nearest."""
+    i, j, dx, dy = neighbours(own, other, np.full(len(own), GATE_M))
+    order = np.lexsort((np.hypot(dx, dy), i))
+    start = np.flatnonzero(np.diff(i[order], prepend=-1))
+    rank = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
+    kept = np.sort(order[rank < MAX_PAIRS])
+    return i[kept], j[kept], dx[kept], dy[kept]
 
 
 def _most_common(shift: Floats, own: Ints, n: int) -> int:

@@ -19,7 +19,7 @@ from mast_zenoh.integrity.fault_fit import (
     misfit,
     normal_equations,
 )
-from mast_zenoh.integrity.sequential import SequentialConsistency
+from mast_zenoh.integrity.sequential import MAX_NAMES, SequentialConsistency
 from mast_zenoh.integrity.views import SweptView
 
 #: Independent samples among consecutive batches at 10 Hz: the offsets of honest agents correlate at 0.8.
@@ -93,23 +93,27 @@ class FaultOrLie(Integrity):
     def reset(self) -> None:
         self._stage.reset()
         self._estimates: dict[str, _Estimate] = {}
+        self._suspended: set[str] = set()  # agents whose tracks are no reference for others
 
     def correct(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], views: Mapping[str, SweptView]
     ) -> tuple[ObjectStates, Mapping[str, SweptView]]:
         states, views = self._stage.correct(time_ns, states, agent, agents, views)
         result, seen = states, dict(views)
+        suspended = [row for row, name in enumerate(agents) if name in self._suspended]
         for number, name in enumerate(agents):
             estimate = self._estimates.setdefault(name, _Estimate())
             mine = agent == number
             pivot = self._pivot(states.select(mine), views.get(name))
             if mine.any():
-                self._fit(name, time_ns, states, agent, number, pivot)
+                self._fit(name, time_ns, states, agent, number, pivot, suspended)
             self._note_loss(estimate, views.get(name))
             if estimate.applied:
                 result = corrected(result, mine, estimate.fault, pivot)
                 if name in seen:
                     seen[name] = corrected_view(seen[name], estimate.fault)
+        if len(self._estimates) > MAX_NAMES:
+            self._estimates = {name: self._estimates[name] for name in agents}
         return result, seen
 
     def _pivot(self, own: ObjectStates, view: SweptView | None) -> Floats:
@@ -118,11 +122,20 @@ class FaultOrLie(Integrity):
             return np.asarray(view.view.position[:2])
         return own.position[:, :2].mean(axis=0) if len(own) else np.zeros(2)
 
-    def _fit(self, name: str, time_ns: int, states: ObjectStates, agent: Ints, number: int, pivot: Floats) -> None:
-        """Update the estimate of an agent from a batch."""
+    def _fit(
+        self,
+        name: str,
+        time_ns: int,
+        states: ObjectStates,
+        agent: Ints,
+        number: int,
+        pivot: Floats,
+        suspended: list[int],
+    ) -> None:
+        """Update the estimate of an agent from a batch; suspended: numbers of agents that are no reference."""
         estimate = self._estimates[name]
         own = canonical(states.select(agent == number))
-        others = agent != number
+        others = (agent != number) & ~np.isin(agent, suspended)
         other, other_agent = states.select(others), agent[others]
         order = np.lexsort((other.id, other_agent))
         found = displacements(own, other.select(order), other_agent[order], pivot, estimate.fault * estimate.applied)
@@ -157,6 +170,7 @@ class FaultOrLie(Integrity):
         assessment = self._stage.assess(batch)
         estimates = [self._estimates.get(name, _Estimate()) for name in batch.agents]
         trust = assessment.agents
+        self._suspended = {name for name, state in zip(batch.agents, trust.state, strict=True) if state == SUSPENDED}
         faulty = np.array([estimate.applied for estimate in estimates], np.bool_) & (trust.state != SUSPENDED)
         faults = np.array([estimate.fault * estimate.applied for estimate in estimates]).reshape(-1, 4)
         reasons = tuple(

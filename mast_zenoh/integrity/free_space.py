@@ -62,7 +62,7 @@ class FreeSpace(Integrity):
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
-        swept = seen_through(boxes, batch.views)
+        swept = sees_through(batch, boxes, batch.views)
         claims = reported & ~swept
         silent = occupied(boxes, seen, batch.views) & ~reported & ~swept
         silent &= seen.distance <= boxes.sight_range(self._range_m)[:, None]
@@ -135,6 +135,23 @@ def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bool
             share = (free > distance + BEHIND_M).reshape(points.shape[:2]).mean(axis=1)
         away = np.hypot(*((boxes.position - moved)[:, :2] - view.view.position[:2]).T)
         through[:, column] = (share > needed) & (away > OWN_M) & (away <= FAR_M)
+    return through
+
+
+def sees_through(batch: Batch, boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
+    """(c, a) whether the agent's sensor sees through an object: through its own track of it, if it reports one.
+
+    Another agent's track must not make an honest claim look like a lie.
+    """
+    through = seen_through(boxes, views)
+    for column, view in enumerate(views):
+        rows = batch.member[:, column]
+        reported = rows >= 0
+        if view is None or not reported.any():
+            continue
+        states = batch.states.select(rows[reported])
+        own = ClusterBoxes(states.position, states.velocity, states.size, states.yaw)
+        through[reported, column] = seen_through(own, (view,))[:, 0]
     return through
 
 

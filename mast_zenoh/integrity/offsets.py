@@ -17,6 +17,8 @@ MEMBERS = 3
 FLOOR_M = 0.1
 #: m, the same of objects shorter than SMALL_M: trackers swap pedestrians that walk together.
 SMALL_FLOOR_M, SMALL_M = 0.35, 1.5
+#: m, greatest standard deviation that a track may claim.
+MAX_SD_M = 1.0
 #: m, between two clusters: nearer ones may have swapped members.
 CROWD_M = 3.5
 #: Variance of the median of normal errors, relative to that of their mean.
@@ -55,7 +57,10 @@ def offsets(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Offsets:
         return Offsets(valid, np.zeros((*valid.shape, 2)), np.zeros((*valid.shape, 2, 2)))
     position = batch.states.position[batch.member, :2]
     middle = np.stack([weighted_median(position[..., axis], present * weight) for axis in range(2)], axis=-1)
-    covariance = np.where(present[..., None, None], batch.states.covariance[batch.member, :2, :2], 0.0)
+    claimed = batch.states.covariance[batch.member, :2, :2]
+    largest = np.maximum(claimed[..., 0, 0], claimed[..., 1, 1])
+    claimed = claimed * np.minimum(1.0, MAX_SD_M**2 / np.maximum(largest, 1e-12))[..., None, None]
+    covariance = np.where(present[..., None, None], claimed, 0.0)
     spread = covariance.sum(axis=1, keepdims=True) * (MEDIAN / np.maximum(members, 1) ** 2)[:, None, None, None]
     floor = np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)[:, None, None, None]
     total = np.where(valid[..., None, None], covariance + spread + floor**2 * np.eye(2), np.eye(2))

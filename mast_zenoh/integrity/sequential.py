@@ -21,7 +21,7 @@ from mast_zenoh.integrity.existence import Existence, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.offsets import Offsets, offsets
 from mast_zenoh.integrity.track_sums import TrackSums
-from mast_zenoh.integrity.visibility import sightings
+from mast_zenoh.integrity.visibility import own_sightings, sightings
 
 #: Standard deviations of a claim's position within which others need not see it.
 ERROR_SD = 2.0
@@ -29,6 +29,12 @@ ERROR_SD = 2.0
 CLIP = 1.5
 #: s, greatest step of the sums: a batch after a gap is no more evidence than one.
 MAX_STEP_S = 0.5
+#: s, after a suspension in which a fault that is found then excuses it.
+EXCUSED_S = 1.0
+#: Names of agents that are remembered at most.
+MAX_NAMES = 1024
+#: m, greatest standard deviation that a track may claim in its favour.
+MAX_ERROR_M = 1.0
 #: s, before the first evidence against an agent, in which it may have lied unnoticed.
 GRACE_S = 1.0
 #: Least weight of an agent that is not suspended in the middle of its objects.
@@ -98,6 +104,9 @@ class SequentialConsistency(Integrity):
         self._suspensions = np.zeros(0, np.int64)
         self._suspended = np.zeros(0, np.bool_)
         self._offset = np.zeros(0)
+        self._suspended_ns = np.zeros(0, np.int64)  # time, ns, of the last suspension
+        self._for_offset = np.zeros(0, np.bool_)  # whether that was for an offset alone
+        self._last = np.zeros(0), np.zeros(0)
         self._quiet_ns = np.zeros(0, np.int64)  # time, ns, of the last batch without evidence
         self._existence.reset()
         self._seen_s = np.zeros(0)  # for which the agent has been observed
@@ -111,9 +120,12 @@ class SequentialConsistency(Integrity):
     def forgive(self, agent: str) -> None:
         if agent in self._agents.names:
             row = self._agents.names.index(agent)
-            self._lies[row], self._suspended[row] = 0.0, False
             self._sums.forget(self._numbers[agent])
-            self._reasons.pop(agent, None)
+            assert self._time_ns is not None
+            recent = self._time_ns - self._suspended_ns[row] <= EXCUSED_S * 1e9
+            if self._suspended[row] and (recent or self._for_offset[row]):
+                self._lies[row], self._suspended[row] = 0.0, False
+                self._reasons.pop(agent, None)
 
     def assess(self, batch: Batch) -> Assessment:
         dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
@@ -121,20 +133,29 @@ class SequentialConsistency(Integrity):
         rows = self._meet(batch)
         vote = ~self._suspended[rows]
         boxes = ClusterBoxes.of(batch, np.broadcast_to(vote, (batch.clusters, len(vote))))
-        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, ERROR_SD * position_error(batch))
-        dispute = disputes(batch.reported, boxes.size, seen, vote.astype(np.float64))
+        error = ERROR_SD * track_error(batch)
+        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, of_clusters(batch, error))
+        own = own_sightings(batch, error)
+        dispute = disputes(batch.reported, own, boxes.size, seen, vote.astype(np.float64))
         lies = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
         offset = self._offset_statistics(batch, offsets(batch, boxes, self._say(rows)))
         count = lies.sum(axis=0)
         # An honest agent errs about one object at a time: several at once are much rarer.
-        self._lies[rows] = accumulate(self._lies[rows], 0.5 * count * (count + 1), self._drift, dt)
+        total = accumulate(self._lies[rows], 0.5 * count * (count + 1), self._drift, dt)
+        self._lies[rows] = np.minimum(total, 2.0 * self._alarm_at(0, len(rows)))  # so that it can be forgotten again
         self._last = self._lies[rows].copy(), offset
         self._offset[rows] = offset
         rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
-        alarms = discoveries(rates, self._per_hour)
+        alarms = rates <= self._per_hour / max(rates.size, 1)  # of suspended agents, which are tested for release alone
+        alarms[vote] = discoveries(rates[vote], self._per_hour)
         self._judge(batch, rows, alarms, dispute, dt)
         existence = self._existence.count(batch, boxes, seen, (~self._suspended[rows]).astype(np.float64))
         return self._assessment(batch, rows, rates, existence)
+
+    def _alarm_at(self, statistic: int, agents: int) -> float:
+        """The value from which one statistic alone, 0 lies or 1 offset, is an alarm."""
+        tail = self._tails[statistic]
+        return max(tail.value_at(self._per_hour / max(2 * agents, 1)), tail.scale)
 
     def _say(self, rows: Ints) -> Floats:
         """(a,) weight of each agent in the middle of its objects: the less, the nearer its own offset is to an alarm.
@@ -142,14 +163,15 @@ class SequentialConsistency(Integrity):
         Of two liars and one honest agent that report an object, the liars thus have no majority once they are off
         elsewhere, where others see the object, too.
         """
-        tests = 2 * len(rows)
-        alarm = self._tails[1].scale * np.log(self._tails[1].per_hour * tests / self._per_hour)
-        weight = np.clip(1.0 - self._offset[rows] / max(alarm, 1.0), LEAST_SAY, 1.0)
+        weight = np.clip(1.0 - self._offset[rows] / self._alarm_at(1, len(rows)), LEAST_SAY, 1.0)
         return np.asarray(np.where(self._suspended[rows], 0.0, weight))
 
     def _meet(self, batch: Batch) -> Ints:
         """Rows (a,) of the agents of a batch; new ones have no record."""
         rows = self._agents.meet(batch.time_ns, batch.agents)
+        if len(self._numbers) > MAX_NAMES:
+            self._numbers, self._reasons = {}, {}
+            self._sums.reset()
         for name in batch.agents:
             self._numbers.setdefault(name, len(self._numbers))
         carry = self._agents.carry
@@ -157,6 +179,7 @@ class SequentialConsistency(Integrity):
         self._suspensions, self._seen_s = carry(self._suspensions, 0), carry(self._seen_s, 0.0)
         self._suspended, self._offset = carry(self._suspended, False), carry(self._offset, 0.0)
         self._quiet_ns = carry(self._quiet_ns, batch.time_ns)
+        self._suspended_ns, self._for_offset = carry(self._suspended_ns, 0), carry(self._for_offset, False)
         return rows
 
     def _offset_statistics(self, batch: Batch, measured: Offsets) -> Floats:
@@ -198,6 +221,8 @@ class SequentialConsistency(Integrity):
             self._existence.vouch(self._honest_until(rows[row], bool(alarms[row, 0])))
         self._suspensions[rows] += new
         self._suspended[rows] = (self._suspended[rows] | new) & ~released
+        self._suspended_ns[rows[new]] = batch.time_ns
+        self._for_offset[rows[new]] = ~alarms[new, 0]
         for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
         for row in np.flatnonzero(new).tolist():
@@ -225,18 +250,25 @@ class SequentialConsistency(Integrity):
 
     def _assessment(self, batch: Batch, rows: Ints, rates: Floats, existence: Existence) -> Assessment:
         suspended = self._suspended[rows]
-        log_odds = np.clip(np.log(rates / self._per_hour).min(axis=1), -MAX_LOG_ODDS, MAX_LOG_ODDS)
+        least = np.log(np.maximum(rates, 1e-300) / self._per_hour).min(axis=1)
+        log_odds = np.clip(least, -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)
         state = np.where(suspended, SUSPENDED, np.where(self._seen_s[rows] >= 1.0, TRUSTED, UNKNOWN))
-        reasons = tuple(self._reasons.get(name, "") for name in batch.agents)
+        named = zip(batch.agents, suspended.tolist(), strict=True)
+        reasons = tuple(self._reasons.get(name, "") if bad else "" for name, bad in named)
         agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state.astype(np.uint8), reasons, log_odds=log_odds)
         return Assessment(existence.kept, agents, existence.objects)
 
 
-def position_error(batch: Batch) -> Floats:
-    """(c,) m, greatest horizontal standard deviation among the members of each cluster."""
+def track_error(batch: Batch) -> Floats:
+    """(n,) m, greatest horizontal standard deviation of each track, at most MAX_ERROR_M."""
     covariance = batch.states.covariance
-    deviation = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
+    variance = np.maximum(covariance[:, 0, 0], covariance[:, 1, 1])
+    return np.asarray(np.sqrt(np.clip(variance, 0.0, MAX_ERROR_M**2)))
+
+
+def of_clusters(batch: Batch, values: Floats) -> Floats:
+    """(c,) the greatest of the values (n,) of each cluster's tracks."""
     greatest = np.zeros(batch.clusters)
-    np.maximum.at(greatest, batch.labels, deviation)
+    np.maximum.at(greatest, batch.labels, values)
     return greatest

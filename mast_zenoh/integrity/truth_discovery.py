@@ -18,8 +18,8 @@ from mast_zenoh.integrity.base import (
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.disputes import clear
 from mast_zenoh.integrity.memory import AgentMemory
-from mast_zenoh.integrity.sequential import ERROR_SD, MAX_STEP_S, position_error
-from mast_zenoh.integrity.visibility import Sightings, sightings
+from mast_zenoh.integrity.sequential import ERROR_SD, MAX_STEP_S, of_clusters, track_error
+from mast_zenoh.integrity.visibility import Sightings, own_sightings, sightings
 
 #: Samples a second that the errors of tracks give independently; consecutive frames share theirs.
 SAMPLES_PER_S = 1.1
@@ -94,9 +94,10 @@ class TruthDiscovery(Integrity):
         self._suspended = self._agents.carry(self._suspended, False)
         anchored = np.isin(np.array(batch.agents), self._anchors)
         boxes = ClusterBoxes.of(batch)
-        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, ERROR_SD * position_error(batch))
-        claims = votes(batch.reported, boxes.size, seen)
-        before = self._log_odds[rows] * np.exp(-dt / self._memory_s)
+        error = ERROR_SD * track_error(batch)
+        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, of_clusters(batch, error))
+        claims = votes(batch.reported, own_sightings(batch, error), boxes.size, seen)
+        before = self._prior + (self._log_odds[rows] - self._prior) * np.exp(-dt / self._memory_s)
         before[anchored] = MOST
         log_odds = before
         for _ in range(STEPS):
@@ -112,7 +113,8 @@ class TruthDiscovery(Integrity):
 
     def _assessment(self, batch: Batch, rows: Ints, exists: Floats, claims: Floats, seen: Sightings) -> Assessment:
         log_odds, suspended = self._log_odds[rows], self._suspended[rows]
-        state = np.where(suspended, SUSPENDED, np.where(log_odds > self._prior, TRUSTED, UNKNOWN)).astype(np.uint8)
+        trusted = np.where(log_odds >= 0.5 * self._prior, TRUSTED, UNKNOWN)
+        state = np.where(suspended, SUSPENDED, trusted).astype(np.uint8)
         reasons = tuple("more of its claims are refuted than an honest agent's" if s else "" for s in suspended)
         agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state, reasons, log_odds=log_odds)
         believable = batch.reported & (claims > 0.0) & ~suspended
@@ -133,14 +135,14 @@ class TruthDiscovery(Integrity):
         return self._log_odds
 
 
-def votes(reported: Bools, size: Floats, seen: Sightings) -> Floats:
+def votes(reported: Bools, own: Bools, size: Floats, seen: Sightings) -> Floats:
     """(c, a) how each agent votes on each object: 1 reports it, -1 sees through it, -SILENCE says nothing, 0 no view.
 
     A claim that the agent's own sensor sees through is a vote against itself.
     """
     silent = ~reported & seen.in_view & clear(size, seen.distance)
     vote = np.where(reported, 1.0, np.where(silent, -SILENCE, 0.0))
-    vote[seen.swept] = -1.0
+    vote[np.where(reported, own, seen.swept)] = -1.0
     return vote
 
 

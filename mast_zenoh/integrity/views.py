@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_quaternion
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.kernels import kernel
+from mast_zenoh.messages.layout import MAX_ROWS
 from mast_zenoh.tracking.view import SensorView
 
+#: Limit on the directions of one view; the finest of our sensors has 2,880.
+MAX_CELLS = 20_000
 #: Free space of a sensor that gives none.
 UNKNOWN_SPACE = np.zeros((0, 0))
 UNKNOWN_SPACE.setflags(write=False)
@@ -80,20 +83,27 @@ def check_view(body: Mapping[str, NDArray[Any]]) -> None:
             raise ValueError(f"{name}: found {low:.4g} to {high:.4g}, expected an ascending range up to {most:.4g} rad")
     if not body["max_range"][0] > 0.0:
         raise ValueError(f"max_range: found {body['max_range'][0]}, expected more than 0 m")
+    if body["free"].size > MAX_CELLS:
+        raise ValueError(f"free: found {body['free'].size} directions, expected at most {MAX_CELLS}")
     if body["free"].size and body["free"].min() < 0.0:
         raise ValueError(f"free: found {body['free'].min()}, expected 0 m or more")
 
 
 def collated_columns(bodies: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """The columns of a `views` message from those of `view` messages, without names and ages."""
+    """The columns of a `views` message from those of `view` messages, without names and ages.
+
+    Beyond MAX_ROWS directions in all, the free space of the last agents is left out.
+    """
     shapes = {"position": (3,), "rotation": (4,), "azimuth": (2,), "elevation": (2,)}
     columns: dict[str, NDArray[Any]] = {
         name: np.array([body[name] for body in bodies], np.float64).reshape(len(bodies), *shape)
         for name, shape in shapes.items()
     }
     columns["max_range"] = np.array([body["max_range"][0] for body in bodies], np.float64)
-    columns["grid"] = np.array([body["free"].shape for body in bodies], np.int64).reshape(len(bodies), 2)
-    columns["free"] = np.concatenate([np.zeros(0), *(body["free"].ravel() for body in bodies)])
+    fits = np.cumsum([body["free"].size for body in bodies]) <= MAX_ROWS
+    free = [body["free"] if fit else UNKNOWN_SPACE for body, fit in zip(bodies, fits.tolist(), strict=True)]
+    columns["grid"] = np.array([each.shape for each in free], np.int64).reshape(len(bodies), 2)
+    columns["free"] = np.concatenate([np.zeros(0), *(each.ravel() for each in free)])
     return columns
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.integrity.base import Batch
 from mast_zenoh.integrity.views import SweptView
 
 #: Sample points of a box, in half lengths and half widths, and in half heights.
@@ -74,6 +75,24 @@ def sightings(
         swept[:, column] = visible & (away <= FAR_M) & open_
         distance[:, column] = away
     return Sightings(in_view, swept, distance)
+
+
+def own_sightings(batch: Batch, error_m: Floats) -> Bools:
+    """(c, a) whether an agent reports an object although its sensor sees through its own track of it.
+
+    error_m: (n,) m, by which the position of each track may be wrong
+    """
+    through = np.zeros((batch.clusters, len(batch.agents)), np.bool_)
+    for column, view in enumerate(batch.views):
+        rows = batch.member[:, column]
+        reported = rows >= 0
+        if view is None or not reported.any():
+            continue
+        tracks = rows[reported]
+        states = batch.states.select(tracks)
+        seen = sightings(states.position, states.size, states.yaw, (view,), error_m[tracks])
+        through[reported, column] = seen.swept[:, 0]
+    return through
 
 
 def _points(position: Floats, size: Floats, yaw: Floats, margin_m: Floats) -> Floats:

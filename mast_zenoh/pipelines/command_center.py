@@ -11,6 +11,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer, GroupTracker
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
+from mast_zenoh.tracking.covariance_repair import make_positive_definite
 
 
 class Pipeline(ABC):
@@ -76,6 +77,7 @@ class CommandCenterPipeline(Pipeline):
         if self._integrity is None:
             labels = self._clustering.cluster(states, agent)
             return self._group_tracking.step(time_ns, states, agent, labels, weights)
+        states = states.with_(covariance=make_positive_definite(states.covariance))  # a stage may invert them
         states, corrected = self._integrity.correct(time_ns, states, agent, names, self._views)
         self._views = {}
         labels = self._clustering.cluster(states, agent)

@@ -7,7 +7,7 @@ from integrity_batches import Track, batch, view
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.disputes import disputes
 from mast_zenoh.integrity.offsets import offsets
-from mast_zenoh.integrity.visibility import sightings
+from mast_zenoh.integrity.visibility import own_sightings, sightings
 
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 
@@ -18,7 +18,8 @@ def disputed(tracks: list[Track], blocked: dict[str, list[tuple[float, float, fl
     given = batch(tracks, tuple(CORNERS), views)
     boxes = ClusterBoxes.of(given)
     seen = sightings(boxes.position, boxes.size, boxes.yaw, given.views)
-    return disputes(given.reported, boxes.size, seen, np.array(weight))
+    own = own_sightings(given, np.zeros(len(given.labels)))
+    return disputes(given.reported, own, boxes.size, seen, np.array(weight))
 
 
 CAR_AT_ORIGIN = (0.0, 0.0, 2.3)
