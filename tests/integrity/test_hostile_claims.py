@@ -1,0 +1,152 @@
+"""What an agent says about itself neither frames others nor hides its lies."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from integrity_batches import CAR, STEP_NS, Track, batch, view
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.config import registry
+from mast_zenoh.integrity import FaultOrLie, FreeSpace, SequentialConsistency, TruthDiscovery
+from mast_zenoh.integrity.base import SUSPENDED, Batch, Integrity
+from mast_zenoh.integrity.fault_fit import displacements
+from mast_zenoh.integrity.views import MAX_CELLS, check_view, collated_columns, view_columns
+from mast_zenoh.messages.layout import MAX_ROWS
+from mast_zenoh.pipelines import Pipeline
+
+PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
+CARS = ((9.0, 9.0), (-9.0, 9.0))
+PHANTOM = (0.0, 0.0)
+STAGES: list[type[Integrity]] = [SequentialConsistency, FaultOrLie, TruthDiscovery]
+
+
+def honest(frame: int, *more: Track, age_s: float = 0.0) -> Batch:
+    """Four agents that see two cars, and some more tracks; `d` claims to see its own further tracks."""
+    tracks: list[Track] = [(name, i, car) for name in PLACES for i, car in enumerate(CARS)]
+    seen = [(*car, 2.5) for car in CARS]
+    views = {name: view(place, *seen, *([(*PHANTOM, 2.5)] if name == "d" else [])) for name, place in PLACES.items()}
+    views["d"] = replace(views["d"], age_s=age_s)
+    return batch([*tracks, *more], tuple(PLACES), views, frame=frame)
+
+
+def with_states(given: Batch, **columns: np.ndarray) -> Batch:
+    return replace(given, states=given.states.with_(**columns))
+
+
+def suspended(stage: Integrity, batches: list[Batch]) -> set[str]:
+    """The agents that were ever suspended."""
+    names = set()
+    for each in batches:
+        result = stage.assess(each).agents
+        names |= {name for name, state in zip(each.agents, result.state, strict=True) if state == SUSPENDED}
+    return names
+
+
+@pytest.mark.parametrize("stage", [*STAGES, FreeSpace])
+def test_false_heights_of_one_agent_do_not_frame_the_others(stage: type[Integrity]) -> None:
+    batches = []
+    for frame in range(60):
+        given = honest(frame)
+        position = given.states.position.copy()
+        position[given.agent == 3, 2] -= 15.0
+        batches.append(with_states(given, position=position))
+    judge = stage()
+    assert suspended(judge, batches) <= {"d"}
+    assert not judge.assess(batches[-1]).objects.withheld.any()
+
+
+@pytest.mark.parametrize("deviation_m", [0.2, 2.0, 20.0])
+def test_a_phantom_is_refuted_however_uncertain_it_claims_to_be(deviation_m: float) -> None:
+    batches = []
+    for frame in range(60):
+        given = honest(frame, ("d", 2, PHANTOM))
+        covariance = given.states.covariance.copy()
+        covariance[-1, :2, :2] = np.eye(2) * deviation_m**2
+        batches.append(with_states(given, covariance=covariance))
+    assert suspended(SequentialConsistency(), batches) == {"d"}
+
+
+def test_an_offset_is_found_however_uncertain_its_track_claims_to_be() -> None:
+    batches = []
+    for frame in range(100):
+        given = honest(frame)
+        covariance, position = given.states.covariance.copy(), given.states.position.copy()
+        covariance[given.agent == 3] = np.eye(9) * 25.0
+        position[given.agent == 3, 0] += 1.8
+        batches.append(with_states(given, covariance=covariance, position=position))
+    assert suspended(SequentialConsistency(), batches) == {"d"}
+
+
+def test_a_view_that_is_too_old_to_be_held_against_its_agent_has_no_vote() -> None:
+    given = honest(0, ("a", 2, (30.0, -30.0)), age_s=0.06)
+    assert SequentialConsistency().assess(given).objects.contradicting.tolist()[2] == 2, "b and c, and not d"
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_impossible_covariances_cost_no_picture(stage: type[Integrity]) -> None:
+    spec = dict(
+        type="CommandCenterPipeline",
+        clustering=dict(type="SampledAssignmentClusterer"),
+        group_tracking=dict(
+            type="GroupTrackerWrapper",
+            fusion=dict(type="CovarianceIntersectionFusion"),
+            tracker=dict(type="KalmanBoxTracker3D"),
+        ),
+        integrity=dict(type=stage.__name__),
+    )
+    pipeline: Pipeline = registry.build(spec, Pipeline, "pipeline")
+    for frame in range(5):
+        given = honest(frame)
+        covariance = given.states.covariance.copy()
+        covariance[given.agent == 2] = 0.0
+        covariance[given.agent == 3] = -np.eye(9) * 0.01
+        states = given.states.with_(covariance=covariance)
+        picture, _ = pipeline.step(given.time_ns, states, given.agent, given.agents)
+    assert len(picture) == len(CARS)
+
+
+def test_a_flood_of_tracks_costs_a_fault_fit_little() -> None:
+    n = 20_000
+    flood = ObjectStates.of(
+        np.random.default_rng(1).uniform(-200, 200, (n, 3)),
+        size=np.tile(CAR, (n, 1)),
+        covariance=np.tile(np.eye(9), (n, 1, 1)),
+    )
+    found = displacements(flood, flood, np.zeros(n, np.int64), np.zeros(2), np.zeros(4))
+    assert len(found.offset) <= 200
+
+
+def test_views_are_limited_in_size_and_all_together() -> None:
+    body = view_columns(view((0.0, 0.0)).view, np.ones((1, MAX_CELLS)))
+    check_view(body)
+    with pytest.raises(ValueError, match=f"free: found {MAX_CELLS + 1} directions"):
+        check_view(body | {"free": np.ones((1, MAX_CELLS + 1))})
+    columns = collated_columns([body] * 8)
+    assert len(columns["free"]) <= MAX_ROWS
+    assert columns["grid"].tolist() == [[1, MAX_CELLS]] * 5 + [[0, 0]] * 3
+
+
+def test_a_fault_does_not_release_a_liar() -> None:
+    stage = SequentialConsistency()
+    for frame in range(60):
+        stage.assess(honest(frame, ("d", 2, PHANTOM)))
+    stage.forgive("d")
+    assert stage.assess(honest(60, ("d", 2, PHANTOM))).agents.state.tolist()[3] == SUSPENDED
+
+
+def test_many_lies_do_not_delay_the_release_without_end() -> None:
+    stage, places = SequentialConsistency(), [(0.0, 0.0), (4.0, -12.0), (-4.0, -12.0), (-12.0, 0.0), (12.0, 0.0)]
+    for frame in range(50):
+        stage.assess(honest(frame, *(("d", 2 + i, place) for i, place in enumerate(places))))
+    states = [stage.assess(honest(frame)).agents for frame in range(50, 50 + 600)]
+    assert states[200].state[3] == SUSPENDED
+    assert states[-1].state[3] != SUSPENDED
+    assert not states[-1].reason[3]
+
+
+def test_an_agent_without_witnesses_keeps_its_prior_trust() -> None:
+    stage = TruthDiscovery()
+    for frame in range(0, 3000, 5):
+        found = stage.assess(replace(batch([("a", 0, (0.0, 0.0))], ("a",)), time_ns=frame * STEP_NS))
+    assert found.agents.log_odds[0] == pytest.approx(3.0, abs=0.01)
