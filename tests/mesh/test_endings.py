@@ -127,7 +127,8 @@ def test_a_stopped_run_keeps_the_results_obtained_so_far(launch, number: signal.
     record = run.record()
     assert (record["status"], code) == ending("signal while the scene is played"), output
     assert all(node["exit"] == 0 for node in record["nodes"].values()), record["nodes"]
-    assert 20 <= json.loads((run.out / "metrics.json").read_text())["frames"] < 60
+    # In real time, the last frames may still be on their way to the evaluator.
+    assert 15 <= json.loads((run.out / "metrics.json").read_text())["frames"] < 60
 
 
 def test_a_second_signal_ends_nodes_at_once_and_leaves_a_readable_recording(launch) -> None:
