@@ -25,7 +25,7 @@ from mast_zenoh.attacks.forging import (
     seen_detections,
     sensor_of,
 )
-from mast_zenoh.attacks.knowledge import Trust
+from mast_zenoh.attacks.knowledge import tell_newest
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.attacks.targets import Changes
 from mast_zenoh.attacks.victim import Victim
@@ -264,15 +264,7 @@ class Adversary(Node):
 
     def tell(self, victim: Victim, context: Context) -> None:
         """Tell the attack the newest picture and trust from an earlier frame, once each."""
-        for name, newest in (("picture", self.pictures.get(context.frame)), ("trust", self.trusts.get(context.frame))):
-            if newest is None or newest[0] == victim.heard[name]:
-                continue
-            victim.heard[name], received = newest
-            about = received.frame, received.time_ns
-            if name == "picture":
-                victim.attack.hear_picture(*about, ObjectStates.from_columns(received.body))
-            else:
-                victim.attack.hear_trust(*about, Trust.of_columns(received.body))
+        tell_newest(victim.attack, victim.heard, context.frame, self.pictures, self.trusts)
 
 
 if __name__ == "__main__":

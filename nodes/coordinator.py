@@ -12,7 +12,7 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
 from mast_zenoh.attacks import Coordination, Surroundings, Targets
 from mast_zenoh.attacks.campaign import shortfall
-from mast_zenoh.attacks.knowledge import Trust
+from mast_zenoh.attacks.knowledge import tell_newest
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.messages.schemas import Body
@@ -110,15 +110,7 @@ class Coordinator(Node):
 
     def tell(self, context: Context) -> None:
         """Tell the coordination the newest picture and trust from an earlier frame, once each."""
-        for name, newest in (("picture", self.pictures.get(context.frame)), ("trust", self.trusts.get(context.frame))):
-            if newest is None or newest[0] == self.heard[name]:
-                continue
-            self.heard[name], received = newest
-            about = received.frame, received.time_ns
-            if name == "picture":
-                self.coordination.hear_picture(*about, ObjectStates.from_columns(received.body))
-            else:
-                self.coordination.hear_trust(*about, Trust.of_columns(received.body))
+        tell_newest(self.coordination, self.heard, context.frame, self.pictures, self.trusts)
 
 
 def view_of(body: Body, moved: np.ndarray) -> SensorView:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.base import SUSPENDED
+from mast_zenoh.wiring.received import Received
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +35,38 @@ class Trust:
         """The trust in the columns of a `trust` message; further columns are left out."""
         names = ("mean", "state", "position", "trust", "withheld")
         return cls(tuple(map(str, columns["agents"])), *(columns[name] for name in names))
+
+
+class Listener(Protocol):
+    """An attack, or a coordination of several."""
+
+    def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:
+        """The command centre's picture."""
+
+    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
+        """The command centre's trust."""
+
+
+def tell_newest(
+    listener: Listener,
+    heard: dict[str, int],
+    frame: int,
+    pictures: LatestBefore[Received],
+    trusts: LatestBefore[Received],
+) -> None:
+    """Tell a listener the newest picture and trust from before a frame, once each.
+
+    heard: frames of arrival of the last "picture" and "trust" that it was told; updated
+    """
+    for name, newest in (("picture", pictures.get(frame)), ("trust", trusts.get(frame))):
+        if newest is None or newest[0] == heard[name]:
+            continue
+        heard[name], received = newest
+        about = received.frame, received.time_ns
+        if name == "picture":
+            listener.hear_picture(*about, ObjectStates.from_columns(received.body))
+        else:
+            listener.hear_trust(*about, Trust.of_columns(received.body))
 
 
 class TrustWatch:

@@ -9,9 +9,8 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ObjectTrust
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.free_space import occupied, sees_through
 from mast_zenoh.integrity.memory import ObjectMemory
-from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, Sightings
+from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, Sightings, free_and_occupied
 
 #: s, over which the votes about an object are averaged.
 MEMORY_S = 0.5
@@ -32,6 +31,35 @@ class Existence:
     kept: Floats
 
 
+class VoteMemory:
+    """Follows objects, and averages the votes about them.
+
+    memory_s: s, after which a vote counts 1/e; forget_s: s, after which an object without a cluster is forgotten
+
+    objects: the memory; balance: (m,) of each remembered object, mean of votes for it less votes against it
+    """
+
+    def __init__(self, memory_s: float, forget_s: float = 2.0) -> None:
+        self.objects = ObjectMemory(forget_s=forget_s)
+        self.balance: Floats = np.zeros(0)
+        self._memory_s = memory_s
+        self._time_ns: int | None = None
+
+    def update(self, time_ns: int, boxes: ClusterBoxes, balance: Floats) -> Ints:
+        """(c,) rows of the clusters' objects in the memory, after the votes of a batch.
+
+        boxes: of its clusters; balance: (c,) votes for each less votes against it; of a new object, they count in full
+        """
+        elapsed = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
+        self._time_ns = time_ns
+        rows = self.objects.follow(time_ns, boxes.position, boxes.velocity)
+        share = np.exp(-elapsed / self._memory_s)
+        self.balance = self.objects.carry(self.balance, np.nan)
+        before = self.balance[rows]
+        self.balance[rows] = np.where(np.isnan(before), balance, share * before + (1.0 - share) * balance)
+        return rows
+
+
 class ExistenceVotes:
     """Counts the votes about each object, with a short memory.
 
@@ -48,11 +76,9 @@ class ExistenceVotes:
 
     def reset(self) -> None:
         """Forget all objects."""
-        self._objects = ObjectMemory()
-        self._balance = np.zeros(0)
+        self._votes = VoteMemory(MEMORY_S)
         self._established: Bools = np.zeros(0, np.bool_)
         self._claimed_ns = np.zeros(0, np.int64)  # time, ns, at which a believed agent reported it last
-        self._time_ns: int | None = None
 
     def count(self, batch: Batch, boxes: ClusterBoxes, seen: Sightings, weight: Floats) -> Existence:
         """The votes of a batch.
@@ -60,18 +86,19 @@ class ExistenceVotes:
         boxes, seen: of its clusters; weight: (a,) >= 0, of each agent's vote; 0: suspended
         """
         views = tuple(None if view is None or abs(view.age_s) > MAX_AGE_S else view for view in batch.views)
-        reported, through = batch.reported, sees_through(batch, boxes, views)
+        reported = batch.reported
+        through, silent = free_and_occupied(batch, boxes, seen, views, FAR_M)
         claims = reported & ~through & (weight > 0.0)
-        silent = occupied(boxes, seen, views) & ~reported & ~through
-        silent &= seen.distance <= boxes.sight_range(FAR_M)[:, None]
         confirming, contradicting = (claims | silent) @ weight, through @ weight
-        rows = self._follow(batch.time_ns, boxes, confirming - contradicting)
+        rows = self._votes.update(batch.time_ns, boxes, confirming - contradicting)
+        self._established = self._votes.objects.carry(self._established, False)
+        self._claimed_ns = self._votes.objects.carry(self._claimed_ns, batch.time_ns)
         self._established[rows] |= claims.sum(axis=1) >= WITNESSES
         claimed = claims.any(axis=1)
         self._claimed_ns[rows] = np.where(claimed, batch.time_ns, self._claimed_ns[rows])
         recent = batch.time_ns - self._claimed_ns[rows] <= ESTABLISHED_S * 1e9
         supported = claimed | (self._established[rows] & recent)
-        withheld = (self._balance[rows] < 0.0) | ~supported
+        withheld = (self._votes.balance[rows] < 0.0) | ~supported
         believed = reported & (weight > 0.0) & ~through
         kept = believed | ~believed.any(axis=1, keepdims=True)  # else the object could not be tracked on
         objects = ObjectTrust(
@@ -88,17 +115,4 @@ class ExistenceVotes:
 
         For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
         """
-        self._established |= self._objects.first_ns < before_ns
-
-    def _follow(self, time_ns: int, boxes: ClusterBoxes, balance: Floats) -> Ints:
-        """Rows (c,) of the clusters' objects in the memory, whose balance of votes is updated."""
-        elapsed = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
-        self._time_ns = time_ns
-        rows = self._objects.follow(time_ns, boxes.position, boxes.velocity)
-        share = np.exp(-elapsed / MEMORY_S)
-        self._balance = self._objects.carry(self._balance, np.nan)
-        self._established = self._objects.carry(self._established, False)
-        self._claimed_ns = self._objects.carry(self._claimed_ns, time_ns)
-        before = self._balance[rows]
-        self._balance[rows] = np.where(np.isnan(before), balance, share * before + (1.0 - share) * balance)
-        return rows
+        self._established |= self._votes.objects.first_ns < before_ns

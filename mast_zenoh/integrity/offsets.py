@@ -10,6 +10,7 @@ from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import Batch
 from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.visibility import MAX_ERROR_M
 
 #: Tracks of an object, at least, for a middle that one liar cannot move far.
 MEMBERS = 3
@@ -17,8 +18,6 @@ MEMBERS = 3
 FLOOR_M = 0.1
 #: m, the same of objects shorter than SMALL_M: trackers swap pedestrians that walk together.
 SMALL_FLOOR_M, SMALL_M = 0.35, 1.5
-#: m, greatest standard deviation that a track may claim.
-MAX_SD_M = 1.0
 #: m, between two clusters: nearer ones may have swapped members.
 CROWD_M = 3.5
 #: Variance of the median of normal errors, relative to that of their mean.
@@ -59,7 +58,7 @@ def offsets(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Offsets:
     middle = np.stack([weighted_median(position[..., axis], present * weight) for axis in range(2)], axis=-1)
     claimed = batch.states.covariance[batch.member, :2, :2]
     largest = np.maximum(claimed[..., 0, 0], claimed[..., 1, 1])
-    claimed = claimed * np.minimum(1.0, MAX_SD_M**2 / np.maximum(largest, 1e-12))[..., None, None]
+    claimed = claimed * np.minimum(1.0, MAX_ERROR_M**2 / np.maximum(largest, 1e-12))[..., None, None]
     covariance = np.where(present[..., None, None], claimed, 0.0)
     spread = covariance.sum(axis=1, keepdims=True) * (MEDIAN / np.maximum(members, 1) ** 2)[:, None, None, None]
     floor = np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)[:, None, None, None]

@@ -21,10 +21,8 @@ from mast_zenoh.integrity.existence import Existence, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.offsets import Offsets, offsets
 from mast_zenoh.integrity.track_sums import TrackSums
-from mast_zenoh.integrity.visibility import own_sightings, sightings
+from mast_zenoh.integrity.visibility import lenient_sightings
 
-#: Standard deviations of a claim's position within which others need not see it.
-ERROR_SD = 2.0
 #: Standard deviations at which one offset stops to count for more: a track of another object may be near for a moment.
 CLIP = 1.5
 #: s, greatest step of the sums: a batch after a gap is no more evidence than one.
@@ -33,8 +31,6 @@ MAX_STEP_S = 0.5
 EXCUSED_S = 1.0
 #: Names of agents that are remembered at most.
 MAX_NAMES = 1024
-#: m, greatest standard deviation that a track may claim in its favour.
-MAX_ERROR_M = 1.0
 #: s, before the first evidence against an agent, in which it may have lied unnoticed.
 GRACE_S = 1.0
 #: Least weight of an agent that is not suspended in the middle of its objects.
@@ -133,9 +129,7 @@ class SequentialConsistency(Integrity):
         rows = self._meet(batch)
         vote = ~self._suspended[rows]
         boxes = ClusterBoxes.of(batch, np.broadcast_to(vote, (batch.clusters, len(vote))))
-        error = ERROR_SD * track_error(batch)
-        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, of_clusters(batch, error))
-        own = own_sightings(batch, error)
+        seen, own = lenient_sightings(batch, boxes)
         dispute = disputes(batch.reported, own, boxes.size, seen, vote.astype(np.float64))
         lies = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
         offset = self._offset_statistics(batch, offsets(batch, boxes, self._say(rows)))
@@ -258,17 +252,3 @@ class SequentialConsistency(Integrity):
         reasons = tuple(self._reasons.get(name, "") if bad else "" for name, bad in named)
         agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state.astype(np.uint8), reasons, log_odds=log_odds)
         return Assessment(existence.kept, agents, existence.objects)
-
-
-def track_error(batch: Batch) -> Floats:
-    """(n,) m, greatest horizontal standard deviation of each track, at most MAX_ERROR_M."""
-    covariance = batch.states.covariance
-    variance = np.maximum(covariance[:, 0, 0], covariance[:, 1, 1])
-    return np.asarray(np.sqrt(np.clip(variance, 0.0, MAX_ERROR_M**2)))
-
-
-def of_clusters(batch: Batch, values: Floats) -> Floats:
-    """(c,) the greatest of the values (n,) of each cluster's tracks."""
-    greatest = np.zeros(batch.clusters)
-    np.maximum.at(greatest, batch.labels, values)
-    return greatest

@@ -18,8 +18,8 @@ from mast_zenoh.integrity.base import (
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.disputes import clear
 from mast_zenoh.integrity.memory import AgentMemory
-from mast_zenoh.integrity.sequential import ERROR_SD, MAX_STEP_S, of_clusters, track_error
-from mast_zenoh.integrity.visibility import Sightings, own_sightings, sightings
+from mast_zenoh.integrity.sequential import MAX_STEP_S
+from mast_zenoh.integrity.visibility import Sightings, lenient_sightings
 
 #: Samples a second that the errors of tracks give independently; consecutive frames share theirs.
 SAMPLES_PER_S = 1.1
@@ -94,9 +94,8 @@ class TruthDiscovery(Integrity):
         self._suspended = self._agents.carry(self._suspended, False)
         anchored = np.isin(np.array(batch.agents), self._anchors)
         boxes = ClusterBoxes.of(batch)
-        error = ERROR_SD * track_error(batch)
-        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, of_clusters(batch, error))
-        claims = votes(batch.reported, own_sightings(batch, error), boxes.size, seen)
+        seen, own = lenient_sightings(batch, boxes)
+        claims = votes(batch.reported, own, boxes.size, seen)
         before = self._prior + (self._log_odds[rows] - self._prior) * np.exp(-dt / self._memory_s)
         before[anchored] = MOST
         log_odds = before

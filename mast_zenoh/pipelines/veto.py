@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.free_space import seen_through
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.integrity.visibility import seen_through
 from mast_zenoh.pipelines.agent import MissionEstimator
 
 

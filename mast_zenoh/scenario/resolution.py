@@ -64,7 +64,7 @@ def resolve(
     user_types.use(messages)
     wiring = _wiring(path, scenario, nodes, rewrites(timeline.links))
     if any(wire.message == "sweep" for wire in wiring.wires):
-        recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key, sweeps=True)
+        recording = scenes.prepare_sweeps(recording, scene, options["seed"], options["frames"], cache_key)
         nodes[driver_of(nodes)].config["recording"] = recording
     if timeline.faults and any(wire.message == "trust" for wire in wiring.wires):
         share_faults(nodes[EVALUATOR], timeline.faults)

@@ -3,7 +3,7 @@
 from mast_zenoh.scenes.av2 import AV2Log
 from mast_zenoh.scenes.avstack import AVstackScene
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.cache import cache_folder, prepare
+from mast_zenoh.scenes.cache import cache_folder, prepare, prepare_sweeps
 from mast_zenoh.scenes.intersection import Intersection
 from mast_zenoh.scenes.names import parse_scene
 from mast_zenoh.scenes.recording import Recording, SceneAgent
@@ -18,4 +18,5 @@ __all__ = [
     "cache_folder",
     "parse_scene",
     "prepare",
+    "prepare_sweeps",
 ]

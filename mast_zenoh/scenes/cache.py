@@ -10,6 +10,7 @@ import hashlib
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -25,29 +26,43 @@ from mast_zenoh.version import __version__
 LIMIT = 2_000_000_000
 
 
-def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None, *, sweeps: bool = False) -> Recording:
+def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None) -> Recording:
     """The recording of a scene, from the disk cache or else recorded and cached.
 
     cache_key: the scene's configuration as text, the same for equal scenes; None: do not cache
-    sweeps: with the free space around every sensor, see `with_sweeps`
-
     Scenes with parts defined in a notebook are not cached, because changes of their code cannot be detected.
 
     The cache is in $XDG_CACHE_HOME/mast-zenoh/scenes (or ~/.cache/...). Files are written atomically, so two processes
     may prepare the same scene at the same time. If a file is broken or missing, the scene is recorded again. A cache
     that cannot be written is not an error. Raises what `Scene.record` raises.
     """
+    return _cached(scene, seed, frames, cache_key, "", lambda: scene.record(seed, frames))
+
+
+def prepare_sweeps(
+    recording: Recording, scene: Scene, seed: int, frames: int | None, cache_key: str | None
+) -> Recording:
+    """A prepared recording with the free space around every sensor, see `with_sweeps`; cached, too.
+
+    The other parameters are those with which it was prepared.
+    """
+    return _cached(scene, seed, frames, cache_key, ".sweeps", lambda: with_sweeps(recording))
+
+
+def _cached(
+    scene: Scene, seed: int, frames: int | None, cache_key: str | None, kind: str, make: Callable[[], Recording]
+) -> Recording:
+    """The recording of a kind, from the cache or else made and cached."""
     if cache_key is None or _defined_in_session(scene):
-        return with_sweeps(scene.record(seed, frames)) if sweeps else scene.record(seed, frames)
-    digest = _digest(scene, seed, frames, cache_key)
-    path = cache_folder() / f"{digest}{'.sweeps' if sweeps else ''}.npz"
+        return make()
+    path = cache_folder() / f"{_digest(scene, seed, frames, cache_key)}{kind}.npz"
     try:
         recording = Recording.load(path)
         with contextlib.suppress(OSError):
             os.utime(path)
         return recording
     except SceneError:
-        recording = with_sweeps(prepare(scene, seed, frames, cache_key)) if sweeps else scene.record(seed, frames)
+        recording = make()
     with contextlib.suppress(OSError):
         _store(recording, path)
     return recording

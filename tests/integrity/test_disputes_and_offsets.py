@@ -7,7 +7,7 @@ from integrity_batches import Track, batch, view
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.disputes import disputes
 from mast_zenoh.integrity.offsets import offsets
-from mast_zenoh.integrity.visibility import own_sightings, sightings
+from mast_zenoh.integrity.visibility import lenient_sightings
 
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 
@@ -17,8 +17,7 @@ def disputed(tracks: list[Track], blocked: dict[str, list[tuple[float, float, fl
     views = {name: view(place, *blocked.get(name, [])) for name, place in CORNERS.items()}
     given = batch(tracks, tuple(CORNERS), views)
     boxes = ClusterBoxes.of(given)
-    seen = sightings(boxes.position, boxes.size, boxes.yaw, given.views)
-    own = own_sightings(given, np.zeros(len(given.labels)))
+    seen, own = lenient_sightings(given, boxes)
     return disputes(given.reported, own, boxes.size, seen, np.array(weight))
 
 

@@ -10,8 +10,8 @@ from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.free_space import seen_through
 from mast_zenoh.integrity.record import Record
+from mast_zenoh.integrity.visibility import seen_through
 
 AGENTS = ("a", "b", "c", "d")
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
