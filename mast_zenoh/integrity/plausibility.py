@@ -13,7 +13,7 @@ from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import ObjectMemory
 from mast_zenoh.integrity.record import INDEPENDENT_S, Record
 from mast_zenoh.integrity.views import SweptView
-from mast_zenoh.integrity.visibility import OWN_M
+from mast_zenoh.integrity.rays import TOLERANCES
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 
 #: m, length, width and height of road users: from a small child to the longest and highest vehicles that Directive
@@ -216,5 +216,5 @@ def surroundings_in_view(position: Floats, radius_m: float, range_m: float, view
         with np.errstate(invalid="ignore"):
             clear = (inside & ~(free < distance)).reshape(c, _AROUND)
         away = np.hypot(*(position[:, :2] - view.view.position[:2]).T)
-        seen[:, column] = clear & ((away > OWN_M) & (away <= range_m))[:, None]
+        seen[:, column] = clear & ((away > TOLERANCES.own_m) & (away <= range_m))[:, None]
     return seen

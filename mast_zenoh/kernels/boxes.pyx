@@ -1,8 +1,8 @@
 # cython: language_level=3, cdivision=True
-"""Kernels for boxes and views: visibility, free space, overlap. The NumPy references document them."""
+"""Kernels for boxes and views: visibility, overlap. The NumPy references document them."""
 
 cimport numpy as np
-from libc.math cimport NAN, atan2, cos, fabs, fmax, fmin, fmod, sin, sqrt
+from libc.math cimport atan2, cos, fabs, fmax, fmin, sin, sqrt
 
 from mast_zenoh.kernels.arrays cimport (
     byte_data, contiguous, empty_matrix, empty_vector, float_data, length, writable_data,
@@ -90,39 +90,3 @@ def overlap(offset, size, yaw, other_size, other_yaw, double share):
         )
         off, box, other = off + 2, box + 3, other + 3
     return result
-
-
-def free_ranges(points, view, free):
-    points, free, rotation, position = contiguous(points), contiguous(free), contiguous(view.rotation), view.position
-    cdef const double* point = float_data(points, 2)
-    cdef const double* cell = float_data(free, 2)
-    cdef const double* origin = float_data(position, 1)
-    cdef const double* R = float_data(rotation, 2)
-    cdef Py_ssize_t r, band, sector, n = length(points), bands = length(free), sectors = length(free, 1)
-    cdef double low = view.azimuth_min, width = view.azimuth_max - low
-    cdef double down = view.elevation_min, up = view.elevation_max, max_range = view.max_range
-    cdef double x, y, z, u, v, w, ground, elevation, turned
-    result, swept, within = empty_vector(np.NPY_DOUBLE, n), empty_vector(np.NPY_DOUBLE, n), empty_vector(np.NPY_BOOL, n)
-    cdef double* distance = writable_data(result, 1)
-    cdef double* free_distance = writable_data(swept, 1)
-    cdef np.uint8_t* inside = byte_data(within)
-    for r in range(n):
-        x, y, z = point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]
-        u = x * R[0] + y * R[3] + z * R[6]
-        v = x * R[1] + y * R[4] + z * R[7]
-        w = x * R[2] + y * R[5] + z * R[8]
-        ground = sqrt(u * u + v * v)
-        distance[r] = sqrt(ground * ground + w * w)
-        elevation = atan2(w, ground)
-        turned = fmod(atan2(v, u) - low, 2 * PI)
-        if turned < 0.0:
-            turned += 2 * PI
-        inside[r] = distance[r] <= max_range and down <= elevation <= up and turned <= width
-        free_distance[r] = NAN
-        if inside[r] and bands > 0 and sectors > 0:
-            band = <Py_ssize_t>((elevation - down) * (bands / (up - down)))
-            sector = <Py_ssize_t>(turned * (sectors / width))
-            band, sector = min(band, bands - 1), min(sector, sectors - 1)
-            free_distance[r] = cell[band * sectors + sector]
-        point += 3
-    return result, swept, within

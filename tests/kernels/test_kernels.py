@@ -24,12 +24,14 @@ from mast_zenoh import kernels
 from mast_zenoh.arrays import clustering
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import following
+from mast_zenoh.integrity.rays import Tolerances
+from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.tracking import SensorView, classes, gating, tracks
 
-for package in ("tracking", "fusion", "metrics", "sensing", "attacks"):
+for package in ("tracking", "fusion", "metrics", "sensing", "attacks", "integrity"):
     for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):
         importlib.import_module(f"mast_zenoh.{package}.{module.name}")
 
@@ -105,6 +107,23 @@ def swept(random, n, m):
     sensor = view(random, n, m)[2]
     free = random.uniform(1, 90, (int(random.integers(0, 6)), int(random.integers(1, 40))))
     return places(random, n), sensor, free if len(free) else np.zeros((0, 0))
+
+
+def looked_at(random, n, m):
+    """Boxes and views of them, and for some calls the one view that is asked about each box."""
+    views = [None, *(SweptView(*swept(random, 0, 0)[1:], random.choice([0.0, 0.3])) for _ in range(3))]
+    only = random.integers(0, len(views), n) if random.random() < 0.5 else None
+    return (places(random, n), random.uniform(0.3, 6, (n, 3)), random.uniform(-4, 4, n)), views, only, Tolerances()
+
+
+def sighted_boxes(random, n, m):
+    around, *others = looked_at(random, n, m)
+    return *around, random.uniform(0, 2, n), *others
+
+
+def swept_boxes(random, n, m):
+    (position, *around), *others = looked_at(random, n, m)
+    return position, random.normal(0, 9, (n, 3)), *around, *others
 
 
 def boxes(random, n):
@@ -205,6 +224,8 @@ ARGUMENTS = {
     "to_columns": lambda r, n, m: (table(r, n),),
     "visible_fraction": view,
     "free_ranges": swept,
+    "sighted_boxes": sighted_boxes,
+    "swept_boxes": swept_boxes,
     "overlap": overlap,
     "constant_velocity": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
     "rigid_transform": lambda r, n, m: (
