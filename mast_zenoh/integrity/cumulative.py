@@ -8,6 +8,11 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats
 
+#: Samples a second that the errors of tracks give independently; consecutive frames share theirs.
+SAMPLES_PER_S = 1.1
+#: s, greatest step of a sum: a batch after a gap is no more evidence than one.
+MAX_STEP_S = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class Tail:

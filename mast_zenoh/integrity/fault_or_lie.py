@@ -10,6 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED, Assessment, Batch, Integrity
+from mast_zenoh.integrity.cumulative import MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.fault_fit import (
     PRIOR,
     Displacements,
@@ -22,8 +23,9 @@ from mast_zenoh.integrity.fault_fit import (
 from mast_zenoh.integrity.sequential import MAX_NAMES, SequentialConsistency
 from mast_zenoh.integrity.views import SweptView
 
-#: Independent samples among consecutive batches at 10 Hz: the offsets of honest agents correlate at 0.8.
-INDEPENDENT = 0.11
+#: Batches in which every agent is fitted once, and log-odds below which one is fitted in each: consecutive offsets of
+#: honest agents correlate at 0.8, so that most batches show nothing new.
+ROUND, SUSPECT = 4, 2.0
 #: Mean of Huber's loss of a displacement up to which a fit is good.
 FIT = 1.2
 #: Difference of the sums of Huber's loss from which a batch shows another fault than those before.
@@ -41,14 +43,15 @@ class _Estimate:
     """Sums and fault of one agent.
 
     fault: x m, y m, turn rad, delay s, as applied; statistic: twice the log-likelihood that it gains
+    time_ns: ns, of the last fit, or of the first batch
     """
 
+    time_ns: int
     information: Floats = field(default_factory=lambda: np.zeros((4, 4)))
     score: Floats = field(default_factory=lambda: np.zeros(4))
     fault: Floats = field(default_factory=lambda: np.zeros(4))
     statistic: float = 0.0
     applied: bool = False
-    time_ns: int = 0
     forgiven_until_ns: int = 0
     loss: float = 0.0
 
@@ -93,6 +96,7 @@ class FaultOrLie(Integrity):
     def reset(self) -> None:
         self._stage.reset()
         self._estimates: dict[str, _Estimate] = {}
+        self._suspects: set[str] = set()  # agents that are fitted in every batch
         self._suspended: set[str] = set()  # agents whose tracks are no reference for others
 
     def correct(
@@ -101,13 +105,16 @@ class FaultOrLie(Integrity):
         states, views = self._stage.correct(time_ns, states, agent, agents, views)
         result, seen = states, dict(views)
         suspended = [row for row, name in enumerate(agents) if name in self._suspended]
+        due = self._due(time_ns, agents)
         for number, name in enumerate(agents):
-            estimate = self._estimates.setdefault(name, _Estimate())
+            estimate = self._estimates[name]
+            self._note_loss(estimate, views.get(name))
+            if not (name in due or estimate.applied):
+                continue
             mine = agent == number
             pivot = self._pivot(states.select(mine), views.get(name))
-            if mine.any():
+            if name in due and mine.any():
                 self._fit(name, time_ns, states, agent, number, pivot, suspended)
-            self._note_loss(estimate, views.get(name))
             if estimate.applied:
                 result = corrected(result, mine, estimate.fault, pivot)
                 if name in seen:
@@ -115,6 +122,13 @@ class FaultOrLie(Integrity):
         if len(self._estimates) > MAX_NAMES:
             self._estimates = {name: self._estimates[name] for name in agents}
         return result, seen
+
+    def _due(self, time_ns: int, agents: tuple[str, ...]) -> set[str]:
+        """The agents that are fitted in a batch: those whose last fit is the longest ago, and suspects."""
+        for name in agents:
+            self._estimates.setdefault(name, _Estimate(time_ns))
+        oldest = sorted(agents, key=lambda name: self._estimates[name].time_ns)
+        return {*oldest[: -(-len(agents) // ROUND)], *self._suspects.intersection(agents)}
 
     def _pivot(self, own: ObjectStates, view: SweptView | None) -> Floats:
         """(2,) m: the agent's sensor, else the middle of its tracks."""
@@ -139,18 +153,20 @@ class FaultOrLie(Integrity):
         other, other_agent = states.select(others), agent[others]
         order = np.lexsort((other.id, other_agent))
         found = displacements(own, other.select(order), other_agent[order], pivot, estimate.fault * estimate.applied)
-        keep = np.exp(-(time_ns - estimate.time_ns) * 1e-9 / self._memory_s)
+        elapsed_s = (time_ns - estimate.time_ns) * 1e-9
+        samples = SAMPLES_PER_S * min(elapsed_s, MAX_STEP_S)
+        keep = np.exp(-elapsed_s / self._memory_s)
         estimate.time_ns = time_ns
         past = keep * estimate.information, keep * estimate.score
         known = estimate.fault * estimate.applied
-        fault, total = _solved(found, past, estimate.fault, known)
+        fault, total = _solved(found, samples, past, estimate.fault, known)
         if found.others and misfit(found, fault) > FIT * len(found.offset):
             # What was known does not explain this batch. It may be a new fault: fitted to this batch alone.
-            anew, sums = _solved(found, NOTHING, None, np.zeros(4), steps=3)
+            anew, sums = _solved(found, samples, NOTHING, None, np.zeros(4), steps=3)
             if misfit(found, anew) < misfit(found, fault) - CHANGED:
                 fault, total = anew, sums
         estimate.fault, (estimate.information, estimate.score) = fault, total
-        estimate.statistic = float(INDEPENDENT * estimate.score @ fault)
+        estimate.statistic = float(estimate.score @ fault)
         significant = estimate.statistic >= self._significance and found.others >= 2
         large = size_m(fault) >= self._least_m
         common = explained(found, fault) >= self._share
@@ -168,8 +184,9 @@ class FaultOrLie(Integrity):
 
     def assess(self, batch: Batch) -> Assessment:
         assessment = self._stage.assess(batch)
-        estimates = [self._estimates.get(name, _Estimate()) for name in batch.agents]
+        estimates = [self._estimates.get(name, _Estimate(batch.time_ns)) for name in batch.agents]
         trust = assessment.agents
+        self._suspects = {name for name, odds in zip(batch.agents, trust.log_odds, strict=True) if odds < SUSPECT}
         self._suspended = {name for name, state in zip(batch.agents, trust.state, strict=True) if state == SUSPENDED}
         faulty = np.array([estimate.applied for estimate in estimates], np.bool_) & (trust.state != SUSPENDED)
         faults = np.array([estimate.fault * estimate.applied for estimate in estimates]).reshape(-1, 4)
@@ -190,20 +207,27 @@ class FaultOrLie(Integrity):
 
 
 def _solved(
-    found: Displacements, past: tuple[Floats, Floats], start: Floats | None, expected: Floats, steps: int = 1
+    found: Displacements,
+    samples: float,
+    past: tuple[Floats, Floats],
+    start: Floats | None,
+    expected: Floats,
+    steps: int = 1,
 ) -> tuple[Floats, tuple[Floats, Floats]]:
     """The fault (4,) that fits best, and the sums (4, 4), (4,) with those of the past.
 
+    samples: independent ones that the displacements stand for
     start: (4,) fault from which outliers are judged at first; None: none are
     expected: (4,) fault, as far as nothing shows another: standing objects show no delay
     steps: number of fits; outliers of each are judged from the one before
     """
     for _ in range(steps):
         information, score = normal_equations(found, start)
-        total = INDEPENDENT * (past[0] + information) + np.diag(1.0 / PRIOR)
-        start = np.asarray(np.linalg.solve(total, INDEPENDENT * (past[1] + score) + expected / PRIOR), np.float64)
+        total = past[0] + samples * information, past[1] + samples * score
+        solution = np.linalg.solve(total[0] + np.diag(1.0 / PRIOR), total[1] + expected / PRIOR)
+        start = np.asarray(solution, np.float64)
     assert start is not None
-    return start, (past[0] + information, past[1] + score)
+    return start, total
 
 
 def canonical(states: ObjectStates) -> ObjectStates:

@@ -11,9 +11,9 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import ObjectMemory
+from mast_zenoh.integrity.rays import TOLERANCES
 from mast_zenoh.integrity.record import INDEPENDENT_S, Record
 from mast_zenoh.integrity.views import SweptView
-from mast_zenoh.integrity.rays import TOLERANCES
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 
 #: m, length, width and height of road users: from a small child to the longest and highest vehicles that Directive

@@ -57,7 +57,7 @@ def sighted_boxes(
     only: Ints | None,
     tolerances: Tolerances,
 ) -> tuple[Bools, Bools, Floats]:
-    """Which of c boxes each of a sensors has in view (c, a), which it sees through (c, a), and their distances (c, a) m.
+    """Which of c boxes each of a sensors has in view (c, a), and sees through (c, a), and their distances (c, a) m.
 
     position: (c, 3) m, size: (c, 3) m, yaw: (c,) rad, world frame
     error_m: (c,) m, by which each position may be wrong, besides `outside_m`
@@ -98,13 +98,13 @@ def swept_boxes(
     only: Ints | None,
     tolerances: Tolerances,
 ) -> tuple[Bools, Bools]:
-    """Which of c boxes each of a sensors sees through (c, a), as far as most of its rays pass, and at which they end (c, a).
+    """Through which of c boxes most rays of each of a sensors pass (c, a), and at which they end (c, a).
 
     velocity: (c, 3) m/s, of the boxes: a view that is older than them shows the places where they were then; the others
     as in `sighted_boxes`
 
-    A box that is displaced by `outside_m` or less, e, still hides a share of w / (w + e) of its surroundings, w half its
-    width, from any side. It is seen through if less than half as much is hidden.
+    A box that is displaced by `outside_m` or less, e, still hides a share of w / (w + e) of its surroundings, w half
+    its width, from any side. It is seen through if less than half as much is hidden.
     """
     c, a = len(position), len(views) if only is None else 1
     through, ends = np.zeros((c, a), np.bool_), np.zeros((c, a), np.bool_)

@@ -15,7 +15,7 @@ from mast_zenoh.integrity.base import (
     Integrity,
 )
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.cumulative import Tail, accumulate, discoveries
+from mast_zenoh.integrity.cumulative import MAX_STEP_S, Tail, accumulate, discoveries
 from mast_zenoh.integrity.disputes import Disputes, disputes
 from mast_zenoh.integrity.existence import Existence, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
@@ -25,8 +25,6 @@ from mast_zenoh.integrity.visibility import lenient_sightings
 
 #: Standard deviations at which one offset stops to count for more: a track of another object may be near for a moment.
 CLIP = 1.5
-#: s, greatest step of the sums: a batch after a gap is no more evidence than one.
-MAX_STEP_S = 0.5
 #: s, after a suspension in which a fault that is found then excuses it.
 EXCUSED_S = 1.0
 #: Names of agents that are remembered at most.

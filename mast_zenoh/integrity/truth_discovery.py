@@ -16,13 +16,11 @@ from mast_zenoh.integrity.base import (
     ObjectTrust,
 )
 from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.cumulative import MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.disputes import clear
 from mast_zenoh.integrity.memory import AgentMemory
-from mast_zenoh.integrity.sequential import MAX_STEP_S
 from mast_zenoh.integrity.visibility import Sightings, lenient_sightings
 
-#: Samples a second that the errors of tracks give independently; consecutive frames share theirs.
-SAMPLES_PER_S = 1.1
 #: Steps of the iteration in each batch; agents' log-odds change little between batches.
 STEPS = 3
 #: Share of the weight of a denial that silence about a clearly visible object has.

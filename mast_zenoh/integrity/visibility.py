@@ -59,9 +59,7 @@ def lenient_sightings(batch: Batch, boxes: ClusterBoxes) -> tuple[Sightings, Boo
     of_clusters = np.zeros(batch.clusters)
     np.maximum.at(of_clusters, batch.labels, error)
     seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, of_clusters)
-    _, own, _ = sighted_boxes(
-        states.position, states.size, states.yaw, error, batch.views, batch.agent, TOLERANCES
-    )
+    _, own, _ = sighted_boxes(states.position, states.size, states.yaw, error, batch.views, batch.agent, TOLERANCES)
     return seen, _by_own_tracks(batch, own)
 
 
@@ -76,9 +74,7 @@ def free_and_occupied(
     An agent sees through an object that it reports if it sees through its own track of it.
     """
     states, reported = batch.states, batch.reported
-    own, _ = swept_boxes(
-        states.position, states.velocity, states.size, states.yaw, views, batch.agent, TOLERANCES
-    )
+    own, _ = swept_boxes(states.position, states.velocity, states.size, states.yaw, views, batch.agent, TOLERANCES)
     through, ends = swept_boxes(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)
     through = np.where(reported, _by_own_tracks(batch, own), through)
     silent = ends & seen.in_view & ~reported & ~through
