@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
+from mast_zenoh.kernels import kernel
 
 TWO_PI = 2.0 * np.pi
 
@@ -63,6 +64,7 @@ def _rotation(w: float, x: float, y: float, z: float) -> Floats:
     )
 
 
+@kernel
 def quaternion_from_rotation(rotation: Floats) -> Floats:
     """(..., 4) active quaternions (w, x, y, z), w >= 0, of (..., 3, 3) rotations.
 

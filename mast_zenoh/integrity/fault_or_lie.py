@@ -25,7 +25,7 @@ from mast_zenoh.integrity.views import SweptView
 
 #: Batches in which every agent is fitted once, and log-odds below which one is fitted in each: consecutive offsets of
 #: honest agents correlate at 0.8, so that most batches show nothing new.
-ROUND, SUSPECT = 4, 2.0
+ROUND, SUSPECT = 5, 2.0
 #: Mean of Huber's loss of a displacement up to which a fit is good.
 FIT = 1.2
 #: Difference of the sums of Huber's loss from which a batch shows another fault than those before.

@@ -35,6 +35,7 @@ class _Rows:
 
     def __init__(self) -> None:
         self.origin: Ints = np.zeros(0, np.int64)
+        self._unchanged = False  # whether all rows are the same as before the last update
 
     def __len__(self) -> int:
         return len(self.origin)
@@ -44,6 +45,8 @@ class _Rows:
 
         values: any shape, with the rows before along `axis`; new: value of rows that were not there
         """
+        if self._unchanged and values.shape[axis] == len(self.origin):
+            return values
         values = np.moveaxis(values, axis, 0)
         after = np.full((len(self.origin), *values.shape[1:]), new, values.dtype)
         known = self.origin >= 0
@@ -128,10 +131,12 @@ class AgentMemory(_Rows):
     def meet(self, time_ns: int, names: tuple[str, ...]) -> Ints:
         """(a,) row of each agent in a batch at `time_ns`."""
         kept = _newest(self._seen_ns, time_ns - self._forget_ns, MAX_AGENTS)
+        self._unchanged = len(kept) == len(self.names)
         remembered = [self.names[row] for row in kept.tolist()]
         row_of = {name: row for row, name in enumerate(remembered)}
         new = [name for name in names if name not in row_of]
         row_of |= {name: len(remembered) + row for row, name in enumerate(new)}
+        self._unchanged = self._unchanged and not new
         self.names = (*remembered, *new)
         self.origin = np.concatenate([kept, np.full(len(new), -1, np.int64)])
         self._seen_ns = np.concatenate([self._seen_ns[kept], np.full(len(new), time_ns)])

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
-from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.visibility import MAX_ERROR_M
+from mast_zenoh.kernels import kernel
 
 #: Tracks of an object, at least, for a middle that one liar cannot move far.
 MEMBERS = 3
@@ -46,25 +47,53 @@ def offsets(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Offsets:
     The median, coordinate by coordinate, is near the honest majority's position wherever a single liar is. Clusters
     with fewer than MEMBERS tracks have no middle, nor have those nearer than CROWD_M to another one.
     """
-    present = batch.reported & (weight > 0.0)
-    members = present.sum(axis=1)
     lonely = np.ones(batch.clusters, np.bool_)
     i, j, _, _ = neighbours(boxes.position, boxes.position, np.full(batch.clusters, CROWD_M))
     lonely[i[i != j]] = False
-    valid = present & (lonely & (members >= MEMBERS))[:, None]
+    floor = np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)
+    states = batch.states
+    return Offsets(
+        *track_offsets(
+            states.position, states.covariance, batch.member, weight, lonely, floor, MAX_ERROR_M, MEMBERS, MEDIAN
+        )
+    )
+
+
+@kernel
+def track_offsets(
+    position: Floats,
+    covariance: Floats,
+    member: Ints,
+    weight: Floats,
+    lonely: Bools,
+    floor_m: Floats,
+    max_error_m: float,
+    members: int,
+    inefficiency: float,
+) -> tuple[Bools, Floats, Floats]:
+    """The columns of `Offsets`, in its order.
+
+    position: (n, 3) m, covariance: (n, 9, 9), of n tracks; member: (c, a) their rows, -1: none; weight: (a,) >= 0
+    lonely: (c,) whether a cluster may have a middle; floor_m: (c,) m, see FLOOR_M
+    max_error_m, members, inefficiency: MAX_ERROR_M, MEMBERS, MEDIAN
+    """
+    present = (member >= 0) & (weight > 0.0)
+    count = present.sum(axis=1)
+    valid = present & (lonely & (count >= members))[:, None]
     if not valid.any():
-        return Offsets(valid, np.zeros((*valid.shape, 2)), np.zeros((*valid.shape, 2, 2)))
-    position = batch.states.position[batch.member, :2]
-    middle = np.stack([weighted_median(position[..., axis], present * weight) for axis in range(2)], axis=-1)
-    claimed = batch.states.covariance[batch.member, :2, :2]
+        return valid, np.zeros((*valid.shape, 2)), np.zeros((*valid.shape, 2, 2))
+    place = position[member, :2]
+    middle = np.stack([weighted_median(place[..., axis], present * weight) for axis in range(2)], axis=-1)
+    claimed = covariance[member, :2, :2]
     largest = np.maximum(claimed[..., 0, 0], claimed[..., 1, 1])
-    claimed = claimed * np.minimum(1.0, MAX_ERROR_M**2 / np.maximum(largest, 1e-12))[..., None, None]
-    covariance = np.where(present[..., None, None], claimed, 0.0)
-    spread = covariance.sum(axis=1, keepdims=True) * (MEDIAN / np.maximum(members, 1) ** 2)[:, None, None, None]
-    floor = np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)[:, None, None, None]
-    total = np.where(valid[..., None, None], covariance + spread + floor**2 * np.eye(2), np.eye(2))
-    offset = np.where(valid[..., None], position - middle[:, None, :], 0.0)
-    return Offsets(valid, offset, np.linalg.inv(total))
+    claimed = claimed * np.minimum(1.0, max_error_m**2 / np.maximum(largest, 1e-12))[..., None, None]
+    claimed = np.where(present[..., None, None], claimed, 0.0)
+    spread = claimed.sum(axis=1, keepdims=True) * (inefficiency / np.maximum(count, 1) ** 2)[:, None, None, None]
+    total = claimed + spread + (floor_m**2)[:, None, None, None] * np.eye(2)
+    information = np.where(
+        valid[..., None, None], np.linalg.inv(np.where(valid[..., None, None], total, np.eye(2))), 0.0
+    )
+    return valid, np.where(valid[..., None], place - middle[:, None, :], 0.0), information
 
 
 def weighted_median(values: Floats, weight: Floats) -> Floats:

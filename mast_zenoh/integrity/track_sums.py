@@ -24,32 +24,36 @@ class TrackSums:
 
     def reset(self) -> None:
         """Forget everything."""
-        self._key = np.zeros((0, 2), np.int64)
+        self._row: dict[tuple[int, int], int] = {}  # by (agent, track id)
         self._sum = np.zeros((0, self._width))
         self._time_ns = np.zeros(0, np.int64)
+        self._most = min(100, self._limit)  # tracks from which the oldest are forgotten
 
     def forget(self, agent: int) -> None:
         """Forget the tracks of an agent."""
-        keep = self._key[:, 0] != agent
-        self._key, self._sum, self._time_ns = self._key[keep], self._sum[keep], self._time_ns[keep]
+        self._keep([(key, row) for key, row in self._row.items() if key[0] != agent])
 
     def add(self, time_ns: int, agent: Ints, track: Ints, values: Floats) -> Floats:
         """Add `values` (k, width) and return the sums (k, width).
 
         agent: (k,) numbers of agents that never change; track: (k,) ids, no (agent, track) twice
         """
-        both = np.concatenate([self._key, np.column_stack([agent, track])])
-        _, row = np.unique(both, axis=0, return_inverse=True)
-        row = row.ravel()
-        count = int(row.max()) + 1 if len(row) else 0
-        known, new = row[: len(self._key)], row[len(self._key) :]
-        key, total, latest = np.empty((count, 2), np.int64), np.zeros((count, self._width)), np.full(count, time_ns)
-        key[row] = both
-        total[known], latest[known] = self._sum, self._time_ns
-        age = (time_ns - latest[new]) * 1e-9
-        total[new] = total[new] * np.exp(-age / self._memory_s)[:, None] + values
-        latest[new] = time_ns
-        keep = np.sort(np.argsort(-latest, kind="stable")[: self._limit])
-        keep = keep[time_ns - latest[keep] <= 10 * self._memory_s * 1e9]
-        self._key, self._sum, self._time_ns = key[keep], total[keep], latest[keep]
-        return total[new]
+        keys = zip(agent.tolist(), track.tolist(), strict=True)
+        rows = np.array([self._row.setdefault(key, len(self._row)) for key in keys], np.int64)
+        new = len(self._row) - len(self._sum)
+        self._sum = np.concatenate([self._sum, np.zeros((new, self._width))])
+        self._time_ns = np.concatenate([self._time_ns, np.full(new, time_ns)])
+        age_s = (time_ns - self._time_ns[rows]) * 1e-9
+        total: Floats = self._sum[rows] * np.exp(-age_s / self._memory_s)[:, None] + values
+        self._sum[rows], self._time_ns[rows] = total, time_ns
+        if len(self._row) > self._most:
+            oldest_ns = time_ns - round(10 * self._memory_s * 1e9)
+            newest = sorted(self._row.items(), key=lambda item: -self._time_ns[item[1]])[: self._limit]
+            self._keep([(key, row) for key, row in newest if self._time_ns[row] >= oldest_ns])
+            self._most = min(2 * len(self._row) + 100, self._limit)
+        return total
+
+    def _keep(self, kept: list[tuple[tuple[int, int], int]]) -> None:
+        rows = np.array([row for _, row in kept], np.int64)
+        self._row = {key: row for row, (key, _) in enumerate(kept)}
+        self._sum, self._time_ns = self._sum[rows], self._time_ns[rows]

@@ -97,3 +97,36 @@ def box_noise(covariance, order, variance, double least, double most):
             noise[1] = noise[6] = fmin(fmax(own[1], -bound), bound)
         noise += 36
     return result
+
+
+def quaternion_from_rotation(rotation):
+    rotation = contiguous(rotation)
+    cdef Py_ssize_t r, k, largest, n = np.PyArray_SIZE(rotation) // 9
+    flat, result = rotation.reshape(n, 9), empty_matrix(n, 4)
+    cdef const double* R = float_data(flat, 2)
+    cdef double* q = writable_data(result, 2)
+    cdef double trace, norm
+    cdef double[4] four  # squares of the components, times four
+    for r in range(n):
+        trace = R[0] + R[4] + R[8]
+        four[0] = 1.0 + trace
+        largest = 0
+        for k in range(3):
+            four[k + 1] = 1.0 - trace + 2.0 * R[4 * k]
+            if four[k + 1] > four[largest]:
+                largest = k + 1
+        if largest == 0:
+            q[0], q[1], q[2], q[3] = four[0], R[7] - R[5], R[2] - R[6], R[3] - R[1]
+        elif largest == 1:
+            q[0], q[1], q[2], q[3] = R[7] - R[5], four[1], R[1] + R[3], R[2] + R[6]
+        elif largest == 2:
+            q[0], q[1], q[2], q[3] = R[2] - R[6], R[1] + R[3], four[2], R[5] + R[7]
+        else:
+            q[0], q[1], q[2], q[3] = R[3] - R[1], R[2] + R[6], R[5] + R[7], four[3]
+        norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+        if q[0] < 0.0:
+            norm = -norm
+        for k in range(4):
+            q[k] /= norm
+        R, q = R + 9, q + 4
+    return result.reshape((*rotation.shape[: rotation.ndim - 2], 4))

@@ -126,6 +126,28 @@ def swept_boxes(random, n, m):
     return position, random.normal(0, 9, (n, 3)), *around, *others
 
 
+def members(random, n, m):
+    """Rows (c, a) of n tracks in clusters, at most one of each agent, and none empty."""
+    labels = np.unique(random.integers(0, m + 1, n), return_inverse=True)[1] if n else np.zeros(0, np.int64)
+    agent = np.array([int((labels[:row] == labels[row]).sum()) for row in range(n)], np.int64)
+    table = np.full((len(set(labels.tolist())), int(agent.max(initial=0)) + 2), -1, np.int64)
+    table[labels, agent] = np.arange(n)
+    return table
+
+
+def mean_boxes(random, n, m):
+    member = members(random, n, m)
+    return places(random, n), places(random, n), places(random, n), random.uniform(-4, 4, n), member, member >= 0
+
+
+def track_offsets(random, n, m):
+    member = members(random, n, m)
+    c, a = member.shape
+    weight = random.choice([0.0, 0.05, 0.5, 1.0], a)
+    floor = random.choice([0.1, 0.35], c)
+    return places(random, n), covariances(random, n), member, weight, random.random(c) < 0.8, floor, 1.0, 3, 1.57
+
+
 def boxes(random, n):
     return table(random, n)[:, :6]
 
@@ -226,6 +248,9 @@ ARGUMENTS = {
     "free_ranges": swept,
     "sighted_boxes": sighted_boxes,
     "swept_boxes": swept_boxes,
+    "mean_boxes": mean_boxes,
+    "track_offsets": track_offsets,
+    "quaternion_from_rotation": lambda r, n, m: (np.linalg.qr(r.normal(size=(n, 3, 3)))[0],),
     "overlap": overlap,
     "constant_velocity": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
     "rigid_transform": lambda r, n, m: (
