@@ -9,7 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ObjectTrust
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.memory import ObjectMemory
+from mast_zenoh.integrity.memory import AgentMemory, ObjectMemory
 from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, Sightings, free_and_occupied
 
 #: s, over which the votes about an object are averaged.
@@ -44,20 +44,26 @@ class VoteMemory:
         self.balance: Floats = np.zeros(0)
         self._memory_s = memory_s
         self._time_ns: int | None = None
+        self._kept = 1.0  # share of the balance before
 
-    def update(self, time_ns: int, boxes: ClusterBoxes, balance: Floats) -> Ints:
-        """(c,) rows of the clusters' objects in the memory, after the votes of a batch.
-
-        boxes: of its clusters; balance: (c,) votes for each less votes against it; of a new object, they count in full
-        """
+    def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
+        """(c,) rows of the objects of a batch's clusters in the memory. boxes: of the clusters"""
         elapsed = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         self._time_ns = time_ns
+        self._kept = np.exp(-elapsed / self._memory_s)
         rows = self.objects.follow(time_ns, boxes.position, boxes.velocity)
-        share = np.exp(-elapsed / self._memory_s)
         self.balance = self.objects.carry(self.balance, np.nan)
-        before = self.balance[rows]
-        self.balance[rows] = np.where(np.isnan(before), balance, share * before + (1.0 - share) * balance)
         return rows
+
+    def vote(self, rows: Ints, balance: Floats) -> Floats:
+        """(c,) mean votes for each object of a batch less votes against it, with those of this batch.
+
+        rows: (c,) of the objects; balance: (c,) votes of this batch, which count in full for a new object
+        """
+        before = self.balance[rows]
+        after: Floats = np.where(np.isnan(before), balance, self._kept * before + (1.0 - self._kept) * balance)
+        self.balance[rows] = after
+        return after
 
 
 class ExistenceVotes:
@@ -66,53 +72,62 @@ class ExistenceVotes:
     An agent that reports an object, or whose rays end at it, votes for it; one that sees through its place votes
     against it, even if it reports it. The votes are weighted by trust.
 
-    An object is withheld while the votes against it weigh more, or while only suspended agents report it, unless
-    WITNESSES agents have confirmed it before, or it was known before the agent began to lie: then it stays for
-    ESTABLISHED_S. Views that are too old to be held against their agents have no vote.
+    An object is withheld while the votes against it weigh more, or while only suspended agents report it, unless an
+    agent that is not suspended has confirmed it together with another one, or it was known before the agents began to
+    lie: then it stays for ESTABLISHED_S. Views that are too old to be held against their agents have no vote.
+
+    agents: the memory of agents; it is updated by the caller
     """
 
-    def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all objects."""
+    def __init__(self, agents: AgentMemory) -> None:
+        self._agents = agents
         self._votes = VoteMemory(MEMORY_S)
-        self._established: Bools = np.zeros(0, np.bool_)
+        self._rows: Ints = np.zeros(0, np.int64)  # of the clusters of the last batch
+        self._witnessed: Bools = np.zeros((0, 0), np.bool_)  # (m, k) which agents confirmed an object with another one
+        self._known: Bools = np.zeros(0, np.bool_)  # whether nobody lied yet when it appeared
         self._claimed_ns = np.zeros(0, np.int64)  # time, ns, at which a believed agent reported it last
 
-    def count(self, batch: Batch, boxes: ClusterBoxes, seen: Sightings, weight: Floats) -> Existence:
-        """The votes of a batch.
+    def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
+        """(c,) numbers of the objects of a batch's clusters, which they keep, see `ObjectMemory`."""
+        self._rows = self._votes.follow(time_ns, boxes)
+        objects = self._votes.objects
+        self._known = objects.carry(self._known, False)
+        self._claimed_ns = objects.carry(self._claimed_ns, time_ns)
+        self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
+        return objects.number[self._rows]
 
-        boxes, seen: of its clusters; weight: (a,) >= 0, of each agent's vote; 0: suspended
+    def count(self, batch: Batch, boxes: ClusterBoxes, seen: Sightings, believed: Bools, agent_rows: Ints) -> Existence:
+        """The votes of a batch whose objects are followed.
+
+        boxes, seen: of its clusters; believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
         """
         views = tuple(None if view is None or abs(view.age_s) > MAX_AGE_S else view for view in batch.views)
-        reported = batch.reported
+        reported, rows, voter = batch.reported, self._rows, believed[agent_rows]
         through, silent = free_and_occupied(batch, boxes, seen, views, FAR_M)
-        claims = reported & ~through & (weight > 0.0)
-        confirming, contradicting = (claims | silent) @ weight, through @ weight
-        rows = self._votes.update(batch.time_ns, boxes, confirming - contradicting)
-        self._established = self._votes.objects.carry(self._established, False)
-        self._claimed_ns = self._votes.objects.carry(self._claimed_ns, batch.time_ns)
-        self._established[rows] |= claims.sum(axis=1) >= WITNESSES
+        claims = reported & ~through & voter
+        votes = voter.astype(np.float64)
+        confirming, contradicting = (claims | silent) @ votes, through @ votes
+        balance = self._votes.vote(rows, confirming - contradicting)
+        together = claims.sum(axis=1) >= WITNESSES
+        self._witnessed[rows[:, None], agent_rows] |= claims & together[:, None]
         claimed = claims.any(axis=1)
         self._claimed_ns[rows] = np.where(claimed, batch.time_ns, self._claimed_ns[rows])
         recent = batch.time_ns - self._claimed_ns[rows] <= ESTABLISHED_S * 1e9
-        supported = claimed | (self._established[rows] & recent)
-        withheld = (self._votes.balance[rows] < 0.0) | ~supported
-        believed = reported & (weight > 0.0) & ~through
-        kept = believed | ~believed.any(axis=1, keepdims=True)  # else the object could not be tracked on
+        established = self._known[rows] | (self._witnessed[rows] & believed).any(axis=1)
+        withheld = (balance < 0.0) | ~(claimed | (established & recent))
+        kept = claims | ~claims.any(axis=1, keepdims=True)  # else the object could not be tracked on
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
             (seen.in_view | reported).sum(axis=1),
             claims.sum(axis=1),
-            (through & (weight > 0.0)).sum(axis=1),
+            (through & voter).sum(axis=1),
             withheld,
         )
         return Existence(objects, kept[batch.labels, batch.agent].astype(np.float64))
 
-    def vouch(self, before_ns: int) -> None:
+    def keep_known(self, before_ns: int) -> None:
         """Believe the objects that were known before a time, whoever reports them from now on.
 
         For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
         """
-        self._established |= self._votes.objects.first_ns < before_ns
+        self._known |= self._votes.objects.first_ns < before_ns

@@ -54,8 +54,7 @@ class FreeSpace(Integrity):
         swept, silent = free_and_occupied(batch, boxes, seen, batch.views, self._range_m)
         claims = reported & ~swept
         confirming, contradicting = (claims | silent).sum(axis=1), swept.sum(axis=1)
-        rows = self._votes.update(batch.time_ns, boxes, confirming - contradicting)
-        withheld = self._votes.balance[rows] < 0.0
+        withheld = self._votes.vote(self._votes.follow(batch.time_ns, boxes), confirming - contradicting) < 0.0
         # A removal needs two agents that report the object: a lone claim cannot accuse those that are silent about it.
         removed = silent & (claims.sum(axis=1) > 1)[:, None]
         spoofed = reported & withheld[:, None]

@@ -64,6 +64,7 @@ class ObjectMemory(_Rows):
 
     position: (m, 3) m, velocity: (m, 3) m/s, of the last cluster of each object
     first_ns, seen_ns: (m,) ns, times of its first and its last cluster; frames: (m,) number of batches with one
+    number: (m,) that it keeps for ever, and no other object has
     """
 
     def __init__(self, *, gate_m: float = 2.0, acceleration_mps2: float = 4.5, forget_s: float = 2.0) -> None:
@@ -73,6 +74,8 @@ class ObjectMemory(_Rows):
         self.first_ns: Ints = np.zeros(0, np.int64)
         self.seen_ns: Ints = np.zeros(0, np.int64)
         self.frames: Ints = np.zeros(0, np.int64)
+        self.number: Ints = np.zeros(0, np.int64)
+        self._next = 0
         self._gate_m = gate_m
         self._acceleration = acceleration_mps2
         self._forget_ns = round(forget_s * 1e9)
@@ -102,6 +105,8 @@ class ObjectMemory(_Rows):
         self.seen_ns[rows] = time_ns
         self.frames = np.concatenate([self.frames, np.zeros(len(new), np.int64)])
         self.frames[rows] += 1
+        self.number = np.concatenate([self.number, self._next + np.arange(len(new))])
+        self._next += len(new)
         return rows
 
     def age_s(self, time_ns: int) -> Floats:
@@ -111,7 +116,8 @@ class ObjectMemory(_Rows):
     def _keep(self, rows: Ints) -> None:
         self.origin = rows
         self.position, self.velocity = self.position[rows], self.velocity[rows]
-        self.first_ns, self.seen_ns, self.frames = self.first_ns[rows], self.seen_ns[rows], self.frames[rows]
+        self.first_ns, self.seen_ns = self.first_ns[rows], self.seen_ns[rows]
+        self.frames, self.number = self.frames[rows], self.number[rows]
 
 
 class AgentMemory(_Rows):

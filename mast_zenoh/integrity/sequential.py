@@ -19,12 +19,10 @@ from mast_zenoh.integrity.cumulative import MAX_STEP_S, Tail, accumulate, discov
 from mast_zenoh.integrity.disputes import Disputes, disputes
 from mast_zenoh.integrity.existence import Existence, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
-from mast_zenoh.integrity.offsets import Offsets, offsets
-from mast_zenoh.integrity.track_sums import TrackSums
+from mast_zenoh.integrity.offset_sums import OffsetSums
+from mast_zenoh.integrity.offsets import offsets
 from mast_zenoh.integrity.visibility import lenient_sightings
 
-#: Standard deviations at which one offset stops to count for more: a track of another object may be near for a moment.
-CLIP = 1.5
 #: s, after a suspension in which a fault that is found then excuses it.
 EXCUSED_S = 1.0
 #: Names of agents that are remembered at most.
@@ -84,12 +82,12 @@ class SequentialConsistency(Integrity):
         self._release_s = release_s
         self._tails = (Tail(*lies_tail), Tail(*offset_tail))
         self._memory_s = offset_memory_s
-        self._sums = TrackSums(5, offset_memory_s)
-        self._existence = ExistenceVotes()
+        self._sums = OffsetSums(offset_memory_s)
         self.reset()
 
     def reset(self) -> None:
         self._agents = AgentMemory(forget_s=600.0)
+        self._existence = ExistenceVotes(self._agents)
         self._numbers: dict[str, int] = {}
         self._sums.reset()
         self._time_ns: int | None = None
@@ -102,7 +100,6 @@ class SequentialConsistency(Integrity):
         self._for_offset = np.zeros(0, np.bool_)  # whether that was for an offset alone
         self._last = np.zeros(0), np.zeros(0)
         self._quiet_ns = np.zeros(0, np.int64)  # time, ns, of the last batch without evidence
-        self._existence.reset()
         self._seen_s = np.zeros(0)  # for which the agent has been observed
         self._reasons: dict[str, str] = {}
 
@@ -130,7 +127,9 @@ class SequentialConsistency(Integrity):
         seen, own = lenient_sightings(batch, boxes)
         dispute = disputes(batch.reported, own, boxes.size, seen, vote.astype(np.float64))
         lies = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
-        offset = self._offset_statistics(batch, offsets(batch, boxes, self._say(rows)))
+        numbers = np.array([self._numbers[name] for name in batch.agents], np.int64)
+        objects = self._existence.follow(batch.time_ns, boxes)
+        offset = self._sums.statistics(batch.time_ns, numbers, objects, offsets(batch, boxes, self._say(rows)))
         count = lies.sum(axis=0)
         # An honest agent errs about one object at a time: several at once are much rarer.
         total = accumulate(self._lies[rows], 0.5 * count * (count + 1), self._drift, dt)
@@ -141,7 +140,7 @@ class SequentialConsistency(Integrity):
         alarms = rates <= self._per_hour / max(rates.size, 1)  # of suspended agents, which are tested for release alone
         alarms[vote] = discoveries(rates[vote], self._per_hour)
         self._judge(batch, rows, alarms, dispute, dt)
-        existence = self._existence.count(batch, boxes, seen, (~self._suspended[rows]).astype(np.float64))
+        existence = self._existence.count(batch, boxes, seen, ~self._suspended, rows)
         return self._assessment(batch, rows, rates, existence)
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
@@ -174,25 +173,6 @@ class SequentialConsistency(Integrity):
         self._suspended_ns, self._for_offset = carry(self._suspended_ns, 0), carry(self._for_offset, False)
         return rows
 
-    def _offset_statistics(self, batch: Batch, measured: Offsets) -> Floats:
-        """(a,) greatest likelihood ratio statistic of a constant offset of one track; 0 without any."""
-        greatest = np.zeros(len(batch.agents))
-        cluster, agent = measured.valid.nonzero()
-        if len(cluster) == 0:
-            return greatest
-        offset, information = measured.offset[cluster, agent], measured.information[cluster, agent]
-        score = np.einsum("kij,kj->ki", information, offset)
-        distance = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, score), 1e-12))
-        score *= np.minimum(1.0, CLIP / distance)[:, None]
-        number = np.array([self._numbers[name] for name in batch.agents], np.int64)[agent]
-        track = batch.states.id[batch.member[cluster, agent]]
-        a, b, c = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
-        total = self._sums.add(batch.time_ns, number, track, np.column_stack([score, a, b, c]))
-        (x, y, a, b, c) = total.T
-        statistic = (c * x * x - 2.0 * b * x * y + a * y * y) / np.maximum(a * c - b * b, 1e-12)
-        np.maximum.at(greatest, agent, statistic)
-        return greatest
-
     def _judge(self, batch: Batch, rows: Ints, alarms: Bools, dispute: Disputes, dt: float) -> None:
         """Suspend and release agents."""
         self._seen_s[rows] += dt
@@ -210,7 +190,7 @@ class SequentialConsistency(Integrity):
             new = np.arange(len(new)) == worst
             self._sums.reset()
         for row in np.flatnonzero(new).tolist():
-            self._existence.vouch(self._honest_until(rows[row], bool(alarms[row, 0])))
+            self._existence.keep_known(self._honest_until(rows[row], bool(alarms[row, 0])))
         self._suspensions[rows] += new
         self._suspended[rows] = (self._suspended[rows] | new) & ~released
         self._suspended_ns[rows[new]] = batch.time_ns

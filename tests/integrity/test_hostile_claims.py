@@ -10,8 +10,12 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import registry
 from mast_zenoh.integrity import FaultOrLie, FreeSpace, SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.base import SUSPENDED, Batch, Integrity
+from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.existence import ExistenceVotes
 from mast_zenoh.integrity.fault_fit import displacements
+from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.views import MAX_CELLS, check_view, collated_columns, view_columns
+from mast_zenoh.integrity.visibility import sightings
 from mast_zenoh.messages.layout import MAX_ROWS
 from mast_zenoh.pipelines import Pipeline
 
@@ -76,6 +80,33 @@ def test_an_offset_is_found_however_uncertain_its_track_claims_to_be() -> None:
         position[given.agent == 3, 0] += 1.8
         batches.append(with_states(given, covariance=covariance, position=position))
     assert suspended(SequentialConsistency(), batches) == {"d"}
+
+
+def test_an_offset_is_found_under_a_new_id_in_every_frame() -> None:
+    batches = []
+    for frame in range(100):
+        given = honest(frame)
+        position, id = given.states.position.copy(), given.states.id.copy()
+        position[given.agent == 3, 0] += 1.0
+        id[given.agent == 3] += 10 * frame
+        batches.append(with_states(given, position=position, id=id))
+    assert suspended(SequentialConsistency(), batches) == {"d"}
+
+
+@pytest.mark.parametrize(("witnesses", "believed"), [("ab", False), ("ac", True)])
+def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, believed: bool) -> None:
+    agents = AgentMemory()
+    votes = ExistenceVotes(agents)
+    for frame, lying in enumerate(["", "", "ab"]):  # `a` and `b` are suspended in the last frame
+        reporting = witnesses if not lying else "ab"
+        given = batch([(name, 0, PHANTOM) for name in reporting], tuple(PLACES), frame=frame)
+        rows, boxes = agents.meet(given.time_ns, given.agents), ClusterBoxes.of(given)
+        votes.follow(given.time_ns, boxes)
+        trusted = np.array([name not in lying for name in given.agents])
+        seen = sightings(boxes.position, boxes.size, boxes.yaw, given.views)
+        existence = votes.count(given, boxes, seen, trusted, rows)
+        assert not existence.objects.withheld[0] or lying
+    assert existence.objects.withheld.tolist() == [not believed]
 
 
 def test_a_view_that_is_too_old_to_be_held_against_its_agent_has_no_vote() -> None:
