@@ -11,6 +11,8 @@ from __future__ import annotations
 import copy
 from collections import deque
 
+import numpy as np
+
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
@@ -30,6 +32,7 @@ from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.attacks.targets import Changes
 from mast_zenoh.attacks.victim import Victim
 from mast_zenoh.gather import LatestBefore
+from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
@@ -195,14 +198,19 @@ class Adversary(Node):
             self.report(victim, Changes.of_message(position, forged), received, context)
 
     def attack_view(self, victim: Victim, received: Received, context: Context) -> None:
-        """Forward a view, with the free space that the attack wants; an implausible one is forwarded unchanged."""
+        """Forward a view as the attack wants it; an implausible one is forwarded unchanged."""
         swept = claimed_view(received.body)
-        forged = swept if swept is None else victim.attack.forge_view(received.frame, received.time_ns, swept)
-        if swept is None or forged is None or forged.free.tobytes() == swept.free.tobytes():
+        if swept is None:
+            context.relay("view_out", received)
+            return
+        forged = victim.attack.forge_view(received.frame, received.time_ns, swept)
+        body = received.body if forged.view is swept.view else view_columns(forged.view, forged.free)
+        body = {**body, "free": forged.free}
+        if all(np.array_equal(column, received.body[name]) for name, column in body.items()):
             context.relay("view_out", received)
         else:
-            context.relay("view_out", received, {**received.body, "free": forged.free})
-            self.report(victim, Changes.of_message(*[swept.view.position] * 2), received, context)
+            context.relay("view_out", received, body)
+            self.report(victim, Changes.of_message(swept.view.position, forged.view.position), received, context)
 
     def attack_detections(self, victim: Victim, received: Received, pose: Body, context: Context) -> None:
         """Tamper with detections in the world frame; untouched rows keep their bytes."""

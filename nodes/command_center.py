@@ -12,6 +12,9 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline
 from mast_zenoh.runtime.mesh.main import main
 
+#: Views that wait for their batches, at most; the oldest are dropped.
+MAX_WAITING = 64
+
 
 class CommandCenter(Node):
     """Turns each batch into a picture.
@@ -39,7 +42,6 @@ class CommandCenter(Node):
         """Process batches of the frame before whose views have not arrived; the broker applies all other deadlines."""
         for frame in sorted(self.waiting):
             self.process(self.waiting.pop(frame), context)
-        self.views.clear()
 
     def on_views(self, received: Received, context: Context) -> None:
         """Process the batch that the views belong to; without views if they are malformed."""
@@ -49,7 +51,9 @@ class CommandCenter(Node):
             context.reject(f"malformed: views: {error}")
             views = {}
         if (batch := self.waiting.pop(received.frame, None)) is None:
-            self.views.setdefault(received.frame, views)
+            self.views.setdefault(received.frame, views)  # a link may delay the batch
+            if len(self.views) > MAX_WAITING:
+                del self.views[min(self.views)]
         else:
             self.process(batch, context, views)
 

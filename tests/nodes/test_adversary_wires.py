@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -129,6 +130,28 @@ def test_a_view_agrees_with_the_tracks_of_its_frame_in_any_order_of_arrival(reso
     reports = adversary.heard("attack/adversary_1/report")
     actions = [ACTIONS[action] for message in reports for action in message.body["action"]]
     assert actions == ["reframed", "removed", "reframed"] * 2, "pose, tracks, view"
+
+
+class MoveView(HideFirst):
+    """Claims another place of the sensor, and leaves its free space."""
+
+    def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
+        return replace(swept, view=replace(swept.view, position=swept.view.position + 2.0, max_range=60.0))
+
+
+def test_an_attack_may_forge_everything_in_a_view() -> None:
+    def moved(scenario: dict[str, Any]) -> None:
+        attacked()(scenario)
+        scenario["adversaries"]["adversary_1"]["attack"] = dict(type="MoveView")
+
+    run = Run(tiny(edit=moved))
+    true, forged = (run.decoded(f"agent/infra_1/view{tap}", "view")[-1].body for tap in ("/@tap/0", ""))
+    np.testing.assert_allclose(forged["position"] - true["position"], [2.0, 2.0, 2.0])
+    assert forged["max_range"].tolist() == [60.0]
+    np.testing.assert_array_equal(forged["free"], true["free"])
+    interposer = run.results["evaluator"]["metrics"]["interposers"]["adversary_1"]
+    assert interposer["agreement"] == "agrees"
+    assert interposer["effects"]["reframed"] > 0
 
 
 def test_a_view_without_tracks_is_forwarded_unchanged_at_the_next_clock(resolved) -> None:

@@ -12,6 +12,7 @@ from mast_zenoh.integrity.views import collated_columns, view_columns, views_of
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.tracking.view import SensorView
+from nodes.command_center import MAX_WAITING
 
 AGENTS = ("ego", "infra_1", "infra_2")
 VIEW = SensorView(np.array([1.0, 2.0, 3.0]), np.eye(3), -1.0, 1.0, -0.4, 0.2, 80.0)
@@ -100,6 +101,18 @@ def test_a_batch_whose_views_are_lost_is_processed_at_the_next_clock(resolved) -
     centre.clock(0)
     centre.send("collated", batch(), 0)
     assert [(key, message.header.frame) for key, message in centre.clock(1)] == [("cc/picture", 0), ("cc/trust", 0)]
+
+
+def test_views_wait_for_a_batch_that_is_delayed_but_not_for_ever(resolved) -> None:
+    centre = Bench(resolved, "command_center")
+    centre.clock(0)
+    centre.send("views", views(), 0)
+    centre.clock(1)
+    assert [key for key, _ in centre.send("collated", batch(), 0)] == ["cc/picture", "cc/trust"]
+    for frame in range(2, 200):
+        centre.clock(frame)
+        centre.send("views", views(), frame)
+    assert len(centre.host.node.views) == MAX_WAITING
 
 
 def test_views_with_impossible_grids_cost_one_message_not_the_picture(resolved) -> None:
