@@ -1,4 +1,4 @@
-"""Fits of a pose error and a time offset to how an agent's tracks differ from those of other agents."""
+"""Fits a pose error and a time offset to how an agent's tracks differ from those of other agents."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
-from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 
 #: m, farthest from a track of another agent that the same object may be reported, by an agent with a fault.
 GATE_M = 6.0
@@ -25,6 +25,8 @@ COMMON_M = 0.8
 CLIP = 1.5
 #: Standard deviations up to which a fit explains a displacement.
 EXPLAINED_SD = 3.0
+#: Sums of no batches.
+NOTHING = np.zeros((4, 4)), np.zeros(4)
 #: Variances of the parameters before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
 PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
 
@@ -130,17 +132,25 @@ def _deviations(found: Displacements, estimate: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def corrected(states: ObjectStates, rows: Bools, estimate: Floats, pivot: Floats) -> ObjectStates:
-    """Tracks without a fault (4,): x and y in m, turn in rad, time offset in s.
+def solved(
+    found: Displacements,
+    samples: float,
+    past: tuple[Floats, Floats],
+    start: Floats | None,
+    expected: Floats,
+    steps: int = 1,
+) -> tuple[Floats, tuple[Floats, Floats]]:
+    """The fault (4,) that fits best, and the sums (4, 4), (4,) with those of the past.
 
-    rows: (n,) of the agent; pivot: (2,) m
+    samples: independent ones that the displacements stand for
+    start: (4,) fault from which outliers are judged at first; None: none are
+    expected: (4,) fault, as far as nothing shows another: standing objects show no delay
+    steps: number of fits; outliers of each are judged from the one before
     """
-    x, y, turn, delay = estimate.tolist()
-    position, velocity, yaw = states.position.copy(), states.velocity.copy(), states.yaw.copy()
-    arm = position[rows, :2] - pivot
-    moved = np.column_stack([x - turn * arm[:, 1], y + turn * arm[:, 0]]) + delay * velocity[rows, :2]
-    position[rows, :2] -= moved
-    vx, vy = velocity[rows, :2].T
-    velocity[rows, :2] = np.column_stack([vx + turn * vy, vy - turn * vx])
-    yaw[rows] -= turn
-    return states.with_(position=position, velocity=velocity, yaw=yaw)
+    for _ in range(steps):
+        information, score = normal_equations(found, start)
+        total = past[0] + samples * information, past[1] + samples * score
+        solution = np.linalg.solve(total[0] + np.diag(1.0 / PRIOR), total[1] + expected / PRIOR)
+        start = np.asarray(solution, np.float64)
+    assert start is not None
+    return start, total

@@ -7,7 +7,7 @@ from integrity_batches import CAR, STEP_NS, VARIANCE
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity import Batch, FaultOrLie
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED
-from mast_zenoh.integrity.fault_fit import corrected
+from mast_zenoh.integrity.faults import corrected
 
 AGENTS = ("a", "b", "c", "d")
 
