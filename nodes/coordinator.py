@@ -52,7 +52,7 @@ class Coordinator(Node):
     def finish(self, context: Context) -> dict[str, int]:
         """The number of chosen targets; logs a warning if fewer were found than wanted."""
         counts = self.coordination.counts()
-        if missing := shortfall(counts):
+        if self.adversaries and (missing := shortfall(counts)):
             context.log.warning("%s", missing)
         return counts
 
