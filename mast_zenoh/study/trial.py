@@ -19,6 +19,7 @@ from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError
 from mast_zenoh.metrics import Table
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import identity
+from mast_zenoh.study.defences.records import NO_LIES
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,9 @@ def run(trial: Trial) -> Outcome:
                 )
         resolved = _resolve(trial)
         compromised = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
-        if trial.runtime == "inproc" and not trial.lies:
+        if trial.runtime == "inproc" and not (trial.lies and _is_disturbed(resolved)):
             metrics, table, handler_failures = _run_in_process(resolved, trial.allow_failures)
+            metrics = {**metrics, "defence": NO_LIES} if trial.lies else metrics
         else:
             metrics, table, handler_failures = _run_in_folder(resolved, trial)
         cpu_s = round(time.process_time() - cpu_start_s, 3)
@@ -114,8 +116,17 @@ def run(trial: Trial) -> Outcome:
 
 def _resolve(trial: Trial) -> Resolved:
     path, loaded = scenario.load(trial.scenario, trial.settings)
-    return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=trial.lies)
+    record = trial.lies and any(loaded.get(part) for part in _DISTURBANCES)
+    return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=record)
 
+
+def _is_disturbed(resolved: Resolved) -> bool:
+    """Whether anything in a run may lie or be faulty."""
+    return bool(resolved.timeline) or any(wire["interposers"] for wire in resolved.wiring["wires"])
+
+
+#: Parts of a scenario that may hold what lies or is faulty: runs with one of them are recorded.
+_DISTURBANCES = ("adversaries", "nodes", "links", "faults")
 
 #: metrics.json, the columns of metrics.parquet, and the failures of handlers by node.
 RunResult = tuple[Mapping[str, Any], Table, Mapping[str, Sequence[failures.Entry]]]
