@@ -71,7 +71,7 @@ PRESETS = dict(
         placements="random,worst",
         budgets=(4.0,),
         scenes=junctions(8, 15),
-        trials=5,
+        trials=9,
         frames=150,
     ),
     adaptive=dict(

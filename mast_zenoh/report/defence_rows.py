@@ -148,6 +148,7 @@ class TrustPanel:
 class DefenceMatrix:
     """The cells of a study, and a characteristic and a summary for each defence that judges agents.
 
+    confusions: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
     panels: the trust of single trials;  unshown: number of pairs of a defence and an adversary without a panel
     """
 
@@ -156,6 +157,7 @@ class DefenceMatrix:
     delays: Mapping[str, DelayCurve]
     summaries: Sequence[DefenceSummary]
     size: str
+    confusions: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
     panels: Sequence[TrustPanel] = ()
     unshown: int = 0
 

@@ -80,4 +80,6 @@ def matrix(panels: int = 1, unshown: int = 0) -> DefenceMatrix:
     curve = DefenceRoc("Wall", roc([1.0, 0.0], [True, False]), area, Measured(0.5, math.nan, math.nan, 4), 1.5)
     titles = [f"Wall against Ghost{number} (1, worst)" for number in range(panels)]
     size = "6 seeds \u00d7 8 scenes"
-    return DefenceMatrix(rows, [curve], {"Wall": DELAY}, [summary()], size, [panel(each) for each in titles], unshown)
+    confusions = {"Wall": {"lying": {"trusted": SHARE, "suspended": SHARE}}}
+    panels_drawn = [panel(each) for each in titles]
+    return DefenceMatrix(rows, [curve], {"Wall": DELAY}, [summary()], size, confusions, panels_drawn, unshown)

@@ -149,21 +149,12 @@ def _confusion(matrix: DefenceMatrix) -> TextTable:
     """The shares of states for each defence and conduct, over all its cells."""
     states: list[str] = []
     lines = []
-    for defence in matrix.names("defence"):
-        sums: dict[str, dict[str, float]] = {}
-        for row in matrix.rows:
-            for conduct, seconds in row.confusion.items() if row.defence == defence else ():
-                total = sums.setdefault(conduct, {})
-                for state, value in seconds.items():
-                    total[state] = total.get(state, 0.0) + value
-        for conduct, seconds in sums.items():
-            states = list(seconds)
-            whole = sum(seconds.values())
-            if whole:
-                shares = (number(100.0 * value / whole, 1) for value in seconds.values())
-                lines.append([str(defence), conduct, *shares, number(whole / 3600.0, 3)])
-    about = "Share of the time in which agents were in each state of trust, in per cent."
-    return TextTable("Honest, faulty or lying", about, ["defence", "conduct", *states, "agent-hours"], lines, 2)
+    for defence, conducts in matrix.confusions.items():
+        for conduct, shares in conducts.items():
+            states = list(shares)
+            lines.append([defence, conduct, *(measured(each, 3) for each in shares.values())])
+    about = "Share of the time in which agents were in each state of trust."
+    return TextTable("Honest, faulty or lying", about, ["defence", "conduct", *states], lines, 2)
 
 
 def _characteristics(matrix: DefenceMatrix) -> TextTable:

@@ -81,6 +81,10 @@ def _of_defences(matrix: DefenceMatrix) -> Iterator[tuple[str, str, Measured]]:
         yield each.defence, "summary fp_added", each.fp_added
         yield each.defence, "summary faults_suspended", each.faults_suspended
         yield each.defence, "summary framed_by_minority", each.framed
+    for defence, conducts in matrix.confusions.items():
+        for conduct, shares in conducts.items():
+            for state, share in shares.items():
+                yield defence, f"share {conduct} {state}", share
     for curve in matrix.rocs:
         yield curve.defence, "auc", curve.auc
         yield curve.defence, "partial_auc", curve.partial_auc

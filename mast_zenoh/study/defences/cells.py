@@ -40,6 +40,11 @@ class Cell:
         return self.attack.startswith(PREFIX)
 
     @property
+    def lies(self) -> bool:
+        """Whether it has adversaries."""
+        return bool(self.attack) and not self.is_fault
+
+    @property
     def label(self) -> str:
         """The label of its configuration."""
         if not self.attack:

@@ -8,28 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.trust import auc, partial_auc, roc
-from mast_zenoh.report.defence_rows import (
-    DefenceMatrix,
-    DefenceRoc,
-    DefenceRow,
-    DefenceSummary,
-    DelayCurve,
-    Measured,
-    TrustPanel,
-)
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.report.defence_rows import DefenceMatrix, DefenceRow, DefenceSummary, Measured, TrustPanel
 from mast_zenoh.report.study_facts import plural
-from mast_zenoh.study.defences import intervals, traces
+from mast_zenoh.study.defences import intervals, pooled, traces
 from mast_zenoh.study.defences.cells import UNDEFENDED, Cell
 from mast_zenoh.study.defences.records import SCORES, TrialRecord
-from mast_zenoh.study.defences.survival import kaplan_meier
 
-#: False alarms per hour below which the partial area under the characteristic is taken.
-ALARMS_PER_HOUR = 1.0
-#: Liars are below the local majority in a trial if they outnumber the honest viewers of fewer than this share of the
-#: lies that an honest agent could notice.
-MAJORITY = 0.5
 #: Panels of trust over time.
 MAX_PANELS = 12
 
@@ -67,15 +52,18 @@ class Collection:
             groups.setdefault((cell.defence, cell.attack, cell.n_adversaries, cell.placement), []).append(cell)
         worst = [(max(cells, key=self._mean_damage), len(cells)) for cells in groups.values()]
         shown = [cell for cell, _ in worst]
-        defences = [name for name in dict.fromkeys(cell.defence for cell in shown) if name != UNDEFENDED]
-        delays = {name: self._delay(self._of(name)) for name in defences}
+        every = list(dict.fromkeys(cell.defence for cell in shown))
+        defences = [name for name in every if name != UNDEFENDED]
+        trials = {name: self._by_place(cell for cell in self._records if cell.defence == name) for name in every}
+        delays = {name: pooled.delay_curve(trials[name]) for name in defences}
         panels, unshown = self._panels(shown)
         return DefenceMatrix(
             [self._row(cell, budgets) for cell, budgets in worst],
-            [curve for name in defences if (curve := self._roc(name)) is not None],
+            [curve for name in defences if (curve := pooled.characteristic(name, trials[name])) is not None],
             {name: delay for name, delay in delays.items() if delay is not None},
             [self._summary(name, [cell for cell in shown if cell.defence == name]) for name in defences],
             f"{plural(len(self._seeds), 'seed')} \u00d7 {plural(len(self._scenes), 'scene')}",
+            {name: pooled.confusion(each) for name, each in trials.items()},
             panels,
             unshown,
         )
@@ -106,17 +94,16 @@ class Collection:
         for name in ("fp_identifiable", "fp_unidentifiable"):
             values[name] = self._values(cell, name)
         measures = {name: intervals.mean(each) for name, each in values.items()}
-        records = list(self._records[cell].values())
         majority = self._values(cell, "honest_majority")
         # Where nobody lies because agents are faulty, there is no bound.
         measures["honest_majority"] = Measured() if cell.is_fault else intervals.mean(majority, (0.0, 1.0))
         measures["identifiable_removed"] = self._removed([cell])
-        measures["lies_detected"] = _lies_detected([[record] for record in records])
-        measures["median_delay_s"] = _median_delay([[record] for record in records])
-        judged = [record for record in records if record.hours]
-        hours = sum(record.hours for record in judged)
-        measures["honest_suspended_per_hour"] = _rate([record.alarms for record in judged], hours)
-        measures["faulty_suspended_per_hour"] = _rate([record.fault_alarms for record in judged], hours)
+        groups = self._by_place([cell])
+        measures["lies_detected"] = pooled.lies_detected(groups)
+        measures["median_delay_s"] = pooled.median_delay(groups)
+        measures["honest_suspended_per_hour"] = pooled.alarms_per_hour(groups)
+        measures["faulty_suspended_per_hour"] = pooled.alarms_per_hour(groups, faulty=True)
+        measures |= pooled.shares_of_runs(groups, lies=cell.lies)
         return DefenceRow(
             cell.defence,
             cell.attack,
@@ -124,33 +111,27 @@ class Collection:
             cell.placement,
             cell.budget,
             budgets,
-            measures | _shares_of_runs(cell, judged),
-            _added_up(record.confusion for record in records),
-            self._delay(records),
+            measures,
+            _added_up(record.confusion for record in self._records[cell].values()),
+            pooled.delay_curve(groups),
         )
 
     def _summary(self, defence: str, cells: Sequence[Cell]) -> DefenceSummary:
         """cells: of the rows of this defence."""
-        attacked = [cell for cell in cells if cell.attack and not cell.is_fault]
-        by_place = self._by_place(attacked)
-        alone = Cell(defence)
-        quiet = [record for record in self._records.get(alone, {}).values() if record.hours]
-        shares: dict[str, list[bool]] = {"wrongly_suspended": [], "framed_by_minority": []}
-        for cell in cells:
-            outcomes = _outcomes(cell, [record for record in self._records[cell].values() if record.hours])
-            for name in shares if cell.attack else ():
-                shares[name] += outcomes[name]
+        alone, attacked = Cell(defence), [cell for cell in cells if cell.lies]
+        lying, faulty = self._by_place(attacked), self._by_place(cell for cell in cells if cell.is_fault)
+        quiet = self._by_place([alone] if alone in self._records else [])
         return DefenceSummary(
             defence,
-            _lies_detected(by_place),
+            pooled.lies_detected(lying),
             self._removed(attacked),
-            _median_delay(by_place),
-            _rate([record.alarms for record in quiet], sum(record.hours for record in quiet)),
-            sum(record.frames for record in quiet),
+            pooled.median_delay(lying),
+            pooled.alarms_per_hour(quiet),
+            sum(record.frames for group in quiet for record in group if record.hours),
             intervals.mean(self._added(alone, "fn")),
             intervals.mean(self._added(alone, "fp")),
-            intervals.share_of_trials(shares["wrongly_suspended"]),
-            intervals.share_of_trials(shares["framed_by_minority"]),
+            pooled.shares_of_runs(faulty, lies=False)["wrongly_suspended"],
+            pooled.shares_of_runs(lying, lies=True)["framed_by_minority"],
         )
 
     def _removed(self, cells: Sequence[Cell]) -> Measured:
@@ -158,7 +139,7 @@ class Collection:
 
         cells: added up by scene and seed; a cell without a defence has none to remove
         """
-        attacked = [cell for cell in cells if cell.attack and not cell.is_fault and cell.defence != UNDEFENDED]
+        attacked = [cell for cell in cells if cell.lies and cell.defence != UNDEFENDED]
         if not attacked:
             return Measured()
         pairs = np.array(
@@ -176,38 +157,6 @@ class Collection:
             for place, record in self._records[cell].items():
                 groups.setdefault(place, []).append(record)
         return [groups[place] for place in sorted(groups)]
-
-    def _of(self, defence: str) -> list[TrialRecord]:
-        return [each for cell, records in self._records.items() if cell.defence == defence for each in records.values()]
-
-    @staticmethod
-    def _delay(records: Iterable[TrialRecord]) -> DelayCurve | None:
-        delays = [each for record in records for each in record.delays]
-        if not delays:
-            return None
-        curve = kaplan_meier(*zip(*delays, strict=True))
-        return DelayCurve(curve.time_s, curve.undetected, curve.median_s, curve.detections, curve.watched)
-
-    def _roc(self, defence: str) -> DefenceRoc | None:
-        """The characteristic over all trials of a defence; None if nobody lied, or all scores are equal or unknown."""
-        groups = self._by_place(cell for cell in self._records if cell.defence == defence)
-        groups = [group for group in groups if any(record.hours for record in group)]
-        parts = [np.array([pair for record in group for pair in record.suspicion]).reshape(-1, 2) for group in groups]
-        hours = np.array([sum(record.hours for record in group) for group in groups])
-        pairs = np.concatenate([np.zeros((0, 2)), *parts])
-        if not pairs[:, 1].any() or len(set(pairs[~np.isnan(pairs[:, 0]), 0].tolist())) < 2:
-            return None
-
-        def area(rows: Ints) -> float:
-            drawn = np.concatenate([parts[row] for row in rows.tolist()])
-            return auc(drawn[:, 0], drawn[:, 1])
-
-        def partial(rows: Ints) -> float:
-            drawn = np.concatenate([parts[row] for row in rows.tolist()])
-            return partial_auc(drawn[:, 0], drawn[:, 1], float(hours[rows].sum()), ALARMS_PER_HOUR)
-
-        whole, below = (intervals.pooled(statistic, len(groups), (0.0, 1.0)) for statistic in (area, partial))
-        return DefenceRoc(defence, roc(pairs[:, 0], pairs[:, 1]), whole, below, float(hours.sum()))
 
     def _panels(self, shown: Sequence[Cell]) -> tuple[list[TrustPanel], int]:
         """The first trial of each defence that suspends under each adversary, and the number of pairs without a panel.
@@ -230,50 +179,6 @@ def _undefended(cell: Cell) -> Cell:
 
 def _title(cell: Cell) -> str:
     return f"{cell.defence} against {cell.attack} ({cell.n_adversaries}, {cell.placement})"
-
-
-def _outcomes(cell: Cell, records: Sequence[TrialRecord]) -> dict[str, list[bool]]:
-    """Whether something happened in each run that it can happen in.
-
-    records: of runs with trust
-    """
-    lies = bool(cell.attack) and not cell.is_fault
-    framed = records if lies else []
-    return {
-        "wrongly_suspended": [] if lies else [record.wrongly_suspended for record in records],
-        "framed": [record.framed for record in framed],
-        "framed_by_minority": [record.framed for record in framed if record.outnumbered < MAJORITY],
-        "framed_by_majority": [record.framed for record in framed if record.outnumbered >= MAJORITY],
-    }
-
-
-def _shares_of_runs(cell: Cell, records: Sequence[TrialRecord]) -> dict[str, Measured]:
-    return {name: intervals.share_of_trials(outcomes) for name, outcomes in _outcomes(cell, records).items()}
-
-
-def _lies_detected(groups: Sequence[Sequence[TrialRecord]]) -> Measured:
-    """The share of observable lies that were detected; groups: the records of each trial."""
-    lies = np.array([[sum(record.lies[index] for record in group) for group in groups] for index in (0, 1)])
-    return intervals.share(lies[1], lies[0])
-
-
-def _median_delay(groups: Sequence[Sequence[TrialRecord]]) -> Measured:
-    """The median delay; its upper bound is infinite if it is not known that half are detected."""
-    delays = [
-        np.array([each for record in group for each in record.delays], np.float64).reshape(-1, 2) for group in groups
-    ]
-    delays = [each for each in delays if len(each)]
-
-    def median(rows: Ints) -> float:
-        drawn = np.concatenate([delays[row] for row in rows.tolist()])
-        value = kaplan_meier(drawn[:, 0], drawn[:, 1]).median_s
-        return math.inf if math.isnan(value) else value
-
-    return intervals.pooled(median, len(delays))
-
-
-def _rate(counts: Sequence[int], hours: float) -> Measured:
-    return intervals.rate(sum(counts), hours, len(counts))
 
 
 def _added_up(parts: Iterable[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, float]]:

@@ -2,7 +2,7 @@
 
 A trial, one pair of scene and seed, is the unit: its frames, lies and agents are not independent. Means, shares,
 medians and areas have percentile intervals of a bootstrap over trials (Efron 1979, Annals of Statistics 7:1), rates of
-rare events the exact interval of a Poisson count (Garwood 1936, Biometrika 28:437), shares of trials the exact interval
+rare events the exact interval of a Poisson count (Garwood 1936, Biometrika 28:437), shares of runs the exact interval
 of a binomial count (Clopper and Pearson 1934, Biometrika 26:404).
 """
 
@@ -94,14 +94,23 @@ def rate(events: int, hours: float, trials: int) -> Measured:
     return Measured(events / hours, float(low / hours), float(high / hours), trials, 0, POISSON)
 
 
-def share_of_trials(outcomes: Sequence[bool]) -> Measured:
-    """The share of trials in which something happened; NaN without trials."""
-    if not outcomes:
+def share_of_runs(outcomes: Sequence[Sequence[bool]]) -> Measured:
+    """The share of runs in which something happened; NaN without runs.
+
+    outcomes: of the runs of each trial
+
+    Exact for one run of each trial. Of several, the interval is that of as many runs as there are trials with any, as
+    if the runs of a trial always agreed: it is wider than it would have to be if they do not.
+    """
+    runs = [outcome for trial in outcomes for outcome in trial]
+    trials = sum(bool(trial) for trial in outcomes)
+    if not runs:
         return Measured()
-    result = stats.binomtest(sum(outcomes), len(outcomes))
-    interval = result.proportion_ci(confidence_level=CONFIDENCE, method="exact")
-    value = sum(outcomes) / len(outcomes)
-    return Measured(value, float(interval.low), float(interval.high), len(outcomes), 0, BINOMIAL)
+    value = sum(runs) / len(runs)
+    happened = value * trials
+    low = stats.beta.ppf(_TAILS[0], happened, trials - happened + 1.0) if value > 0.0 else 0.0
+    high = stats.beta.ppf(_TAILS[1], happened + 1.0, trials - happened) if value < 1.0 else 1.0
+    return Measured(value, float(low), float(high), len(runs), 0, BINOMIAL)
 
 
 def bootstrap(statistic: Callable[[Ints], Floats], count: int) -> tuple[float, float]:
@@ -137,7 +146,7 @@ def _bound_at_limit(value: float, trials: int, bounds: tuple[float, float]) -> t
     """
     if bounds != (0.0, 1.0) or value not in bounds or not trials:
         return NAN, NAN
-    exact = share_of_trials([value == 1.0] * trials)
+    exact = share_of_runs([[value == 1.0]] * trials)
     return exact.low, exact.high
 
 

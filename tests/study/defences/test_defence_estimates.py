@@ -207,6 +207,24 @@ def test_the_summary_has_the_alarms_of_unattacked_runs_and_their_frames(matrix: 
     assert summary.lies_detected.value == 0.0, "the worst budget was not detected"
 
 
+def test_the_runs_of_one_scene_and_seed_are_one_trial_of_a_defence() -> None:
+    cells = [Cell("NoIntegrity"), *(Cell("Wall", attack, 1, "worst") for attack in ("a", "b", "c"))]
+    collection = Collection({cell.label: cell for cell in cells}, ["junction"], SEEDS)
+    for seed in SEEDS:
+        for cell in cells:
+            content = metrics(1.0, trusted=cell.defence == "Wall", lied=bool(cell.attack))
+            collection.add(cell.label, "junction", seed, content)
+    (summary,) = collection.matrix().summaries
+    assert (summary.framed.value, summary.framed.trials) == (0.0, 15)
+    assert summary.framed.high == pytest.approx(1.0 - 0.025 ** (1 / 5))
+
+
+def test_the_time_in_each_state_is_a_share_with_an_interval(matrix: DefenceMatrix) -> None:
+    assert set(matrix.confusions["Wall"]) == {"honest"}
+    assert matrix.confusions["Wall"]["honest"]["suspended"].value == pytest.approx(0.1)
+    assert matrix.confusions["NoIntegrity"] == {}
+
+
 def test_an_unknown_median_delay_has_at_most_a_lower_bound() -> None:
     never, soon = (metrics(1.0, trusted=True, lied=True, suspended_after_s=after_s) for after_s in (None, 1.0))
     unknown = measure(played(never, never, never, never, soon, soon), "Wall", "median_delay_s")

@@ -85,10 +85,24 @@ def test_without_hours_there_is_no_rate() -> None:
 
 
 def test_no_event_in_72_trials_is_fewer_than_five_per_cent() -> None:
-    measured = intervals.share_of_trials([False] * 72)
+    measured = intervals.share_of_runs([[False]] * 72)
     assert (measured.value, measured.low) == (0.0, 0.0)
     assert measured.high == pytest.approx(1.0 - 0.025 ** (1 / 72))
     assert 0.049 < measured.high < 0.05
+
+
+def test_several_runs_of_a_trial_count_as_one_in_the_interval() -> None:
+    single, fourfold = (
+        intervals.share_of_runs([[True], *[[False]] * 9]),
+        intervals.share_of_runs([[True] * 4, *[[False] * 4] * 9]),
+    )
+    assert (single.value, single.low, single.high) == (0.1, *fourfold[1:3])
+    assert single.high == pytest.approx(0.445, abs=1e-3), "Clopper and Pearson's for one of ten"
+    assert (fourfold.value, fourfold.trials) == (0.1, 40)
+
+
+def test_without_runs_there_is_no_share_of_them() -> None:
+    assert math.isnan(intervals.share_of_runs([[], []]).value)
 
 
 def test_an_infinite_draw_makes_the_bound_infinite_and_an_undefined_one_is_left_out() -> None:
