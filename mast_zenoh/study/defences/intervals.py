@@ -25,6 +25,8 @@ MIN_TRIALS = MIN_SEEDS
 RESAMPLES = 2000
 #: Share of resamples that must have a value.
 _DEFINED = 0.95
+#: Differences up to this are rounding errors.
+_EQUAL = 1e-9
 
 _TAILS = (0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0)
 
@@ -40,10 +42,11 @@ def mean(values: ArrayLike, bounds: tuple[float, float] = (-np.inf, np.inf)) -> 
     if not len(known):
         return Measured(left_out=left_out)
     middle = float(known.mean())
-    if np.ptp(known) <= 1e-12 * max(1.0, abs(middle)):
-        return Measured(middle, *_bound_at_limit(middle, len(known), bounds), len(known), left_out, BOOTSTRAP)
-    low, high = bootstrap(lambda rows: known[rows].mean(axis=-1), len(known))
-    return Measured(middle, low, high, len(known), left_out, BOOTSTRAP)
+    if np.ptp(known) <= _EQUAL * max(1.0, abs(middle)):
+        interval = _bound_at_limit(middle, len(known), bounds)
+    else:
+        interval = bootstrap(lambda rows: known[rows].mean(axis=-1), len(known))
+    return Measured(middle, *interval, len(known), left_out, BOOTSTRAP)
 
 
 def share(part: ArrayLike, whole: ArrayLike) -> Measured:
@@ -58,8 +61,9 @@ def share(part: ArrayLike, whole: ArrayLike) -> Measured:
     if not wholes.sum():
         return Measured(left_out=left_out)
     value = float(parts.sum() / wholes.sum())
-    if value in (0.0, 1.0):
-        interval = _bound_at_limit(value, int((wholes > 0.0).sum()), (0.0, 1.0))
+    some = wholes > 0.0
+    if not parts[~some].any() and np.ptp(parts[some] / wholes[some]) <= _EQUAL:
+        interval = _bound_at_limit(value, int(some.sum()), (0.0, 1.0))
     else:
         interval = bootstrap(lambda rows: _ratio(parts[rows].sum(axis=-1), wholes[rows].sum(axis=-1)), len(parts))
     return Measured(value, *interval, len(parts), left_out, BOOTSTRAP)
@@ -80,7 +84,7 @@ def pooled(statistic: Callable[[Ints], float], trials: int, limits: tuple[float,
     if np.isnan(value):
         return Measured()
     low, high = bootstrap(lambda rows: np.array([statistic(line) for line in rows]), trials)
-    if low == high and value in limits:
+    if high - low <= _EQUAL and any(abs(value - limit) <= _EQUAL for limit in limits):
         low = high = NAN
     return Measured(NAN if np.isinf(value) else value, low, high, trials, 0, BOOTSTRAP)
 
@@ -144,9 +148,9 @@ def _bound_at_limit(value: float, trials: int, bounds: tuple[float, float]) -> t
     If all trials are at a limit of a share, it is at least as extreme in truth as the exact binomial bound for as many
     trials: the probability that a trial is at the limit cannot exceed the mean's distance from the other limit.
     """
-    if bounds != (0.0, 1.0) or value not in bounds or not trials:
+    if bounds != (0.0, 1.0) or min(abs(value), abs(1.0 - value)) > _EQUAL or not trials:
         return NAN, NAN
-    exact = share_of_runs([[value == 1.0]] * trials)
+    exact = share_of_runs([[value > 0.5]] * trials)
     return exact.low, exact.high
 
 

@@ -67,6 +67,17 @@ def test_a_share_that_is_the_same_extreme_in_all_trials_has_the_exact_binomial_b
     assert (measured.low if part else measured.high) == pytest.approx(bound)
 
 
+def test_a_share_that_is_equal_in_all_trials_has_no_interval() -> None:
+    measured = intervals.share([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    assert measured.value == pytest.approx(0.1)
+    assert math.isnan(measured.low)
+
+
+def test_rounding_errors_are_no_spread() -> None:
+    area = intervals.pooled(lambda rows: 1.0 - 1e-16 * float(rows[0]), 6, (0.0, 1.0))
+    assert math.isnan(area.low)
+
+
 def test_a_share_of_nothing_is_unknown() -> None:
     assert math.isnan(intervals.share([0.0, 0.0], [0.0, 0.0]).value)
 
