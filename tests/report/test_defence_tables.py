@@ -13,7 +13,7 @@ from defence_samples import matrix, row, summary
 from mast_zenoh.api.comparisons import as_text
 from mast_zenoh.report.defence_rows import BOOTSTRAP, MEASURES, DefenceMatrix, Measured
 from mast_zenoh.report.tables import defences as tables
-from mast_zenoh.report.tables.defence_lines import measured
+from mast_zenoh.report.tables.defence_lines import delay, measured
 
 
 def test_a_number_has_its_interval_or_why_there_is_none() -> None:
@@ -58,6 +58,7 @@ def test_a_delay_of_which_less_than_half_is_known_says_so() -> None:
     unknown = replace(matrix(), summaries=[summary(median_delay_s=Measured(math.nan, 1.2, math.inf, 48, 0, BOOTSTRAP))])
     assert "| unknown [1.20, \u221e) |" in tables.as_markdown(unknown)
     assert r"unknown [1.20, $\infty$)" in tables.as_latex(unknown)
+    assert delay(Measured(math.nan, math.inf, math.inf, 48)) == delay(Measured(math.nan, trials=3)) == "unknown"
 
 
 def test_the_defence_that_judges_nobody_has_no_row_for_framing() -> None:

@@ -103,7 +103,7 @@ def delay(each: Measured) -> str:
     """A median delay; if fewer than half were detected, only its lower bound is known."""
     if not math.isnan(each.value) or each.trials == 0:
         return measured(each)
-    return "> half not detected" if math.isnan(each.low) else f"unknown [{_end(each.low, 2)}, \u221e)"
+    return f"unknown [{number(each.low)}, \u221e)" if math.isfinite(each.low) else "unknown"
 
 
 def _costs(matrix: DefenceMatrix) -> TextTable:
