@@ -19,7 +19,6 @@ from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError
 from mast_zenoh.metrics import Table
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import identity
-from mast_zenoh.study.defences.records import NO_LIES
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ def run(trial: Trial) -> Outcome:
         compromised = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
         if trial.runtime == "inproc" and not (trial.lies and _is_disturbed(resolved)):
             metrics, table, handler_failures = _run_in_process(resolved, trial.allow_failures)
-            metrics = {**metrics, "defence": NO_LIES} if trial.lies else metrics
+            metrics = _without_lies(metrics) if trial.lies else metrics
         else:
             metrics, table, handler_failures = _run_in_folder(resolved, trial)
         cpu_s = round(time.process_time() - cpu_start_s, 3)
@@ -118,6 +117,13 @@ def _resolve(trial: Trial) -> Resolved:
     path, loaded = scenario.load(trial.scenario, trial.settings)
     record = trial.lies and any(loaded.get(part) for part in _DISTURBANCES)
     return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=record)
+
+
+def _without_lies(metrics: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The metrics of a run in which nothing can lie, with the part `defence`."""
+    from mast_zenoh.study.defences.records import NO_LIES  # SciPy's statistics are slow to load
+
+    return {**metrics, "defence": NO_LIES}
 
 
 def _is_disturbed(resolved: Resolved) -> bool:
