@@ -1,6 +1,7 @@
 """One cell of the study `defences`: a defence, an adversary, and where it sits."""
 
 from defended import scenario as defended
+from uncoordinated import scenario as uncoordinated
 
 from mast_zenoh.attacks import Coordination
 from mast_zenoh.integrity import Integrity
@@ -9,8 +10,8 @@ from mast_zenoh.study.defences import adversary_base, named, place
 from mast_zenoh.study.defences.choices import has_budget
 from mast_zenoh.study.defences.natural import faults_of
 
-#: The adversaries of the scenario `coordinated`: on tracks alone, without a budget and without knowledge.
-COORDINATED = "coordinated"
+#: The adversaries of the scenarios of these names: on tracks alone, without a budget and without knowledge.
+COORDINATED, UNCOORDINATED = "coordinated", "uncoordinated"
 #: Wires of attacks that are not on tracks and views.
 WIRES = {"PoseDrift": "pose"}
 
@@ -35,7 +36,8 @@ def scenario(
 ):
     """As `defended`, and:
 
-    defence, attack: class, FILE.py or FILE.py:CLASS, or a dict with one of these as `type`, and parameters;
+    defence, attack: class, FILE.py or FILE.py:CLASS, or a dict with one of these as `type`, and parameters; an attack
+    may also be coordinated or uncoordinated, for the adversaries of these scenarios;
     knowledge: of the adversaries: own, picture or trust;
     wires: those of the adversaries; None: tracks and view, or what the attack needs;
     placement: of the adversaries: poles, random, or worst (the agents that cover the most objects);
@@ -45,8 +47,11 @@ def scenario(
     n_faulty: number of agents with that fault, none of them with an adversary.
     """
     adversary = None
-    if attack == COORDINATED:
-        knowledge = "own"
+    attack = attack if n_adversaries else UNCOORDINATED  # a coordinator would have nobody to direct
+    if attack in (COORDINATED, UNCOORDINATED):
+        knowledge, wires = "own", "tracks"
+        if attack == UNCOORDINATED:
+            adversary = uncoordinated(1, attack_start_s=attack_start_s)["adversaries"]["adversary_1"]["attack"]
     else:
         base = adversary_base(attack)
         adversary = named(attack, base)
@@ -68,7 +73,8 @@ def scenario(
     where = (placement, placement_seed, placement_frames)
     victims = place(content["scene"], n_adversaries, *where)
     most = len(agents_of(content["scene"])) - 1
-    faulty = place(content["scene"], min(most, n_adversaries + n_faulty), *where)[n_adversaries:]
+    compromised_or_faulty = min(most, n_adversaries + n_faulty) if fault else n_adversaries
+    faulty = place(content["scene"], compromised_or_faulty, *where)[n_adversaries:]
     configs = content["adversaries"].items()
     return content | dict(
         name="defence_cell",

@@ -3,7 +3,16 @@
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.study.defences import matrix, parsed
 
-# A few minutes on two cores, and a night on many.
+# Adversaries that know the defence.
+ADAPTIVE = "BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,StatePerturbation,PoseDrift"
+
+
+def junctions(first, last):
+    """The generated junctions from one to another."""
+    return ",".join(f"intersection:{index}" for index in range(first, last + 1))
+
+
+# docs/studies.md says what each one is for, and how long it takes.
 PRESETS = dict(
     quick=dict(
         defences="NoIntegrity,KOfN,Mate,FaultOrLie",
@@ -11,19 +20,68 @@ PRESETS = dict(
         counts=(1, 2),
         placements="worst",
         budgets=(2.0,),
-        scenes="intersection:4",
+        scenes=junctions(4, 4),
         trials=2,
         frames=100,
     ),
     full=dict(
         defences="NoIntegrity,KOfN,Plausibility,Mate,FreeSpace,RobustFusion,SequentialConsistency,TruthDiscovery,FaultOrLie",
-        adversaries="coordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,"
-        "StatePerturbation,PoseDrift,fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts",
+        adversaries=f"coordinated,{ADAPTIVE},fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts",
         counts=(1, 2, 3, 4),
         placements="random,worst",
         budgets=(1.0, 4.0),
-        scenes="intersection:4,intersection:5,intersection:6,intersection:7,intersection:8",
+        scenes=junctions(4, 8),
         trials=5,
+        frames=150,
+    ),
+    today=dict(
+        defences="FaultOrLie",
+        adversaries="coordinated,uncoordinated",
+        counts=(1, 2),
+        placements="poles,random",
+        budgets=(1.0, 4.0),
+        scenes=junctions(8, 15),
+        trials=3,
+        frames=150,
+    ),
+    alarms=dict(
+        defences="FaultOrLie",
+        adversaries="",
+        counts=(1, 2),
+        placements="random",
+        budgets=(1.0, 4.0),
+        scenes=junctions(8, 27),
+        trials=9,
+        frames=600,
+    ),
+    faults=dict(
+        defences="FaultOrLie",
+        adversaries="fault:pose,fault:delay,fault:skew,fault:loss",
+        counts=(1,),
+        placements="random",
+        budgets=(1.0, 4.0),
+        scenes=junctions(8, 15),
+        trials=9,
+        frames=300,
+    ),
+    framing=dict(
+        defences="FaultOrLie",
+        adversaries="Framing",
+        counts=(1, 2),
+        placements="random,worst",
+        budgets=(4.0,),
+        scenes=junctions(8, 15),
+        trials=9,
+        frames=150,
+    ),
+    adaptive=dict(
+        defences="FaultOrLie",
+        adversaries=ADAPTIVE,
+        counts=(1, 2),
+        placements="random,worst",
+        budgets=(1.0, 4.0),
+        scenes=junctions(8, 15),
+        trials=3,
         frames=150,
     ),
 )
@@ -48,7 +106,7 @@ def study(
 ):
     """Paired runs: the same scenes and seeds for every cell.
 
-    preset: quick or full; it sets all that is None;
+    preset: quick, full, today, alarms, faults, framing or adaptive; it sets all that is None;
     defences, adversaries: names or files (my_defence.py, my_attack.py:MyAttack), separated by commas, or a list of
     these and of dicts with parameters; counts: numbers of adversaries; placements: random, worst, poles;
     budgets: lies per second of each adversary: a cell counts with the one that does the most damage;
@@ -97,8 +155,8 @@ def study(
 
 
 def words(text):
-    """The words of a text with commas, or a list."""
-    return [word.strip() for word in text.split(",")] if isinstance(text, str) else list(text)
+    """The words of a text with commas, or a list; empty text has none."""
+    return [word.strip() for word in text.split(",") if text.strip()] if isinstance(text, str) else list(text)
 
 
 def several(value):

@@ -1,13 +1,18 @@
-"""Data of a matrix of defences: a row per cell, a characteristic per defence."""
+"""Data of a matrix of defences: a row per cell, a characteristic and a summary per defence."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.trust import Roc
-from mast_zenoh.report.tables.study_rows import Estimate
+from mast_zenoh.report.trust_facts import AgentTrust
+
+NAN = float("nan")
+#: How intervals were found, see `study.defences.intervals`.
+BOOTSTRAP, POISSON, BINOMIAL = "bootstrap over trials", "exact Poisson", "exact binomial"
 
 #: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
 MEASURES = {
@@ -20,11 +25,37 @@ MEASURES = {
     "ospa_vs_undefended_m": "OSPA, minus undefended (m)",
     "fp_identifiable": "false objects inserted, identifiable",
     "fp_unidentifiable": "false objects inserted, not identifiable",
+    "identifiable_removed": "identifiable false objects removed (share)",
     "lies_detected": "observable lies detected (share)",
+    "median_delay_s": "median delay (s)",
     "honest_suspended_per_hour": "honest agents suspended per hour",
     "faulty_suspended_per_hour": "faulty agents suspended per hour",
+    "wrongly_suspended": "runs without lies that suspend an agent (share)",
+    "framed": "runs in which an honest agent is framed (share)",
+    "framed_by_minority": "framed, liars below the local majority (share)",
+    "framed_by_majority": "framed, liars in the local majority (share)",
     "honest_majority": "objects with an honest majority (share)",
 }
+
+
+class Measured(NamedTuple):
+    """A number over trials with its 95 % interval; unknown numbers are NaN.
+
+    trials:   number of trials behind it;  left_out: of those without it, because they failed or have no value
+    interval: one of BOOTSTRAP, POISSON, BINOMIAL
+    """
+
+    value: float = NAN
+    low: float = NAN
+    high: float = NAN
+    trials: int = 0
+    left_out: int = 0
+    interval: str = ""
+
+    @property
+    def differs_from_zero(self) -> bool:
+        """Whether the interval does not contain 0."""
+        return self.low > 0.0 or self.high < 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +78,7 @@ class DefenceRow:
 
     attack:    "" without one;  budget: lies per second of each adversary, None: the attack's own
     budgets:   number of budgets that were tried
-    estimates: by name in MEASURES; damage is relative to no defence and no attack, with the same scene and seed
+    measures:  by name in MEASURES; damage is relative to no defence and no attack, with the same scene and seed
     confusion: s by conduct (honest, faulty, lying) and state of trust, over all agents and trials; {}: no trust
     delay:     until liars are suspended, over all trials; None: there was no observable lie, or no trust
     """
@@ -58,7 +89,7 @@ class DefenceRow:
     placement: str
     budget: float | None
     budgets: int
-    estimates: Mapping[str, Estimate]
+    measures: Mapping[str, Measured]
     confusion: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     delay: DelayCurve | None = None
 
@@ -72,19 +103,63 @@ class DefenceRoc:
 
     defence: str
     roc: Roc
-    auc: float
-    partial_auc: float
+    auc: Measured
+    partial_auc: Measured
     hours: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DefenceSummary:
+    """What one defence is worth, over all rows of the matrix.
+
+    lies_detected, identifiable_removed: shares, over all runs under attack;  median_delay_s: of all liars
+    alarms_per_hour: suspensions of honest agents in runs without an attack, of `frames` frames together
+    fn_added, fp_added: objects per frame without an attack
+    faults_suspended: share of the runs with faults alone that suspend an agent
+    framed:  share of the runs in which an honest agent is framed by liars below the local majority
+    """
+
+    defence: str
+    lies_detected: Measured
+    identifiable_removed: Measured
+    median_delay_s: Measured
+    alarms_per_hour: Measured
+    frames: int
+    fn_added: Measured
+    fp_added: Measured
+    faults_suspended: Measured
+    framed: Measured
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrustPanel:
+    """The trust of one trial over time.
+
+    agents: those to show;  left_out: number of others;  end_s: s, of the run
+    """
+
+    title: str
+    agents: Sequence[AgentTrust]
+    left_out: int
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DefenceMatrix:
-    """The cells of a study, and a characteristic for each defence that judges agents."""
+    """The cells of a study, and a characteristic and a summary for each defence that judges agents.
+
+    confusions: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
+    panels: the trust of single trials;  unshown: number of pairs of a defence and an adversary without a panel
+    """
 
     rows: Sequence[DefenceRow]
     rocs: Sequence[DefenceRoc]
     delays: Mapping[str, DelayCurve]
+    summaries: Sequence[DefenceSummary]
     size: str
+    confusions: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
+    panels: Sequence[TrustPanel] = ()
+    unshown: int = 0
 
     def names(self, key: str) -> list[object]:
         """The values of an attribute in order of appearance, without those of runs without an attack."""

@@ -103,7 +103,9 @@ class RunFolder:
             "driving.parquet", files.table(_DRIVING), "no chart of driving", None
         )
         read_trust = read if metrics.get("integrity") else optional
-        trust = read_trust("trust.parquet", files.table(_TRUST), "trust in agents is not shown", None)
+        trust = read_trust(
+            "trust.parquet", files.table(_TRUST, optional=("log_odds",)), "trust in agents is not shown", None
+        )
         judged = read_trust("trust_objects.parquet", files.table(_JUDGED), "withheld objects are not shown", None)
         read_all = run, scenario, wiring, metrics, counts, boxes, effects, recording, tuple(reader.missing)
         return cls(path, *read_all, checks, targets, driving, files.node_results(path / "results"), trust, judged)

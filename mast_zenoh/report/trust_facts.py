@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,23 @@ from mast_zenoh.report.runfolder import RunFolder, agent_of
 
 #: Periods in s: beginning and end.
 Spans = list[tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AgentTrust:
+    """The trust in one agent over time, next to its conduct.
+
+    time_s: (n,) s;  value: (n,) mean or log-odds
+    states: by name of a state, when it was in it
+    lies:   when it lied;  faults: type, beginning and end of its faults
+    """
+
+    agent: str
+    time_s: Floats
+    value: Floats
+    states: Mapping[str, Spans]
+    lies: Spans
+    faults: Sequence[tuple[str, float, float]]
 
 
 def judged_agents(run: RunFolder) -> list[str]:
@@ -42,6 +60,23 @@ def withheld_at(run: RunFolder, frame: int) -> tuple[Floats, Floats, Floats]:
     here = rows(table, (table["frame"] == frame) & table["withheld"].astype(bool))
     position, size = (np.column_stack([column(here, name) for name in names]) for names in ("xyz", "lwh"))
     return position, size, column(here, "yaw")
+
+
+def trust_in_agents(run: RunFolder, names: Sequence[str], value: str = "mean") -> tuple[list[AgentTrust], float]:
+    """The trust in every judged agent, and the end of the run, s; [] without trust.
+
+    names: of the states of interest;  value: column of the trust table: mean or log_odds
+    """
+    if run.trust is None or not len(run.trust["agent"]):
+        return [], 0.0
+    end_s = float(column(run.trust, "time_s").max()) + run.period_s
+    agents = []
+    for agent in judged_agents(run):
+        table = rows(run.trust, run.trust["agent"] == agent)
+        states = {name: state_spans(table, name, end_s) for name in names}
+        times, values = column(table, "time_s"), column(table, value)
+        agents.append(AgentTrust(agent, times, values, states, lie_spans(run, agent), fault_spans(run, agent, end_s)))
+    return agents, end_s
 
 
 def state_spans(table: Table, state: str, end_s: float) -> Spans:

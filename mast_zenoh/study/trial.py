@@ -101,8 +101,9 @@ def run(trial: Trial) -> Outcome:
                 )
         resolved = _resolve(trial)
         compromised = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
-        if trial.runtime == "inproc" and not trial.lies:
+        if trial.runtime == "inproc" and not (trial.lies and _is_disturbed(resolved)):
             metrics, table, handler_failures = _run_in_process(resolved, trial.allow_failures)
+            metrics = _without_lies(metrics) if trial.lies else metrics
         else:
             metrics, table, handler_failures = _run_in_folder(resolved, trial)
         cpu_s = round(time.process_time() - cpu_start_s, 3)
@@ -114,8 +115,24 @@ def run(trial: Trial) -> Outcome:
 
 def _resolve(trial: Trial) -> Resolved:
     path, loaded = scenario.load(trial.scenario, trial.settings)
-    return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=trial.lies)
+    record = trial.lies and any(loaded.get(part) for part in _DISTURBANCES)
+    return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=record)
 
+
+def _without_lies(metrics: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The metrics of a run in which nothing can lie, with the part `defence`."""
+    from mast_zenoh.study.defences.records import NO_LIES  # SciPy's statistics are slow to load
+
+    return {**metrics, "defence": NO_LIES}
+
+
+def _is_disturbed(resolved: Resolved) -> bool:
+    """Whether anything in a run may lie or be faulty."""
+    return bool(resolved.timeline) or any(wire["interposers"] for wire in resolved.wiring["wires"])
+
+
+#: Parts of a scenario that may hold what lies or is faulty: runs with one of them are recorded.
+_DISTURBANCES = ("adversaries", "nodes", "links", "faults")
 
 #: metrics.json, the columns of metrics.parquet, and the failures of handlers by node.
 RunResult = tuple[Mapping[str, Any], Table, Mapping[str, Sequence[failures.Entry]]]

@@ -10,6 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh.report.defence_rows import DefenceMatrix, DefenceRow
+from mast_zenoh.report.figures.defence_trust import trust_of_trials
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
 from mast_zenoh.report.tables.study_rows import number
@@ -30,6 +31,8 @@ def figures_of_defences(matrix: DefenceMatrix) -> dict[str, RenderedFigure]:
         figures["detection_delay"] = _delays(matrix)
     if matrix.rocs:
         figures["roc"] = _rocs(matrix)
+    if matrix.panels:
+        figures["trust_over_time"] = trust_of_trials(matrix.panels, matrix.unshown)
     return figures
 
 
@@ -41,7 +44,7 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
     height = 0.5 + len(placements) * (1.3 + 0.34 * len(defences))
     figure = Figure(figsize=(max(6.5, width), height), layout="constrained", facecolor="white")
     grid = figure.subplots(len(placements), len(counts), squeeze=False, sharey=True)
-    sizes = [abs(row.estimates["damage"].trial_mean) for row in matrix.rows if row.attack]
+    sizes = [abs(row.measures["damage"].value) for row in matrix.rows if row.attack]
     scale = max((size for size in sizes if not math.isnan(size)), default=0.0) or 1.0
     for line, placement in zip(grid, placements, strict=True):
         for axes, count in zip(line, counts, strict=True):
@@ -68,9 +71,8 @@ def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) ->
         for x, row in enumerate(line):
             if row is None or math.isnan(means[y, x]):
                 continue
-            estimate = row.estimates["damage"]
-            text = number(estimate.trial_mean)
-            certain = estimate.low > 0.0 or estimate.high < 0.0 or estimate.certain
+            damage = row.measures["damage"]
+            text, certain = number(damage.value), damage.differs_from_zero
             colour = "white" if abs(means[y, x]) > 0.75 * scale else INK
             axes.text(x, y, text if certain else f"({text})", ha="center", va="center", fontsize=8.5, color=colour)
     for spine in axes.spines.values():
@@ -108,8 +110,8 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
     figure.legend(handles, labels, loc="outside upper left", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
     figure.supxlabel("number of adversaries", fontsize=9.5, color=INK)
     caption = (
-        f"Damage over the number of adversaries ({matrix.size}), with 95 % intervals over seeds where there are five "
-        "seeds or more. Last: the share of objects that more honest agents see than compromised ones. No rule that "
+        f"Damage over the number of adversaries ({matrix.size}), with 95 % intervals over trials where there are five "
+        "trials or more. Last: the share of objects that more honest agents see than compromised ones. No rule that "
         "counts viewers can know more."
     )
     return render("damage_over_adversaries", figure, f"Damage over number of adversaries. {_worst(matrix)}", caption)
@@ -118,10 +120,10 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
 def _curve(
     axes: Axes, counts: list[int], rows: list[DefenceRow | None], colour: int, style: int, label: object
 ) -> None:
-    estimates = [None if row is None else row.estimates["damage"] for row in rows]
+    estimates = [None if row is None else row.measures["damage"] for row in rows]
     known = [(count, each) for count, each in zip(counts, estimates, strict=True) if each is not None]
-    mean = np.array([each.trial_mean for _, each in known])
-    bars = np.nan_to_num([[each.trial_mean - each.low, each.high - each.trial_mean] for _, each in known]).T
+    mean = np.array([each.value for _, each in known])
+    bars = np.nan_to_num([[each.value - each.low, each.high - each.value] for _, each in known]).T
     axes.errorbar(
         [count for count, _ in known],
         mean,
@@ -142,7 +144,7 @@ def _bound(axes: Axes, matrix: DefenceMatrix, counts: list[int]) -> None:
         values = []
         for count in counts:
             shares = [
-                row.estimates["honest_majority"].trial_mean
+                row.measures["honest_majority"].value
                 for row in matrix.rows
                 if row.n_adversaries == count and (count == 0 or row.placement == placement)
             ]
@@ -198,7 +200,7 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
             color=RUN_COLOURS[index % len(RUN_COLOURS)],
             linestyle=_STYLES[index % len(_STYLES)],
             linewidth=1.8,
-            label=plain(f"{each.defence}: AUC {number(each.auc)}"),
+            label=plain(f"{each.defence}: AUC {number(each.auc.value)}"),
         )
     axes.set_xlabel("honest agent-runs above the threshold (%)", fontsize=9.5, color=INK)
     axes.set_ylabel("lying agent-runs above the threshold (%)", fontsize=9.5, color=INK)
@@ -207,12 +209,12 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
         "Each agent of each run has one score, its greatest suspicion. One honest agent-run is at most one false alarm "
         "in the hours of all runs together, so few runs say nothing about one alarm per hour."
     )
-    values = "; ".join(f"{each.defence} {number(each.auc)}" for each in matrix.rocs)
+    values = "; ".join(f"{each.defence} {number(each.auc.value)}" for each in matrix.rocs)
     return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption)
 
 
 def _mean(row: DefenceRow | None, name: str) -> float:
-    return math.nan if row is None else row.estimates[name].trial_mean
+    return math.nan if row is None else row.measures[name].value
 
 
 def _worst(matrix: DefenceMatrix) -> str:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -18,9 +21,22 @@ from mast_zenoh.report.figures.style import (
     plain,
 )
 from mast_zenoh.report.figures.timeaxis import padded
-from mast_zenoh.report.files import column, rows
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.trust_facts import Spans, fault_spans, judged_agents, lie_spans, state_spans
+from mast_zenoh.report.trust_facts import AgentTrust, Spans, trust_in_agents
+
+
+class Scale(NamedTuple):
+    """The axis of trust: its limits, its ticks with their labels, and the name of the quantity."""
+
+    low: float
+    high: float
+    ticks: Sequence[tuple[float, str]]
+    label: str
+
+
+MEAN = Scale(0.0, 1.0, ((0.0, "0"), (0.5, ""), (1.0, "1")), "trust, 0 to 1")
+#: Greater log-odds are drawn at the limits.
+LOG_ODDS = Scale(-10.0, 10.0, ((-10.0, "\u221210"), (0.0, "0"), (10.0, "10")), "log-odds that the agent is honest")
 
 #: Inches: width of the figure, of its left margin with the agents' names; heights of the legend and the time axis.
 _WIDTH, _LEFT, _RIGHT, _HEAD, _FOOT = 11.5, 1.35, 0.15, 0.46, 0.55
@@ -37,12 +53,10 @@ def trust_over_time(run: RunFolder, frame: int | None) -> Figure | None:
     Background: when an agent was taken to be faulty, or was suspended. Bands below: when it lied, and when it was
     faulty. frame: marked by a line, if given
     """
-    agents = judged_agents(run)
-    if run.trust is None or not agents:
+    agents, end = trust_in_agents(run, list(STATES_ON_LIGHT))
+    if not agents:
         return None
-    times = column(run.trust, "time_s")
-    low, high = float(times.min()), float(times.max())
-    end = high + run.period_s
+    low = min(float(agent.time_s.min()) for agent in agents)
     row = float(np.clip(_ROW[2] / len(agents), *_ROW[:2]))
     height = _HEAD + row * len(agents) + _FOOT
     figure = Figure(figsize=(_WIDTH, height), facecolor="white")
@@ -50,7 +64,7 @@ def trust_over_time(run: RunFolder, frame: int | None) -> Figure | None:
         bottom = _FOOT + (len(agents) - 1 - index) * row
         width = _WIDTH - _LEFT - _RIGHT
         axes = figure.add_axes((_LEFT / _WIDTH, bottom / height, width / _WIDTH, 0.88 * row / height))
-        _draw_agent(axes, run, agent, end, named=row >= _NAMED)
+        draw_agent(axes, agent, end, named=row >= _NAMED)
         axes.set_xlim(*padded(low, end))
         axes.tick_params(labelbottom=index == len(agents) - 1)
         if frame is not None:
@@ -59,7 +73,7 @@ def trust_over_time(run: RunFolder, frame: int | None) -> Figure | None:
             axes.axvline(at, color=INK, linewidth=0.9)
         if index == len(agents) - 1:
             axes.set_xlabel("time (s)", fontsize=10, color=INK)
-    handles = _legend(run, agents, end)
+    handles = legend(agents)
     if frame is not None:
         handles.append(Line2D([], [], color=INK, linewidth=0.9, label="frame shown"))
     figure.legend(
@@ -74,27 +88,29 @@ def trust_over_time(run: RunFolder, frame: int | None) -> Figure | None:
     return figure
 
 
-def _draw_agent(axes: Axes, run: RunFolder, agent: str, end: float, *, named: bool) -> None:
-    """Draw one agent's row; named: whether there is room for the names of faults."""
-    assert run.trust is not None
-    table = rows(run.trust, run.trust["agent"] == agent)
+def draw_agent(axes: Axes, agent: AgentTrust, end: float, scale: Scale = MEAN, *, named: bool) -> None:
+    """Draw one agent's row.
+
+    end: s, of the run;  named: whether there is room for the names of faults
+    """
     light_axes(axes)
     for state, colour in STATES_ON_LIGHT.items():
-        for start, stop in state_spans(table, state, end):
+        for start, stop in agent.states[state]:
             axes.add_patch(Rectangle((start, 0.0), stop - start, 1.0, facecolor=colour, alpha=0.45, linewidth=0))
-    _bands(axes, lie_spans(run, agent), _LIES, ADVERSARY_ON_LIGHT)
-    faults = fault_spans(run, agent, end)
-    _bands(axes, [(start, stop) for _, start, stop in faults], _FAULTS, FAULT_ON_LIGHT, hatched=True)
+    _bands(axes, agent.lies, _LIES, ADVERSARY_ON_LIGHT)
+    _bands(axes, [(start, stop) for _, start, stop in agent.faults], _FAULTS, FAULT_ON_LIGHT, hatched=True)
     if named:
-        for kind, start, stop in faults:
+        for kind, start, stop in agent.faults:
             after = stop < 0.8 * end
             place, align = (stop + 0.006 * end, "left") if after else (start - 0.006 * end, "right")
             middle = _FAULTS + 0.5 * _BAND
             axes.text(place, middle, plain(kind), ha=align, va="center", fontsize=8.5, color=FAULT_ON_LIGHT)
-    axes.plot(column(table, "time_s"), column(table, "mean"), color=INK, linewidth=1.6, drawstyle="steps-post")
+    value = (np.clip(agent.value, scale.low, scale.high) - scale.low) / (scale.high - scale.low)
+    axes.plot(agent.time_s, value, color=INK, linewidth=1.6, drawstyle="steps-post")
     axes.set_ylim(_FAULTS - 0.06, 1.06)
-    axes.set_yticks([0.0, 0.5, 1.0], ["0", "", "1"], fontsize=9)
-    axes.set_ylabel(plain(agent), rotation=0, ha="right", va="center", fontsize=10.5, color=INK, labelpad=10)
+    places = [(tick - scale.low) / (scale.high - scale.low) for tick, _ in scale.ticks]
+    axes.set_yticks(places, [label for _, label in scale.ticks], fontsize=9)
+    axes.set_ylabel(plain(agent.agent), rotation=0, ha="right", va="center", fontsize=10.5, color=INK, labelpad=10)
 
 
 def _bands(axes: Axes, spans: Spans, lower: float, colour: str, *, hatched: bool = False) -> None:
@@ -104,17 +120,16 @@ def _bands(axes: Axes, spans: Spans, lower: float, colour: str, *, hatched: bool
         axes.add_patch(band)
 
 
-def _legend(run: RunFolder, agents: list[str], end: float) -> list[Line2D | Patch]:
-    """Legend entries for what the chart shows."""
-    assert run.trust is not None
-    handles: list[Line2D | Patch] = [Line2D([], [], color=INK, linewidth=1.6, label="trust, 0 to 1")]
+def legend(agents: Sequence[AgentTrust], scale: Scale = MEAN) -> list[Line2D | Patch]:
+    """Legend entries for what the rows of these agents show."""
+    handles: list[Line2D | Patch] = [Line2D([], [], color=INK, linewidth=1.6, label=scale.label)]
     for state, colour in STATES_ON_LIGHT.items():
-        if (run.trust["state"] == state).any():
+        if any(agent.states[state] for agent in agents):
             words = {"suspended": "suspended", "faulty": "taken to be faulty"}
             handles.append(Patch(facecolor=colour, alpha=0.45, label=words[state]))
-    if any(lie_spans(run, agent) for agent in agents):
+    if any(agent.lies for agent in agents):
         handles.append(Patch(facecolor=(ADVERSARY_ON_LIGHT, 0.9), edgecolor=ADVERSARY_ON_LIGHT, label="lies"))
-    if any(fault_spans(run, agent, end) for agent in agents):
+    if any(agent.faults for agent in agents):
         fault = Patch(facecolor=(FAULT_ON_LIGHT, 0.25), edgecolor=FAULT_ON_LIGHT, hatch=HATCH, label="is faulty")
         handles.append(fault)
     return handles

@@ -6,8 +6,12 @@
     cells       the cells of the matrix as configurations of a study
     bound       where honest viewers outnumber malicious ones
     lies        the lies of one run, and which of them were detected
+    traces      the trust of one run over time
+    records     what the matrix needs of one trial
     survival    times until detection, with censored ones
-    estimates   numbers of each cell, from its trials
+    intervals   95 % intervals over trials
+    pooled      numbers over the trials of a cell or of a defence
+    estimates   the matrix: a row for each cell, a summary for each defence
     outputs     tables and figures
 
 See docs/studies.md.

@@ -13,8 +13,8 @@ from mast_zenoh.study.defences.placement import PLACEMENTS
 
 #: The command centre without a defence: the reference of all others.
 UNDEFENDED = "NoIntegrity"
-#: The adversaries of the scenario `coordinated`.
-COORDINATED = "coordinated"
+#: The adversaries of the scenarios of these names; they have no budget.
+WITHOUT_BUDGET = ("coordinated", "uncoordinated")
 #: Label of the configuration without defence and without attack.
 BASELINE = f"{UNDEFENDED} alone"
 
@@ -40,6 +40,11 @@ class Cell:
         return self.attack.startswith(PREFIX)
 
     @property
+    def lies(self) -> bool:
+        """Whether it has adversaries."""
+        return bool(self.attack) and not self.is_fault
+
+    @property
     def label(self) -> str:
         """The label of its configuration."""
         if not self.attack:
@@ -61,6 +66,7 @@ def matrix(
 ) -> dict[str, Any]:
     """The keys `runs`, `cells` and `baseline` of a study of every defence against every adversary.
 
+    adversaries: none for runs without an attack alone
     counts: numbers of adversaries; 0 stands for one run per defence without an attack, and is always included
     budgets: of each adversary that has one;  parameters: of the scenario, for all runs
     Raises ConfigurationError.
@@ -87,7 +93,7 @@ def matrix(
 
 
 def _has_budget(attack: Choice) -> bool:
-    if isinstance(attack, str) and (attack == COORDINATED or attack.startswith(PREFIX)):
+    if isinstance(attack, str) and (attack in WITHOUT_BUDGET or attack.startswith(PREFIX)):
         return False
     return has_budget(attack)
 

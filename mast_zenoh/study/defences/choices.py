@@ -21,12 +21,13 @@ Choice = str | dict[str, Any]
 def parsed(text: str | list[Choice] | tuple[Choice, ...], place: str) -> list[Choice]:
     """Choices from names separated by commas, or from a Python list of names and dicts; files with absolute paths.
 
-    place: names the setting in errors. Raises ConfigurationError.
+    Empty text has none. place: names the setting in errors. Raises ConfigurationError.
     """
     choices: Any = text
     if isinstance(text, str):
         try:
-            choices = ast.literal_eval(text) if text.lstrip().startswith(("[", "(", "{")) else text.split(",")
+            literal = text.lstrip().startswith(("[", "(", "{"))
+            choices = ast.literal_eval(text) if literal else text.split(",") if text.strip() else []
         except (ValueError, SyntaxError):
             raise ConfigurationError(f"{place}: found {text!r}, expected names, or a list of names and dicts") from None
     choices = [choices] if isinstance(choices, Mapping) else choices

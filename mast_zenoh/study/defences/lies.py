@@ -19,6 +19,7 @@ from mast_zenoh.launch.tables import from_arrow
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.bound import honest_majority
+from mast_zenoh.study.defences.traces import trace
 
 #: m, from a false object on the wires to the one of the command centre or of the picture that stands for it.
 GATE_M = 2.0
@@ -35,6 +36,9 @@ def evaluate(folder: Path, metrics: Mapping[str, Any]) -> dict[str, Any]:
     false:  false objects per scored frame in the ego's picture that adversaries inserted, where honest viewers have the
             majority (`identifiable`), and where not
     honest_majority: share of the objects that more honest agents see than compromised ones; 1.0 without adversaries
+    outnumbered: share of the observable lies, by object and frame, of which liars have more viewers than honest agents;
+            None: there is no observable lie
+    trust:  see `traces.trace`
     """
     run = Run(folder)
     seen = observability(run)
@@ -55,7 +59,21 @@ def evaluate(folder: Path, metrics: Mapping[str, Any]) -> dict[str, Any]:
         },
         "false": _false_objects(run, lies, metrics),
         "honest_majority": honest_majority(recording.points, [name in compromised for name in recording.agent_names]),
+        "outnumbered": outnumbered(lies),
+        "trust": trace(folder),
     }
+
+
+def outnumbered(lies: _Columns) -> float | None:
+    """Share of observable rows with more lying viewers than honest ones; None without an observable row.
+
+    lies: n rows, as in `api.observability`
+
+    Rows that no honest agent could notice count neither way: they contradict nobody. At a tie, nobody is outnumbered.
+    """
+    rows = np.asarray(lies["observable"], bool)
+    more = np.asarray(lies["lying_viewers"])[rows] > np.asarray(lies["honest_viewers"])[rows]
+    return float(more.mean()) if len(more) else None
 
 
 def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str, int]:

@@ -29,20 +29,20 @@ def place(
     placement: one of PLACEMENTS;  seed, frames: of the run. With the same seed, fewer agents are always among more.
     Raises ConfigurationError for an unknown placement, or if the scene has too few agents.
     """
+    if placement not in PLACEMENTS:
+        raise ConfigurationError(f"placement: found {placement!r}{nearest(str(placement), PLACEMENTS)}")
     poles = victims_of(scene, count)
-    if placement == "poles":
+    if placement == "poles" or count == 0:  # without recording the scene
         return poles
     spec = choose_scene(scene)
     built = registry.build(spec, scenes.Scene, "scene")
     if placement == "random":
         names = scenes.prepare(built, 0, 1, json.dumps(spec, sort_keys=True)).agent_names[1:]
         order = stream(seed, "placement").permutation(len(names))
-    elif placement == "worst":
+    else:
         recording = scenes.prepare(built, seed, frames, json.dumps(spec, sort_keys=True))
         names = recording.agent_names[1:]
         order = by_coverage(recording.points[:, 1:])
-    else:
-        raise ConfigurationError(f"placement: found {placement!r}{nearest(str(placement), PLACEMENTS)}")
     return _chosen(names, order, count)
 
 

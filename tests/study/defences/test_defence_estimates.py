@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from typing import Any
 
 import pytest
 
-from mast_zenoh.report.defence_rows import DefenceMatrix
-from mast_zenoh.report.figures.defences import figures_of_defences
-from mast_zenoh.report.tables import defences as tables
+from mast_zenoh.report.defence_rows import BINOMIAL, POISSON, DefenceMatrix, Measured
 from mast_zenoh.study.defences import Cell
 from mast_zenoh.study.defences.estimates import Collection
 
@@ -30,8 +26,13 @@ def metrics(
     lied: bool = False,
     suspended_after_s: float | None = None,
     alarms: int = 0,
+    honest_suspended_s: float | None = None,
+    outnumbered: float = 0.0,
 ) -> dict[str, Any]:
-    """metrics.json of a trial of 36 s with one agent that may lie and one that never does."""
+    """metrics.json of a trial of 36 s with one agent that may lie and one that never does.
+
+    honest_suspended_s: s of scene time at which the latter is suspended
+    """
     picture = {"fn": {"mean": 2.0}, "fp": {"mean": fp}, "ospa_m": {"mean": 1.0 + fp}}
     liar = {
         "first_lie_s": 4.0,
@@ -40,20 +41,28 @@ def metrics(
         "observed_s": None if not trusted else 6.0 if suspended_after_s is None else suspended_after_s,
     }
     found = suspended_after_s is not None
+    suspension = [] if honest_suspended_s is None else [{"from_s": honest_suspended_s, "conduct": "honest"}]
     content: dict[str, Any] = {
+        "frames": 360,
         "agents": {"ego": {"picture": picture}},
         "defence": {
             "lies": {"all": 4 * lied, "observable": 4 * lied, "detected": 2 * found},
             "agents": {"liar": liar} if lied else {},
             "false": {"identifiable": fp, "unidentifiable": 0.0},
             "honest_majority": 0.75 if lied else 1.0,
+            "outnumbered": outnumbered if lied else None,
         },
     }
     if trusted:
         content["integrity"] = {
             "agents": {
-                "liar": {"lied": lied, "suspicion": {"max": 3.0 if lied else -3.0}, "fault_alarms": 2},
-                "honest": {"lied": False, "suspicion": {"max": -2.0}, "fault_alarms": 0},
+                "liar": {
+                    "lied": lied,
+                    "suspicion": {"max": 3.0 if lied else -3.0},
+                    "fault_alarms": 2,
+                    "suspensions": [],
+                },
+                "honest": {"lied": False, "suspicion": {"max": -2.0}, "fault_alarms": 0, "suspensions": suspension},
             },
             "seconds": {"honest": {"trusted": 36.0, "suspended": 4.0}},
             "hours": 0.01,
@@ -80,10 +89,16 @@ def matrix() -> DefenceMatrix:
     return collection.matrix()
 
 
+def measure(matrix: DefenceMatrix, defence: str, name: str, attack: str = "Ghost", count: int = 1) -> Measured:
+    row = matrix.row(defence, attack, count, "worst")
+    assert row is not None
+    return row.measures[name]
+
+
 def test_damage_is_relative_to_no_attack_and_no_defence_with_the_same_seed(matrix: DefenceMatrix) -> None:
-    damage = matrix.row("NoIntegrity", "Ghost", 1, "worst").estimates["damage"]  # type: ignore[union-attr]
-    assert damage.trial_mean == pytest.approx(4.2)
-    assert damage.low < 4.2 < damage.high < 4.5, "paired, so that the seeds' own noise cancels"
+    damage = measure(matrix, "NoIntegrity", "damage")
+    assert damage.value == pytest.approx(4.2)
+    assert 4.0 <= damage.low < 4.2 < damage.high <= 4.4, "paired, so that the seeds' own noise cancels"
 
 
 def test_each_cell_has_the_budget_that_does_the_most_damage(matrix: DefenceMatrix) -> None:
@@ -92,16 +107,20 @@ def test_each_cell_has_the_budget_that_does_the_most_damage(matrix: DefenceMatri
     assert defended is not None
     assert (undefended.budget, defended.budget, defended.budgets) == (4.0, 1.0, 2)
     # 1.2 against the undefended run with the same budget, 2.0
-    assert defended.estimates["fp_vs_undefended"].trial_mean == pytest.approx(1.2 - 2.0)
+    assert defended.measures["fp_vs_undefended"].value == pytest.approx(1.2 - 2.0)
 
 
 def test_the_cost_is_the_damage_without_an_attack(matrix: DefenceMatrix) -> None:
-    alone = matrix.row("Wall", "Ghost", 0, "worst")
-    assert alone is not None
-    assert alone.attack == ""
-    assert alone.estimates["fp_added"].trial_mean == pytest.approx(0.5)
-    assert alone.estimates["honest_suspended_per_hour"].trial_mean == pytest.approx(100.0 / 5)
-    assert alone.estimates["faulty_suspended_per_hour"].trial_mean == pytest.approx(200.0)
+    assert matrix.row("Wall", "Ghost", 0, "worst").attack == ""  # type: ignore[union-attr]
+    assert measure(matrix, "Wall", "fp_added", count=0).value == pytest.approx(0.5)
+    assert measure(matrix, "Wall", "faulty_suspended_per_hour", count=0).value == pytest.approx(200.0)
+
+
+def test_rates_have_the_exact_interval_of_a_poisson_count(matrix: DefenceMatrix) -> None:
+    alarms = measure(matrix, "Wall", "honest_suspended_per_hour", count=0)
+    assert (alarms.value, alarms.interval, alarms.trials) == (pytest.approx(100.0 / 5), POISSON, 5)
+    # One event in 0.05 h: 0.0253 to 5.572 events.
+    assert (alarms.low, alarms.high) == (pytest.approx(0.0253 / 0.05, rel=1e-3), pytest.approx(5.572 / 0.05, rel=1e-3))
 
 
 def test_delays_and_characteristics_are_over_all_trials_of_a_defence(matrix: DefenceMatrix) -> None:
@@ -109,44 +128,107 @@ def test_delays_and_characteristics_are_over_all_trials_of_a_defence(matrix: Def
     delay = matrix.delays["Wall"]
     assert (delay.detections, delay.watched, delay.median_s) == (5, 10, 1.0)
     (curve,) = matrix.rocs
-    assert (curve.defence, curve.auc) == ("Wall", 1.0)
+    assert (curve.defence, curve.auc.value) == ("Wall", 1.0)
+    assert math.isnan(curve.auc.low), "a perfect separation in all trials does not say how good it is in others"
     assert curve.hours == pytest.approx(15 * 0.01)
 
 
-def test_a_failed_trial_leaves_its_seed_out() -> None:
+def test_a_failed_trial_is_left_out() -> None:
     collection = Collection({cell.label: cell for cell in CELLS[:2]}, ["junction"], [0, 1])
     collection.add(CELLS[0].label, "junction", 0, metrics(1.0))
     collection.add(CELLS[1].label, "junction", 0, metrics(2.0, trusted=True))
     collection.add(CELLS[1].label, "junction", 1, metrics(9.0, trusted=True))
-    estimate = collection.matrix().rows[1].estimates["fp_added"]
-    assert (estimate.trial_mean, estimate.seeds, estimate.left_out) == (1.0, 1, 1)
+    added = collection.matrix().rows[1].measures["fp_added"]
+    assert (added.value, added.trials, added.left_out) == (1.0, 1, 1)
 
 
 def test_lies_are_not_detected_where_none_is_observable(matrix: DefenceMatrix) -> None:
-    alone = matrix.row("Wall", "Ghost", 0, "worst")
-    assert alone is not None
-    assert math.isnan(alone.estimates["lies_detected"].trial_mean)
+    assert math.isnan(measure(matrix, "Wall", "lies_detected", count=0).value)
 
 
-def test_tables_hold_every_cell(matrix: DefenceMatrix) -> None:
-    text = tables.as_markdown(matrix)
-    assert "| Ghost | 1 | 4.20 [" in text
-    assert "| Wall | Ghost | 1 | worst | 1 |" in text
-    assert "5 of 10" not in text, "the delays of a cell are of its own budget"
-    rows = list(csv.DictReader(io.StringIO(tables.as_csv(matrix))))
-    damage = [row for row in rows if row["measure"] == "damage"]
-    assert [(row["defence"], row["n_adversaries"]) for row in damage] == [
-        ("NoIntegrity", "0"),
-        ("Wall", "0"),
-        ("NoIntegrity", "1"),
-        ("Wall", "1"),
+def test_the_share_removed_is_relative_to_the_undefended_run_with_the_same_seed(matrix: DefenceMatrix) -> None:
+    removed = measure(matrix, "Wall", "identifiable_removed")
+    # 1.4 a frame remain of 2.2, over all seeds together
+    assert removed.value == pytest.approx(1.0 - (1.2 + 0.2) / (2.0 + 0.2))
+    assert removed.low < removed.value < removed.high
+    assert math.isnan(measure(matrix, "NoIntegrity", "identifiable_removed").value)
+
+
+def played(*contents: dict[str, Any], cell: Cell = CELLS[-1]) -> DefenceMatrix:
+    """A matrix of one attacked cell of `Wall`, a seed for each metrics.json, and the runs that it is compared with."""
+    undefended = Cell("NoIntegrity", cell.attack, cell.n_adversaries, cell.placement, cell.budget)
+    cells = {each.label: each for each in (Cell("NoIntegrity"), Cell("Wall"), undefended, cell)}
+    collection = Collection(cells, ["junction"], range(len(contents)))
+    for seed, content in enumerate(contents):
+        for each in cells.values():
+            trusted = each.defence == "Wall"
+            other = metrics(3.0 if each.attack else 1.0, trusted=trusted, lied=bool(each.attack) and not cell.is_fault)
+            collection.add(each.label, "junction", seed, content if each == cell else other)
+    return collection.matrix()
+
+
+def test_an_honest_agent_is_framed_if_it_is_suspended_after_the_first_lie() -> None:
+    before, after = (metrics(1.0, trusted=True, lied=True, honest_suspended_s=at_s) for at_s in (3.9, 4.0))
+    framed = measure(played(before, after, after, after), "Wall", "framed")
+    assert (framed.value, framed.trials, framed.interval) == (0.75, 4, BINOMIAL)
+    assert (framed.low, framed.high) == (pytest.approx(0.194, abs=1e-3), pytest.approx(0.994, abs=1e-3))
+
+
+def test_framing_by_a_local_majority_is_counted_apart() -> None:
+    framed, not_framed = dict(honest_suspended_s=5.0), dict(honest_suspended_s=None)
+    trials = [
+        metrics(1.0, trusted=True, lied=True, outnumbered=share, **choice)  # type: ignore[arg-type]
+        for share, choice in ((0.0, not_framed), (0.4, not_framed), (0.49, framed), (0.5, framed), (1.0, framed))
     ]
-    latex = tables.as_latex(matrix)
-    assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 1
-    assert "Ghost & 1 & 4.20" in latex
+    matrix = played(*trials)
+    minority, majority = (measure(matrix, "Wall", f"framed_by_{group}") for group in ("minority", "majority"))
+    assert (minority.value, minority.trials) == (pytest.approx(1 / 3), 3)
+    assert (majority.value, majority.trials) == (1.0, 2)
+    assert matrix.summaries[0].framed == minority
 
 
-def test_figures_name_the_worst_adversary_in_words(matrix: DefenceMatrix) -> None:
-    figures = figures_of_defences(matrix)
-    assert list(figures) == ["defence_matrix", "damage_over_adversaries", "detection_delay", "roc"]
-    assert "NoIntegrity: 4.20 by Ghost, 1 adversary" in figures["defence_matrix"].alt
+def test_a_run_with_faults_alone_that_suspends_an_agent_is_wrong_and_not_framing() -> None:
+    suspended, kept = (metrics(1.0, trusted=True, honest_suspended_s=at_s) for at_s in (5.0, None))
+    matrix = played(suspended, kept, cell=Cell("Wall", "fault:pose", 1, "random"))
+    row = next(row for row in matrix.rows if row.defence == "Wall" and row.attack)
+    assert (row.measures["wrongly_suspended"].value, row.measures["wrongly_suspended"].trials) == (0.5, 2)
+    assert math.isnan(row.measures["framed"].value)
+    (summary,) = matrix.summaries
+    assert summary.faults_suspended.value == 0.5
+    assert math.isnan(summary.lies_detected.value)
+
+
+def test_the_summary_has_the_alarms_of_unattacked_runs_and_their_frames(matrix: DefenceMatrix) -> None:
+    (summary,) = matrix.summaries
+    assert summary.defence == "Wall"
+    assert summary.alarms_per_hour == measure(matrix, "Wall", "honest_suspended_per_hour", count=0)
+    assert summary.frames == 5 * 360
+    assert summary.fp_added.value == pytest.approx(0.5)
+    assert summary.lies_detected.value == 0.0, "the worst budget was not detected"
+
+
+def test_the_runs_of_one_scene_and_seed_are_one_trial_of_a_defence() -> None:
+    cells = [Cell("NoIntegrity"), *(Cell("Wall", attack, 1, "worst") for attack in ("a", "b", "c"))]
+    collection = Collection({cell.label: cell for cell in cells}, ["junction"], SEEDS)
+    for seed in SEEDS:
+        for cell in cells:
+            content = metrics(1.0, trusted=cell.defence == "Wall", lied=bool(cell.attack))
+            collection.add(cell.label, "junction", seed, content)
+    (summary,) = collection.matrix().summaries
+    assert (summary.framed.value, summary.framed.trials) == (0.0, 15)
+    assert summary.framed.high == pytest.approx(1.0 - 0.025 ** (1 / 5))
+
+
+def test_the_time_in_each_state_is_a_share_with_an_interval(matrix: DefenceMatrix) -> None:
+    assert set(matrix.confusions["Wall"]) == {"honest"}
+    assert matrix.confusions["Wall"]["honest"]["suspended"].value == pytest.approx(0.1)
+    assert matrix.confusions["NoIntegrity"] == {}
+
+
+def test_an_unknown_median_delay_has_at_most_a_lower_bound() -> None:
+    never, soon = (metrics(1.0, trusted=True, lied=True, suspended_after_s=after_s) for after_s in (None, 1.0))
+    unknown = measure(played(never, never, never, never, soon, soon), "Wall", "median_delay_s")
+    assert math.isnan(unknown.value)
+    assert (unknown.low, unknown.high) == (1.0, math.inf)
+    known = measure(played(soon, soon, soon, soon, soon, never), "Wall", "median_delay_s")
+    assert (known.value, known.low) == (1.0, 1.0)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh import scenario
+from mast_zenoh import scenario, scenes
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.study import definition, identity, plan
-from mast_zenoh.study.defences import PLACEMENTS, place
+from mast_zenoh.integrity.calibration import refuse_calibration_data
+from mast_zenoh.study import definition, identity, plan, trial
+from mast_zenoh.study.defences import PLACEMENTS, place, records
 from mast_zenoh.study.defences.natural import FAULTS
 
 DEFENCE = """
@@ -48,6 +50,79 @@ def test_every_defence_meets_every_adversary_and_runs_alone() -> None:
         "KOfN BlindSpot 2 worst budget 2",
     ]
     assert study.baseline == "NoIntegrity alone"
+
+
+@pytest.mark.parametrize("preset", ["quick", "full", "today", "alarms", "faults", "framing", "adaptive"])
+def test_every_preset_is_short_to_name_and_uses_no_calibration_data(preset: str) -> None:
+    study = definition.load("defences", [f"preset={preset}"])
+    assert len(study.configurations) == len(study.cells) > 1
+    assert study.baseline == "NoIntegrity alone"
+    first = study.scenes[0].settings[0].removeprefix("scene=")
+    scene = {"type": "Intersection", "scene_index": int(first.removeprefix("intersection:"))}
+    refuse_calibration_data(range(study.seed, study.seed + (study.trials or 1)), scene, preset)
+
+
+def test_the_preset_alarms_plays_108000_unattacked_frames_and_what_they_are_compared_with() -> None:
+    study = definition.load("defences", ["preset=alarms"])
+    assert [each.label for each in study.configurations] == ["NoIntegrity alone", "FaultOrLie alone"]
+    assert len(study.scenes) * (study.trials or 0) * (study.frames or 0) == 108_000
+
+
+def test_no_adversaries_means_runs_without_an_attack() -> None:
+    study = definition.load("defences", ["defences=KOfN", "adversaries="])
+    assert [each.label for each in study.configurations] == ["NoIntegrity alone", "KOfN alone"]
+
+
+def test_todays_attacks_are_on_tracks_alone_and_have_no_budget() -> None:
+    study = definition.load("defences", ["preset=today"])
+    assert {cell.attack for cell in study.cells.values()} == {"", "coordinated", "uncoordinated"}
+    assert {cell.budget for cell in study.cells.values()} == {None}
+    for name in ("coordinated", "uncoordinated"):
+        settings = [f"attack={name}", "scene=intersection:4", "placement=poles", "n_adversaries=1"]
+        _, content = scenario.load("defence_cell", settings)
+        rewrites = set(content["keyexpr"]["rewrites"])
+        assert {"on_tracks.toml", "views.toml"} <= rewrites
+        assert not rewrites & {"on_view.toml", "on_detections.toml", "knowledge_trust.toml"}
+    (adversary,) = content["adversaries"].values()
+    assert adversary["attack"]["type"] == "UncoordinatedAttack"
+    assert not content.get("coordinator")
+
+
+def test_an_unattacked_run_has_no_coordinator() -> None:
+    _, content = scenario.load("defence_cell", ["scene=intersection:4", "n_adversaries=0"])
+    assert not content.get("coordinator")
+
+
+def test_without_adversaries_or_faults_no_scene_is_recorded_for_their_placement(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    frames: list[int | None] = []
+    prepare = scenes.prepare
+    monkeypatch.setattr(scenes, "prepare", lambda *given: (frames.append(given[2]), prepare(*given))[1])
+    settings = ["scene=intersection:4", "placement=worst", "placement_frames=9"]
+    scenario.load("defence_cell", [*settings, "n_adversaries=0"])
+    assert set(frames) == {1}, "for the agents' names"
+    scenario.load("defence_cell", [*settings, "n_adversaries=1"])
+    assert 9 in frames
+
+
+def test_an_unattacked_trial_writes_no_run_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "_run_in_folder", lambda *_: pytest.fail("recorded"))
+    (alone,) = trials("adversaries=", "defences=NoIntegrity")
+    outcome = trial.run(alone)
+    assert outcome.error == ""
+    assert outcome.metrics["defence"] == records.NO_LIES
+    assert outcome.metrics["integrity"]["hours"] == pytest.approx(8 * 0.1 / 3600.0)
+
+
+def test_an_unattacked_trial_has_the_metrics_of_a_recorded_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    (alone,) = trials("adversaries=", "defences=NoIntegrity")
+    outcome = trial.run(alone)
+    monkeypatch.setattr(trial, "_is_disturbed", lambda _: True)
+    recorded = trial.run(alone)
+    same = {name: part for name, part in outcome.metrics.items() if name != "defence"}
+    assert json.loads(json.dumps(same)) == {name: recorded.metrics[name] for name in same}
+    assert recorded.metrics["defence"].items() >= records.NO_LIES.items()
 
 
 def test_budgets_are_for_adversaries_that_have_one() -> None:

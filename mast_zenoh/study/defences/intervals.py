@@ -1,0 +1,159 @@
+"""Numbers over the trials of a cell or of a defence, with 95 % intervals. Pure.
+
+A trial, one pair of scene and seed, is the unit: its frames, lies and agents are not independent. Means, shares,
+medians and areas have percentile intervals of a bootstrap over trials (Efron 1979, Annals of Statistics 7:1), rates of
+rare events the exact interval of a Poisson count (Garwood 1936, Biometrika 28:437), shares of runs the exact interval
+of a binomial count (Clopper and Pearson 1934, Biometrika 26:404).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.report.defence_rows import BINOMIAL, BOOTSTRAP, NAN, POISSON, Measured
+from mast_zenoh.report.tables.study_rows import MIN_SEEDS
+from mast_zenoh.study.statistics import CONFIDENCE
+
+#: Minimum number of trials for a bootstrap.
+MIN_TRIALS = MIN_SEEDS
+RESAMPLES = 2000
+#: Share of resamples that must have a value.
+_DEFINED = 0.95
+#: Differences up to this are rounding errors.
+_EQUAL = 1e-9
+
+_TAILS = (0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0)
+
+
+def mean(values: ArrayLike, bounds: tuple[float, float] = (-np.inf, np.inf)) -> Measured:
+    """The mean of a value of each trial.
+
+    values: (n,) NaN where a trial has none: it is left out;  bounds: smallest and largest possible value
+    """
+    every = np.asarray(values, np.float64).ravel()
+    known = every[~np.isnan(every)]
+    left_out = len(every) - len(known)
+    if not len(known):
+        return Measured(left_out=left_out)
+    middle = float(known.mean())
+    if np.ptp(known) <= _EQUAL * max(1.0, abs(middle)):
+        interval = _bound_at_limit(middle, len(known), bounds)
+    else:
+        interval = bootstrap(lambda rows: known[rows].mean(axis=-1), len(known))
+    return Measured(middle, *interval, len(known), left_out, BOOTSTRAP)
+
+
+def share(part: ArrayLike, whole: ArrayLike) -> Measured:
+    """The sum of a part over all trials, relative to the sum of the whole.
+
+    part, whole: (n,) of each trial, not negative; NaN where a trial has none: it is left out. NaN if the whole is 0.
+    """
+    parts, wholes = (np.asarray(each, np.float64).ravel() for each in (part, whole))
+    known = ~np.isnan(parts) & ~np.isnan(wholes)
+    left_out = int((~known).sum())
+    parts, wholes = parts[known], wholes[known]
+    if not wholes.sum():
+        return Measured(left_out=left_out)
+    value = float(parts.sum() / wholes.sum())
+    some = wholes > 0.0
+    if not parts[~some].any() and np.ptp(parts[some] / wholes[some]) <= _EQUAL:
+        interval = _bound_at_limit(value, int(some.sum()), (0.0, 1.0))
+    else:
+        interval = bootstrap(lambda rows: _ratio(parts[rows].sum(axis=-1), wholes[rows].sum(axis=-1)), len(parts))
+    return Measured(value, *interval, len(parts), left_out, BOOTSTRAP)
+
+
+def one_minus(measured: Measured) -> Measured:
+    """The complement of a share."""
+    return measured._replace(value=1.0 - measured.value, low=1.0 - measured.high, high=1.0 - measured.low)
+
+
+def pooled(statistic: Callable[[Ints], float], trials: int, limits: tuple[float, ...] = ()) -> Measured:
+    """A statistic of the data of all trials together, such as a median delay or an area.
+
+    statistic: of the indices of trials, each as often as it is drawn; draws for which it is NaN are left out, and for
+               which it is infinite are not;  limits: values at which an interval without width says nothing
+    """
+    value = statistic(np.arange(trials)) if trials else NAN
+    if np.isnan(value):
+        return Measured()
+    low, high = bootstrap(lambda rows: np.array([statistic(line) for line in rows]), trials)
+    if high - low <= _EQUAL and any(abs(value - limit) <= _EQUAL for limit in limits):
+        low = high = NAN
+    return Measured(NAN if np.isinf(value) else value, low, high, trials, 0, BOOTSTRAP)
+
+
+def rate(events: int, hours: float, trials: int) -> Measured:
+    """Events per hour; NaN without hours."""
+    if not hours > 0.0:
+        return Measured()
+    low = stats.chi2.ppf(_TAILS[0], 2 * events) / 2.0 if events else 0.0
+    high = stats.chi2.ppf(_TAILS[1], 2 * events + 2) / 2.0
+    return Measured(events / hours, float(low / hours), float(high / hours), trials, 0, POISSON)
+
+
+def share_of_runs(outcomes: Sequence[Sequence[bool]]) -> Measured:
+    """The share of runs in which something happened; NaN without runs.
+
+    outcomes: of the runs of each trial
+
+    Exact for one run of each trial. Of several, the interval is that of as many runs as there are trials with any, as
+    if the runs of a trial always agreed: it is wider than it would have to be if they do not.
+    """
+    runs = [outcome for trial in outcomes for outcome in trial]
+    trials = sum(bool(trial) for trial in outcomes)
+    if not runs:
+        return Measured()
+    value = sum(runs) / len(runs)
+    happened = value * trials
+    low = stats.beta.ppf(_TAILS[0], happened, trials - happened + 1.0) if value > 0.0 else 0.0
+    high = stats.beta.ppf(_TAILS[1], happened + 1.0, trials - happened) if value < 1.0 else 1.0
+    return Measured(value, float(low), float(high), len(runs), 0, BINOMIAL)
+
+
+def bootstrap(statistic: Callable[[Ints], Floats], count: int) -> tuple[float, float]:
+    """The 95 % percentile interval of a statistic of `count` trials; the same draws for the same count.
+
+    statistic: (r, count) indices of trials, drawn with replacement, to (r,) values; NaN where a draw has none
+    NaN for fewer than MIN_TRIALS, and if too few draws have a value.
+    """
+    if count < MIN_TRIALS:
+        return NAN, NAN
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)  # of SciPy's interval, if a value is infinite
+        drawn = stats.bootstrap(
+            (np.arange(count),),
+            lambda rows, axis: statistic(rows) if np.ndim(rows) > 1 else statistic(rows[None, :])[0],
+            vectorized=True,
+            n_resamples=RESAMPLES,
+            method="percentile",
+            random_state=np.random.default_rng(count),
+        ).bootstrap_distribution
+    values = drawn[~np.isnan(drawn)]
+    if len(values) < _DEFINED * RESAMPLES:
+        return NAN, NAN
+    low, high = np.quantile(values, _TAILS, method="inverted_cdf")  # infinite values are not interpolated
+    return float(low), float(high)
+
+
+def _bound_at_limit(value: float, trials: int, bounds: tuple[float, float]) -> tuple[float, float]:
+    """The interval of a mean if all trials have the same value: none, except for shares of 0 or 1.
+
+    If all trials are at a limit of a share, it is at least as extreme in truth as the exact binomial bound for as many
+    trials: the probability that a trial is at the limit cannot exceed the mean's distance from the other limit.
+    """
+    if bounds != (0.0, 1.0) or min(abs(value), abs(1.0 - value)) > _EQUAL or not trials:
+        return NAN, NAN
+    exact = share_of_runs([[value > 0.5]] * trials)
+    return exact.low, exact.high
+
+
+def _ratio(part: Floats, whole: Floats) -> Floats:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(whole > 0.0, part / whole, np.nan))

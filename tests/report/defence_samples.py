@@ -1,0 +1,85 @@
+"""A synthetic matrix of defences: two defences, with all kinds of numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.metrics.trust import roc
+from mast_zenoh.report.defence_rows import (
+    BINOMIAL,
+    BOOTSTRAP,
+    POISSON,
+    DefenceMatrix,
+    DefenceRoc,
+    DefenceRow,
+    DefenceSummary,
+    DelayCurve,
+    Measured,
+    TrustPanel,
+)
+from mast_zenoh.report.trust_facts import AgentTrust
+
+DELAY = DelayCurve(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 0.3, 3, 5)
+RUNS = Measured(0.0, 0.0, 0.07, 48, 0, BINOMIAL)
+ALARMS = Measured(0.4, 0.0, 1.2, 180, 0, POISSON)
+SHARE = Measured(0.97, 0.95, 0.99, 48, 0, BOOTSTRAP)
+
+
+def row(defence: str, attack: str, **measures: Measured) -> DefenceRow:
+    count = 1 if attack else 0
+    values = {"damage": Measured(4.2, 3.9, 4.6, 48, 0, BOOTSTRAP), "honest_suspended_per_hour": ALARMS}
+    values |= {"framed": RUNS if attack == "Ghost" else Measured(), "lies_detected": SHARE}
+    values |= {"wrongly_suspended": RUNS} if attack != "Ghost" else {}
+    delay = DELAY if attack == "Ghost" and defence == "Wall" else None
+    faulty = {"faulty": {"trusted": 3.0, "suspended": 1.0}} if attack.startswith("fault:") else {}
+    place = (count, "worst" if attack else "", 4.0 if attack == "Ghost" else None, 2)
+    return DefenceRow(defence, attack, *place, _Unknown(values | measures), faulty, delay)
+
+
+class _Unknown(dict[str, Measured]):
+    """Measures of which those that are not given are unknown."""
+
+    def __missing__(self, name: str) -> Measured:
+        return Measured()
+
+
+def summary(**changes: Any) -> DefenceSummary:
+    values: dict[str, Any] = dict(
+        lies_detected=SHARE,
+        identifiable_removed=SHARE,
+        median_delay_s=Measured(0.3, 0.2, 0.5, 48, 0, BOOTSTRAP),
+        alarms_per_hour=ALARMS,
+        frames=108_000,
+        fn_added=Measured(0.01, 0.0, 0.02, 180, 0, BOOTSTRAP),
+        fp_added=Measured(-0.1, -0.2, -0.05, 180, 0, BOOTSTRAP),
+        faults_suspended=RUNS,
+        framed=RUNS,
+    )
+    return DefenceSummary("Wall", **(values | changes))
+
+
+def agent(name: str, **conduct: Any) -> AgentTrust:
+    """Trust over 15 s that falls at 5 s."""
+    times = np.arange(0.0, 15.0, 0.2)
+    nothing = dict(states={"faulty": [], "suspended": []}, lies=[], faults=[])
+    return AgentTrust(name, times, np.where(times < 5.0, 4.5, -30.0), **(nothing | conduct))
+
+
+def panel(title: str) -> TrustPanel:
+    liar = agent("infra_1", states={"faulty": [], "suspended": [(5.0, 15.0)]}, lies=[(4.0, 9.0), (11.0, 15.0)])
+    faulty = agent("infra_2", states={"faulty": [(5.0, 15.0)], "suspended": []}, faults=[("PoseError", 4.0, 15.0)])
+    return TrustPanel(title, [agent("ego"), liar, faulty, agent("infra_3"), agent("infra_4")], 0, 15.0)
+
+
+def matrix(panels: int = 1, unshown: int = 0) -> DefenceMatrix:
+    rows = [row(defence, attack) for defence in ("Open", "Wall") for attack in ("", "Ghost", "fault:pose")]
+    area = Measured(0.9, 0.85, 0.95, 48, 0, BOOTSTRAP)
+    curve = DefenceRoc("Wall", roc([1.0, 0.0], [True, False]), area, Measured(0.5, math.nan, math.nan, 4), 1.5)
+    titles = [f"Wall against Ghost{number} (1, worst)" for number in range(panels)]
+    size = "6 seeds \u00d7 8 scenes"
+    confusions = {"Wall": {"lying": {"trusted": SHARE, "suspended": SHARE}}}
+    panels_drawn = [panel(each) for each in titles]
+    return DefenceMatrix(rows, [curve], {"Wall": DELAY}, [summary()], size, confusions, panels_drawn, unshown)

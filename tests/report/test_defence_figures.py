@@ -1,0 +1,56 @@
+"""The figures of a matrix of defences."""
+
+from __future__ import annotations
+
+import io
+
+import matplotlib.image
+import numpy as np
+from defence_samples import agent, matrix, panel
+from matplotlib.colors import to_rgb
+from matplotlib.patches import Rectangle
+
+from mast_zenoh.report.figures.defence_trust import trust_of_trials
+from mast_zenoh.report.figures.defences import figures_of_defences
+from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, Figure
+from mast_zenoh.report.figures.trust import LOG_ODDS, draw_agent, legend
+
+
+def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:
+    figures = figures_of_defences(matrix())
+    assert list(figures) == [
+        *("defence_matrix", "damage_over_adversaries", "detection_delay", "roc", "trust_over_time")
+    ]
+    assert "Open: 4.20 by Ghost, 1 adversary" in figures["defence_matrix"].alt
+    assert "Wall 0.90" in figures["roc"].alt
+
+
+def test_trust_over_time_has_a_panel_per_trial_and_says_how_many_are_missing() -> None:
+    small, large = (trust_of_trials(matrix(panels=count).panels, 0) for count in (1, 12))
+    assert large.pixels[1] > 3 * small.pixels[1]
+    assert "Wall against Ghost11 (1, worst)" in large.alt
+    assert "more pairs" not in large.caption
+    assert "7 more pairs are not shown" in trust_of_trials(matrix().panels, 7).caption
+
+
+def test_lies_are_drawn_in_the_colour_of_adversaries() -> None:
+    image = matplotlib.image.imread(io.BytesIO(trust_of_trials([panel("a")], 0).png))[..., :3]
+    lies = (np.abs(image - to_rgb(ADVERSARY_ON_LIGHT)) < 0.12).all(axis=-1)
+    assert lies.sum() > 200
+
+
+def test_log_odds_are_drawn_at_their_limits() -> None:
+    figure = Figure()
+    axes = figure.subplots()
+    draw_agent(axes, agent("ego"), 15.0, LOG_ODDS, named=False)
+    (line,) = axes.lines
+    drawn = np.asarray(line.get_ydata(), float)
+    assert (drawn.min(), drawn[0]) == (0.0, (4.5 + 10.0) / 20.0), "-30 is drawn at -10"
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["\u221210", "0", "10"]
+    assert not [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+
+
+def test_the_legend_has_what_is_shown() -> None:
+    labels = [handle.get_label() for handle in legend(panel("a").agents, LOG_ODDS)]
+    assert labels == [LOG_ODDS.label, "taken to be faulty", "suspended", "lies", "is faulty"]
+    assert [handle.get_label() for handle in legend([agent("ego")], LOG_ODDS)] == [LOG_ODDS.label]

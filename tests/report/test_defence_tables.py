@@ -1,0 +1,90 @@
+"""The tables of a matrix of defences show every number with its interval."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import replace
+
+import pytest
+from defence_samples import matrix, row, summary
+
+from mast_zenoh.api.comparisons import as_text
+from mast_zenoh.report.defence_rows import BOOTSTRAP, MEASURES, DefenceMatrix, Measured
+from mast_zenoh.report.tables import defences as tables
+from mast_zenoh.report.tables.defence_lines import delay, measured
+
+
+def test_a_number_has_its_interval_or_why_there_is_none() -> None:
+    assert measured(Measured(4.2, 3.9, 4.6, 48)) == "4.20 [3.90, 4.60]"
+    assert measured(Measured(4.2, trials=4)) == "4.20 (n < 5)"
+    assert measured(Measured(0.0, trials=9)) == "0.00 (all equal)"
+    assert measured(Measured()) == "\u2013"
+
+
+def test_a_narrow_interval_has_more_digits() -> None:
+    assert measured(Measured(0.9912, 0.991, 0.9916, 48)) == "0.9912 [0.9910, 0.9916]"
+
+
+def test_the_text_ends_with_the_targets_at_a_glance() -> None:
+    last = tables.as_markdown(matrix()).split("\n\n")[-3:]
+    assert last[0] == "## At a glance"
+    line = last[2].strip().splitlines()[-1]
+    assert line.startswith("| Wall | 0.970 [0.950, 0.990] | 0.30 [0.20, 0.50] | 0.970 [0.950, 0.990] |")
+    assert "| 0.40 [0.00, 1.20] | 108000 | 0.010 [0.000, 0.020] |" in line
+    assert line.count("0.000 [0.000, 0.070] of 48") == 2
+
+
+def test_the_terminal_ends_with_them_too() -> None:
+    text = as_text(tables.as_rich(matrix()))
+    assert text.index("Damage, worst") < text.index("At a glance")
+    assert "0.40 [0.00, 1.20]" in text
+    assert "108000" in text
+
+
+def test_runs_without_an_attack_alone_have_no_empty_tables() -> None:
+    whole = matrix()
+    quiet = DefenceMatrix([row("Open", ""), row("Wall", "")], [], {}, whole.summaries, whole.size)
+    text = tables.as_markdown(quiet)
+    assert "## Cost without an attack" in text
+    assert "## Damage" not in text
+    assert "## Detection" not in text
+    assert "## Framing" not in text
+    assert tables.as_latex(quiet).count(r"\begin{tabular}") == 2
+
+
+def test_a_delay_of_which_less_than_half_is_known_says_so() -> None:
+    unknown = replace(matrix(), summaries=[summary(median_delay_s=Measured(math.nan, 1.2, math.inf, 48, 0, BOOTSTRAP))])
+    assert "| unknown [1.20, \u221e) |" in tables.as_markdown(unknown)
+    assert r"unknown [1.20, $\infty$)" in tables.as_latex(unknown)
+    assert delay(Measured(math.nan, math.inf, math.inf, 48)) == delay(Measured(math.nan, trials=3)) == "unknown"
+
+
+def test_the_defence_that_judges_nobody_has_no_row_for_framing() -> None:
+    section = tables.as_markdown(matrix()).split("## Framing")[1].split("## ")[0]
+    assert "| Wall | Ghost |" in section
+    assert "| Open |" not in section
+
+
+def test_the_csv_has_every_measure_of_every_cell_with_bounds_and_method() -> None:
+    lines = list(csv.DictReader(io.StringIO(tables.as_csv(matrix()))))
+    cell = [line for line in lines if (line["defence"], line["attack"]) == ("Wall", "Ghost")]
+    assert [line["measure"] for line in cell] == list(MEASURES)
+    detected = next(line for line in cell if line["measure"] == "lies_detected")
+    assert [detected[name] for name in ("value", "low", "high", "interval", "trials")] == [
+        *("0.97", "0.95", "0.99", "bootstrap over trials", "48")
+    ]
+    (alarms,) = (line for line in lines if line["measure"] == "summary alarms_per_hour")
+    assert (alarms["defence"], alarms["interval"]) == ("Wall", "exact Poisson")
+    assert {line["measure"] for line in lines} >= {"auc", "partial_auc", "seconds faulty suspended"}
+
+
+@pytest.mark.parametrize("text", ["At a glance", "Detection", "Suspicion", "Framing", "Faults"])
+def test_latex_has_all_tables_with_escaped_text(text: str) -> None:
+    latex = tables.as_latex(matrix())
+    assert f"% {text}" in latex
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 8
+    for line in latex.splitlines():
+        assert line.startswith("%") or "%" not in line.replace(r"\%", "")
+        assert line.isascii() or line.startswith("%"), line
