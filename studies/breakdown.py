@@ -3,7 +3,7 @@
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.study.defences import parsed
 from mast_zenoh.study.defences.choices import title
-from mast_zenoh.study.defences.limits import BreakdownCell
+from mast_zenoh.study.defences.limits import BreakdownCell, sensors_of
 
 # Three minutes and half an hour on two cores.
 PRESETS = dict(
@@ -18,7 +18,7 @@ PRESETS = dict(
         agents=(5, 13, 21),
         # Close together around one half, where a majority is lost.
         shares=(0.0, 0.1, 0.25, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.8),
-        scenes="intersection:8,intersection:9,intersection:10,intersection:11,intersection:12,intersection:13",
+        scenes="intersection:8,intersection:9,intersection:10,intersection:11,intersection:12",
         trials=2,
         frames=130,
     ),
@@ -56,7 +56,7 @@ def study(
     common = dict(defence=defence, placement="random", attack_start_s=attack_start_s)
     runs, cells = {}, {}
     for count in several(chosen["agents"]):
-        place = common | sensors(count)
+        place = common | sensors_of(count)
         for attack in [None, *parsed(adversaries, "adversaries")]:
             for liars in numbers(chosen["shares"], count):
                 if (attack is None) == (liars == 0):
@@ -79,14 +79,6 @@ def study(
         seed=seed,
         runtime="inproc",
     )
-
-
-def sensors(agents):
-    """Poles and cars with sensors besides the ego: 4 and 0, 8 and 4, 12 and 8 for 5, 13 and 21 agents."""
-    if type(agents) is not int or not 2 <= agents <= 29:
-        raise ConfigurationError(f"agents: found {agents!r}, expected whole numbers from 2 to 29")
-    cars = max(0, (agents - 5) // 2)
-    return dict(n_infrastructure=agents - 1 - cars, n_mobile=cars)
 
 
 def numbers(shares, agents):

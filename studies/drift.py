@@ -1,12 +1,12 @@
 """How long a displaced object stays unnoticed, next to the least delay that is possible."""
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.study.defences.limits import DriftCell
+from mast_zenoh.study.defences.limits import DriftCell, sensors_of
 
 # One minute and twenty minutes on two cores.
 PRESETS = dict(
     quick=dict(scenes="intersection:8,intersection:9", trials=2),
-    full=dict(scenes=",".join(f"intersection:{index}" for index in range(8, 16)), trials=8),
+    full=dict(scenes=",".join(f"intersection:{index}" for index in range(8, 16)), trials=4),
 )
 #: m/s of an offset that is there at once: more than the largest offset within a frame.
 AT_ONCE_MPS = 1000.0
@@ -14,6 +14,7 @@ AT_ONCE_MPS = 1000.0
 
 def study(
     preset="full",
+    agents=(5, 3),
     offsets_m=(0.3, 0.5, 1.0),
     rates_mps=(0.05, 0.1, 0.2),
     limit_m=2.0,
@@ -21,14 +22,13 @@ def study(
     scenes=None,
     trials=None,
     frames=260,
-    n_infrastructure=None,
-    n_mobile=None,
     attack_start_s=4.0,
     seed=0,
 ):
-    """One liar among five agents moves one object at a time.
+    """One liar among all agents moves one object at a time.
 
     preset: quick or full; it sets scenes and trials that are None;
+    agents: numbers of agents, the ego included. With three, an object that everybody sees has two honest viewers;
     offsets_m: constant offsets, there at once; rates_mps: m/s of offsets that grow up to limit_m;
     defence: an integrity stage;
     scenes: short names, separated by commas: intersection:INDEX; trials: seeds of each scene; seed: the first one;
@@ -38,22 +38,23 @@ def study(
         raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
     chosen = PRESETS[preset]
     scenes = chosen["scenes"] if scenes is None else scenes
-    cells = [DriftCell(offset) for offset in several(offsets_m)]
-    cells += [DriftCell(limit_m, rate) for rate in several(rates_mps)]
+    lies = [(offset, None) for offset in several(offsets_m)] + [(limit_m, rate) for rate in several(rates_mps)]
+    cells = [DriftCell(offset, rate, count) for count in several(agents) for offset, rate in lies]
     common = dict(
         defence=defence,
         n_adversaries=1,
         placement="random",
         # An attacker that hears of the trust in it would go back: here, what it does must not depend on the defence.
         knowledge="own",
-        n_infrastructure=n_infrastructure,
-        n_mobile=n_mobile,
         attack_start_s=attack_start_s,
     )
     return dict(
         name="drift",
         runs={
-            cell.label: dict(scenario="defence_cell", parameters=common | dict(attack=attack(cell))) for cell in cells
+            cell.label: dict(
+                scenario="defence_cell", parameters=common | sensors_of(cell.agents) | dict(attack=attack(cell))
+            )
+            for cell in cells
         },
         cells={cell.label: cell for cell in cells},
         baseline=cells[0].label,

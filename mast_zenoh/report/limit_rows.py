@@ -64,9 +64,10 @@ class DriftTable:
 class BreakdownRow:
     """Trials of one number of liars among a number of agents.
 
-    broken:  share of trials in which the defence broke: `worse`, the picture is worse than the ego alone, or `framed`,
-             an honest agent is suspended before any liar
-    bound:   share of objects that more honest agents see than liars
+    broken:    share of trials in which the defence broke: `worse`, the picture is worse than the ego alone, or
+               `framed`, an honest agent is suspended before any liar, and not without liars
+    suspended: mean share of the honest agents that are suspended at any time
+    bound:     share of objects that more honest agents see than liars
     """
 
     attack: str
@@ -76,6 +77,7 @@ class BreakdownRow:
     broken: Measured
     worse: Measured
     framed: Measured
+    suspended: float
     bound: float
 
     @property
@@ -88,7 +90,7 @@ class BreakdownRow:
 class BreakdownPoint:
     """Shares of liars, infinite if not reached with up to `most` (a share, too).
 
-    point: at which half of the trials are broken;  bound: at which half of the objects have no honest majority
+    point: smallest at which half of the trials are broken;  bound: at which half of the objects have no honest majority
     difference: point minus bound
     """
 

@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
 from mast_zenoh.report.limit_rows import BreakdownRow, BreakdownTable
 
+_BOUND = (0, (4, 2))
 _MARKERS = ("o", "s", "^", "D", "v", "P")
 #: Percentage points by which the curves of different numbers of agents are moved apart, so that bars do not overlap.
 _APART = 0.5
@@ -31,10 +33,12 @@ def figure_of_breakdown(table: BreakdownTable) -> RenderedFigure:
         axes.set_title(plain(attack), fontsize=9.5, color=INK, loc="left")
         axes.set_xlabel("liars (% of all agents)", fontsize=9.5, color=INK)
         axes.set_ylim(-3.0, 103.0)
-    panels[0].set_ylabel("%", fontsize=9.5, color=INK)
+    panels[0].set_ylabel("broken trials (%)", fontsize=9.5, color=INK)
     handles, labels = panels[0].get_legend_handles_labels()
+    handles.append(Line2D([], [], color=LOCAL, linestyle=_BOUND, linewidth=1.3))
+    labels.append("objects without an honest majority")
     figure.legend(
-        handles, labels, loc="outside upper left", ncols=max(1, len(sizes)), frameon=False, fontsize=9, labelcolor=INK
+        handles, labels, loc="outside upper left", ncols=len(labels), frameon=False, fontsize=9, labelcolor=INK
     )
     caption = (
         f"Lines with markers: broken trials with 95 % intervals ({table.size}). A trial is broken if the picture is "
@@ -61,11 +65,10 @@ def _curve(axes: Axes, rows: list[BreakdownRow], index: int, shift: float) -> No
         linewidth=1.6,
         elinewidth=0.9,
         capsize=2.0,
-        label=f"{agents} agents: broken trials",
+        label=f"{agents} agents",
     )
     without = [100.0 * (1.0 - row.bound) for row in rows]
-    label = f"{agents} agents: objects without an honest majority"
-    axes.plot(x, without, color=colour, linestyle=(0, (4, 2)), linewidth=1.3, label=label)
+    axes.plot(x, without, color=colour, linestyle=_BOUND, linewidth=1.3)
 
 
 def _points(table: BreakdownTable) -> str:

@@ -17,8 +17,10 @@ from mast_zenoh.report.tables.study_rows import number
 _POINT_HEADINGS = ("attack", "agents", "breakdown point (%)", "bound (%)", "difference (percentage points)")
 _ROW_HEADINGS = (
     *("attack", "agents", "liars", "liars (%)", "trials", "broken (%)", "picture worse than the ego alone (%)"),
-    *("honest agent suspended first (%)", "objects with an honest majority (%)"),
+    *("honest agent suspended first (%)", "honest agents suspended (%)", "objects with an honest majority (%)"),
 )
+#: Of the terminal's table, in per cent.
+_SHORT_HEADINGS = ("attack", "liars", "broken", "worse", "framed", "suspended", "majority")
 _SHARES = ("broken", "worse", "framed")
 
 
@@ -27,10 +29,12 @@ def as_markdown(table: BreakdownTable) -> str:
     parts = [
         "# Where the defence breaks",
         f"{table.size}. A trial is broken if the ego's picture has more missed and false objects than its own tracks "
-        "from the start of the attack on, or if an honest agent is suspended before any liar.",
+        "from the start of the attack on, or if an honest agent is suspended before any liar. A suspension that "
+        "happens in the run without liars of the same scene and seed, too, is a false alarm that no liar caused: it "
+        "counts only as a suspended honest agent.",
         "## Breakdown points",
-        "Share of liars at which half of the trials are broken, next to the share at which half of the objects have no "
-        "honest majority of viewers. Bootstrap 95 % intervals over trials.",
+        "Smallest share of liars at which half of the trials are broken, next to that at which half of the objects "
+        "have no honest majority of viewers. Bootstrap 95 % intervals over trials.",
         _lines(_POINT_HEADINGS, [_point(each) for each in table.points.values()]),
         "## Broken trials",
         "With the 95 % interval of Clopper and Pearson.",
@@ -51,6 +55,7 @@ def as_csv(table: BreakdownTable) -> str:
         place = [row.attack, row.agents, row.liars, row.trials]
         for name in _SHARES:
             writer.writerow([*place, name, *_digits(getattr(row, name))])
+        writer.writerow([*place, "honest_suspended", *_digits(Measured(row.suspended))])
         writer.writerow([*place, "honest_majority", *_digits(Measured(row.bound))])
     for point in table.points.values():
         for name in ("point", "bound", "difference"):
@@ -61,14 +66,15 @@ def as_csv(table: BreakdownTable) -> str:
 def as_rich(table: BreakdownTable) -> Group:
     """The points and the rows for the terminal."""
     points = Table(title="Breakdown points", title_justify="left")
-    rows = Table(title="Broken trials", title_justify="left")
-    for result, headings in ((points, _POINT_HEADINGS), (rows, _ROW_HEADINGS)):
+    rows = Table(title="Broken trials (%)", title_justify="left")
+    for result, headings in ((points, _POINT_HEADINGS), (rows, _SHORT_HEADINGS)):
         for index, heading in enumerate(headings):
             result.add_column(heading, justify="left" if index == 0 else "right")
     for point in table.points.values():
         points.add_row(*_point(point))
     for row in table.rows:
-        rows.add_row(*_row(row))
+        shares = (number(100.0 * each, 0) for each in (row.worse.value, row.framed.value, row.suspended, row.bound))
+        rows.add_row(row.attack, f"{row.liars} of {row.agents}", _percent(row.broken), *shares)
     return Group(points, rows)
 
 
@@ -81,8 +87,8 @@ def _point(point: BreakdownPoint) -> list[str]:
 
 def _row(row: BreakdownRow) -> list[str]:
     place = [row.attack, str(row.agents), str(row.liars), f"{100.0 * row.share:.0f}", str(row.trials)]
-    bound = DASH if math.isnan(row.bound) else f"{100.0 * row.bound:.0f}"
-    return [*place, *(_percent(getattr(row, name)) for name in _SHARES), bound]
+    means = (_percent(Measured(each)) for each in (row.suspended, row.bound))
+    return [*place, *(_percent(getattr(row, name)) for name in _SHARES), *means]
 
 
 def _percent(measured: Measured, beyond: str = "") -> str:

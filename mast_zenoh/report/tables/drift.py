@@ -15,6 +15,8 @@ from mast_zenoh.report.tables.study_rows import number
 _NOT_REACHED = "not reached"
 _MEASURED = ("delay_s", "ratio", "offset_reached_m", "within")
 _PLAIN = ("floor_s", "floor_m")
+#: The group of the terminal's table.
+_MAJORITY = "2 or more"
 
 
 def as_markdown(table: DriftTable) -> str:
@@ -65,13 +67,15 @@ def as_csv(table: DriftTable) -> str:
 
 def as_rich(table: DriftTable) -> Table:
     """The rows with enough viewers for a majority, for the terminal."""
-    result = Table(title="Displaced objects until the liar is suspended", title_justify="left")
-    headings = _headings(f"{table.limit_s:g} s")
+    title = "Displaced objects in view of two honest agents or more, until the liar is suspended"
+    result = Table(title=title, title_justify="left")
+    headings = ("lie", "detected", "delay (s)", "floor (s)", "delay / floor", f"within {table.limit_s:g} s")
     for index, heading in enumerate(headings):
         result.add_column(heading, justify="left" if index == 0 else "right")
     for row in table.rows:
-        if row.viewers in ("2", "2 or more", "1 or more"):
-            result.add_row(*_line(row))
+        if row.viewers == _MAJORITY:
+            detected = f"{row.detected} of {row.episodes}"
+            result.add_row(row.label, detected, text(row.delay_s), number(row.floor_s), text(row.ratio), percent(row))
     return result
 
 
