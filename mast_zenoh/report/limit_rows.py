@@ -33,6 +33,7 @@ class DriftRow:
     floor_s:  of the least delay that is possible with as many witnesses;  ratio: median delay in floors
     offset_m: median offset reached before the suspension;  floor_m: offset at the floor
     within:   share of the `judged` runs in which the liar was suspended within the limit
+    noticed:  the same from all episodes, short ones too (Kaplan-Meier); unknown if all end before the limit
     """
 
     label: str
@@ -49,6 +50,7 @@ class DriftRow:
     floor_m: float
     judged: int
     within: Measured
+    noticed: Measured
 
 
 @dataclass(frozen=True, slots=True)

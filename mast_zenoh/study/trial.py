@@ -19,7 +19,9 @@ from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError
 from mast_zenoh.metrics import Table
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import identity
-from mast_zenoh.study.defences.evaluations import RECORDED, evaluate
+
+#: Evaluations that need all messages of a run.
+RECORDED = frozenset({"lies"})
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,7 @@ def _run_in_folder(resolved: Resolved, trial: Trial) -> RunResult:
     from mast_zenoh.launch import folder as run_folder  # trials in this process need neither Zenoh nor Parquet
     from mast_zenoh.launch import run as launcher
     from mast_zenoh.launch.tables import read_table
+    from mast_zenoh.study.defences.evaluations import evaluate
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:

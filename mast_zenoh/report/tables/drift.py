@@ -13,7 +13,7 @@ from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.report.tables.study_rows import number
 
 _NOT_REACHED = "not reached"
-_MEASURED = ("delay_s", "ratio", "offset_reached_m", "within")
+_MEASURED = ("delay_s", "ratio", "offset_reached_m", "within", "noticed")
 _PLAIN = ("floor_s", "floor_m")
 #: The group of the terminal's table.
 _MAJORITY = "2 or more"
@@ -33,7 +33,7 @@ def as_markdown(table: DriftTable) -> str:
         "Whole runs, whoever saw the objects.",
         _lines(
             ["lie", "runs", "suspended", "median delay (s)", f"within {limit}"],
-            [[r.label, str(r.trials), str(r.detected), text(r.delay_s), percent(r)] for r in runs],
+            [[r.label, str(r.trials), str(r.detected), text(r.delay_s), percent(r.within)] for r in runs],
         ),
         "## For each displaced object, by the number of honest agents that see it",
         _lines(list(_headings(limit)), [_line(row) for row in objects]),
@@ -75,18 +75,20 @@ def as_rich(table: DriftTable) -> Table:
     for row in table.rows:
         if row.viewers == _MAJORITY:
             detected = f"{row.detected} of {row.episodes}"
-            result.add_row(row.label, detected, text(row.delay_s), number(row.floor_s), text(row.ratio), percent(row))
+            numbers = (text(row.delay_s), number(row.floor_s), text(row.ratio), percent(row.noticed))
+            result.add_row(row.label, detected, *numbers)
     return result
 
 
 def _headings(limit: str) -> tuple[str, ...]:
     objects = ("objects", "runs", "detected", "median delay (s)", "floor (s)", "delay / floor")
-    return ("lie", "honest viewers", *objects, f"within {limit}")
+    return ("lie", "honest viewers", *objects, f"within {limit}", f"within {limit}, short ones too")
 
 
 def _line(row: DriftRow) -> list[str]:
     counts = [str(row.episodes), str(row.trials), str(row.detected)]
-    return [row.label, row.viewers, *counts, text(row.delay_s), number(row.floor_s), text(row.ratio), percent(row)]
+    shares = (percent(row.within, f" of {row.judged}"), percent(row.noticed))
+    return [row.label, row.viewers, *counts, text(row.delay_s), number(row.floor_s), text(row.ratio), *shares]
 
 
 def text(measured: Measured, digits: int = 2) -> str:
@@ -100,12 +102,13 @@ def text(measured: Measured, digits: int = 2) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def percent(row: DriftRow) -> str:
-    """`83 % [52, 98] of 12`."""
-    if not row.within.known:
+def percent(share: Measured, size: str = "") -> str:
+    """`83 % [52, 98]`, and its size."""
+    if not share.known:
         return DASH
-    value, low, high = (100.0 * each for each in (row.within.value, row.within.low, row.within.high))
-    return f"{value:.0f} % [{low:.0f}, {high:.0f}] of {row.judged}"
+    value, low, high = (100.0 * each for each in (share.value, share.low, share.high))
+    interval = "" if math.isnan(low) else f" [{low:.0f}, {high:.0f}]"
+    return f"{value:.0f} %{interval}{size}"
 
 
 def digits(value: float) -> str:

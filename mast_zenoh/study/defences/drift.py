@@ -91,6 +91,7 @@ def _whole_runs(cell: DriftCell, records: Sequence[DriftRecord]) -> DriftRow:
         NAN,
         len(delays),
         share(sum(detected and delay <= LIMIT_S + 1e-6 for delay, detected in delays), len(delays)),
+        _bootstrap(delays, _noticed, cell, "runs", "noticed"),
     )
 
 
@@ -102,6 +103,9 @@ def _row(cell: DriftCell, group: Group, by_trial: Sequence[Sequence[Episode]]) -
     weight = sum(episode.watched_s for episode in pooled)
     speed_up = sum(episode.speed_up * episode.watched_s for episode in pooled) / weight if weight else NAN
     floor_s = single_s / speed_up if speed_up else NAN
+
+    def times(units: Sequence[Sequence[Episode]]) -> list[tuple[float, bool]]:
+        return [(episode.watched_s, episode.detected) for unit in units for episode in unit]
 
     def median(value: Callable[[Episode], float]) -> Callable[[Sequence[Sequence[Episode]]], float]:
         return lambda units: _median([(value(e), e.detected) for unit in units for e in unit])
@@ -124,6 +128,7 @@ def _row(cell: DriftCell, group: Group, by_trial: Sequence[Sequence[Episode]]) -
         floor_s * cell.rate_mps if cell.rate_mps is not None else NAN,
         len(judged),
         share(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
+        _bootstrap(trials, lambda units: _noticed(times(units)), cell, group.title, "noticed"),
     )
 
 
@@ -137,6 +142,16 @@ def _median(times: Sequence[tuple[float, bool]]) -> float:
         return NAN
     median = kaplan_meier(*zip(*times, strict=True)).median_s
     return math.inf if math.isnan(median) else median
+
+
+def _noticed(times: Sequence[tuple[float, bool]]) -> float:
+    """Share detected within LIMIT_S, of times of which some are censored; NaN if none was watched for that long."""
+    if not times:
+        return NAN
+    curve = kaplan_meier(*zip(*times, strict=True))
+    if curve.time_s[-1] < LIMIT_S - 1e-6 and curve.undetected[-1] > 0.0:
+        return NAN
+    return 1.0 - float(curve.undetected[curve.time_s <= LIMIT_S + 1e-6][-1])
 
 
 def size_of(scenes: int, seeds: int) -> str:

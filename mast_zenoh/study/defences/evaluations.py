@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-#: Evaluations that need all messages of a run.
-RECORDED = frozenset({"lies"})
-
 
 def evaluate(name: str, folder: Path, metrics: Mapping[str, Any]) -> dict[str, Any]:
     """The part `defence` of a trial's metrics, from its run folder.

@@ -56,6 +56,14 @@ def test_delays_are_compared_with_the_floor_of_as_many_witnesses() -> None:
 def test_the_share_within_ten_seconds_counts_runs_that_last_as_long() -> None:
     row = rows(OFFSET, trial(8.0), trial(15.0), trial(None), trial(None, frames=50))["2"]
     assert (row.judged, row.within.value) == (3, pytest.approx(1.0 / 3.0))
+    # One of four is noticed after 4 s; the one that ends after 4.9 s is censored.
+    assert row.noticed.value == pytest.approx(0.25)
+
+
+def test_a_share_is_unknown_if_nobody_was_watched_for_as_long() -> None:
+    row = rows(OFFSET, trial(8.0, frames=50), trial(None, frames=50))["2"]
+    assert not row.noticed.known
+    assert rows(OFFSET, trial(8.0, frames=50))["2"].noticed.value == 1.0
 
 
 def test_the_offset_of_a_drift_is_that_at_the_suspension() -> None:
