@@ -3,7 +3,7 @@
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.study.defences.limits import DriftCell, sensors_of
 
-# One minute and twenty minutes on two cores.
+# Three and twenty minutes on two cores.
 PRESETS = dict(
     quick=dict(scenes="intersection:8,intersection:9", trials=2),
     full=dict(scenes=",".join(f"intersection:{index}" for index in range(8, 16)), trials=4),
@@ -29,7 +29,8 @@ def study(
 
     preset: quick or full; it sets scenes and trials that are None;
     agents: numbers of agents, the ego included. With three, an object that everybody sees has two honest viewers;
-    offsets_m: constant offsets, there at once; rates_mps: m/s of offsets that grow up to limit_m;
+    offsets_m: constant offsets, there at once; rates_mps: m/s of offsets that grow;
+    limit_m: m, up to which they grow;
     defence: an integrity stage;
     scenes: short names, separated by commas: intersection:INDEX; trials: seeds of each scene; seed: the first one;
     frames: of each run, long enough to watch what nobody notices at first.
