@@ -35,8 +35,10 @@ LEAST_SAY = 0.05
 MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
-LIES_TAIL = Tail(per_hour=83.0, scale=0.29)
-OFFSET_TAIL = Tail(per_hour=2600.0, scale=4.0)
+LIES_TAIL = Tail(per_hour=130.0, scale=0.21)
+OFFSET_TAIL = Tail(per_hour=6500.0, scale=3.3)
+#: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
+FALSE_ALARMS_PER_HOUR = 0.1
 
 
 class SequentialConsistency(Integrity):
@@ -67,7 +69,7 @@ class SequentialConsistency(Integrity):
     def __init__(
         self,
         *,
-        false_alarms_per_hour: float = 1.0,
+        false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
         drift: float = 0.25,
         offset_memory_s: float = 5.0,
         release_s: float = 30.0,

@@ -14,6 +14,7 @@ from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
 from mast_zenoh.study.defences.cells import Cell
+from mast_zenoh.study.defences.limits import BreakdownCell, DriftCell
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
@@ -25,11 +26,13 @@ KEYS = {
     "seed": "the first seed",
     "frames": "frames of each run, None for all",
     "runtime": "mesh or inproc",
-    "cells": "label to a cell of a matrix of defences: lies and detections are evaluated (mast_zenoh.study.defences)",
+    "cells": "label to a cell of a study of defences: each trial is evaluated for it (mast_zenoh.study.defences)",
     "per_trial": "launch-time parameters that get each trial's seed and frames: dict(seed=…, frames=…)",
     "security": "security levels at which the attackers in each run's scenario file are tried",
 }
 PER_TRIAL = ("seed", "frames")
+#: A cell of a matrix of defences, or of a study of limits; all cells of a study are of one class.
+AnyCell = Cell | DriftCell | BreakdownCell
 RUN_KEYS = ("scenario", "parameters", "grid")
 RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
@@ -73,7 +76,7 @@ class StudyScene:
 class Study:
     """A validated study file with its parameters set; trials: None if not set.
 
-    cells: by label of configuration, its cell in a matrix of defences; {}: another study
+    cells: by label of configuration, its cell in a study of defences; {}: another study
     per_trial: names of launch-time parameters that get the `seed` and the `frames` of each trial
     """
 
@@ -87,8 +90,13 @@ class Study:
     frames: int | None
     runtime: str | None
     security: tuple[str, ...] = ()
-    cells: Mapping[str, Cell] = field(default_factory=dict)
+    cells: Mapping[str, AnyCell] = field(default_factory=dict)
     per_trial: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def evaluation(self) -> str:
+        """What is evaluated in each trial (`defences.evaluations`); "": nothing."""
+        return next((cell.evaluation for cell in self.cells.values()), "")
 
     def trial_settings(self, seed: int, frames: int | None) -> tuple[str, ...]:
         """The settings of a trial that depend on its seed and its frames."""
@@ -169,10 +177,12 @@ def _levels(path: Path, content: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(content))
 
 
-def _cells(path: Path, content: Any, labels: Sequence[str]) -> dict[str, Cell]:
+def _cells(path: Path, content: Any, labels: Sequence[str]) -> dict[str, AnyCell]:
     """The cells of all configurations, or of none."""
-    if not isinstance(content, Mapping) or not all(isinstance(cell, Cell) for cell in content.values()):
+    if not isinstance(content, Mapping) or not all(isinstance(cell, AnyCell) for cell in content.values()):
         raise ConfigurationError(f"{path}: cells: found {content!r:.120}, expected label to Cell")
+    if len({type(cell) for cell in content.values()}) > 1:
+        raise ConfigurationError(f"{path}: cells: expected cells of one class, found several")
     if content and set(content) != set(labels):
         different = sorted(set(content) ^ set(labels))[0]
         raise ConfigurationError(f"{path}: cells: {different!r}: expected exactly the labels of `runs`")

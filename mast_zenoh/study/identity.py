@@ -63,11 +63,11 @@ def user_files(path: Path, loaded: Mapping[str, Any], modules: Iterable[str] = (
 
 
 def digest(
-    loaded: Mapping[str, Any], files: str, seed: int, frames: int | None, runtime: str, *, lies: bool = False
+    loaded: Mapping[str, Any], files: str, seed: int, frames: int | None, runtime: str, *, evaluation: str = ""
 ) -> str:
     """Digest of a scenario's content, files and run options; 40 hexadecimal digits.
 
-    lies: whether lies and their detection are evaluated
+    evaluation: what is evaluated besides the metrics of every run (`defences.evaluations`)
     """
     parts = {
         "scenario": loaded,
@@ -76,7 +76,7 @@ def digest(
         "frames": frames,
         "runtime": runtime,
         "environment": environment(),
-        **({"lies": True} if lies else {}),
+        **({"evaluation": evaluation} if evaluation else {}),
     }
     return _hash([json.dumps(parts, sort_keys=True, default=repr).encode()])
 

@@ -16,7 +16,7 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
     """One trial per configuration, scene and seed, grouped by scene and seed.
 
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
-    `scenario.resolve` raise, and ConfigurationError for a matrix of defences on calibration data.
+    `scenario.resolve` raise, and ConfigurationError for a study of defences on calibration data.
     """
     environment = tuple(sorted(identity.environment().items()))
     by_seed: list[list[Trial]] = [[] for _ in range(count)]
@@ -42,7 +42,9 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
                     _, loaded = scenario.load(configuration.scenario, settings)
                 seed_trials.append(
                     Trial(
-                        digest=identity.digest(loaded, files, seed + index, frames, runtime, lies=bool(study.cells)),
+                        digest=identity.digest(
+                            loaded, files, seed + index, frames, runtime, evaluation=study.evaluation
+                        ),
                         configuration=configuration.label,
                         scene=study_scene.label,
                         seed=seed + index,
@@ -53,7 +55,7 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
                         scene_key=identity.scene_key(scene),
                         environment=environment,
                         idle=idle,
-                        lies=bool(study.cells),
+                        evaluation=study.evaluation,
                     )
                 )
         result += [trial for seed_trials in by_seed for trial in seed_trials]

@@ -72,10 +72,13 @@ def _increments_over_baseline(
 def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
     """Increments over the ego alone (IoE), and increments of the compromised agents."""
     agent = ego(outcome.metrics["agents"])
-    summary = increments(_scored_rows(baseline), _scored_rows(outcome), agent=agent, compromised=outcome.compromised)
+    # Without the same agents in the baseline, as in a sweep over their number, there is nothing to compare them with.
+    known = set(np.unique(baseline.per_frame["agent"]).tolist())
+    compromised = outcome.compromised if known.issuperset(outcome.compromised) else ()
+    summary = increments(_scored_rows(baseline), _scored_rows(outcome), agent=agent, compromised=compromised)
     n = summary["frames"]
     rows = [(agent, "picture", f"{name}_ioe", summary[name]["ioe"], n) for name in ("fn", "fp", "tp")]
-    pooled_frames = n * len(outcome.compromised)
+    pooled_frames = n * len(compromised)
     rows += [(COMPROMISED, "local", f"{name}_iob", summary[name], pooled_frames) for name in ("cafn", "cafp")]
     for agent, estimator, metric, content, frames in rows:
         mean, std = (NAN if content[each] is None else content[each] for each in ("mean", "std"))

@@ -13,12 +13,10 @@ import pyarrow
 
 from mast_zenoh.errors import TrialsFailed
 from mast_zenoh.launch.tables import to_arrow
-from mast_zenoh.report.defence_rows import DefenceMatrix
 from mast_zenoh.report.study_facts import FailedTrial, IdleAttack, StudyFacts
 from mast_zenoh.report.tables.study_rows import StudyRow
 from mast_zenoh.study import results
-from mast_zenoh.study.defences import outputs
-from mast_zenoh.study.defences.estimates import Collection
+from mast_zenoh.study.defences.measurements import Measurement, Written, measurement
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import ACHIEVED
 from mast_zenoh.study.parameters import ParameterColumns
@@ -33,7 +31,7 @@ class StudyResult:
     """A finished study with trials.
 
     rows: its estimates; facts: its configurations, seeds and versions; files: all files written; report: HTML page
-    matrix: of a study of defences
+    written: tables and figures of a study of defences
     """
 
     out: Path
@@ -41,15 +39,14 @@ class StudyResult:
     facts: StudyFacts
     files: list[Path]
     report: Path
-    matrix: DefenceMatrix | None = None
+    written: Written | None = None
 
     def as_rich(self) -> Any:
         """The main tables for the terminal."""
-        from mast_zenoh.report.tables import defences as defence_tables
         from mast_zenoh.report.tables import study as study_table
 
-        if self.matrix is not None:
-            return defence_tables.as_rich(self.matrix)
+        if self.written is not None:
+            return self.written.as_rich()
         return study_table.as_rich(self.rows, self.facts)
 
     def raise_failures(self) -> None:
@@ -72,8 +69,8 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     from mast_zenoh.report.tables import study_export
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
-    cells = Collection(study.cells, [scene.label for scene in study.scenes], seeds)
-    done, rows = _write_parquet(study, store, trials, seeds, cells)
+    measured = measurement(study.cells, [scene.label for scene in study.scenes], seeds)
+    done, rows = _write_parquet(study, store, trials, seeds, measured)
     facts = StudyFacts(
         name=study.name,
         baseline=study.baseline,
@@ -99,18 +96,18 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     for item in figures.values():
         item.save(store.folder)
     names = ["results.parquet", "frames.parquet", *texts, *(f"{name}.png" for name in figures)]
-    matrix = cells.matrix() if study.cells else None
-    if matrix is not None:
-        figures, files = outputs.write(store.folder, matrix)
-        names += files
+    written = None if measured is None else measured.write(store.folder)
+    if written is not None:
+        figures = written.figures
+        names += written.files
     report = study_page.write_page(store.folder, rows, facts, figures)
-    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, matrix)
+    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, written)
 
 
 def _write_parquet(
-    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], cells: Collection
+    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], measured: Measurement | None
 ) -> tuple[Counter[str], list[StudyRow]]:
-    """Write results.parquet and frames.parquet; fill `cells` if the study is a matrix of defences.
+    """Write results.parquet and frames.parquet; add the trials to `measured`.
 
     Returns the numbers of finished trials by configuration, and the table rows.
     Only the trials of one scene and seed are in memory at a time.
@@ -136,8 +133,8 @@ def _write_parquet(
                 trial_file.append(per_trial.add(to_arrow(results.columns(outcome.trial, trial_numbers)), label))
                 frame_file.append(per_frame.add(to_arrow(results.frames(outcome)), label))
                 done[label] += 1
-                if study.cells:
-                    cells.add(label, outcome.trial.scene, outcome.trial.seed, outcome.metrics)
+                if measured is not None:
+                    measured.add(outcome)
     return done, samples.rows()
 
 

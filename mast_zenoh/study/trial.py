@@ -20,6 +20,9 @@ from mast_zenoh.metrics import Table
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import identity
 
+#: Evaluations that need all messages of a run.
+RECORDED = frozenset({"lies"})
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -34,7 +37,7 @@ class Trial:
     allow_failures:       whether the trial counts even if handlers of its nodes failed
     idle:                 s of scene time: start of the first attack and end of the trial, if the trial ends first;
                           None: an attack starts, or there is none
-    lies:                 whether lies and their detection are evaluated (`defences.lies`)
+    evaluation:           what is evaluated besides the metrics of every run (`defences.evaluations`); "": nothing
     """
 
     digest: str
@@ -49,7 +52,7 @@ class Trial:
     environment: tuple[tuple[str, str], ...]
     allow_failures: bool = False
     idle: tuple[float, float] | None = None
-    lies: bool = False
+    evaluation: str = ""
 
     def command(self) -> str:
         """The command that runs this trial alone, with a run folder and a report."""
@@ -101,9 +104,10 @@ def run(trial: Trial) -> Outcome:
                 )
         resolved = _resolve(trial)
         compromised = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
-        if trial.runtime == "inproc" and not (trial.lies and _is_disturbed(resolved)):
+        quiet = trial.evaluation == "lies" and not _is_disturbed(resolved)
+        if trial.runtime == "inproc" and (quiet or not trial.evaluation):
             metrics, table, handler_failures = _run_in_process(resolved, trial.allow_failures)
-            metrics = _without_lies(metrics) if trial.lies else metrics
+            metrics = _without_lies(metrics) if quiet else metrics
         else:
             metrics, table, handler_failures = _run_in_folder(resolved, trial)
         cpu_s = round(time.process_time() - cpu_start_s, 3)
@@ -115,7 +119,8 @@ def run(trial: Trial) -> Outcome:
 
 def _resolve(trial: Trial) -> Resolved:
     path, loaded = scenario.load(trial.scenario, trial.settings)
-    record = trial.lies and any(loaded.get(part) for part in _DISTURBANCES)
+    disturbed = trial.evaluation != "lies" or any(loaded.get(part) for part in _DISTURBANCES)
+    record = disturbed and trial.evaluation in RECORDED
     return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=record)
 
 
@@ -156,7 +161,7 @@ def _run_in_folder(resolved: Resolved, trial: Trial) -> RunResult:
     from mast_zenoh.launch import folder as run_folder  # trials in this process need neither Zenoh nor Parquet
     from mast_zenoh.launch import run as launcher
     from mast_zenoh.launch.tables import read_table
-    from mast_zenoh.study.defences import lies
+    from mast_zenoh.study.defences.evaluations import evaluate
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
@@ -166,8 +171,8 @@ def _run_in_folder(resolved: Resolved, trial: Trial) -> RunResult:
         if finished.error:
             raise finished.error
         metrics = run_folder.read_json(finished.folder / "metrics.json")
-        if trial.lies:
-            metrics["defence"] = lies.evaluate(finished.folder, metrics)
+        if trial.evaluation:
+            metrics["defence"] = evaluate(trial.evaluation, finished.folder, metrics)
         return metrics, read_table(finished.folder / "metrics.parquet"), finished.failures
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -14,6 +14,19 @@
     estimates   the matrix: a row for each cell, a summary for each defence
     outputs     tables and figures
 
+Limits of a defence, which have studies of their own:
+
+    limits      the configurations of both
+    floor       the least delay with which a displaced object can be noticed
+    episodes    how long displaced objects were in view before their liar was suspended
+    drift       delays next to the floor; drift_trial: of one run
+    breakdown   with how many liars a defence breaks; breakdown_trial: in one run
+    crossing    the share of liars at which a curve reaches one half
+    limit_intervals  of shares, and by resampling trials
+
+    evaluations   what is evaluated in each trial of any of these studies
+    measurements  what is collected from all trials, and written
+
 See docs/studies.md.
 """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.study.defences.choices import Choice, has_budget, title
@@ -27,6 +27,8 @@ class Cell:
     n_adversaries, placement: how many agents are compromised, and which (`placement.PLACEMENTS`)
     budget:          lies per second of each adversary; None: the attack's own, or it has none
     """
+
+    evaluation: ClassVar[str] = "lies"
 
     defence: str
     attack: str = ""

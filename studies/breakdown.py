@@ -1,0 +1,94 @@
+"""With how many liars a defence breaks, next to the share at which honest viewers lose their majority."""
+
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.study.defences import parsed
+from mast_zenoh.study.defences.choices import title
+from mast_zenoh.study.defences.limits import BreakdownCell, sensors_of
+
+# Three minutes and half an hour on two cores.
+PRESETS = dict(
+    quick=dict(
+        agents=(5, 13),
+        shares=(0.0, 0.2, 0.4, 0.6),
+        scenes="intersection:8,intersection:9",
+        trials=1,
+        frames=100,
+    ),
+    full=dict(
+        agents=(5, 13, 21),
+        # Close together around one half, where a majority is lost.
+        shares=(0.0, 0.1, 0.25, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.8),
+        scenes="intersection:8,intersection:9,intersection:10,intersection:11,intersection:12",
+        trials=2,
+        frames=130,
+    ),
+)
+
+
+def study(
+    preset="full",
+    agents=None,
+    shares=None,
+    adversaries="coordinated,Collusion",
+    budget=2.0,
+    defence="FaultOrLie",
+    scenes=None,
+    trials=None,
+    frames=None,
+    attack_start_s=4.0,
+    seed=0,
+):
+    """Random placements of 0 to n - 1 liars among n agents, never the ego.
+
+    preset: quick or full; it sets all that is None;
+    agents: numbers of agents, the ego included: poles, and above five agents cars, too;
+    shares: of liars among all agents, rounded to whole agents;
+    adversaries: attacks or coordinations, separated by commas;
+    budget: lies per second of each liar, for attacks that have one;
+    defence: an integrity stage;
+    scenes: short names, separated by commas: intersection:INDEX; trials: seeds of each scene; seed: the first one;
+    frames: of each run.
+    """
+    if preset not in PRESETS:
+        raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
+    given = dict(agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
+    chosen = PRESETS[preset] | {key: value for key, value in given.items() if value is not None}
+    common = dict(defence=defence, placement="random", attack_start_s=attack_start_s)
+    runs, cells = {}, {}
+    for count in several(chosen["agents"]):
+        place = common | sensors_of(count)
+        for attack in [None, *parsed(adversaries, "adversaries")]:
+            for liars in numbers(chosen["shares"], count):
+                if (attack is None) == (liars == 0):
+                    name = "" if attack is None else title(attack)
+                    cell = BreakdownCell(name, count, liars, attack_start_s)
+                    lying = {} if attack is None else dict(attack=attack, budget=budget)
+                    parameters = place | lying | dict(n_adversaries=liars)
+                    runs[cell.label] = dict(scenario="defence_cell", parameters=parameters)
+                    cells[cell.label] = cell
+    scenes = chosen["scenes"]
+    return dict(
+        name="breakdown",
+        runs=runs,
+        cells=cells,
+        baseline=next(iter(runs)),
+        per_trial=dict(seed="placement_seed", frames="placement_frames"),
+        scenes=scenes.split(",") if isinstance(scenes, str) else list(scenes),
+        trials=chosen["trials"],
+        frames=chosen["frames"],
+        seed=seed,
+        runtime="inproc",
+    )
+
+
+def numbers(shares, agents):
+    """Numbers of liars from shares of all agents, each once, always with 0."""
+    for share in several(shares):
+        if not 0.0 <= share <= 1.0:
+            raise ConfigurationError(f"shares: found {share!r}, expected 0 to 1")
+    return sorted({0, *(min(agents - 1, int(share * agents + 0.5)) for share in several(shares))})
+
+
+def several(value):
+    """A list of one value or several."""
+    return list(value) if isinstance(value, (list, tuple)) else [value]

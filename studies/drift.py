@@ -1,0 +1,79 @@
+"""How long a displaced object stays unnoticed, next to the least delay that is possible."""
+
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.study.defences.limits import DriftCell, sensors_of
+
+# Three and twenty minutes on two cores.
+PRESETS = dict(
+    quick=dict(scenes="intersection:8,intersection:9", trials=2),
+    full=dict(scenes=",".join(f"intersection:{index}" for index in range(8, 16)), trials=4),
+)
+#: m/s of an offset that is there at once: more than the largest offset within a frame.
+AT_ONCE_MPS = 1000.0
+
+
+def study(
+    preset="full",
+    agents=(5, 3),
+    offsets_m=(0.3, 0.5, 1.0),
+    rates_mps=(0.05, 0.1, 0.2),
+    limit_m=2.0,
+    defence="FaultOrLie",
+    scenes=None,
+    trials=None,
+    frames=260,
+    attack_start_s=4.0,
+    seed=0,
+):
+    """One liar among all agents moves one object at a time.
+
+    preset: quick or full; it sets scenes and trials that are None;
+    agents: numbers of agents, the ego included. With three, an object that everybody sees has two honest viewers;
+    offsets_m: constant offsets, there at once; rates_mps: m/s of offsets that grow;
+    limit_m: m, up to which they grow;
+    defence: an integrity stage;
+    scenes: short names, separated by commas: intersection:INDEX; trials: seeds of each scene; seed: the first one;
+    frames: of each run, long enough to watch what nobody notices at first.
+    """
+    if preset not in PRESETS:
+        raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
+    chosen = PRESETS[preset]
+    scenes = chosen["scenes"] if scenes is None else scenes
+    lies = [(offset, None) for offset in several(offsets_m)] + [(limit_m, rate) for rate in several(rates_mps)]
+    cells = [DriftCell(offset, rate, count) for count in several(agents) for offset, rate in lies]
+    common = dict(
+        defence=defence,
+        n_adversaries=1,
+        placement="random",
+        # An attacker that hears of the trust in it would go back: here, what it does must not depend on the defence.
+        knowledge="own",
+        attack_start_s=attack_start_s,
+    )
+    return dict(
+        name="drift",
+        runs={
+            cell.label: dict(
+                scenario="defence_cell", parameters=common | sensors_of(cell.agents) | dict(attack=attack(cell))
+            )
+            for cell in cells
+        },
+        cells={cell.label: cell for cell in cells},
+        baseline=cells[0].label,
+        per_trial=dict(seed="placement_seed", frames="placement_frames"),
+        scenes=scenes.split(",") if isinstance(scenes, str) else list(scenes),
+        trials=chosen["trials"] if trials is None else trials,
+        frames=frames,
+        seed=seed,
+        runtime="inproc",
+    )
+
+
+def attack(cell):
+    """One lie per second: one object at a time."""
+    rate = AT_ONCE_MPS if cell.rate_mps is None else cell.rate_mps
+    return dict(type="SlowDrift", rate_mps=rate, limit_m=cell.offset_m, budget=1.0)
+
+
+def several(value):
+    """A list of one value or several."""
+    return list(value) if isinstance(value, (list, tuple)) else [value]

@@ -1,0 +1,150 @@
+"""The study of the breakdown point."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.report.figures.breakdown import figure_of_breakdown
+from mast_zenoh.report.limit_rows import BreakdownTable
+from mast_zenoh.report.tables import breakdown as tables
+from mast_zenoh.study import definition
+from mast_zenoh.study.defences.breakdown import BreakdownCollection
+from mast_zenoh.study.defences.limits import BreakdownCell, sensors_of
+
+AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
+
+
+def metrics(liars: int, suspensions: dict[str, float] | None = None, majority: float = 1.0) -> dict[str, Any]:
+    """Metrics of a run of ten frames, whose attack begins at 0.5 s; suspensions: s by agent."""
+    times = suspensions or {}
+    return {
+        "agents": {"ego": {}},
+        "scored_frames": [0, 8],
+        "integrity": {
+            "agents": {name: {"suspensions": [{"from_s": times[name]}] if name in times else []} for name in AGENTS}
+        },
+        "defence": {
+            "compromised": sorted(AGENTS[1 : 1 + liars]),
+            "honest_majority": majority,
+            "frames_s": [0.1 * index for index in range(10)],
+        },
+    }
+
+
+def per_frame(picture: int, local: int) -> dict[str, np.ndarray]:
+    """Errors in each frame from 0.5 s on; before, and in the frame that is not scored, the picture has 100."""
+    early = [100] * 5
+    errors = np.array([*early, *[picture] * 4, 100, *[0] * 5, *[local] * 4, 0])
+    return {
+        "frame": np.tile(np.arange(10), 2),
+        "agent": np.full(20, "ego", object),
+        "estimator": np.repeat(np.array(["picture", "local"], object), 10),
+        "fn": errors // 2,
+        "fp": errors - errors // 2,
+    }
+
+
+def table(*trials: tuple[int, str, dict[str, Any], tuple[int, int]]) -> BreakdownTable:
+    """Of trials: liars, scene, metrics, and errors of picture and ego alone."""
+    cells = [BreakdownCell("Lie" if liars else "", 5, liars, 0.5) for liars in sorted({each[0] for each in trials})]
+    if not any(cell.liars for cell in cells):
+        cells.append(BreakdownCell("Lie", 5, 4, 0.5))
+    collection = BreakdownCollection({cell.label: cell for cell in cells}, "size")
+    for liars, scene, content, errors in trials:
+        label = next(cell.label for cell in cells if cell.liars == liars)
+        collection.add(label, (scene, 0), content, per_frame(*errors))
+    return collection.table()
+
+
+def test_a_picture_worse_than_the_ego_alone_is_broken() -> None:
+    alone, worse = table((0, "a", metrics(0), (2, 4)), (1, "a", metrics(1), (5, 4))).rows
+    assert (alone.broken.value, worse.broken.value, worse.worse.value, worse.framed.value) == (0.0, 1.0, 1.0, 0.0)
+
+
+def test_an_honest_agent_suspended_before_any_liar_is_broken() -> None:
+    before = metrics(1, {"ego": 0.6, "infra_1": 0.7})
+    after = metrics(1, {"ego": 0.7, "infra_1": 0.6})
+    together = metrics(1, {"ego": 0.7, "infra_1": 0.7})
+    only = metrics(1, {"ego": 0.7})
+    trials = [(1, name, each, (0, 4)) for name, each in zip("abcd", (before, after, together, only), strict=True)]
+    (row,) = table(*trials).rows
+    assert (row.trials, row.framed.value, row.suspended) == (4, 0.5, 0.25)
+
+
+def test_a_false_alarm_that_happens_without_liars_too_was_not_caused_by_them() -> None:
+    alarm = metrics(0, {"ego": 0.7})
+    alone, same, earlier = table(
+        (0, "a", alarm, (0, 4)),
+        (1, "a", metrics(1, {"ego": 0.7}), (0, 4)),
+        (2, "a", metrics(2, {"ego": 0.6}), (0, 4)),
+    ).rows
+    assert (alone.framed.value, alone.suspended) == (0.0, 0.2)
+    assert (same.framed.value, same.suspended) == (0.0, 0.25)
+    assert earlier.framed.value == 1.0
+
+
+def test_the_breakdown_point_is_between_the_shares_around_one_half() -> None:
+    # Two scenes: none is broken with one liar of five, one with two, both with three.
+    broken, fine = (5, 4), (0, 4)
+    found = table(
+        *[(1, scene, metrics(1, majority=0.9), fine) for scene in "ab"],
+        *[(2, scene, metrics(2, majority=0.6), broken if scene == "b" else fine) for scene in "ab"],
+        *[(3, scene, metrics(3, majority=0.2), broken) for scene in "ab"],
+    )
+    point = found.points["Lie", 5]
+    assert point.point.value == pytest.approx(0.4)
+    assert point.bound.value == pytest.approx(0.45), "a quarter of the way from 40 to 80 % without an honest majority"
+    assert point.difference.value == pytest.approx(-0.05)
+    # Resamples: the first scene alone breaks half-way between two and three liars, the second between one and two.
+    assert (point.point.low, point.point.high) == pytest.approx((0.3, 0.5))
+
+
+def test_a_defence_that_never_breaks_has_a_point_beyond_what_was_tried() -> None:
+    found = table(*[(liars, "a", metrics(liars, majority=0.2), (0, 4)) for liars in (1, 2)])
+    assert found.points["Lie", 5].point.value == math.inf
+    assert "| Lie | 5 | > 40 | 20 | > 20 |" in tables.as_markdown(found)
+    assert "Lie,5,,,breakdown_point,inf,," in tables.as_csv(found)
+    assert "above 40 %" in figure_of_breakdown(found).alt
+
+
+def test_the_numbers_of_liars_surround_the_bound() -> None:
+    study = definition.load("breakdown", ["adversaries=coordinated"])
+    liars = {n: [c.liars for c in study.cells.values() if c.agents == n] for n in (5, 13, 21)}  # type: ignore[union-attr]
+    assert liars[5] == [0, 1, 2, 3, 4]
+    assert liars[21] == [0, 2, 5, 7, 8, 9, 11, 12, 13, 17]
+    assert study.evaluation == "breakdown"
+    assert "n_infrastructure=12" in study.configurations[-1].settings
+
+
+def test_all_agents_but_the_ego_have_a_pole_or_a_car() -> None:
+    assert [sum(sensors_of(count).values()) for count in (2, 5, 13, 21, 29)] == [1, 4, 12, 20, 28]
+    assert sensors_of(13) == {"n_infrastructure": 8, "n_mobile": 4}
+    with pytest.raises(ConfigurationError, match="agents: found 30, expected whole numbers from 2 to 29"):
+        sensors_of(30)
+
+
+def test_a_small_study_with_different_numbers_of_agents_is_carried_out(tmp_path: Path) -> None:
+    finished = mast.study(
+        "breakdown",
+        trials=1,
+        jobs=1,
+        frames=14,
+        out=tmp_path / "study",
+        scenes="intersection:60",
+        agents=(2, 3),
+        shares=(0.0, 0.6),
+        adversaries="coordinated",
+        attack_start_s=0.3,
+    )
+    names = {path.name for path in finished.path.iterdir()}
+    assert {"breakdown.md", "breakdown.csv", "breakdown.png", "report.html"} <= names
+    text = (finished.path / "breakdown.csv").read_text()
+    assert "coordinated,3,2,1,honest_majority," in text
+    assert "coordinated,2,1,1,broken," in text
