@@ -23,7 +23,7 @@ class Disputes:
 
     contradicted: (c, a) reports an object that the majority sees through
     overlooked:   (c, a) sees through an object that the majority reports
-    silent:       (c, a) should clearly see an object that others report, and does not report it
+    silent:       (c, a) does not report an object that others do, though its rays end there and it is clear to see
     inconsistent: (c, a) reports an object that its own sensor sees through
     confirming, contradicting: (c,) sums of the weights of those that report the object, and see through it
     """
@@ -36,27 +36,35 @@ class Disputes:
     contradicting: Floats
 
 
-def disputes(reported: Bools, own: Bools, size: Floats, seen: Sightings, weight: Floats) -> Disputes:
+def disputes(
+    reported: Bools, own: Bools, size: Floats, seen: Sightings, rays: tuple[Bools, Bools], weight: Floats
+) -> Disputes:
     """Settle the disputes about c objects by the majority of their viewers.
 
     reported: (c, a) whether the agent reports the object; own: (c, a) and its sensor sees through its own track of it
     size: (c, 3) m; seen: what the sensors see of the objects
+    rays: (c, a) whose rays pass through the object as far as most of them pass, and whose rays end at it
     weight: (a,) 0 to 1, of each agent's vote
 
-    A dispute of fewer than VIEWERS agents counts against nobody, and so does a tie. An agent whose own sensor sees
-    through its object does not confirm it.
+    An agent that reports an object confirms it if its own sensor sees its place, and does not see through it: liars
+    that report what they cannot see have no vote. An agent that most rays pass speaks for an object that is reported
+    as little as one that all rays pass, but only the latter accuses.
+    A dispute of fewer than VIEWERS agents counts against nobody, and so does a tie.
     """
-    confirms = reported & ~own
+    through, ends = rays
+    claims = reported & ~own
+    confirms = claims & (seen.in_view | ends)
     denies = seen.swept & ~reported
+    doubts = through & ~reported
     voter = weight > 0.0
     confirming, contradicting = confirms @ weight, denies @ weight
-    viewers = (confirms & voter).sum(axis=1) + (denies & voter).sum(axis=1)
+    viewers = (claims & voter).sum(axis=1) + (doubts & voter).sum(axis=1)
     settled = viewers >= VIEWERS
-    false, true = settled & (contradicting > confirming), settled & (confirming > contradicting)
+    false, true = settled & (contradicting > confirming), settled & (confirming > doubts @ weight)
     return Disputes(
         contradicted=false[:, None] & reported,
         overlooked=true[:, None] & denies,
-        silent=true[:, None] & ~reported & ~seen.swept & seen.in_view & clear(size, seen.distance),
+        silent=true[:, None] & ~reported & ~through & ends & seen.in_view & clear(size, seen.distance),
         inconsistent=reported & own,
         confirming=confirming,
         contradicting=contradicting,

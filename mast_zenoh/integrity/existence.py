@@ -10,7 +10,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ObjectTrust
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import AgentMemory, ObjectMemory
-from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, Sightings, free_and_occupied
+from mast_zenoh.integrity.visibility import FAR_M, Sightings, silent_about
 
 #: s, over which the votes about an object are averaged.
 MEMORY_S = 0.5
@@ -74,7 +74,7 @@ class ExistenceVotes:
 
     An object is withheld while the votes against it weigh more, or while only suspended agents report it, unless an
     agent that is not suspended has confirmed it together with another one, or it was known before the agents began to
-    lie: then it stays for ESTABLISHED_S. Views that are too old to be held against their agents have no vote.
+    lie: then it stays for ESTABLISHED_S.
 
     agents: the memory of agents; it is updated by the caller
     """
@@ -96,14 +96,23 @@ class ExistenceVotes:
         self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
         return objects.number[self._rows]
 
-    def count(self, batch: Batch, boxes: ClusterBoxes, seen: Sightings, believed: Bools, agent_rows: Ints) -> Existence:
+    def count(
+        self,
+        batch: Batch,
+        boxes: ClusterBoxes,
+        seen: Sightings,
+        rays: tuple[Bools, Bools],
+        believed: Bools,
+        agent_rows: Ints,
+    ) -> Existence:
         """The votes of a batch whose objects are followed.
 
-        boxes, seen: of its clusters; believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
+        boxes, seen, rays: of its clusters, see `visibility`
+        believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
         """
-        views = tuple(None if view is None or abs(view.age_s) > MAX_AGE_S else view for view in batch.views)
         reported, rows, voter = batch.reported, self._rows, believed[agent_rows]
-        through, silent = free_and_occupied(batch, boxes, seen, views, FAR_M)
+        through, ends = rays
+        silent = silent_about(batch, boxes, seen, through, ends, FAR_M)
         claims = reported & ~through & voter
         votes = voter.astype(np.float64)
         confirming, contradicting = (claims | silent) @ votes, through @ votes

@@ -8,7 +8,7 @@ from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, 
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.existence import VoteMemory
 from mast_zenoh.integrity.record import Record
-from mast_zenoh.integrity.visibility import FAR_M, free_and_occupied, sightings
+from mast_zenoh.integrity.visibility import FAR_M, rays_at, sightings, silent_about
 
 
 class FreeSpace(Integrity):
@@ -51,7 +51,8 @@ class FreeSpace(Integrity):
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
-        swept, silent = free_and_occupied(batch, boxes, seen, batch.views, self._range_m)
+        swept, ends = rays_at(batch, boxes, batch.views)
+        silent = silent_about(batch, boxes, seen, swept, ends, self._range_m)
         claims = reported & ~swept
         confirming, contradicting = (claims | silent).sum(axis=1), swept.sum(axis=1)
         withheld = self._votes.vote(self._votes.follow(batch.time_ns, boxes), confirming - contradicting) < 0.0

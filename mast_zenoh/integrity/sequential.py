@@ -21,7 +21,7 @@ from mast_zenoh.integrity.existence import Existence, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.offset_sums import OffsetSums
 from mast_zenoh.integrity.offsets import offsets
-from mast_zenoh.integrity.visibility import lenient_sightings
+from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
 
 #: s, after a suspension in which a fault that is found then excuses it.
 EXCUSED_S = 1.0
@@ -127,7 +127,8 @@ class SequentialConsistency(Integrity):
         vote = ~self._suspended[rows]
         boxes = ClusterBoxes.of(batch, np.broadcast_to(vote, (batch.clusters, len(vote))))
         seen, own = lenient_sightings(batch, boxes)
-        dispute = disputes(batch.reported, own, boxes.size, seen, vote.astype(np.float64))
+        rays = rays_at(batch, boxes, current(batch.views))
+        dispute = disputes(batch.reported, own, boxes.size, seen, rays, vote.astype(np.float64))
         lies = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
         numbers = np.array([self._numbers[name] for name in batch.agents], np.int64)
         objects = self._existence.follow(batch.time_ns, boxes)
@@ -142,7 +143,7 @@ class SequentialConsistency(Integrity):
         alarms = rates <= self._per_hour / max(rates.size, 1)  # of suspended agents, which are tested for release alone
         alarms[vote] = discoveries(rates[vote], self._per_hour)
         self._judge(batch, rows, alarms, dispute, dt)
-        existence = self._existence.count(batch, boxes, seen, ~self._suspended, rows)
+        existence = self._existence.count(batch, boxes, seen, rays, ~self._suspended, rows)
         return self._assessment(batch, rows, rates, existence)
 
     def _alarm_at(self, statistic: int, agents: int) -> float:

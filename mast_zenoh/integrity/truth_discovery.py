@@ -19,7 +19,7 @@ from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.cumulative import MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.disputes import clear
 from mast_zenoh.integrity.memory import AgentMemory
-from mast_zenoh.integrity.visibility import Sightings, lenient_sightings
+from mast_zenoh.integrity.visibility import Sightings, current, lenient_sightings, rays_at
 
 #: Steps of the iteration in each batch; agents' log-odds change little between batches.
 STEPS = 3
@@ -93,7 +93,7 @@ class TruthDiscovery(Integrity):
         anchored = np.isin(np.array(batch.agents), self._anchors)
         boxes = ClusterBoxes.of(batch)
         seen, own = lenient_sightings(batch, boxes)
-        claims = votes(batch.reported, own, boxes.size, seen)
+        claims = votes(batch.reported, own, boxes.size, seen, rays_at(batch, boxes, current(batch.views)))
         before = self._prior + (self._log_odds[rows] - self._prior) * np.exp(-dt / self._memory_s)
         before[anchored] = MOST
         log_odds = before
@@ -132,12 +132,14 @@ class TruthDiscovery(Integrity):
         return self._log_odds
 
 
-def votes(reported: Bools, own: Bools, size: Floats, seen: Sightings) -> Floats:
+def votes(reported: Bools, own: Bools, size: Floats, seen: Sightings, rays: tuple[Bools, Bools]) -> Floats:
     """(c, a) how each agent votes on each object: 1 reports it, -1 sees through it, -SILENCE says nothing, 0 no view.
 
-    A claim that the agent's own sensor sees through is a vote against itself.
+    A claim that the agent's own sensor sees through is a vote against itself. Silence is a vote where the agent's rays
+    end, so that phantoms do not turn it against those that see nothing. rays: (c, a) see `visibility.rays_at`
     """
-    silent = ~reported & seen.in_view & clear(size, seen.distance)
+    through, ends = rays
+    silent = ~reported & ends & ~through & seen.in_view & clear(size, seen.distance)
     vote = np.where(reported, 1.0, np.where(silent, -SILENCE, 0.0))
     vote[np.where(reported, own, seen.swept)] = -1.0
     return vote

@@ -49,6 +49,11 @@ def sightings(
     return Sightings(*sighted_boxes(position, size, yaw, error, views, None, TOLERANCES))
 
 
+def current(views: Sequence[SweptView | None]) -> tuple[SweptView | None, ...]:
+    """The views (a) that are not too old to be held against their agents; None for the others."""
+    return tuple(None if view is None or abs(view.age_s) > MAX_AGE_S else view for view in views)
+
+
 def lenient_sightings(batch: Batch, boxes: ClusterBoxes) -> tuple[Sightings, Bools]:
     """What each agent sees of c boxes, and (c, a) whether it reports an object that it sees through itself.
 
@@ -63,22 +68,29 @@ def lenient_sightings(batch: Batch, boxes: ClusterBoxes) -> tuple[Sightings, Boo
     return seen, _by_own_tracks(batch, own)
 
 
-def free_and_occupied(
-    batch: Batch, boxes: ClusterBoxes, seen: Sightings, views: Sequence[SweptView | None], range_m: float
-) -> tuple[Bools, Bools]:
-    """(c, a) which agents see through an object, and which see its place occupied but do not report it.
+def rays_at(batch: Batch, boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> tuple[Bools, Bools]:
+    """(c, a) whose rays pass through an object, and whose rays end there.
 
-    boxes, seen: of the clusters; views: (a), those that count
-    range_m: m, up to which a car whose place is occupied should be reported, see `ClusterBoxes.sight_range`
+    boxes: of the clusters; views: (a), those that count
 
-    An agent sees through an object that it reports if it sees through its own track of it.
+    Whether an agent sees through an object that it reports is judged by its own track of it.
     """
-    states, reported = batch.states, batch.reported
+    states = batch.states
     own, _ = swept_boxes(states.position, states.velocity, states.size, states.yaw, views, batch.agent, TOLERANCES)
     through, ends = swept_boxes(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)
-    through = np.where(reported, _by_own_tracks(batch, own), through)
-    silent = ends & seen.in_view & ~reported & ~through
-    return through, silent & (seen.distance <= boxes.sight_range(range_m)[:, None])
+    return np.where(batch.reported, _by_own_tracks(batch, own), through), ends
+
+
+def silent_about(
+    batch: Batch, boxes: ClusterBoxes, seen: Sightings, through: Bools, ends: Bools, range_m: float
+) -> Bools:
+    """(c, a) which agents see the place of an object occupied but do not report it.
+
+    boxes, seen: of the clusters; through, ends: (c, a), see `rays_at`
+    range_m: m, up to which a car whose place is occupied should be reported, see `ClusterBoxes.sight_range`
+    """
+    near = seen.distance <= boxes.sight_range(range_m)[:, None]
+    return np.asarray(ends & seen.in_view & ~batch.reported & ~through & near)
 
 
 def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:

@@ -7,7 +7,7 @@ from integrity_batches import Track, batch, view
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.disputes import disputes
 from mast_zenoh.integrity.offsets import offsets
-from mast_zenoh.integrity.visibility import lenient_sightings
+from mast_zenoh.integrity.visibility import lenient_sightings, rays_at
 
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 
@@ -18,7 +18,7 @@ def disputed(tracks: list[Track], blocked: dict[str, list[tuple[float, float, fl
     given = batch(tracks, tuple(CORNERS), views)
     boxes = ClusterBoxes.of(given)
     seen, own = lenient_sightings(given, boxes)
-    return disputes(given.reported, own, boxes.size, seen, np.array(weight))
+    return disputes(given.reported, own, boxes.size, seen, rays_at(given, boxes, given.views), np.array(weight))
 
 
 CAR_AT_ORIGIN = (0.0, 0.0, 2.3)
@@ -50,6 +50,30 @@ def test_silence_about_a_visible_object_that_two_report_is_noted() -> None:
     assert found.silent[0].tolist() == [False, False, False]  # two viewers that vote: no third
     more = disputed([*tracks, ("c", 1, (60.0, 60.0))], {**seen, "c": []}, [1.0, 1.0, 1.0])
     assert more.overlooked[0].tolist() == [False, False, True]
+
+
+def test_liars_that_report_what_they_cannot_see_accuse_nobody() -> None:
+    walls = {"a": [(-10.0, 0.0, 5.0)], "b": [(10.0, 0.0, 5.0)], "c": [CAR_AT_ORIGIN]}
+    seen: list[Track] = [("a", 0, (0.0, 0.0)), ("b", 0, (0.0, 0.0))]
+    hidden = disputed(seen, walls, [1.0, 1.0, 1.0])
+    assert hidden.confirming.tolist() == [0.0]
+    assert not hidden.silent.any()
+    assert disputed(seen, {name: [CAR_AT_ORIGIN] for name in CORNERS}, [1.0, 1.0, 1.0]).confirming.tolist() == [2.0]
+
+
+@pytest.mark.parametrize(("hidden_by", "noted"), [(CAR_AT_ORIGIN, True), ((2.2, -1.5, 1.6), False)])
+def test_silence_counts_only_where_the_rays_end(hidden_by: tuple[float, float, float], noted: bool) -> None:
+    corners = CORNERS | {"d": (0.0, -20.0)}
+    tracks: list[Track] = [(name, 0, (0.0, 0.0)) for name in "abd"]
+    # Something beside the object hides part of it from `c`, which thus neither sees through it nor sees it.
+    blocked = {name: [CAR_AT_ORIGIN] for name in "abd"} | {"c": [hidden_by]}
+    given = batch(tracks, tuple(corners), {name: view(place, *blocked[name]) for name, place in corners.items()})
+    boxes = ClusterBoxes.of(given)
+    seen, own = lenient_sightings(given, boxes)
+    assert seen.in_view[0, 2]
+    found = disputes(given.reported, own, boxes.size, seen, rays_at(given, boxes, given.views), np.ones(4))
+    assert found.silent[0].tolist() == [False, False, noted, False]
+    assert not found.overlooked.any()
 
 
 def test_a_claim_in_space_that_its_own_sensor_sees_through_confirms_nothing() -> None:

@@ -15,7 +15,7 @@ from mast_zenoh.integrity.existence import ExistenceVotes
 from mast_zenoh.integrity.fault_fit import displacements
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.views import MAX_CELLS, check_view, collated_columns, view_columns
-from mast_zenoh.integrity.visibility import sightings
+from mast_zenoh.integrity.visibility import rays_at, sightings
 from mast_zenoh.messages.layout import MAX_ROWS
 from mast_zenoh.pipelines import Pipeline
 
@@ -104,7 +104,7 @@ def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, 
         votes.follow(given.time_ns, boxes)
         trusted = np.array([name not in lying for name in given.agents])
         seen = sightings(boxes.position, boxes.size, boxes.yaw, given.views)
-        existence = votes.count(given, boxes, seen, trusted, rows)
+        existence = votes.count(given, boxes, seen, rays_at(given, boxes, given.views), trusted, rows)
         assert not existence.objects.withheld[0] or lying
     assert existence.objects.withheld.tolist() == [not believed]
 
