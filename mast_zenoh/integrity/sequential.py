@@ -35,8 +35,8 @@ LEAST_SAY = 0.05
 MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
-LIES_TAIL = Tail(per_hour=130.0, scale=0.21)
-OFFSET_TAIL = Tail(per_hour=6500.0, scale=3.3)
+LIES_TAIL = Tail(per_hour=93.0, scale=0.24)
+OFFSET_TAIL = Tail(per_hour=6900.0, scale=3.3)
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
 
