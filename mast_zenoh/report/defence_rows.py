@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -39,7 +40,7 @@ MEASURES = {
 
 
 class Measured(NamedTuple):
-    """A number over trials with its 95 % interval; unknown numbers are NaN.
+    """A number over trials with its 95 % interval. NaN: unknown; infinite: beyond what was watched.
 
     trials:   number of trials behind it;  left_out: of those without it, because they failed or have no value
     interval: one of BOOTSTRAP, POISSON, BINOMIAL
@@ -51,6 +52,11 @@ class Measured(NamedTuple):
     trials: int = 0
     left_out: int = 0
     interval: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a value, infinite or not."""
+        return not math.isnan(self.value)
 
     @property
     def differs_from_zero(self) -> bool:

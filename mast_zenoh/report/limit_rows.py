@@ -2,25 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-NAN = float("nan")
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A number and its 95 % interval; NaN: unknown, infinite: beyond what was watched."""
-
-    value: float = NAN
-    low: float = NAN
-    high: float = NAN
-
-    @property
-    def known(self) -> bool:
-        """Whether there is a value, infinite or not."""
-        return not math.isnan(self.value)
+from mast_zenoh.report.defence_rows import Measured
 
 
 @dataclass(frozen=True, slots=True)

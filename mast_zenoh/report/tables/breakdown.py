@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from rich.console import Group
 from rich.table import Table
 
-from mast_zenoh.report.limit_rows import BreakdownPoint, BreakdownRow, BreakdownTable, Measured
+from mast_zenoh.report.defence_rows import Measured
+from mast_zenoh.report.limit_rows import BreakdownPoint, BreakdownRow, BreakdownTable
 from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.report.tables.study_rows import number
 

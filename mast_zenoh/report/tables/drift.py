@@ -8,7 +8,8 @@ import math
 
 from rich.table import Table
 
-from mast_zenoh.report.limit_rows import DriftRow, DriftTable, Measured
+from mast_zenoh.report.defence_rows import Measured
+from mast_zenoh.report.limit_rows import DriftRow, DriftTable
 from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.report.tables.study_rows import number
 

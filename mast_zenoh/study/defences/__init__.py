@@ -22,7 +22,6 @@ Limits of a defence, which have studies of their own:
     drift       delays next to the floor; drift_trial: of one run
     breakdown   with how many liars a defence breaks; breakdown_trial: in one run
     crossing    the share of liars at which a curve reaches one half
-    limit_intervals  of shares, and by resampling trials
 
     evaluations   what is evaluated in each trial of any of these studies
     measurements  what is collected from all trials, and written

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.metrics import Table
+from mast_zenoh.report.defence_rows import Measured
 from mast_zenoh.report.limit_rows import BreakdownPoint, BreakdownRow, BreakdownTable
-from mast_zenoh.streams import stream
 from mast_zenoh.study.defences.crossing import crossing
-from mast_zenoh.study.defences.limit_intervals import bootstrap, share
+from mast_zenoh.study.defences.intervals import pooled, share_of_trials
 from mast_zenoh.study.defences.limits import BreakdownCell
 
 _ROUNDING_S = 1e-6
@@ -134,7 +134,8 @@ def _trials(records: Mapping[Place, BreakdownRecord], alone: Mapping[Place, Brea
 
 def _row(attack: str, agents: int, liars: int, trials: Sequence[_Trial]) -> BreakdownRow:
     broken, worse, framed = (
-        share(sum(getattr(each, name) for each in trials), len(trials)) for name in ("broken", "worse", "framed")
+        share_of_trials(sum(getattr(each, name) for each in trials), len(trials))
+        for name in ("broken", "worse", "framed")
     )
     suspended, majority = (_mean([getattr(each, name) for each in trials]) for name in ("suspended", "honest_majority"))
     return BreakdownRow(attack, agents, liars, len(trials), broken, worse, framed, suspended, majority)
@@ -155,9 +156,10 @@ def _point(attack: str, agents: int, by_liars: Mapping[int, Mapping[Place, _Tria
         of_bound = bound(chosen)
         return math.nan if math.isinf(of_bound) else broken(chosen) - of_bound
 
-    of_broken, of_bound, of_difference = (  # from the same draws
-        bootstrap(places, each, stream(0, "bootstrap", attack, agents)) for each in (broken, bound, difference)
-    )
+    def measured(statistic: Callable[[Sequence[Place]], float]) -> Measured:
+        return pooled(lambda rows: statistic([places[row] for row in rows.tolist()]), len(places))  # the same draws
+
+    of_broken, of_bound, of_difference = map(measured, (broken, bound, difference))
     return BreakdownPoint(attack, agents, of_broken, of_bound, of_difference, max(shares))
 
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mast_zenoh.report.limit_rows import NAN, DriftRow, DriftTable, Measured
+from mast_zenoh.report.defence_rows import NAN, Measured
+from mast_zenoh.report.limit_rows import DriftRow, DriftTable
 from mast_zenoh.report.study_facts import plural
-from mast_zenoh.streams import stream
 from mast_zenoh.study.defences.episodes import Episode, Group, episodes
 from mast_zenoh.study.defences.floor import drift_floor_s, offset_floor_s
-from mast_zenoh.study.defences.limit_intervals import bootstrap, share
+from mast_zenoh.study.defences.intervals import pooled, share_of_trials
 from mast_zenoh.study.defences.limits import DriftCell
 from mast_zenoh.study.defences.survival import kaplan_meier
 
@@ -84,14 +84,14 @@ def _whole_runs(cell: DriftCell, records: Sequence[DriftRecord]) -> DriftRow:
         len(delays),
         sum(detected for _, detected in delays),
         len(delays),
-        _bootstrap(delays, _median, cell, "runs"),
+        _bootstrap(delays, _median),
         NAN,
         Measured(),
         Measured(),
         NAN,
         len(delays),
-        share(sum(detected and delay <= LIMIT_S + 1e-6 for delay, detected in delays), len(delays)),
-        _bootstrap(delays, _noticed, cell, "runs", "noticed"),
+        share_of_trials(sum(detected and delay <= LIMIT_S + 1e-6 for delay, detected in delays), len(delays)),
+        _bootstrap(delays, _noticed),
     )
 
 
@@ -121,19 +121,19 @@ def _row(cell: DriftCell, group: Group, by_trial: Sequence[Sequence[Episode]]) -
         len(pooled),
         sum(episode.detected for episode in pooled),
         len(trials),
-        _bootstrap(trials, median(lambda e: e.watched_s), cell, group.title, "delay"),
+        _bootstrap(trials, median(lambda e: e.watched_s)),
         floor_s,
-        _bootstrap(trials, median(lambda e: e.watched_s * e.speed_up / single_s), cell, group.title, "ratio"),
-        _bootstrap(trials, median(lambda e: e.offset_m), cell, group.title, "offset") if drifting else Measured(),
+        _bootstrap(trials, median(lambda e: e.watched_s * e.speed_up / single_s)),
+        _bootstrap(trials, median(lambda e: e.offset_m)) if drifting else Measured(),
         floor_s * cell.rate_mps if cell.rate_mps is not None else NAN,
         len(judged),
-        share(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
-        _bootstrap(trials, lambda units: _noticed(times(units)), cell, group.title, "noticed"),
+        share_of_trials(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
+        _bootstrap(trials, lambda units: _noticed(times(units))),
     )
 
 
-def _bootstrap(units: Sequence[Any], statistic: Callable[[Any], float], cell: DriftCell, *names: str) -> Measured:
-    return bootstrap(units, statistic, stream(0, "bootstrap", cell.label, *names))
+def _bootstrap(trials: Sequence[Any], statistic: Callable[[Any], float]) -> Measured:
+    return pooled(lambda rows: statistic([trials[row] for row in rows.tolist()]), len(trials))
 
 
 def _median(times: Sequence[tuple[float, bool]]) -> float:

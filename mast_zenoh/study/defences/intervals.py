@@ -86,7 +86,7 @@ def pooled(statistic: Callable[[Ints], float], trials: int, limits: tuple[float,
     low, high = bootstrap(lambda rows: np.array([statistic(line) for line in rows]), trials)
     if high - low <= _EQUAL and any(abs(value - limit) <= _EQUAL for limit in limits):
         low = high = NAN
-    return Measured(NAN if np.isinf(value) else value, low, high, trials, 0, BOOTSTRAP)
+    return Measured(value, low, high, trials, 0, BOOTSTRAP)
 
 
 def rate(events: int, hours: float, trials: int) -> Measured:
@@ -110,11 +110,16 @@ def share_of_runs(outcomes: Sequence[Sequence[bool]]) -> Measured:
     trials = sum(bool(trial) for trial in outcomes)
     if not runs:
         return Measured()
-    value = sum(runs) / len(runs)
-    happened = value * trials
-    low = stats.beta.ppf(_TAILS[0], happened, trials - happened + 1.0) if value > 0.0 else 0.0
-    high = stats.beta.ppf(_TAILS[1], happened + 1.0, trials - happened) if value < 1.0 else 1.0
-    return Measured(value, float(low), float(high), len(runs), 0, BINOMIAL)
+    return share_of_trials(sum(runs) / len(runs) * trials, trials)._replace(trials=len(runs))
+
+
+def share_of_trials(happened: float, trials: int) -> Measured:
+    """The share of trials in which something happened; NaN without trials."""
+    if not trials:
+        return Measured()
+    low = stats.beta.ppf(_TAILS[0], happened, trials - happened + 1.0) if happened > 0.0 else 0.0
+    high = stats.beta.ppf(_TAILS[1], happened + 1.0, trials - happened) if happened < trials else 1.0
+    return Measured(happened / trials, float(low), float(high), trials, 0, BINOMIAL)
 
 
 def bootstrap(statistic: Callable[[Ints], Floats], count: int) -> tuple[float, float]:
@@ -150,7 +155,7 @@ def _bound_at_limit(value: float, trials: int, bounds: tuple[float, float]) -> t
     """
     if bounds != (0.0, 1.0) or min(abs(value), abs(1.0 - value)) > _EQUAL or not trials:
         return NAN, NAN
-    exact = share_of_runs([[value > 0.5]] * trials)
+    exact = share_of_trials(trials if value > 0.5 else 0, trials)
     return exact.low, exact.high
 
 

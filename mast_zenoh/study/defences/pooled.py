@@ -42,7 +42,8 @@ def median_delay(groups: Groups) -> Measured:
         value = kaplan_meier(drawn[:, 0], drawn[:, 1]).median_s
         return math.inf if math.isnan(value) else value
 
-    return intervals.pooled(median, len(delays))
+    found = intervals.pooled(median, len(delays))
+    return found._replace(value=math.nan) if math.isinf(found.value) else found
 
 
 def delay_curve(groups: Groups) -> DelayCurve | None:

@@ -91,19 +91,19 @@ def test_a_false_alarm_that_happens_without_liars_too_was_not_caused_by_them() -
 
 
 def test_the_breakdown_point_is_between_the_shares_around_one_half() -> None:
-    # Two scenes: none is broken with one liar of five, one with two, both with three.
+    # Six scenes: none is broken with one liar of five, half with two, all with three.
     broken, fine = (5, 4), (0, 4)
     found = table(
-        *[(1, scene, metrics(1, majority=0.9), fine) for scene in "ab"],
-        *[(2, scene, metrics(2, majority=0.6), broken if scene == "b" else fine) for scene in "ab"],
-        *[(3, scene, metrics(3, majority=0.2), broken) for scene in "ab"],
+        *[(1, scene, metrics(1, majority=0.9), fine) for scene in "abcdef"],
+        *[(2, scene, metrics(2, majority=0.6), broken if scene in "bdf" else fine) for scene in "abcdef"],
+        *[(3, scene, metrics(3, majority=0.2), broken) for scene in "abcdef"],
     )
     point = found.points["Lie", 5]
     assert point.point.value == pytest.approx(0.4)
     assert point.bound.value == pytest.approx(0.45), "a quarter of the way from 40 to 80 % without an honest majority"
     assert point.difference.value == pytest.approx(-0.05)
-    # Resamples: the first scene alone breaks half-way between two and three liars, the second between one and two.
-    assert (point.point.low, point.point.high) == pytest.approx((0.3, 0.5))
+    # Resamples of scenes of one kind alone: half-way between two and three liars, or between one and two.
+    assert 0.3 <= point.point.low < 0.4 < point.point.high <= 0.5
 
 
 def test_a_defence_that_never_breaks_has_a_point_beyond_what_was_tried() -> None:
