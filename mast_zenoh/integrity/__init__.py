@@ -1,18 +1,21 @@
 """Integrity: judges the agents' tracks before they are fused.
 
-base       what a stage gets and returns; STATES of agents
-views      what the agents' sensors cover
-visibility who should see an object, and who sees through it
-memory     follows objects and agents from batch to batch
-clusters   one box for each cluster
-disputes   who contradicts whom
-offsets    how far each agent's tracks are from the others'
-cumulative sums of evidence, and when they are alarms
-record     how often each agent's claims have held up
+base        what a stage gets and returns; STATES of agents
+views       what the agents' sensors cover
+rays        what the rays of sensors say about boxes
+visibility  which sensors should see an object, and which see through it
+memory      follows objects and agents from batch to batch
+clusters    one box for each cluster
+disputes    contradictions between agents about an object
+existence   which objects exist, as far as the agents that are believed see them
+offsets     how far each agent's tracks are from the others'; offset_sums: over time
+cumulative  sums of evidence, and when they are alarms
+reputation  how often each agent's claims have held up
+faults      what a fault does to tracks and views; fault_fit, fault_estimate: how it is found
 calibration seeds and scenes on which thresholds were chosen, and which no test may use
 
 Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate, SequentialConsistency, TruthDiscovery,
-FaultOrLie (with fault_fit).
+FaultOrLie.
 """
 
 from mast_zenoh.integrity.base import (

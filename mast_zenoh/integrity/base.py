@@ -21,7 +21,7 @@ UNKNOWN, TRUSTED, FAULTY, SUSPENDED = range(4)
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """The tracks of all agents at one time, clustered.
+    """The tracks of all agents at one time, clustered: `n` tracks of `a` agents in `c` clusters.
 
     time_ns: ns, of all tracks
     states: n tracks, world frame
@@ -58,7 +58,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentTrust:
-    """What a stage thinks of a agents.
+    """Trust of a stage in `a` agents.
 
     mean: (a,) 0 to 1; log_odds: (a,) that the agent is honest
     state: (a,) uint8, index into STATES; reason: (a) of the state, "" if there is none
@@ -102,7 +102,7 @@ class AgentTrust:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectTrust:
-    """What a stage thinks of c clusters.
+    """Trust of a stage in `c` clusters.
 
     trust: (c,) 0 to 1
     expected, confirming, contradicting: (c,) int64, agents that should see the object, report it, and see through it
@@ -134,7 +134,7 @@ class Integrity(ABC):
     def correct(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], views: Mapping[str, SweptView]
     ) -> tuple[ObjectStates, Mapping[str, SweptView]]:
-        """The tracks and views without the faults that the agents are known to have; by default unchanged.
+        """Return tracks and views with known faults removed; unchanged by default.
 
         Called before clustering, once for each batch.
 
@@ -142,12 +142,15 @@ class Integrity(ABC):
         """
         return states, views
 
-    def forgive(self, agent: str) -> None:  # noqa: B027 (a hook)
-        """Forget the evidence against an agent: a fault explains it, and is corrected from now on."""
+    def excuse(self, agent: str) -> None:  # noqa: B027 (a hook)
+        """Forget evidence that a newly found fault of an agent explains; the fault is corrected from now on.
+
+        Must not release an agent that was suspended earlier for another reason.
+        """
 
     @abstractmethod
     def assess(self, batch: Batch) -> Assessment:
-        """What is to be thought of the agents and clusters of a batch; called once for each, in order of time.
+        """Assess the agents and clusters of a batch; called once for each, in order of time.
 
         The result does not depend on the order of the rows.
         """
@@ -158,7 +161,7 @@ class Integrity(ABC):
 
 
 class NoIntegrity(Integrity):
-    """Trusts everybody."""
+    """Trusts all agents."""
 
     def __init__(self) -> None:
         pass

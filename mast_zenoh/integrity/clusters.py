@@ -16,7 +16,7 @@ _CAR_M2 = 1.8 * 1.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterBoxes:
-    """Mean boxes of c clusters, world frame.
+    """Median boxes of `c` clusters (circular mean of the axes), world frame.
 
     position: (c, 3) m, velocity: (c, 3) m/s, size: (c, 3) m, yaw: (c,) rad, of the length axis, in either direction
 
@@ -30,16 +30,16 @@ class ClusterBoxes:
 
     @classmethod
     def of(cls, batch: Batch, use: Bools | None = None) -> ClusterBoxes:
-        """The mean boxes of the clusters of a batch.
+        """The median boxes of the clusters of a batch.
 
-        use: (c, a) which agents' tracks count; None: all. A cluster without any has the mean of all.
+        use: (c, a) which agents' tracks count; None: all. A cluster without any uses all its members.
         """
         states = batch.states
         present: Bools = batch.reported
         if use is not None:
             used = present & use
             present = np.asarray(np.where(used.any(axis=1, keepdims=True), used, present), np.bool_)
-        return cls(*mean_boxes(states.position, states.velocity, states.size, states.yaw, batch.member, present))
+        return cls(*median_boxes(states.position, states.velocity, states.size, states.yaw, batch.member, present))
 
     def sight_range(self, range_m: float) -> Floats:
         """(c,) m up to which a box gives a lidar as many returns as a car does at `range_m`, at most `range_m`.
@@ -51,7 +51,7 @@ class ClusterBoxes:
 
 
 @kernel
-def mean_boxes(
+def median_boxes(
     position: Floats, velocity: Floats, size: Floats, yaw: Floats, member: Ints, present: Bools
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Medians of the positions, velocities and sizes (c, 3) of the members of c clusters, and their mean yaws (c,).

@@ -10,6 +10,8 @@ from mast_zenoh.arrays.states import Bools, Floats
 
 #: Samples a second that the errors of tracks give independently; consecutive frames share theirs.
 SAMPLES_PER_S = 1.1
+#: s, after a suspension in which a fault that is found then excuses it.
+EXCUSED_S = 1.0
 #: s, greatest step of a sum: a batch after a gap is no more evidence than one.
 MAX_STEP_S = 0.5
 
@@ -67,9 +69,9 @@ def discoveries(rates: Floats, per_hour: float) -> Bools:
     return np.asarray(rates <= (ordered[passed[-1]] if len(passed) else -1.0))
 
 
-def accumulate(total: Floats, evidence: Floats, drift: float, dt: float) -> Floats:
+def accumulate(total: Floats, evidence: Floats, allowance: float, dt: float) -> Floats:
     """Cumulative sums (Page, Biometrika 1954) after `dt` s with `evidence` a second; they never fall below 0.
 
-    drift: evidence a second that an honest agent gives
+    allowance: evidence a second that an honest agent gives
     """
-    return np.maximum(0.0, total + dt * (evidence - drift))
+    return np.maximum(0.0, total + dt * (evidence - allowance))

@@ -1,4 +1,4 @@
-"""Who contradicts whom: agents that report an object, see through its place, or should see it and stay silent."""
+"""Contradictions between agents about an object: reports, clear rays and silence."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.integrity.visibility import Sightings
+from mast_zenoh.integrity.visibility import RayEvidence, Sightings
 
-#: Viewers without whom a dispute is settled by nobody: of two agents, either may be wrong.
-VIEWERS = 3
+#: Minimum number of viewers to settle a dispute: of two agents, either may be wrong.
+MIN_VIEWERS = 3
 #: sr; an object that looks smaller may go unnoticed (a lidar with 0.2 by 0.9 degrees has some 50 returns of this).
 CLEAR_SR = 2.5e-3
 #: m, farther away is not clear.
@@ -19,7 +19,7 @@ CLEAR_M = 60.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disputes:
-    """What the majority of the viewers of each of c objects says about each of a agents.
+    """What the majority of the viewers of each of `c` objects says about each of `a` agents.
 
     contradicted: (c, a) reports an object that the majority sees through
     overlooked:   (c, a) sees through an object that the majority reports
@@ -36,35 +36,32 @@ class Disputes:
     contradicting: Floats
 
 
-def disputes(
-    reported: Bools, own: Bools, size: Floats, seen: Sightings, rays: tuple[Bools, Bools], weight: Floats
-) -> Disputes:
+def disputes(reported: Bools, own: Bools, size: Floats, seen: Sightings, rays: RayEvidence, weight: Floats) -> Disputes:
     """Settle the disputes about c objects by the majority of their viewers.
 
     reported: (c, a) whether the agent reports the object; own: (c, a) and its sensor sees through its own track of it
     size: (c, 3) m; seen: what the sensors see of the objects
-    rays: (c, a) whose rays pass through the object as far as most of them pass, and whose rays end at it
+    rays: what they show of the objects
     weight: (a,) 0 to 1, of each agent's vote
 
     An agent that reports an object confirms it if its own sensor sees its place, and does not see through it: liars
     that report what they cannot see have no vote. An agent that most rays pass speaks for an object that is reported
     as little as one that all rays pass, but only the latter accuses.
-    A dispute of fewer than VIEWERS agents counts against nobody, and so does a tie.
+    A dispute of fewer than MIN_VIEWERS agents counts against nobody, and so does a tie.
     """
-    through, ends = rays
     claims = reported & ~own
-    confirms = claims & (seen.in_view | ends)
-    denies = seen.swept & ~reported
-    doubts = through & ~reported
+    confirms = claims & (seen.in_view | rays.ends)
+    denies = seen.fully_clear & ~reported
+    doubts = rays.mostly_clear & ~reported
     voter = weight > 0.0
     confirming, contradicting = confirms @ weight, denies @ weight
     viewers = (claims & voter).sum(axis=1) + (doubts & voter).sum(axis=1)
-    settled = viewers >= VIEWERS
+    settled = viewers >= MIN_VIEWERS
     false, true = settled & (contradicting > confirming), settled & (confirming > doubts @ weight)
     return Disputes(
         contradicted=false[:, None] & reported,
         overlooked=true[:, None] & denies,
-        silent=true[:, None] & ~reported & ~through & ends & seen.in_view & clear(size, seen.distance),
+        silent=true[:, None] & ~reported & ~rays.mostly_clear & rays.ends & seen.in_view & clear(size, seen.distance),
         inconsistent=reported & own,
         confirming=confirming,
         contradicting=contradicting,

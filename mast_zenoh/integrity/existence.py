@@ -10,7 +10,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ObjectTrust
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import AgentMemory, ObjectMemory
-from mast_zenoh.integrity.visibility import FAR_M, Sightings, silent_about
+from mast_zenoh.integrity.visibility import FAR_M, RayEvidence, Sightings, silent_about
 
 #: s, over which the votes about an object are averaged.
 MEMORY_S = 0.5
@@ -101,7 +101,7 @@ class ExistenceVotes:
         batch: Batch,
         boxes: ClusterBoxes,
         seen: Sightings,
-        rays: tuple[Bools, Bools],
+        rays: RayEvidence,
         believed: Bools,
         agent_rows: Ints,
     ) -> Existence:
@@ -111,11 +111,10 @@ class ExistenceVotes:
         believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
         """
         reported, rows, voter = batch.reported, self._rows, believed[agent_rows]
-        through, ends = rays
-        silent = silent_about(batch, boxes, seen, through, ends, FAR_M)
-        claims = reported & ~through & voter
+        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, FAR_M)
+        claims = reported & ~clear & voter
         votes = voter.astype(np.float64)
-        confirming, contradicting = (claims | silent) @ votes, through @ votes
+        confirming, contradicting = (claims | silent) @ votes, clear @ votes
         balance = self._votes.vote(rows, confirming - contradicting)
         together = claims.sum(axis=1) >= WITNESSES
         self._witnessed[rows[:, None], agent_rows] |= claims & together[:, None]
@@ -129,13 +128,13 @@ class ExistenceVotes:
             (1.0 + confirming) / (2.0 + confirming + contradicting),
             (seen.in_view | reported).sum(axis=1),
             claims.sum(axis=1),
-            (through & voter).sum(axis=1),
+            (clear & voter).sum(axis=1),
             withheld,
         )
         return Existence(objects, kept[batch.labels, batch.agent].astype(np.float64))
 
     def keep_known(self, before_ns: int) -> None:
-        """Believe the objects that were known before a time, whoever reports them from now on.
+        """Believe the objects that were known before a time, regardless of which agents report them later.
 
         For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
         """

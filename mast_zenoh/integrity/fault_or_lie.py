@@ -11,13 +11,13 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED, Assessment, Batch, Integrity
 from mast_zenoh.integrity.fault_estimate import FaultEstimate
 from mast_zenoh.integrity.fault_fit import displacements
-from mast_zenoh.integrity.faults import corrected, corrected_view, described, size_m
+from mast_zenoh.integrity.faults import described, displacement_m, view_without_fault, without_fault
 from mast_zenoh.integrity.sequential import MAX_NAMES, SequentialConsistency
 from mast_zenoh.integrity.views import SweptView
 
 #: Batches in which every agent is fitted once, and log-odds below which one is fitted in each: consecutive offsets of
 #: honest agents correlate at 0.8, so that most batches show nothing new.
-ROUND, SUSPECT = 5, 2.0
+FIT_PERIOD_BATCHES, SUSPECT_LOG_ODDS = 5, 2.0
 #: ns, between two faults that excuse what an agent did before they were found.
 EXCUSE_NS = 60_000_000_000
 
@@ -83,12 +83,12 @@ class FaultOrLie(Integrity):
             self._apply_most_convincing(time_ns, agents)
         for name in agents:
             # Once corrected, an agent stays so until nothing is left to correct.
-            self._estimates[name].applied &= size_m(self._estimates[name].fault) >= self._least_m
+            self._estimates[name].applied &= displacement_m(self._estimates[name].fault) >= self._least_m
         seen = {
-            name: corrected_view(view, self._estimates[name].fault) if self._applied(name) else view
+            name: view_without_fault(view, self._estimates[name].fault) if self._applied(name) else view
             for name, view in views.items()
         }
-        result = self._corrected(states, rows, pivots)
+        result = self._without_faults(states, rows, pivots)
         if len(self._estimates) > MAX_NAMES:
             self._estimates = {name: self._estimates[name] for name in agents}
         return result, seen
@@ -96,7 +96,7 @@ class FaultOrLie(Integrity):
     def _due(self, agents: tuple[str, ...]) -> set[str]:
         """The agents that are fitted in a batch: those whose last fit is the longest ago, and suspects."""
         oldest = sorted(agents, key=lambda name: self._estimates[name].time_ns)
-        return {*oldest[: -(-len(agents) // ROUND)], *self._suspects.intersection(agents)}
+        return {*oldest[: -(-len(agents) // FIT_PERIOD_BATCHES)], *self._suspects.intersection(agents)}
 
     def _pivot(self, states: ObjectStates, mine: Bools, view: SweptView | None) -> Floats:
         """(2,) m: the agent's sensor, else the middle of its tracks."""
@@ -107,11 +107,13 @@ class FaultOrLie(Integrity):
     def _applied(self, name: str) -> bool:
         return name in self._estimates and self._estimates[name].applied
 
-    def _corrected(self, states: ObjectStates, rows: Mapping[str, Bools], pivots: Mapping[str, Floats]) -> ObjectStates:
+    def _without_faults(
+        self, states: ObjectStates, rows: Mapping[str, Bools], pivots: Mapping[str, Floats]
+    ) -> ObjectStates:
         """The tracks without the faults that are known; rows: (n,) of each agent, pivots: (2,) m"""
         for name, mine in rows.items():
             if self._applied(name):
-                states = corrected(states, mine, self._estimates[name].fault, pivots[name])
+                states = without_fault(states, mine, self._estimates[name].fault, pivots[name])
         return states
 
     def _fit(
@@ -123,7 +125,7 @@ class FaultOrLie(Integrity):
         names: set[str],
     ) -> None:
         """Update the estimates of some agents from a batch. rows: (n,) of each agent, pivots: (2,) m"""
-        reference = self._corrected(states, rows, pivots)
+        reference = self._without_faults(states, rows, pivots)
         number = np.zeros(len(states), np.int64)
         trusted = np.ones(len(states), np.bool_)
         for index, (name, mine) in enumerate(rows.items()):
@@ -144,7 +146,7 @@ class FaultOrLie(Integrity):
         """Whether an agent that is not corrected looks faulty."""
         significant = estimate.statistic >= self._significance and estimate.others >= 2
         common = estimate.share >= self._share
-        return not estimate.applied and significant and common and size_m(estimate.fault) >= self._least_m
+        return not estimate.applied and significant and common and displacement_m(estimate.fault) >= self._least_m
 
     def _apply_most_convincing(self, time_ns: int, agents: tuple[str, ...]) -> None:
         """Correct the agent with the most convincing fault; forget what the others looked like next to it."""
@@ -158,7 +160,7 @@ class FaultOrLie(Integrity):
         estimate = self._estimates[name]
         estimate.applied = True
         if time_ns >= estimate.excused_until_ns:
-            self._stage.forgive(name)
+            self._stage.excuse(name)
             estimate.excused_until_ns = time_ns + EXCUSE_NS
 
     def _note_loss(self, estimate: FaultEstimate, view: SweptView | None) -> None:
@@ -170,7 +172,9 @@ class FaultOrLie(Integrity):
         assessment = self._stage.assess(batch)
         estimates = [self._estimates.get(name, FaultEstimate(batch.time_ns)) for name in batch.agents]
         trust = assessment.agents
-        self._suspects = {name for name, odds in zip(batch.agents, trust.log_odds, strict=True) if odds < SUSPECT}
+        self._suspects = {
+            name for name, odds in zip(batch.agents, trust.log_odds, strict=True) if odds < SUSPECT_LOG_ODDS
+        }
         self._suspended = {name for name, state in zip(batch.agents, trust.state, strict=True) if state == SUSPENDED}
         faulty = np.array([estimate.applied for estimate in estimates], np.bool_) & (trust.state != SUSPENDED)
         faults = np.array([estimate.known for estimate in estimates]).reshape(-1, 4)

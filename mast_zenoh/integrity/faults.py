@@ -1,6 +1,7 @@
 """What a fault of an agent does to its tracks and its view, and how it is told.
 
-A fault is (4,): x and y in m, a turn in rad, and a time offset in s; it moves all tracks of the agent alike.
+A fault is (4,): x and y in m, a turn in rad, and a lead in s, by which its tracks are ahead; it moves all tracks of the
+agent alike.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from mast_zenoh.integrity.views import SweptView
 ARM_M, SPEED_MPS = 30.0, 10.0
 
 
-def corrected(states: ObjectStates, rows: Bools, estimate: Floats, pivot: Floats) -> ObjectStates:
-    """Tracks without a fault (4,): x and y in m, turn in rad, time offset in s.
+def without_fault(states: ObjectStates, rows: Bools, fault: Floats, pivot: Floats) -> ObjectStates:
+    """Tracks without the fault (4,) of an agent.
 
     rows: (n,) of the agent; pivot: (2,) m
     """
-    x, y, turn, delay = estimate.tolist()
+    x, y, turn, lead = fault.tolist()
     position, velocity, yaw = states.position.copy(), states.velocity.copy(), states.yaw.copy()
     arm = position[rows, :2] - pivot
-    moved = np.column_stack([x - turn * arm[:, 1], y + turn * arm[:, 0]]) + delay * velocity[rows, :2]
+    moved = np.column_stack([x - turn * arm[:, 1], y + turn * arm[:, 0]]) + lead * velocity[rows, :2]
     position[rows, :2] -= moved
     vx, vy = velocity[rows, :2].T
     velocity[rows, :2] = np.column_stack([vx + turn * vy, vy - turn * vx])
@@ -33,25 +34,26 @@ def corrected(states: ObjectStates, rows: Bools, estimate: Floats, pivot: Floats
     return states.with_(position=position, velocity=velocity, yaw=yaw)
 
 
-def size_m(fault: Floats) -> float:
+def displacement_m(fault: Floats) -> float:
     """m, by which a fault (4,) moves a track that is ARM_M away and drives at SPEED_MPS."""
-    x, y, turn, delay = fault.tolist()
-    return float(max(np.hypot(x, y), ARM_M * abs(turn), SPEED_MPS * abs(delay)))
-
-
-def late(delay: float) -> str:
-    """A time offset in words; delay: s, positive if the tracks are ahead."""
-    return f"{abs(delay):.2f} s {'early' if delay > 0.0 else 'late'}"
+    x, y, turn, lead = fault.tolist()
+    return float(max(np.hypot(x, y), ARM_M * abs(turn), SPEED_MPS * abs(lead)))
 
 
 def described(fault: Floats) -> str:
-    """A fault (4,) in words."""
-    x, y, turn, delay = fault.tolist()
-    return f"all its tracks are off by {np.hypot(x, y):.1f} m and {np.degrees(turn):.1f} degrees, and {late(delay)}"
+    """A fault (4,) in words, as far as it shows: "all its tracks are shifted by 0.8 m, turned by -0.6°"."""
+    x, y, turn, lead = fault.tolist()
+    shift, degrees = float(np.hypot(x, y)), float(np.degrees(turn))
+    parts = [
+        f"shifted by {shift:.1f} m" if round(shift, 1) else "",
+        f"turned by {degrees:.1f}°" if round(degrees, 1) else "",
+        f"{abs(lead):.2f} s {'early' if lead > 0.0 else 'late'}" if round(lead, 2) else "",
+    ]
+    return f"all its tracks are {', '.join(part for part in parts if part) or 'slightly off'}"
 
 
-def corrected_view(view: SweptView, fault: Floats) -> SweptView:
-    """A view without a fault (4,): its sensor is the pivot of the turn."""
+def view_without_fault(view: SweptView, fault: Floats) -> SweptView:
+    """A view without the fault (4,) of its agent; its sensor is the pivot of the turn."""
     position = view.view.position - np.array([fault[0], fault[1], 0.0])
     return replace(
         view, view=replace(view.view, position=position, rotation=rotation_from_yaw(-fault[2]) @ view.view.rotation)

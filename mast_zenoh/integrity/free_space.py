@@ -7,7 +7,7 @@ import numpy as np
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.existence import VoteMemory
-from mast_zenoh.integrity.record import Record
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import FAR_M, rays_at, sightings, silent_about
 
 
@@ -26,8 +26,8 @@ class FreeSpace(Integrity):
     record_s: s, after which evidence counts 1/e in an agent's trust
 
     An agent sees through an object if most of the box and of 0.8 m around it is in the agent's free space. CAD, too,
-    compares areas: `Sightings.swept`, all of that space, misses a quarter of the phantoms in traffic. A dispute of one
-    agent that reports and one that sees through counts against neither (TrustFlip, arXiv 2605.22122).
+    compares areas: `Sightings.fully_clear`, all of that space, misses a quarter of the phantoms in traffic. A dispute
+    of one agent that reports and one that sees through counts against neither (TrustFlip, arXiv 2605.22122).
 
     Weaknesses: a liar that forges its view, too, needs as many honest views against it as liars report the object; a
     phantom that no other agent sees the place of is accepted, as are displacements below the tolerance; liars that
@@ -40,7 +40,7 @@ class FreeSpace(Integrity):
                 raise ValueError(f"{name}: found {value}, expected more than 0")
         self._memory_s = memory_s
         self._range_m = range_m
-        self._record = Record(memory_s=record_s)
+        self._record = BetaReputation(memory_s=record_s)
         self.reset()
 
     def reset(self) -> None:
@@ -51,10 +51,10 @@ class FreeSpace(Integrity):
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
-        swept, ends = rays_at(batch, boxes, batch.views)
-        silent = silent_about(batch, boxes, seen, swept, ends, self._range_m)
-        claims = reported & ~swept
-        confirming, contradicting = (claims | silent).sum(axis=1), swept.sum(axis=1)
+        rays = rays_at(batch, boxes, batch.views)
+        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, self._range_m)
+        claims = reported & ~clear
+        confirming, contradicting = (claims | silent).sum(axis=1), clear.sum(axis=1)
         withheld = self._votes.vote(self._votes.follow(batch.time_ns, boxes), confirming - contradicting) < 0.0
         # A removal needs two agents that report the object: a lone claim cannot accuse those that are silent about it.
         removed = silent & (claims.sum(axis=1) > 1)[:, None]

@@ -6,7 +6,7 @@ import numpy as np
 
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.record import Record
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import FAR_M, sightings
 
 
@@ -14,8 +14,8 @@ class KOfN(Integrity):
     """Withholds objects that fewer than k of the agents that should see them report.
 
     The k-out-of-n rule of distributed detection (Viswanathan and Varshney, Proceedings of the IEEE 1997, section III).
-    An agent votes for an object that it reports, and against one whose place it sees through. An object needs k votes
-    more for than against, or, if fewer than k agents should see it, those of all of them.
+    An agent votes for an object that it reports, and against one whose place it sees through. The votes for an object
+    must exceed those against it by k, or, if fewer than k agents should see it, those of all of them.
 
     k: number of agents
     range_m: m, up to which an agent must see a car in its field of view that nothing hides, and smaller objects up to
@@ -34,14 +34,14 @@ class KOfN(Integrity):
             raise ValueError(f"range_m: found {range_m}, expected more than 0")
         self._k = k
         self._range_m = range_m
-        self._record = Record(memory_s=record_s)
+        self._record = BetaReputation(memory_s=record_s)
 
     def assess(self, batch: Batch) -> Assessment:
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
         expected = reported | (seen.in_view & (seen.distance <= boxes.sight_range(self._range_m)[:, None]))
-        confirming, contradicting, should = (votes.sum(axis=1) for votes in (reported, seen.swept, expected))
+        confirming, contradicting, should = (votes.sum(axis=1) for votes in (reported, seen.fully_clear, expected))
         withheld = confirming - contradicting < np.minimum(self._k, should)
         corroborated = ~withheld & (confirming > 1)
         upheld, refuted = (

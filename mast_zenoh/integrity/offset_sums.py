@@ -7,8 +7,8 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.integrity.offsets import Offsets
 
-#: Standard deviations at which one offset stops to count for more: a track of another object may be near for a moment.
-CLIP = 1.5
+#: Limit (standard deviations) on the influence of one offset: a track of another object may be near for a moment.
+CLIP = 2.0
 
 
 class OffsetSums:

@@ -14,7 +14,7 @@ from mast_zenoh.integrity.visibility import MAX_ERROR_M
 from mast_zenoh.kernels import kernel
 
 #: Tracks of an object, at least, for a middle that one liar cannot move far.
-MEMBERS = 3
+MIN_MEMBERS = 3
 #: m, standard deviation of the part of an offset that the covariances do not show: boxes seen from two sides.
 FLOOR_M = 0.1
 #: m, the same of objects shorter than SMALL_M: trackers swap pedestrians that walk together.
@@ -27,7 +27,7 @@ MEDIAN = np.pi / 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offsets:
-    """Offsets of the tracks of a agents from the middle of their c clusters.
+    """Offsets of the tracks of `a` agents from the middle of their `c` clusters.
 
     valid:  (c, a) whether the agent has a track in the cluster, and the cluster a middle
     offset: (c, a, 2) m, of the track's position from the middle
@@ -45,16 +45,16 @@ def offsets(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Offsets:
     boxes: of the clusters; weight: (a,) >= 0, of each agent in the median; 0: it has no say, and no offset
 
     The median, coordinate by coordinate, is near the honest majority's position wherever a single liar is. Clusters
-    with fewer than MEMBERS tracks have no middle, nor have those nearer than CROWD_M to another one.
+    with fewer than MIN_MEMBERS tracks have no middle, nor have those nearer than CROWD_M to another one.
     """
-    lonely = np.ones(batch.clusters, np.bool_)
+    isolated = np.ones(batch.clusters, np.bool_)
     i, j, _, _ = neighbours(boxes.position, boxes.position, np.full(batch.clusters, CROWD_M))
-    lonely[i[i != j]] = False
+    isolated[i[i != j]] = False
     floor = np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)
     states = batch.states
     return Offsets(
         *track_offsets(
-            states.position, states.covariance, batch.member, weight, lonely, floor, MAX_ERROR_M, MEMBERS, MEDIAN
+            states.position, states.covariance, batch.member, weight, isolated, floor, MAX_ERROR_M, MIN_MEMBERS, MEDIAN
         )
     )
 
@@ -65,7 +65,7 @@ def track_offsets(
     covariance: Floats,
     member: Ints,
     weight: Floats,
-    lonely: Bools,
+    isolated: Bools,
     floor_m: Floats,
     max_error_m: float,
     members: int,
@@ -74,12 +74,12 @@ def track_offsets(
     """The columns of `Offsets`, in its order.
 
     position: (n, 3) m, covariance: (n, 9, 9), of n tracks; member: (c, a) their rows, -1: none; weight: (a,) >= 0
-    lonely: (c,) whether a cluster may have a middle; floor_m: (c,) m, see FLOOR_M
-    max_error_m, members, inefficiency: MAX_ERROR_M, MEMBERS, MEDIAN
+    isolated: (c,) whether a cluster may have a middle; floor_m: (c,) m, see FLOOR_M
+    max_error_m, members, inefficiency: MAX_ERROR_M, MIN_MEMBERS, MEDIAN
     """
     present = (member >= 0) & (weight > 0.0)
     count = present.sum(axis=1)
-    valid = present & (lonely & (count >= members))[:, None]
+    valid = present & (isolated & (count >= members))[:, None]
     if not valid.any():
         return valid, np.zeros((*valid.shape, 2)), np.zeros((*valid.shape, 2, 2))
     place = position[member, :2]

@@ -12,7 +12,7 @@ from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, 
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import ObjectMemory
 from mast_zenoh.integrity.rays import TOLERANCES
-from mast_zenoh.integrity.record import INDEPENDENT_S, Record
+from mast_zenoh.integrity.reputation import INDEPENDENT_S, BetaReputation
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 
@@ -77,7 +77,7 @@ class Plausibility(Integrity):
         self._acceleration, self._braking = acceleration_mps2, braking_mps2
         self._gap_s = gap_s
         self._approach_m, self._range_m = approach_m, range_m
-        self._record = Record(memory_s=record_s)
+        self._record = BetaReputation(memory_s=record_s)
         self.reset()
 
     def reset(self) -> None:

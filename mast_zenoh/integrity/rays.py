@@ -48,7 +48,7 @@ TOLERANCES = Tolerances()
 
 
 @kernel
-def sighted_boxes(
+def box_visibility(
     position: Floats,
     size: Floats,
     yaw: Floats,
@@ -89,7 +89,7 @@ def sighted_boxes(
 
 
 @kernel
-def swept_boxes(
+def ray_evidence(
     position: Floats,
     velocity: Floats,
     size: Floats,
@@ -101,7 +101,7 @@ def swept_boxes(
     """Through which of c boxes most rays of each of a sensors pass (c, a), and at which they end (c, a).
 
     velocity: (c, 3) m/s, of the boxes: a view that is older than them shows the places where they were then; the others
-    as in `sighted_boxes`
+    as in `box_visibility`
 
     A box that is displaced by `outside_m` or less, e, still hides a share of w / (w + e) of its surroundings, w half
     its width, from any side. It is seen through if less than half as much is hidden.

@@ -6,7 +6,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
-from mast_zenoh.integrity.record import Record
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
 
 #: Rows of the state that members are compared by, in COVARIANCE_ORDER: x y vx vy.
@@ -60,7 +60,7 @@ class RobustFusion(Integrity):
         self._bias = np.diag([bias_m**2, bias_m**2, bias_mps**2, bias_mps**2])
         self._confidence = confidence
         self._margin = margin
-        self._record = Record(memory_s=record_s)
+        self._record = BetaReputation(memory_s=record_s)
 
     def assess(self, batch: Batch) -> Assessment:
         reported: Bools = batch.reported

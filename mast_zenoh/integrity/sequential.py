@@ -15,7 +15,7 @@ from mast_zenoh.integrity.base import (
     Integrity,
 )
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.cumulative import MAX_STEP_S, Tail, accumulate, discoveries
+from mast_zenoh.integrity.cumulative import EXCUSED_S, MAX_STEP_S, Tail, accumulate, discoveries
 from mast_zenoh.integrity.disputes import Disputes, disputes
 from mast_zenoh.integrity.existence import Existence, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
@@ -23,19 +23,17 @@ from mast_zenoh.integrity.offset_sums import OffsetSums
 from mast_zenoh.integrity.offsets import offsets
 from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
 
-#: s, after a suspension in which a fault that is found then excuses it.
-EXCUSED_S = 1.0
 #: Names of agents that are remembered at most.
 MAX_NAMES = 1024
 #: s, before the first evidence against an agent, in which it may have lied unnoticed.
 GRACE_S = 1.0
 #: Least weight of an agent that is not suspended in the middle of its objects.
-LEAST_SAY = 0.05
+MIN_MEDIAN_WEIGHT = 0.05
 #: Log-odds are limited to this, either way.
 MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
-LIES_TAIL = Tail(per_hour=93.0, scale=0.24)
+CONTRADICTION_TAIL = Tail(per_hour=93.0, scale=0.24)
 OFFSET_TAIL = Tail(per_hour=6900.0, scale=3.3)
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
@@ -44,7 +42,7 @@ FALSE_ALARMS_PER_HOUR = 0.1
 class SequentialConsistency(Integrity):
     """Suspends agents whose claims the others contradict for too long, or whose positions are off.
 
-    Two statistics for each agent: the cumulative sum (Page 1954) of its lies in progress, which are objects that the
+    Two statistics for each agent: the cumulative sum (Page 1954) of contradictions in progress: objects that the
     majority of their viewers sees through, that the agent does not report although it clearly sees their place, that
     it claims to see through, or that its own sensor contradicts; and the greatest whitened offset of one of its tracks
     from the median of the agents, summed over `offset_memory_s`. Each counts as an alarm by how rarely an honest agent
@@ -53,10 +51,10 @@ class SequentialConsistency(Integrity):
     Which objects are withheld is decided by `ExistenceVotes`, in which a suspended agent has no vote.
 
     false_alarms_per_hour: of all agents together
-    drift: lies in progress that an honest agent has for a moment
+    allowance: contradictions that are subtracted per second, so that an honest agent's sum stays near 0
     offset_memory_s: s, over which offsets are summed
     release_s: s without evidence after which a suspended agent is trusted again, at first; doubled each time
-    lies_tail, offset_tail: (per hour, scale) of the statistics of an honest agent
+    contradiction_tail, offset_tail: (per hour, scale) of the statistics of an honest agent
 
     An agent's log-odds are the logarithm of how often an honest agent would look worse, relative to the permitted rate.
 
@@ -70,19 +68,19 @@ class SequentialConsistency(Integrity):
         self,
         *,
         false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
-        drift: float = 0.25,
+        allowance: float = 0.25,
         offset_memory_s: float = 5.0,
         release_s: float = 30.0,
-        lies_tail: tuple[float, float] = (LIES_TAIL.per_hour, LIES_TAIL.scale),
+        contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale),
         offset_tail: tuple[float, float] = (OFFSET_TAIL.per_hour, OFFSET_TAIL.scale),
     ) -> None:
         for name, value in (("false_alarms_per_hour", false_alarms_per_hour), ("offset_memory_s", offset_memory_s)):
             if not value > 0.0:
                 raise ValueError(f"{name}: found {value}, expected more than 0")
         self._per_hour = false_alarms_per_hour
-        self._drift = drift
+        self._allowance = allowance
         self._release_s = release_s
-        self._tails = (Tail(*lies_tail), Tail(*offset_tail))
+        self._tails = (Tail(*contradiction_tail), Tail(*offset_tail))
         self._memory_s = offset_memory_s
         self._sums = OffsetSums(offset_memory_s)
         self.reset()
@@ -93,7 +91,7 @@ class SequentialConsistency(Integrity):
         self._numbers: dict[str, int] = {}
         self._sums.reset()
         self._time_ns: int | None = None
-        self._lies = np.zeros(0)
+        self._contradictions = np.zeros(0)
         self._clean_s = np.zeros(0)  # since the last alarm or evidence
         self._suspensions = np.zeros(0, np.int64)
         self._suspended = np.zeros(0, np.bool_)
@@ -107,17 +105,17 @@ class SequentialConsistency(Integrity):
 
     @property
     def statistics(self) -> tuple[Floats, Floats]:
-        """(a,) cumulative lies, object-seconds, and greatest summed offsets, of the agents of the last batch."""
+        """Of the last batch: (a,) cumulative contradictions, object-seconds, and greatest offset statistics."""
         return self._last
 
-    def forgive(self, agent: str) -> None:
+    def excuse(self, agent: str) -> None:
         if agent in self._agents.names:
             row = self._agents.names.index(agent)
             self._sums.forget(self._numbers[agent])
             assert self._time_ns is not None
             recent = self._time_ns - self._suspended_ns[row] <= EXCUSED_S * 1e9
             if self._suspended[row] and (recent or self._for_offset[row]):
-                self._lies[row], self._suspended[row] = 0.0, False
+                self._contradictions[row], self._suspended[row] = 0.0, False
                 self._reasons.pop(agent, None)
 
     def assess(self, batch: Batch) -> Assessment:
@@ -129,35 +127,39 @@ class SequentialConsistency(Integrity):
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
         dispute = disputes(batch.reported, own, boxes.size, seen, rays, vote.astype(np.float64))
-        lies = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
+        contradictions = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
         numbers = np.array([self._numbers[name] for name in batch.agents], np.int64)
         objects = self._existence.follow(batch.time_ns, boxes)
-        offset = self._sums.statistics(batch.time_ns, numbers, objects, offsets(batch, boxes, self._say(rows)))
-        count = lies.sum(axis=0)
+        offset = self._sums.statistics(
+            batch.time_ns, numbers, objects, offsets(batch, boxes, self._median_weights(rows))
+        )
+        count = contradictions.sum(axis=0)
         # An honest agent errs about one object at a time: several at once are much rarer.
-        total = accumulate(self._lies[rows], 0.5 * count * (count + 1), self._drift, dt)
-        self._lies[rows] = np.minimum(total, 2.0 * self._alarm_at(0, len(rows)))  # so that it can be forgotten again
-        self._last = self._lies[rows].copy(), offset
+        total = accumulate(self._contradictions[rows], 0.5 * count * (count + 1), self._allowance, dt)
+        self._contradictions[rows] = np.minimum(
+            total, 2.0 * self._alarm_at(0, len(rows))
+        )  # so that it can be forgotten again
+        self._last = self._contradictions[rows].copy(), offset
         self._offset[rows] = offset
         rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
         alarms = rates <= self._per_hour / max(rates.size, 1)  # of suspended agents, which are tested for release alone
         alarms[vote] = discoveries(rates[vote], self._per_hour)
-        self._judge(batch, rows, alarms, dispute, dt)
+        self._update_suspensions(batch, rows, alarms, dispute, dt)
         existence = self._existence.count(batch, boxes, seen, rays, ~self._suspended, rows)
         return self._assessment(batch, rows, rates, existence)
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
-        """The value from which one statistic alone, 0 lies or 1 offset, is an alarm."""
+        """The value from which one statistic alone, 0 contradictions or 1 offset, is an alarm."""
         tail = self._tails[statistic]
         return max(tail.value_at(self._per_hour / max(2 * agents, 1)), tail.scale)
 
-    def _say(self, rows: Ints) -> Floats:
+    def _median_weights(self, rows: Ints) -> Floats:
         """(a,) weight of each agent in the middle of its objects: the less, the nearer its own offset is to an alarm.
 
         Of two liars and one honest agent that report an object, the liars thus have no majority once they are off
         elsewhere, where others see the object, too.
         """
-        weight = np.clip(1.0 - self._offset[rows] / self._alarm_at(1, len(rows)), LEAST_SAY, 1.0)
+        weight = np.clip(1.0 - self._offset[rows] / self._alarm_at(1, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
         return np.asarray(np.where(self._suspended[rows], 0.0, weight))
 
     def _meet(self, batch: Batch) -> Ints:
@@ -169,14 +171,14 @@ class SequentialConsistency(Integrity):
         for name in batch.agents:
             self._numbers.setdefault(name, len(self._numbers))
         carry = self._agents.carry
-        self._lies, self._clean_s = carry(self._lies, 0.0), carry(self._clean_s, 0.0)
+        self._contradictions, self._clean_s = carry(self._contradictions, 0.0), carry(self._clean_s, 0.0)
         self._suspensions, self._seen_s = carry(self._suspensions, 0), carry(self._seen_s, 0.0)
         self._suspended, self._offset = carry(self._suspended, False), carry(self._offset, 0.0)
         self._quiet_ns = carry(self._quiet_ns, batch.time_ns)
         self._suspended_ns, self._for_offset = carry(self._suspended_ns, 0), carry(self._for_offset, False)
         return rows
 
-    def _judge(self, batch: Batch, rows: Ints, alarms: Bools, dispute: Disputes, dt: float) -> None:
+    def _update_suspensions(self, batch: Batch, rows: Ints, alarms: Bools, dispute: Disputes, dt: float) -> None:
         """Suspend and release agents."""
         self._seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
@@ -213,7 +215,7 @@ class SequentialConsistency(Integrity):
     def _reason(self, row: int, alarms: Bools, dispute: Disputes) -> str:
         """Why an agent is suspended."""
         if not alarms[0]:
-            return f"position of a track off from the other agents', statistic {self._last[1][row]:.0f}"
+            return f"reports a position that differs from the other agents' (offset statistic {self._last[1][row]:.0f})"
         kinds = {
             "reports objects that others see through": dispute.contradicted,
             "reports objects in space that its own sensor sees through": dispute.inconsistent,

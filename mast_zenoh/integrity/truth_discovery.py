@@ -16,17 +16,17 @@ from mast_zenoh.integrity.base import (
     ObjectTrust,
 )
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.cumulative import MAX_STEP_S, SAMPLES_PER_S
+from mast_zenoh.integrity.cumulative import EXCUSED_S, MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.disputes import clear
 from mast_zenoh.integrity.memory import AgentMemory
-from mast_zenoh.integrity.visibility import Sightings, current, lenient_sightings, rays_at
+from mast_zenoh.integrity.visibility import RayEvidence, Sightings, current, lenient_sightings, rays_at
 
 #: Steps of the iteration in each batch; agents' log-odds change little between batches.
 STEPS = 3
 #: Share of the weight of a denial that silence about a clearly visible object has.
 SILENCE = 0.3
 #: Log-odds of an agent are limited to this: nobody becomes so trusted that its lies are free.
-MOST = 6.0
+MAX_LOG_ODDS = 6.0
 
 
 class TruthDiscovery(Integrity):
@@ -77,12 +77,15 @@ class TruthDiscovery(Integrity):
         self._agents = AgentMemory(forget_s=600.0)
         self._log_odds = np.zeros(0)
         self._suspended = np.zeros(0, np.bool_)
+        self._suspended_ns = np.zeros(0, np.int64)  # time, ns, of the last suspension
         self._time_ns: int | None = None
 
-    def forgive(self, agent: str) -> None:
+    def excuse(self, agent: str) -> None:
         if agent in self._agents.names:
             row = self._agents.names.index(agent)
-            self._log_odds[row], self._suspended[row] = self._prior, False
+            assert self._time_ns is not None
+            if not self._suspended[row] or self._time_ns - self._suspended_ns[row] <= EXCUSED_S * 1e9:
+                self._log_odds[row], self._suspended[row] = self._prior, False
 
     def assess(self, batch: Batch) -> Assessment:
         dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
@@ -90,21 +93,23 @@ class TruthDiscovery(Integrity):
         rows = self._agents.meet(batch.time_ns, batch.agents)
         self._log_odds = self._agents.carry(self._log_odds, self._prior)
         self._suspended = self._agents.carry(self._suspended, False)
+        self._suspended_ns = self._agents.carry(self._suspended_ns, 0)
         anchored = np.isin(np.array(batch.agents), self._anchors)
         boxes = ClusterBoxes.of(batch)
         seen, own = lenient_sightings(batch, boxes)
         claims = votes(batch.reported, own, boxes.size, seen, rays_at(batch, boxes, current(batch.views)))
         before = self._prior + (self._log_odds[rows] - self._prior) * np.exp(-dt / self._memory_s)
-        before[anchored] = MOST
+        before[anchored] = MAX_LOG_ODDS
         log_odds = before
         for _ in range(STEPS):
             exists, evidence = believed(claims, log_odds)
             right, wrong = outcomes(claims, evidence)
             wrong += (batch.reported & (claims < 0.0) & (exists < 0.0)[:, None]).sum(axis=0)
             change = dt * SAMPLES_PER_S * (self._gain * right - self._loss * wrong)
-            log_odds = np.where(anchored, MOST, np.clip(before + change, -MOST, MOST))
+            log_odds = np.where(anchored, MAX_LOG_ODDS, np.clip(before + change, -MAX_LOG_ODDS, MAX_LOG_ODDS))
         self._log_odds[rows] = log_odds
         low = log_odds < self._suspend_at
+        self._suspended_ns[rows[low & ~self._suspended[rows]]] = batch.time_ns
         self._suspended[rows] = low | (self._suspended[rows] & (log_odds < 0.0))
         return self._assessment(batch, rows, exists, claims, seen)
 
@@ -112,7 +117,7 @@ class TruthDiscovery(Integrity):
         log_odds, suspended = self._log_odds[rows], self._suspended[rows]
         trusted = np.where(log_odds >= 0.5 * self._prior, TRUSTED, UNKNOWN)
         state = np.where(suspended, SUSPENDED, trusted).astype(np.uint8)
-        reasons = tuple("more of its claims are refuted than an honest agent's" if s else "" for s in suspended)
+        reasons = tuple("its claims are refuted more often than an honest agent's" if s else "" for s in suspended)
         agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state, reasons, log_odds=log_odds)
         believable = batch.reported & (claims > 0.0) & ~suspended
         withheld = (exists < 0.0) | ~believable.any(axis=1)
@@ -126,22 +131,16 @@ class TruthDiscovery(Integrity):
         kept = believable | ~believable.any(axis=1, keepdims=True)
         return Assessment(kept[batch.labels, batch.agent].astype(np.float64), agents, objects)
 
-    @property
-    def statistics(self) -> Floats:
-        """(m,) log-odds of all remembered agents."""
-        return self._log_odds
 
-
-def votes(reported: Bools, own: Bools, size: Floats, seen: Sightings, rays: tuple[Bools, Bools]) -> Floats:
+def votes(reported: Bools, own: Bools, size: Floats, seen: Sightings, rays: RayEvidence) -> Floats:
     """(c, a) how each agent votes on each object: 1 reports it, -1 sees through it, -SILENCE says nothing, 0 no view.
 
     A claim that the agent's own sensor sees through is a vote against itself. Silence is a vote where the agent's rays
-    end, so that phantoms do not turn it against those that see nothing. rays: (c, a) see `visibility.rays_at`
+    end, so that phantoms do not turn it against those that see nothing.
     """
-    through, ends = rays
-    silent = ~reported & ends & ~through & seen.in_view & clear(size, seen.distance)
+    silent = ~reported & rays.ends & ~rays.mostly_clear & seen.in_view & clear(size, seen.distance)
     vote = np.where(reported, 1.0, np.where(silent, -SILENCE, 0.0))
-    vote[np.where(reported, own, seen.swept)] = -1.0
+    vote[np.where(reported, own, seen.fully_clear)] = -1.0
     return vote
 
 

@@ -17,7 +17,7 @@ from mast_zenoh.tracking.view import SensorView
 
 #: Limit on the directions of one view; the finest of our sensors has 2,880.
 MAX_CELLS = 20_000
-#: Free space of a sensor that gives none.
+#: Free space of a sensor without a sweep.
 UNKNOWN_SPACE = np.zeros((0, 0))
 UNKNOWN_SPACE.setflags(write=False)
 

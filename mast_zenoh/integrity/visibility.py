@@ -1,4 +1,4 @@
-"""Who should see an object, and who sees through it."""
+"""Visibility of objects: which sensors should see them, and which see through them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import Batch
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.rays import TOLERANCES, sighted_boxes, swept_boxes
+from mast_zenoh.integrity.rays import TOLERANCES, box_visibility, ray_evidence
 from mast_zenoh.integrity.views import SweptView
 
 #: m, farther away the rays of a sensor miss small objects.
@@ -25,16 +25,28 @@ MAX_ERROR_M = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """What a sensors see of c objects.
+    """What `a` sensors see of `c` objects.
 
     in_view: (c, a) whether the object is in the field of view, not hidden behind something else
-    swept:   (c, a) whether the sensor sees through it: there is no such object
+    fully_clear: (c, a) whether all rays pass through it and the space around it: there is no such object
     distance: (c, a) m
     """
 
     in_view: Bools
-    swept: Bools
+    fully_clear: Bools
     distance: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayEvidence:
+    """What the rays of `a` sensors show of `c` objects.
+
+    mostly_clear: (c, a) whether most rays pass through it and the space around it
+    ends: (c, a) whether rays towards it end there
+    """
+
+    mostly_clear: Bools
+    ends: Bools
 
 
 def sightings(
@@ -46,7 +58,7 @@ def sightings(
     error_m: (c,) m, by which each position may be wrong, besides that of an honest track
     """
     error = np.zeros(len(position)) if error_m is None else error_m
-    return Sightings(*sighted_boxes(position, size, yaw, error, views, None, TOLERANCES))
+    return Sightings(*box_visibility(position, size, yaw, error, views, None, TOLERANCES))
 
 
 def current(views: Sequence[SweptView | None]) -> tuple[SweptView | None, ...]:
@@ -64,38 +76,36 @@ def lenient_sightings(batch: Batch, boxes: ClusterBoxes) -> tuple[Sightings, Boo
     of_clusters = np.zeros(batch.clusters)
     np.maximum.at(of_clusters, batch.labels, error)
     seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views, of_clusters)
-    _, own, _ = sighted_boxes(states.position, states.size, states.yaw, error, batch.views, batch.agent, TOLERANCES)
+    _, own, _ = box_visibility(states.position, states.size, states.yaw, error, batch.views, batch.agent, TOLERANCES)
     return seen, _by_own_tracks(batch, own)
 
 
-def rays_at(batch: Batch, boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> tuple[Bools, Bools]:
-    """(c, a) whose rays pass through an object, and whose rays end there.
+def rays_at(batch: Batch, boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> RayEvidence:
+    """What the rays of the agents' sensors show of the objects of a batch.
 
     boxes: of the clusters; views: (a), those that count
 
     Whether an agent sees through an object that it reports is judged by its own track of it.
     """
     states = batch.states
-    own, _ = swept_boxes(states.position, states.velocity, states.size, states.yaw, views, batch.agent, TOLERANCES)
-    through, ends = swept_boxes(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)
-    return np.where(batch.reported, _by_own_tracks(batch, own), through), ends
+    own, _ = ray_evidence(states.position, states.velocity, states.size, states.yaw, views, batch.agent, TOLERANCES)
+    through, ends = ray_evidence(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)
+    return RayEvidence(np.where(batch.reported, _by_own_tracks(batch, own), through), ends)
 
 
-def silent_about(
-    batch: Batch, boxes: ClusterBoxes, seen: Sightings, through: Bools, ends: Bools, range_m: float
-) -> Bools:
+def silent_about(batch: Batch, boxes: ClusterBoxes, seen: Sightings, rays: RayEvidence, range_m: float) -> Bools:
     """(c, a) which agents see the place of an object occupied but do not report it.
 
-    boxes, seen: of the clusters; through, ends: (c, a), see `rays_at`
+    boxes, seen, rays: of the clusters
     range_m: m, up to which a car whose place is occupied should be reported, see `ClusterBoxes.sight_range`
     """
     near = seen.distance <= boxes.sight_range(range_m)[:, None]
-    return np.asarray(ends & seen.in_view & ~batch.reported & ~through & near)
+    return np.asarray(rays.ends & seen.in_view & ~batch.reported & ~rays.mostly_clear & near)
 
 
 def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
-    """(c, a) whether most of a sensor's rays pass through a box and the space around it, see `swept_boxes`."""
-    return swept_boxes(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)[0]
+    """(c, a) whether most of a sensor's rays pass through a box and the space around it, see `ray_evidence`."""
+    return ray_evidence(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)[0]
 
 
 def _by_own_tracks(batch: Batch, of_tracks: Bools) -> Bools:

@@ -22,7 +22,7 @@ from mast_zenoh.kernels.source_digest import digest
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: The files with kernels.
-MODULES = ("attacks", "boxes", "clusters", "columns", "frames", "matching", "members", "pairs", "rays", "tracks")
+MODULES = ("attacks", "boxes", "clusters", "columns", "frames", "matching", "medians", "pairs", "rays", "tracks")
 
 
 def _load() -> dict[str, Callable[..., Any]]:

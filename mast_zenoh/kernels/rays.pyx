@@ -157,7 +157,7 @@ cdef bint passes_most(View view, Box box, double behind, double needed) noexcept
     return False
 
 
-def sighted_boxes(position, size, yaw, error_m, views, only, tolerances):
+def box_visibility(position, size, yaw, error_m, views, only, tolerances):
     position, size, yaw = contiguous(position), contiguous(size), contiguous(yaw)
     cdef const double* at = float_data(position, 2)
     cdef const double* extent = float_data(size, 2)
@@ -189,7 +189,7 @@ def sighted_boxes(position, size, yaw, error_m, views, only, tolerances):
     return visible.reshape(c, a), through.reshape(c, a), distances
 
 
-def swept_boxes(position, velocity, size, yaw, views, only, tolerances):
+def ray_evidence(position, velocity, size, yaw, views, only, tolerances):
     position, velocity, size, yaw = contiguous(position), contiguous(velocity), contiguous(size), contiguous(yaw)
     cdef const double* at = float_data(position, 2)
     cdef const double* speed = float_data(velocity, 2)

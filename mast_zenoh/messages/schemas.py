@@ -247,9 +247,7 @@ BUILT_IN: Mapping[str, Schema] = {
             (
                 Column("agents", "str", ("a",), "", "names of the agents, sorted"),
                 Column("mean", "float64", ("a",), "", "trust in each agent, 0 to 1"),
-                Column(
-                    "log_odds", "float64", ("a",), "", "log odds that it is honest; 0: at the limit of a suspension"
-                ),
+                Column("log_odds", "float64", ("a",), "", "log-odds that it is honest, on the stage's own scale"),
                 Column("state", "uint8", ("a",), "", "index into mast_zenoh.integrity.STATES", below=4),
                 Column("reason", "str", ("a",), "", "of its state; empty if there is none"),
                 Column("fault_offset", "float64", ("a", 2), "m", "estimated error of its tracks' position, x and y"),
@@ -261,9 +259,9 @@ BUILT_IN: Mapping[str, Schema] = {
                 Column("size", "float64", ("n", 3), "m", "length, width, height"),
                 Column("yaw", "float64", ("n",), "rad", ""),
                 Column("trust", "float64", ("n",), "", "trust in the object, 0 to 1"),
-                Column("expected", "int64", ("n",), "", "agents that should see it"),
+                Column("expected", "int64", ("n",), "", "agents that the stage expects to see it"),
                 Column("confirming", "int64", ("n",), "", "agents that report it"),
-                Column("contradicting", "int64", ("n",), "", "agents that see free space in its place"),
+                Column("contradicting", "int64", ("n",), "", "agents that contradict it, as the stage defines it"),
                 Column("withheld", "uint8", ("n",), "", "1: not in the picture", below=2),
             ),
         ),

@@ -116,7 +116,7 @@ def vars_of(node: Any) -> dict[str, Any]:
 def rows_seen(objects: ObjectStates, view: SweptView) -> tuple[Bools, Bools]:
     """Which objects are in view, and which are seen through."""
     each = sightings(objects.position, objects.size, objects.yaw, [view])
-    return each.in_view[:, 0], each.swept[:, 0]
+    return each.in_view[:, 0], each.fully_clear[:, 0]
 
 
 def lies(passage: Passage) -> Ints:

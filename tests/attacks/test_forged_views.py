@@ -28,7 +28,7 @@ def swept_view(free: np.ndarray | None = None, *, width_deg: float = 360.0, pitc
 
 def seen(view: SweptView, objects: ObjectStates):
     each = sightings(objects.position, objects.size, objects.yaw, [view])
-    return each.in_view[:, 0], each.swept[:, 0]
+    return each.in_view[:, 0], each.fully_clear[:, 0]
 
 
 places = st.tuples(st.floats(8.0, 60.0), st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi)).map(

@@ -15,7 +15,7 @@ from mast_zenoh import scenario
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.integrity import STATES, Integrity
 from mast_zenoh.integrity.cumulative import discoveries
-from mast_zenoh.integrity.sequential import FALSE_ALARMS_PER_HOUR, LIES_TAIL, OFFSET_TAIL
+from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, FALSE_ALARMS_PER_HOUR, OFFSET_TAIL
 
 PAGE = (Path(__file__).parents[2] / "docs" / "defences.md").read_text(encoding="utf-8")
 SHIPPED = {name: cls for name, cls in known_types(Integrity).items() if cls.__module__.startswith("mast_zenoh.")}
@@ -57,7 +57,7 @@ def test_every_run_of_the_page_and_of_the_readme_is_a_valid_scenario(name: str, 
 
 def test_the_stated_alarm_limits_follow_from_the_calibrated_tails() -> None:
     (stated,) = re.findall(r"from ([\d.]+)\s+object-seconds .*? statistic\s+of\s+(\d+)\.", PAGE, flags=re.S)
-    for tail, limit, step in zip((LIES_TAIL, OFFSET_TAIL), map(float, stated), (0.01, 1.0), strict=True):
+    for tail, limit, step in zip((CONTRADICTION_TAIL, OFFSET_TAIL), map(float, stated), (0.01, 1.0), strict=True):
         for value, alarm in ((limit - step, False), (limit + step, True)):
             rates = tail.rate(np.array([value] + 9 * [0.0]))  # ten statistics, nine of them without evidence
             assert discoveries(rates, FALSE_ALARMS_PER_HOUR)[0] == alarm

@@ -158,12 +158,13 @@ def test_views_are_limited_in_size_and_all_together() -> None:
     assert columns["grid"].tolist() == [[1, MAX_CELLS]] * 5 + [[0, 0]] * 3
 
 
-def test_a_fault_does_not_release_a_liar() -> None:
-    stage = SequentialConsistency()
-    for frame in range(60):
+@pytest.mark.parametrize("judge", [SequentialConsistency, TruthDiscovery])
+def test_a_fault_does_not_release_a_liar(judge: type[Integrity]) -> None:
+    stage = judge()
+    for frame in range(200):
         stage.assess(honest(frame, ("d", 2, PHANTOM)))
-    stage.forgive("d")
-    assert stage.assess(honest(60, ("d", 2, PHANTOM))).agents.state.tolist()[3] == SUSPENDED
+    stage.excuse("d")
+    assert stage.assess(honest(200, ("d", 2, PHANTOM))).agents.state.tolist()[3] == SUSPENDED
 
 
 def test_many_lies_do_not_delay_the_release_without_end() -> None:

@@ -59,7 +59,7 @@ def test_a_track_that_is_off_by_more_than_the_noise_suspends_its_agent() -> None
     stage = SequentialConsistency()
     *_, last = (stage.assess(each) for each in batches(100, shift=1.2))
     assert last.agents.state.tolist()[2] == SUSPENDED
-    assert last.agents.reason[2].startswith("position of a track off")
+    assert last.agents.reason[2].startswith("reports a position that differs")
     assert SUSPENDED not in states(SequentialConsistency(), batches(100, shift=0.1)).values()
 
 
@@ -83,8 +83,8 @@ def test_an_object_that_only_a_suspended_agent_reports_is_withheld_and_tracked_o
     stage = SequentialConsistency()
     for each in batches(30, "a"):
         stage.assess(each)
-    lonely = batch([("a", 0, (-60.0, -60.0)), ("b", 1, CAR)], tuple(PLACES), {}, frame=30)
-    found = stage.assess(lonely)
+    isolated = batch([("a", 0, (-60.0, -60.0)), ("b", 1, CAR)], tuple(PLACES), {}, frame=30)
+    found = stage.assess(isolated)
     assert found.objects.withheld.tolist() == [True, False]
     assert found.weights is not None
     assert found.weights.tolist() == [1.0, 1.0]
@@ -105,7 +105,7 @@ def test_discoveries_are_those_of_benjamini_and_hochberg() -> None:
 def test_cumulative_sums_grow_with_evidence_and_never_fall_below_zero() -> None:
     total = np.zeros(2)
     for _ in range(10):
-        total = accumulate(total, np.array([1.0, 0.0]), drift=0.25, dt=0.1)
+        total = accumulate(total, np.array([1.0, 0.0]), allowance=0.25, dt=0.1)
     assert total == pytest.approx([0.75, 0.0])
 
 

@@ -14,29 +14,29 @@ def seen(place: tuple[float, float], *views: SweptView | None, error: float = 0.
 
 def test_a_free_place_is_seen_through_and_an_object_is_not() -> None:
     found = seen((20.0, 0.0), view((0.0, 0.0)), view((0.0, 0.0), (20.0, 0.0, 2.3)))
-    assert found.swept.tolist() == [[True, False]]
+    assert found.fully_clear.tolist() == [[True, False]]
     assert found.in_view.tolist() == [[True, True]]
 
 
 def test_what_stands_behind_a_wall_is_out_of_view() -> None:
     found = seen((20.0, 0.0), view((0.0, 0.0), (10.0, 0.0, 5.0)))
     assert not found.in_view.any()
-    assert not found.swept.any()
+    assert not found.fully_clear.any()
 
 
 def test_an_object_that_is_a_little_displaced_is_not_seen_through() -> None:
-    assert not seen((20.0, 1.5), view((0.0, 0.0), (20.0, 0.0, 1.0))).swept.any()
-    assert seen((20.0, 6.0), view((0.0, 0.0), (20.0, 0.0, 1.0))).swept.all()
+    assert not seen((20.0, 1.5), view((0.0, 0.0), (20.0, 0.0, 1.0))).fully_clear.any()
+    assert seen((20.0, 6.0), view((0.0, 0.0), (20.0, 0.0, 1.0))).fully_clear.all()
 
 
 def test_an_uncertain_position_is_given_more_room() -> None:
-    assert seen((20.0, 4.0), view((0.0, 0.0), (20.0, 0.0, 1.0))).swept.all()
-    assert not seen((20.0, 4.0), view((0.0, 0.0), (20.0, 0.0, 1.0)), error=3.0).swept.any()
+    assert seen((20.0, 4.0), view((0.0, 0.0), (20.0, 0.0, 1.0))).fully_clear.all()
+    assert not seen((20.0, 4.0), view((0.0, 0.0), (20.0, 0.0, 1.0)), error=3.0).fully_clear.any()
 
 
 def test_far_objects_the_own_carrier_and_old_views_show_nothing() -> None:
-    assert not seen((FAR_M + 5.0, 0.0), view((0.0, 0.0))).swept.any()
-    assert not seen((1.0, 0.0), view((0.0, 0.0))).swept.any()
+    assert not seen((FAR_M + 5.0, 0.0), view((0.0, 0.0))).fully_clear.any()
+    assert not seen((1.0, 0.0), view((0.0, 0.0))).fully_clear.any()
     current = view((0.0, 0.0))
     old = SweptView(current.view, current.free, age_s=2 * MAX_AGE_S)
     assert not seen((20.0, 0.0), old).in_view.any()

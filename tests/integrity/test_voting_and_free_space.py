@@ -10,7 +10,7 @@ from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
 from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.record import Record
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import seen_through
 
 AGENTS = ("a", "b", "c", "d")
@@ -155,7 +155,7 @@ def test_without_views_every_object_is_accepted(stage: Integrity) -> None:
 
 
 def test_a_record_counts_an_object_once_a_second_and_forgets() -> None:
-    record, names = Record(memory_s=10.0), ("a", "b")
+    record, names = BetaReputation(memory_s=10.0), ("a", "b")
     assert record.mean(names).tolist() == [0.5, 0.5]
     upheld, refuted = np.array([3.0, 0.0]), np.array([0.0, 3.0])
     assert record.update(0, names, upheld, refuted).tolist() == [0.5, 0.5], "no time has passed"

@@ -116,12 +116,12 @@ def looked_at(random, n, m):
     return (places(random, n), random.uniform(0.3, 6, (n, 3)), random.uniform(-4, 4, n)), views, only, Tolerances()
 
 
-def sighted_boxes(random, n, m):
+def box_visibility(random, n, m):
     around, *others = looked_at(random, n, m)
     return *around, random.uniform(0, 2, n), *others
 
 
-def swept_boxes(random, n, m):
+def ray_evidence(random, n, m):
     (position, *around), *others = looked_at(random, n, m)
     return position, random.normal(0, 9, (n, 3)), *around, *others
 
@@ -135,7 +135,7 @@ def members(random, n, m):
     return table
 
 
-def mean_boxes(random, n, m):
+def median_boxes(random, n, m):
     member = members(random, n, m)
     return places(random, n), places(random, n), places(random, n), random.uniform(-4, 4, n), member, member >= 0
 
@@ -246,9 +246,9 @@ ARGUMENTS = {
     "to_columns": lambda r, n, m: (table(r, n),),
     "visible_fraction": view,
     "free_ranges": swept,
-    "sighted_boxes": sighted_boxes,
-    "swept_boxes": swept_boxes,
-    "mean_boxes": mean_boxes,
+    "box_visibility": box_visibility,
+    "ray_evidence": ray_evidence,
+    "median_boxes": median_boxes,
     "track_offsets": track_offsets,
     "quaternion_from_rotation": lambda r, n, m: (np.linalg.qr(r.normal(size=(n, 3, 3)))[0],),
     "overlap": overlap,

@@ -25,7 +25,7 @@ cdef inline void sort(double* values, double* weights, Py_ssize_t n) noexcept:
         values[k], weights[k] = value, weight
 
 
-def mean_boxes(position, velocity, size, yaw, member, present):
+def median_boxes(position, velocity, size, yaw, member, present):
     position, velocity, size, yaw = contiguous(position), contiguous(velocity), contiguous(size), contiguous(yaw)
     rows, use = contiguous(member).ravel(), contiguous(present).ravel()
     cdef const np.int64_t* row = int_data(rows)
@@ -65,29 +65,29 @@ cdef double weighted_median(double* values, double* weights, Py_ssize_t n) noexc
     """The weighted median of n >= 1 values, which are sorted."""
     cdef double half = 0.0, below = 0.0, low = 0.0
     cdef Py_ssize_t i
-    cdef bint found = False
+    cdef bint has_low = False
     sort(values, weights, n)
     for i in range(n):
         half += weights[i]
     half *= 0.5
     for i in range(n):
         below += weights[i]
-        if not found and below >= half * (1.0 - 1e-9):
-            found, low = True, values[i]
+        if not has_low and below >= half * (1.0 - 1e-9):
+            has_low, low = True, values[i]
         if below > half * (1.0 + 1e-9):
             return 0.5 * (low + values[i])
     return low
 
 
 def track_offsets(
-    position, covariance, member, weight, lonely, floor_m, double max_error_m, Py_ssize_t members, double inefficiency
+    position, covariance, member, weight, isolated, floor_m, double max_error_m, Py_ssize_t members, double inefficiency
 ):
     position, covariance, rows = contiguous(position), contiguous(covariance), contiguous(member).ravel()
     cdef const double* at = float_data(position, 2)
     cdef const double* claimed = float_data(covariance, 3)
     cdef const np.int64_t* row = int_data(rows)
     cdef const double* say = float_data(weight, 1)
-    cdef const np.uint8_t* alone = byte_data(lonely)
+    cdef const np.uint8_t* alone = byte_data(isolated)
     cdef const double* floor = float_data(floor_m, 1)
     cdef Py_ssize_t r, j, k, m, t, c = length(member), a = length(member, 1), w = length(covariance, 1)
     validity, offsets = zero_vector(np.NPY_BOOL, c * a), zero_vector(np.NPY_DOUBLE, 2 * c * a)

@@ -12,7 +12,7 @@ from mast_zenoh.integrity.memory import AgentMemory
 INDEPENDENT_S = 1.0
 
 
-class Record:
+class BetaReputation:
     """Beta record of each agent: claims upheld and refuted, with forgetting.
 
     The mean is (1 + upheld) / (2 + upheld + refuted), so that a new agent has 0.5.
