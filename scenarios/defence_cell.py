@@ -12,8 +12,6 @@ from mast_zenoh.study.defences.natural import faults_of
 
 #: The adversaries of the scenarios of these names: on tracks alone, without a budget and without knowledge.
 COORDINATED, UNCOORDINATED = "coordinated", "uncoordinated"
-#: Wires of attacks that are not on tracks and views.
-WIRES = {"PoseDrift": "pose"}
 
 
 def scenario(
@@ -62,7 +60,7 @@ def scenario(
         defence=named(defence, Integrity),
         attack=adversary,
         knowledge=knowledge,
-        wires=wires or WIRES.get(adversary and adversary["type"], "tracks view"),
+        wires=wires if adversary else None,
         attack_start_s=attack_start_s,
         n_adversaries=n_adversaries,
         scene=scene,

@@ -4,8 +4,11 @@ from inspect import signature
 
 from coordinated import scenario as coordinated
 
-from mast_zenoh.attacks import Attack, Coordination
+from mast_zenoh.attacks import Coordination
 from mast_zenoh.config.registry import known_types
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.integrity import Integrity
+from mast_zenoh.study.defences import adversary_base, named
 
 #: What the adversaries know besides their own wires, and the rewrites that let them hear it.
 KNOWLEDGE = {
@@ -13,13 +16,15 @@ KNOWLEDGE = {
     "picture": ["knowledge_picture.toml"],
     "trust": ["knowledge_picture.toml", "knowledge_trust.toml"],
 }
+#: Wires of attacks that are not on tracks and views.
+WIRES = {"PoseDrift": "pose"}
 
 
 def scenario(
     defence="NoIntegrity",
     attack=None,
     knowledge="own",
-    wires="tracks view",
+    wires=None,
     attack_start_s=4.0,
     n_adversaries=2,
     scene="intersection",
@@ -29,11 +34,13 @@ def scenario(
 ):
     """As `coordinated`, with an integrity stage.
 
-    defence: its class, such as "NoIntegrity", or a dict with its class and parameters;
-    attack: class of an attack or of a coordination, such as "BlindSpot" or "Collusion", or a dict with its class and
-    parameters; None: that of `coordinated`, on tracks alone;
+    defence: class, such as "NoIntegrity", FILE.py or FILE.py:CLASS, or a dict with one of these as `type`, and
+    parameters;
+    attack: the same of an attack or of a coordination, such as "BlindSpot" or "Collusion"; None: that of
+    `coordinated`, on tracks alone;
     knowledge: what its adversaries know: own (and each other's views with a coordination), picture (as well), or trust
-    (white box: picture and trust); wires: those that they are on: detections, pose, tracks, view;
+    (white box: picture and trust); wires: those that they are on: detections, pose, tracks, view; None: tracks and
+    view, or what the attack needs;
     attack_start_s: start of the attack, in scene time.
     """
     attacked = coordinated(
@@ -45,13 +52,22 @@ def scenario(
         n_mobile=n_mobile,
     )
     center = attacked["command_center"]
-    stage = dict(type=defence) if isinstance(defence, str) else defence
+    stage = named(defence, Integrity)
+    heard = KNOWLEDGE.get(knowledge)
+    if heard is None:
+        raise ConfigurationError(f"knowledge: found {knowledge!r}{nearest(str(knowledge), KNOWLEDGE)}")
+    if attack is None and wires not in (None, "tracks"):
+        raise ConfigurationError(
+            f"wires: found {wires!r}, expected none without `attack`: that of coordinated is on tracks"
+        )
     rewrites = [*attacked["keyexpr"]["rewrites"], "views.toml"]
     if attack is not None:
-        attack = dict(type=attack) if isinstance(attack, str) else attack
+        base = adversary_base(attack)
+        attack = named(attack, base)
+        wires = wires or WIRES.get(attack["type"], "tracks view")
         start = dict(start_s=attack_start_s)
-        directed = attack["type"] in known_types(Coordination)
-        known = known_types(Coordination if directed else Attack).get(attack["type"])
+        directed = base is Coordination
+        known = known_types(base).get(attack["type"])
         if known is not None and "start_s" in signature(known).parameters:
             attack = start | attack
         own = dict(type="CoordinatedAttack", **start) if directed else attack
@@ -63,5 +79,5 @@ def scenario(
     return attacked | dict(
         name="defended",
         command_center=center | dict(pipeline=center["pipeline"] | dict(integrity=stage)),
-        keyexpr=dict(map="testbed.toml", rewrites=[*rewrites, *KNOWLEDGE[knowledge]]),
+        keyexpr=dict(map="testbed.toml", rewrites=[*rewrites, *heard]),
     )

@@ -61,7 +61,7 @@ def main() -> None:
         statistics(seed, index, options.frames) for seed in range(options.first, options.last + 1) for index in SCENES
     ]
     random = np.random.default_rng(0)
-    for name, column in (("lies", 0), ("offset", 1)):
+    for name, column in (("contradictions", 0), ("offset", 1)):
         maxima = [run[column].ravel() for run in runs]
         hours = [len(run) * BLOCK_FRAMES / 36_000 for run in maxima]
         tail = fitted_tail(np.concatenate(maxima), sum(hours))
@@ -73,7 +73,7 @@ def main() -> None:
         low, high = np.percentile(draws, [2.5, 97.5], axis=0)
         fits = (tail.per_hour, tail.scale, tail.value_at(0.1))
         for what, value, least, most in zip(("per hour", "scale", "at 0.1 an hour"), fits, low, high, strict=True):
-            print(f"{name:8} {what:16} {value:10.3g}  95 % {least:.3g} to {most:.3g}  ({sum(hours):.1f} agent-hours)")
+            print(f"{name:14} {what:16} {value:10.3g}  95 % {least:.3g} to {most:.3g}  ({sum(hours):.1f} agent-hours)")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ offsets     how far each agent's tracks are from the others'; offset_sums: over 
 cumulative  sums of evidence, and when they are alarms
 reputation  how often each agent's claims have held up
 faults      what a fault does to tracks and views; fault_fit, fault_estimate: how it is found
+soundness   whether an assessment of a stage is one
 calibration seeds and scenes on which thresholds were chosen, and which no test may use
 
 Stages, one a file: KOfN, Plausibility, FreeSpace, RobustFusion, Mate, SequentialConsistency, TruthDiscovery,

@@ -33,8 +33,8 @@ MIN_MEDIAN_WEIGHT = 0.05
 MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
-CONTRADICTION_TAIL = Tail(per_hour=93.0, scale=0.24)
-OFFSET_TAIL = Tail(per_hour=6900.0, scale=3.3)
+CONTRADICTION_TAIL = Tail(per_hour=130.0, scale=0.21)
+OFFSET_TAIL = Tail(per_hour=4800.0, scale=4.4)
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
 
@@ -74,7 +74,12 @@ class SequentialConsistency(Integrity):
         contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale),
         offset_tail: tuple[float, float] = (OFFSET_TAIL.per_hour, OFFSET_TAIL.scale),
     ) -> None:
-        for name, value in (("false_alarms_per_hour", false_alarms_per_hour), ("offset_memory_s", offset_memory_s)):
+        positive = {
+            "false_alarms_per_hour": false_alarms_per_hour,
+            "offset_memory_s": offset_memory_s,
+            "release_s": release_s,
+        }
+        for name, value in positive.items():
             if not value > 0.0:
                 raise ValueError(f"{name}: found {value}, expected more than 0")
         self._per_hour = false_alarms_per_hour

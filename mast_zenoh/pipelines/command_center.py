@@ -11,6 +11,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer, GroupTracker
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
+from mast_zenoh.integrity.soundness import problem_of
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
 
 
@@ -78,11 +79,14 @@ class CommandCenterPipeline(Pipeline):
             labels = self._clustering.cluster(states, agent)
             return self._group_tracking.step(time_ns, states, agent, labels, weights)
         states = states.with_(covariance=make_positive_definite(states.covariance))  # a stage may invert them
-        states, corrected = self._integrity.correct(time_ns, states, agent, names, self._views)
+        states, corrected_views = self._integrity.correct(time_ns, states, agent, names, self._views)
         self._views = {}
         labels = self._clustering.cluster(states, agent)
-        views = tuple(corrected.get(name) for name in names)
-        assessment = self._integrity.assess(Batch(time_ns, states, agent, labels, names, views))
+        views = tuple(corrected_views.get(name) for name in names)
+        batch = Batch(time_ns, states, agent, labels, names, views)
+        assessment = self._integrity.assess(batch)
+        if problem := problem_of(assessment, len(states), len(names), batch.clusters):
+            raise ValueError(f"{type(self._integrity).__name__}.assess: {problem}")
         weights = combined(weights, assessment.weights)
         picture, support = self._group_tracking.step(time_ns, states, agent, labels, weights)
         return self._published(picture, support, names, assessment)

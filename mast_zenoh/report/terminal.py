@@ -18,6 +18,7 @@ from mast_zenoh.report.narrative.run import headline
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.interposers import BAD, interposers
 from mast_zenoh.report.tables.scores import as_rich, score_table
+from mast_zenoh.report.tables.trust import defence_lines
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
@@ -82,5 +83,5 @@ def _show_lines(console: Console, label: str, run: RunFolder, reference: RunFold
         measured = "not measured" if each.effects is None else effects(each)
         lines.append(f"{each.description} on {each.place}: {measured}{verdict}")
         lines += [f"  limited effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
-    for line in (*lines, *check_lines(run.checks)):
+    for line in (*lines, *defence_lines(run), *check_lines(run.checks)):
         console.print(escape(f"{label}{line}"), highlight=False)

@@ -9,7 +9,8 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import Ints, ObjectStates
-from mast_zenoh.integrity import STATES, Assessment, Batch, Integrity, SweptView
+from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView
+from mast_zenoh.integrity.soundness import problem_of
 from mast_zenoh.integrity.views import UNKNOWN_SPACE
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.comparison import expect, expect_finite, expect_same, unchanged
@@ -97,36 +98,8 @@ def _assess(
 
 
 def _check_assessment(subject: str, assessment: Assessment, batch: Batch) -> None:
-    n, a, c = len(batch.states), len(batch.agents), batch.clusters
-    expect_finite(assessment, subject)
-    weights, agents, objects = assessment.weights, assessment.agents, assessment.objects
-    if weights is not None:
-        expect(weights.shape == (n,), f"{subject}: weights have the shape {weights.shape}, expected ({n},)")
-        expect((weights >= 0.0).all(), f"{subject}: a weight is below 0")
-    shapes = {
-        "mean": (a,),
-        "log_odds": (a,),
-        "state": (a,),
-        "offset": (a, 2),
-        "turn": (a,),
-        "delay": (a,),
-        "loss": (a,),
-    }
-    for name, shape in shapes.items():
-        found = getattr(agents, name).shape
-        expect(found == shape, f"{subject}: agents.{name} has the shape {found}, expected {shape}")
-    expect(len(agents.reason) == a, f"{subject}: found {len(agents.reason)} reasons, expected {a}")
-    expect((agents.state < len(STATES)).all(), f"{subject}: a state is not an index into STATES")
-    for name, values in (("agents.mean", agents.mean), ("objects.trust", objects.trust)):
-        expect(((values >= 0.0) & (values <= 1.0)).all(), f"{subject}: {name} is not from 0 to 1")
-    for name in ("trust", "expected", "confirming", "contradicting", "withheld"):
-        found = getattr(objects, name).shape
-        expect(found == (c,), f"{subject}: objects.{name} has the shape {found}, expected ({c},)")
-    for name in ("expected", "confirming", "contradicting"):
-        counts = getattr(objects, name)
-        expect(counts.dtype == np.int64, f"{subject}: objects.{name} is {counts.dtype}, expected int64")
-        expect(((counts >= 0) & (counts <= a)).all(), f"{subject}: objects.{name} is not from 0 to {a}, all agents")
-    expect(objects.withheld.dtype == bool, f"{subject}: objects.withheld is {objects.withheld.dtype}, expected bool")
+    problem = problem_of(assessment, len(batch.states), len(batch.agents), batch.clusters)
+    expect(not problem, f"{subject}: {problem}")
 
 
 def _expect_equal(first: Assessment, second: Assessment, text: str, *, weights: bool = True) -> None:

@@ -21,7 +21,7 @@ from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.trust import conduct_rows, suspension_rows, trust_sentences
+from mast_zenoh.report.tables.trust import conduct_rows, defence_lines, suspension_rows, trust_sentences
 from mast_zenoh.report.trust_facts import fault_spans, judged_agents, lie_spans, state_spans, states_at, withheld_at
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
@@ -140,7 +140,7 @@ def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[...
     assert view is not None
     assert pixels(png(birdseye_figure(view)), STATES["suspended"]) == 0
     assert trust_over_time(run, 33) is None
-    assert trust_sentences(run) == suspension_rows(run) == []
+    assert trust_sentences(run) == suspension_rows(run) == defence_lines(run) == []
     assert "trust.parquet" not in " ".join(run.missing)
 
 
@@ -170,6 +170,12 @@ def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
     ]
     assert [row.false_alarm for row in rows] == [True, False, False]
     assert {row.reason for row in rows} == {REASON}
+
+
+def test_the_terminal_names_suspensions_and_what_was_withheld(folder: Path) -> None:
+    lines = defence_lines(RunFolder.load(folder))
+    assert lines[1] == (f"the command centre suspended infra_1 (lying) at 2.0 s, 0.5 s after its first lie: {REASON}")
+    assert lines[-1].startswith("the command centre withheld")
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:

@@ -102,7 +102,7 @@ class Dropping(NoIntegrity):
         (FirstRow(), "FirstRow.assess .*: depends on the order of the rows: weights"),
         (Remembering(), "Remembering.assess .*: after `reset` it is not as newly made"),
         (Negative(), "Negative.assess .*: a weight is below 0"),
-        (OneWeight(), r"OneWeight.assess .*: weights have the shape \(1,\), expected \(0,\)"),
+        (OneWeight(), r"OneWeight.assess .*: weights has the shape \(1,\), expected \(0,\)"),
         (Sure(), "Sure.assess .*numbers that are not finite"),
         (Overrated(), "Overrated.assess .*: agents.mean is not from 0 to 1"),
         (Speechless(), "Speechless.assess .*: found 0 reasons, expected 5"),

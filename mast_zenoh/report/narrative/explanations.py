@@ -140,7 +140,9 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
             return [f"{on_real.mean():.0%} of what it inserted was {near}, and was taken for it"]
         if _only_downlink(run, targets):
             return ["the ego's fusion rejected everything that it inserted: no track followed it"]
-        return ["the fusion rejected everything that it inserted: no track of the picture followed it"]
+        withheld = run.metrics.get("integrity", {}).get("withheld", {}).get("false")
+        by = "the defence withheld, or the fusion rejected," if withheld else "the fusion rejected"
+        return [f"{by} everything that it inserted: no track of the picture followed it"]
     if achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
         reasons.append("the picture had what it inserted, but the ego did not adopt it")
     return reasons

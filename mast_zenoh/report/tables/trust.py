@@ -8,6 +8,8 @@ from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.trust_facts import suspensions
 
 _NONE = "\u2013"
+#: Suspensions that the terminal shows.
+_MOST_LINES = 8
 
 
 class SuspensionRow(NamedTuple):
@@ -77,3 +79,21 @@ def trust_sentences(run: RunFolder) -> list[str]:
         f"Withheld from the picture, per frame: {withheld['false']:.2f} false and {withheld['true']:.2f} true objects"
     )
     return [*missed, alarms or "No honest agent was suspended", *([objects] if withheld else [])]
+
+
+def defence_lines(run: RunFolder) -> list[str]:
+    """Whom the command centre suspended and what it withheld, a line each; [] if it did neither."""
+    withheld = run.metrics.get("integrity", {}).get("withheld", {})
+    lines = [
+        f"the command centre suspended {row.agent} ({row.conduct}) at {row.from_s} s"
+        + (f", {row.after_s} s after its first lie" if row.after_s != _NONE else "")
+        + (f": {row.reason}" if row.reason != _NONE else "")
+        for row in suspension_rows(run)
+    ]
+    more = f"  and {len(lines) - _MOST_LINES} suspensions more, see the report"
+    lines = [*lines[:_MOST_LINES], more] if len(lines) > _MOST_LINES else lines
+    if any(withheld.values()):
+        lines.append(
+            f"the command centre withheld {withheld['false']:.2f} false and {withheld['true']:.2f} true objects a frame"
+        )
+    return lines
