@@ -1,13 +1,14 @@
 """Views go from sensors to the command centre, and its trust is published; neither changes other messages."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from tiny_world import PERIOD_NS, Bench, states, tiny, tracks
 
 from mast_zenoh import scenario as scenarios
-from mast_zenoh.integrity import STATES
+from mast_zenoh.integrity import STATES, Assessment, Batch, NoIntegrity
 from mast_zenoh.integrity.views import collated_columns, view_columns, views_of
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.runtime.inproc import InProcess
@@ -130,6 +131,21 @@ def test_trust_names_every_agent_with_a_known_state(resolved) -> None:
     _, (_, trust) = centre.send("collated", batch(), 0)
     assert trust.body["agents"].tolist() == ["ego"]
     assert all(state < len(STATES) for state in trust.body["state"])
+
+
+def test_invalid_trust_is_a_failure_of_the_command_centre_not_a_lost_message(resolved) -> None:
+    class Percent(NoIntegrity):
+        def assess(self, given: Batch) -> Assessment:
+            sound = super().assess(given)
+            return replace(sound, agents=replace(sound.agents, mean=np.full(len(given.agents), 95.0)))
+
+    centre = Bench(resolved, "command_center")
+    centre.host.node.pipeline._integrity = Percent()
+    centre.clock(0)
+    centre.send("views", views(), 0)
+    centre.send("collated", batch(), 0)
+    (failure,) = centre.host.failures.values()
+    assert "Percent.assess: agents.mean is not from 0 to 1" in failure.exception
 
 
 def test_a_stage_that_trusts_everybody_changes_no_other_message() -> None:
