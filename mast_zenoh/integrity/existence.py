@@ -102,17 +102,18 @@ class ExistenceVotes:
         boxes: ClusterBoxes,
         seen: Sightings,
         rays: RayEvidence,
+        impossible: Bools,
         believed: Bools,
         agent_rows: Ints,
     ) -> Existence:
         """The votes of a batch whose objects are followed.
 
-        boxes, seen, rays: of its clusters, see `visibility`
+        boxes, seen, rays: of its clusters, see `visibility`; impossible: (c, a) reports that are none
         believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
         """
         reported, rows, voter = batch.reported, self._rows, believed[agent_rows]
         clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, FAR_M)
-        claims = reported & ~clear & voter
+        claims = reported & ~clear & ~impossible & voter
         votes = voter.astype(np.float64)
         confirming, contradicting = (claims | silent) @ votes, clear @ votes
         balance = self._votes.vote(rows, confirming - contradicting)

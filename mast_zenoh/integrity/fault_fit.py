@@ -25,6 +25,9 @@ COMMON_M = 0.8
 CLIP = 1.5
 #: Standard deviations up to which a fit explains a displacement.
 EXPLAINED_SD = 3.0
+#: Tracks that two agents must share to be compared, and mean squared deviation up to which they agree; 2 is the mean of
+#: honest agents.
+COMPARABLE, AGREEING = 3, 3.5
 #: Sums of no batches.
 NOTHING = np.zeros((4, 4)), np.zeros(4)
 #: Variances of the parameters before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
@@ -36,13 +39,18 @@ class Displacements:
     """k displacements of an agent's tracks from other agents' tracks of the same objects.
 
     offset: (k, 2) m; information: (k, 2, 2) 1/m^2; design: (k, 2, 4) derivatives of the offset by the parameters
-    others: number of other agents among them
+    agent: (k,) numbers of the other agents
     """
 
     offset: Floats
     information: Floats
     design: Floats
-    others: int
+    agent: Ints
+
+    @property
+    def others(self) -> int:
+        """Number of other agents."""
+        return len(np.unique(self.agent))
 
 
 def displacements(own: ObjectStates, other: ObjectStates, agent: Ints, pivot: Floats, fault: Floats) -> Displacements:
@@ -76,7 +84,7 @@ def displacements(own: ObjectStates, other: ObjectStates, agent: Ints, pivot: Fl
     i, j = i[first], j[first]
     covariance = own.covariance[i, :2, :2] + other.covariance[j, :2, :2] + FLOOR_M**2 * np.eye(2)
     information: Floats = np.asarray(np.linalg.inv(covariance), np.float64)
-    return Displacements(shift[first], information, design[first], len(np.unique(agent[j])))
+    return Displacements(shift[first], information, design[first], agent[j])
 
 
 def _nearest(own: Floats, other: Floats) -> tuple[Ints, Ints, Floats, Floats]:
@@ -123,6 +131,17 @@ def misfit(found: Displacements, estimate: Floats) -> float:
 def explained(found: Displacements, estimate: Floats) -> float:
     """Share of the displacements that a fault (4,) explains."""
     return float((_deviations(found, estimate) <= EXPLAINED_SD).mean()) if len(found.offset) else 0.0
+
+
+def agreeing(found: Displacements, known: Floats) -> Ints:
+    """Numbers of the other agents whose tracks are where those of the agent are, without its known fault (4,).
+
+    Of fewer than COMPARABLE tracks of one other agent, nothing is said.
+    """
+    squared = np.minimum(_deviations(found, known) ** 2, EXPLAINED_SD**2)
+    count = np.bincount(found.agent)
+    mean = np.bincount(found.agent, squared) / np.maximum(count, 1)
+    return np.flatnonzero((count >= COMPARABLE) & (mean <= AGREEING))
 
 
 def _deviations(found: Displacements, estimate: Floats) -> Floats:

@@ -31,7 +31,9 @@ class FaultOrLie(Integrity):
     what remains after the correction is evidence for `stage`, as without a fault.
 
     Of several agents that look faulty at once, the one that its fault explains most about is corrected first, and the
-    others are fitted anew: next to two agents with a fault, an honest one looks as if it had half of it.
+    others are fitted anew: next to two agents with a fault, an honest one looks as if it had half of it. An agent of
+    the largest group whose tracks agree, directly or by way of others, is never corrected: a minority that moves all
+    its tracks alike is off itself. Of two groups of one size, nothing says which.
 
     stage: judges the corrected tracks; None: SequentialConsistency()
     significance: gain in twice the log-likelihood from which a fault is corrected; 30 is exceeded by 5 in a million of
@@ -148,12 +150,23 @@ class FaultOrLie(Integrity):
         common = estimate.share >= self._share
         return not estimate.applied and significant and common and displacement_m(estimate.fault) >= self._least_m
 
+    def _largest_group(self, agents: tuple[str, ...]) -> set[str]:
+        """The agents of the largest group whose tracks agree; of all groups that are largest."""
+        groups: list[set[int]] = [{row} for row in range(len(agents))]
+        for row, name in enumerate(agents):
+            joined = {row, *self._estimates[name].agreeing.tolist()}
+            touched = [group for group in groups if group & joined]
+            groups = [*(group for group in groups if not group & joined), set.union(joined, *touched)]
+        most = max(map(len, groups))
+        return {agents[row] for group in groups if len(group) == most for row in group}
+
     def _apply_most_convincing(self, time_ns: int, agents: tuple[str, ...]) -> None:
         """Correct the agent with the most convincing fault; forget what the others looked like next to it."""
-        name = max(
-            (name for name in agents if self._convincing(self._estimates[name])),
-            key=lambda name: self._estimates[name].statistic,
-        )
+        sound = self._largest_group(agents)
+        suspects = [name for name in agents if self._convincing(self._estimates[name]) and name not in sound]
+        if not suspects:
+            return
+        name = max(suspects, key=lambda name: self._estimates[name].statistic)
         for other in agents:
             if other != name:
                 self._estimates[other].forget()

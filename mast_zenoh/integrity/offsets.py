@@ -42,10 +42,11 @@ class Offsets:
 def offsets(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Offsets:
     """Offsets of the tracks of agents from the weighted median of their clusters.
 
-    boxes: of the clusters; weight: (a,) >= 0, of each agent in the median; 0: it has no say, and no offset
+    boxes: of the clusters; weight: (a,) >= 0, of each agent in the median; 0: it is not counted
 
-    The median, coordinate by coordinate, is near the honest majority's position wherever a single liar is. Clusters
-    with fewer than MIN_MEMBERS tracks have no middle, nor have those nearer than CROWD_M to another one.
+    The median, coordinate by coordinate, is near the honest majority's position wherever a single liar is. Where two
+    halves of the members disagree, it is anywhere between them, and none of them is off. Clusters with fewer than
+    MIN_MEMBERS tracks that count have no middle, nor have those nearer than CROWD_M to another one.
     """
     isolated = np.ones(batch.clusters, np.bool_)
     i, j, _, _ = neighbours(boxes.position, boxes.position, np.full(batch.clusters, CROWD_M))
@@ -79,25 +80,28 @@ def track_offsets(
     """
     present = (member >= 0) & (weight > 0.0)
     count = present.sum(axis=1)
-    valid = present & (isolated & (count >= members))[:, None]
+    valid = (member >= 0) & (isolated & (count >= members))[:, None]
     if not valid.any():
         return valid, np.zeros((*valid.shape, 2)), np.zeros((*valid.shape, 2, 2))
     place = position[member, :2]
-    middle = np.stack([weighted_median(place[..., axis], present * weight) for axis in range(2)], axis=-1)
+    ends = [weighted_median(place[..., axis], present * weight) for axis in range(2)]
+    low, high = (np.stack([each[end] for each in ends], axis=-1)[:, None, :] for end in range(2))
     claimed = covariance[member, :2, :2]
     largest = np.maximum(claimed[..., 0, 0], claimed[..., 1, 1])
     claimed = claimed * np.minimum(1.0, max_error_m**2 / np.maximum(largest, 1e-12))[..., None, None]
-    claimed = np.where(present[..., None, None], claimed, 0.0)
-    spread = claimed.sum(axis=1, keepdims=True) * (inefficiency / np.maximum(count, 1) ** 2)[:, None, None, None]
+    spread = (
+        np.where(present[..., None, None], claimed, 0.0).sum(axis=1, keepdims=True)
+        * (inefficiency / np.maximum(count, 1) ** 2)[:, None, None, None]
+    )
     total = claimed + spread + (floor_m**2)[:, None, None, None] * np.eye(2)
     information = np.where(
         valid[..., None, None], np.linalg.inv(np.where(valid[..., None, None], total, np.eye(2))), 0.0
     )
-    return valid, np.where(valid[..., None], place - middle[:, None, :], 0.0), information
+    return valid, np.where(valid[..., None], place - np.clip(place, low, high), 0.0), information
 
 
-def weighted_median(values: Floats, weight: Floats) -> Floats:
-    """(c,) weighted median of each row of values (c, a): the mean of the two in the middle if they share it.
+def weighted_median(values: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """(c,) ends of the weighted median of each row of values (c, a); they differ where two halves weigh the same.
 
     weight: (c, a) >= 0
     """
@@ -107,4 +111,4 @@ def weighted_median(values: Floats, weight: Floats) -> Floats:
     half = 0.5 * below[:, -1:]
     low, high = (below >= half * (1.0 - 1e-9)).argmax(axis=1), (below > half * (1.0 + 1e-9)).argmax(axis=1)
     rows = np.arange(len(values))
-    return np.asarray(0.5 * (ordered[rows, low] + ordered[rows, high]))
+    return ordered[rows, low], ordered[rows, high]

@@ -9,6 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
+from mast_zenoh.integrity.claims import possible
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.memory import ObjectMemory
 from mast_zenoh.integrity.rays import TOLERANCES
@@ -16,11 +17,6 @@ from mast_zenoh.integrity.reputation import INDEPENDENT_S, BetaReputation
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 
-#: m, length, width and height of road users: from a small child to the longest and highest vehicles that Directive
-#: 96/53/EC allows (18.75, 2.6 and 4.0 m), with half a metre for errors.
-SMALLEST_M, LARGEST_M = (0.1, 0.1, 0.3), (19.25, 3.1, 4.5)
-#: Steepest slope of the ground, and m by which the lower edge of a box may be off.
-SLOPE, HEIGHT_ERROR_M = 0.12, 1.5
 #: Standard deviations that an error may have.
 _SIGMAS = 3.0
 #: Directions in which the surroundings of a new object are checked, and how many must be in view of any agent: one may
@@ -92,8 +88,8 @@ class Plausibility(Integrity):
 
     def assess(self, batch: Batch) -> Assessment:
         time_ns, reported = batch.time_ns, batch.reported
-        possible = self._possible(batch.states)
-        table = np.where(reported, possible[batch.member] if len(possible) else False, False)
+        within = self._possible(batch.states)
+        table = np.where(reported, within[batch.member] if len(within) else False, False)
         boxes = ClusterBoxes.of(batch, table)
         rows = self._follow(time_ns, boxes)
         witnesses = table.sum(axis=1)
@@ -137,14 +133,8 @@ class Plausibility(Integrity):
 
     def _possible(self, states: ObjectStates) -> Bools:
         """(n,) tracks within the physical limits."""
-        fine = np.hypot(states.velocity[:, 0], states.velocity[:, 1]) <= self._speed
-        fine &= ((states.size >= SMALLEST_M) & (states.size <= LARGEST_M)).all(axis=1)
-        if len(states) > 2:
-            bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
-            middle = np.median(states.position[:, :2], axis=0)
-            away = np.hypot(*(states.position[:, :2] - middle).T)
-            fine &= np.abs(bottom - np.median(bottom)) <= HEIGHT_ERROR_M + SLOPE * away
-        return np.asarray(fine)
+        slow = np.hypot(states.velocity[:, 0], states.velocity[:, 1]) <= self._speed
+        return np.asarray(slow & possible(states))
 
     def _moves_oddly(self, state: Floats, elapsed: Floats, before: Floats) -> Bools:
         """(c,) whether objects cannot have come from the states before, see `_states`, in `elapsed` (c,) s."""

@@ -131,8 +131,8 @@ class SequentialConsistency(Integrity):
         boxes = ClusterBoxes.of(batch, np.broadcast_to(vote, (batch.clusters, len(vote))))
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
-        dispute = disputes(batch.reported, own, boxes.size, seen, rays, vote.astype(np.float64))
-        contradictions = dispute.contradicted | dispute.overlooked | dispute.silent | dispute.inconsistent
+        dispute = disputes(batch, boxes, own, seen, rays, vote.astype(np.float64))
+        contradictions = np.logical_or.reduce(tuple(dispute.accusations.values()))
         numbers = np.array([self._numbers[name] for name in batch.agents], np.int64)
         objects = self._existence.follow(batch.time_ns, boxes)
         offset = self._sums.statistics(
@@ -141,16 +141,15 @@ class SequentialConsistency(Integrity):
         count = contradictions.sum(axis=0)
         # An honest agent errs about one object at a time: several at once are much rarer.
         total = accumulate(self._contradictions[rows], 0.5 * count * (count + 1), self._allowance, dt)
-        self._contradictions[rows] = np.minimum(
-            total, 2.0 * self._alarm_at(0, len(rows))
-        )  # so that it can be forgotten again
+        # Limited, so that it can be forgotten again.
+        self._contradictions[rows] = np.minimum(total, 2.0 * self._alarm_at(0, len(rows)))
         self._last = self._contradictions[rows].copy(), offset
         self._offset[rows] = offset
         rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
         alarms = rates <= self._per_hour / max(rates.size, 1)  # of suspended agents, which are tested for release alone
         alarms[vote] = discoveries(rates[vote], self._per_hour)
         self._update_suspensions(batch, rows, alarms, dispute, dt)
-        existence = self._existence.count(batch, boxes, seen, rays, ~self._suspended, rows)
+        existence = self._existence.count(batch, boxes, seen, rays, dispute.impossible, ~self._suspended, rows)
         return self._assessment(batch, rows, rates, existence)
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
@@ -221,12 +220,7 @@ class SequentialConsistency(Integrity):
         """Why an agent is suspended."""
         if not alarms[0]:
             return f"reports a position that differs from the other agents' (offset statistic {self._last[1][row]:.0f})"
-        kinds = {
-            "reports objects that others see through": dispute.contradicted,
-            "reports objects in space that its own sensor sees through": dispute.inconsistent,
-            "claims to see through objects that others report": dispute.overlooked,
-            "does not report objects that it should see": dispute.silent,
-        }
+        kinds = dispute.accusations
         most = max(kinds, key=lambda kind: int(kinds[kind][:, row].sum()))
         return f"{most}, {self._last[0][row]:.1f} object-seconds"
 

@@ -61,9 +61,9 @@ def median_boxes(position, velocity, size, yaw, member, present):
     return places, speeds, sizes, yaws
 
 
-cdef double weighted_median(double* values, double* weights, Py_ssize_t n) noexcept:
-    """The weighted median of n >= 1 values, which are sorted."""
-    cdef double half = 0.0, below = 0.0, low = 0.0
+cdef void weighted_median(double* values, double* weights, Py_ssize_t n, double* ends) noexcept:
+    """The two ends of the weighted median of n >= 1 values, which are sorted."""
+    cdef double half = 0.0, below = 0.0
     cdef Py_ssize_t i
     cdef bint has_low = False
     sort(values, weights, n)
@@ -73,10 +73,11 @@ cdef double weighted_median(double* values, double* weights, Py_ssize_t n) noexc
     for i in range(n):
         below += weights[i]
         if not has_low and below >= half * (1.0 - 1e-9):
-            has_low, low = True, values[i]
+            has_low, ends[0] = True, values[i]
         if below > half * (1.0 + 1e-9):
-            return 0.5 * (low + values[i])
-    return low
+            ends[1] = values[i]
+            return
+    ends[1] = ends[0]
 
 
 def track_offsets(
@@ -99,9 +100,9 @@ def track_offsets(
     cdef double* values = writable_data(scratch, 2)
     cdef double* weights = values + a
     cdef double* own = values + 2 * a  # limited variances and covariance of each member
-    cdef double[2] middle
+    cdef double[4] middle  # ends in x, and in y
     cdef double[4] spread
-    cdef double limit, xx, xy, yx, yy, determinant
+    cdef double limit, x, xx, xy, yx, yy, determinant
     for r in range(c):
         m = 0
         for j in range(a):
@@ -113,23 +114,26 @@ def track_offsets(
                     if row[j] >= 0 and say[j] > 0.0:
                         values[m], weights[m] = at[3 * row[j] + k], say[j]
                         m += 1
-                middle[k] = weighted_median(values, weights, m)
+                weighted_median(values, weights, m, middle + 2 * k)
             for k in range(4):
                 spread[k] = 0.0
             for j in range(a):
-                if row[j] >= 0 and say[j] > 0.0:
+                if row[j] >= 0:
                     t = w * w * row[j]
                     limit = fmin(1.0, max_error_m * max_error_m / fmax(fmax(claimed[t], claimed[t + w + 1]), 1e-12))
                     own[4 * j], own[4 * j + 1] = limit * claimed[t], limit * claimed[t + 1]
                     own[4 * j + 2], own[4 * j + 3] = limit * claimed[t + w], limit * claimed[t + w + 1]
-                    for k in range(4):
-                        spread[k] += own[4 * j + k]
+                    if say[j] > 0.0:
+                        for k in range(4):
+                            spread[k] += own[4 * j + k]
             for k in range(4):
                 spread[k] *= inefficiency / (m * m)
             for j in range(a):
-                if row[j] >= 0 and say[j] > 0.0:
+                if row[j] >= 0:
                     valid[j] = True
-                    offset[2 * j], offset[2 * j + 1] = at[3 * row[j]] - middle[0], at[3 * row[j] + 1] - middle[1]
+                    for k in range(2):
+                        x = at[3 * row[j] + k]
+                        offset[2 * j + k] = x - fmin(fmax(x, middle[2 * k]), middle[2 * k + 1])
                     xx = own[4 * j] + spread[0] + floor[r] * floor[r]
                     xy, yx = own[4 * j + 1] + spread[1], own[4 * j + 2] + spread[2]
                     yy = own[4 * j + 3] + spread[3] + floor[r] * floor[r]

@@ -10,7 +10,9 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer, GroupTracker
+from mast_zenoh.fusion.believed_first import believed_first
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
+from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.integrity.soundness import problem_of
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
 
@@ -64,6 +66,7 @@ class CommandCenterPipeline(Pipeline):
         self._integrity = integrity
         self._views: Mapping[str, SweptView] = {}
         self._withheld: dict[int, bool] = {}  # by id of the object
+        self._suspended: set[str] = set()  # agents that cannot divide the objects of others
 
     def look(self, views: Mapping[str, SweptView]) -> None:
         self._views = views
@@ -81,12 +84,15 @@ class CommandCenterPipeline(Pipeline):
         states = states.with_(covariance=make_positive_definite(states.covariance))  # a stage may invert them
         states, corrected_views = self._integrity.correct(time_ns, states, agent, names, self._views)
         self._views = {}
-        labels = self._clustering.cluster(states, agent)
+        believed = np.array([name not in self._suspended for name in names], np.bool_)[agent]
+        labels = believed_first(self._clustering, states, agent, believed)
         views = tuple(corrected_views.get(name) for name in names)
         batch = Batch(time_ns, states, agent, labels, names, views)
         assessment = self._integrity.assess(batch)
         if problem := problem_of(assessment, len(states), len(names), batch.clusters):
             raise ValueError(f"{type(self._integrity).__name__}.assess: {problem}")
+        states_of = zip(names, assessment.agents.state.tolist(), strict=True)
+        self._suspended = {name for name, state in states_of if state == SUSPENDED}
         weights = combined(weights, assessment.weights)
         picture, support = self._group_tracking.step(time_ns, states, agent, labels, weights)
         return self._published(picture, support, names, assessment)
@@ -111,6 +117,7 @@ class CommandCenterPipeline(Pipeline):
     def reset(self) -> None:
         self._group_tracking.reset()
         self._withheld = {}
+        self._suspended = set()
         self._views = {}
         self.trust = None
         if self._integrity is not None:

@@ -18,7 +18,7 @@ def disputed(tracks: list[Track], blocked: dict[str, list[tuple[float, float, fl
     given = batch(tracks, tuple(CORNERS), views)
     boxes = ClusterBoxes.of(given)
     seen, own = lenient_sightings(given, boxes)
-    return disputes(given.reported, own, boxes.size, seen, rays_at(given, boxes, given.views), np.array(weight))
+    return disputes(given, boxes, own, seen, rays_at(given, boxes, given.views), np.array(weight))
 
 
 CAR_AT_ORIGIN = (0.0, 0.0, 2.3)
@@ -71,7 +71,7 @@ def test_silence_counts_only_where_the_rays_end(hidden_by: tuple[float, float, f
     boxes = ClusterBoxes.of(given)
     seen, own = lenient_sightings(given, boxes)
     assert seen.in_view[0, 2]
-    found = disputes(given.reported, own, boxes.size, seen, rays_at(given, boxes, given.views), np.ones(4))
+    found = disputes(given, boxes, own, seen, rays_at(given, boxes, given.views), np.ones(4))
     assert found.silent[0].tolist() == [False, False, noted, False]
     assert not found.overlooked.any()
 

@@ -104,7 +104,15 @@ def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, 
         votes.follow(given.time_ns, boxes)
         trusted = np.array([name not in lying for name in given.agents])
         seen = sightings(boxes.position, boxes.size, boxes.yaw, given.views)
-        existence = votes.count(given, boxes, seen, rays_at(given, boxes, given.views), trusted, rows)
+        existence = votes.count(
+            given,
+            boxes,
+            seen,
+            rays_at(given, boxes, given.views),
+            np.zeros(given.reported.shape, np.bool_),
+            trusted,
+            rows,
+        )
         assert not existence.objects.withheld[0] or lying
     assert existence.objects.withheld.tolist() == [not believed]
 
