@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh.study.defences.lies import outnumbered
-from mast_zenoh.study.defences.traces import MAX_AGENTS, panel, suspends, trace
+from mast_zenoh.study.defences.matrix.traces import MAX_AGENTS, panel, suspends, trace
+from mast_zenoh.study.defences.matrix.trial import outnumbered
 
 
 def kept(**changes: Any) -> dict[str, Any]:
