@@ -72,8 +72,9 @@ class Kind:
         return import_module(f"{__package__}.{self.name}.{name}")
 
 
-#: All kinds. False objects have their true size in the evaluation of a matrix only if messages are recorded: without
-#: their size, an adversary's lies would be seen by other agents (`api.observability`).
+#: All kinds. The matrix is recorded because messages have the sizes of false objects, which decide how many agents
+#: would see them. Without a recording, every false object counts as a car (`api.observability`): under `coordinated`,
+#: this changes `outnumbered`.
 KINDS = (
     Kind("matrix", Cell, "MatrixCollection", recorded=True, undisturbed="NO_LIES"),
     Kind("drift", DriftCell, "DriftCollection"),

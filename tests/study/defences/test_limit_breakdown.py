@@ -117,6 +117,9 @@ def test_a_defence_that_never_breaks_has_a_point_beyond_what_was_tried() -> None
     assert result.points["Lie", 5].point.value == math.inf
     assert "| Lie | 5 | > 40 | 20 | > 20 |" in tables.as_markdown(result)
     assert "Lie,5,,,breakdown_point,inf,," in tables.as_csv(result)
+    latex = tables.as_latex(result)
+    assert r"Lie & 5 & $>$ 40 & 20 & $>$ 20 \\" in latex
+    assert all(line.isascii() for line in latex.splitlines() if not line.startswith("%"))
     assert "above 40 %" in figure_of_breakdown(result).alt
 
 

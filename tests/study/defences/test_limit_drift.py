@@ -94,6 +94,9 @@ def test_what_fewer_than_half_notice_is_not_reached() -> None:
     assert math.isinf(next(row for row in table.rows if row.viewers == "2").delay_s.value)
     assert "not reached" in tables.as_markdown(table)
     assert ",inf," in tables.as_csv(table)
+    latex = tables.as_latex(table)
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 2
+    assert "not reached & " in latex
 
 
 def test_the_liar_moves_one_object_and_hears_nothing_of_its_suspension() -> None:

@@ -20,4 +20,6 @@ class BreakdownCell:
     @property
     def label(self) -> str:
         """The label of its configuration."""
-        return f"{self.agents} agents {self.attack} {self.liars}" if self.liars else f"{self.agents} agents alone"
+        return (
+            f"{self.agents} agents {self.attack} {self.liars}" if self.liars else f"{self.agents} agents without liars"
+        )

@@ -60,7 +60,6 @@ def matrix_study(
     placements: Sequence[str],
     budgets: Sequence[float | None],
     parameters: Mapping[str, Any],
-    scenario: str = "defence_cell",
 ) -> dict[str, Any]:
     """The keys `runs`, `cells` and `baseline` of a study of every defence against every adversary.
 
@@ -85,7 +84,7 @@ def matrix_study(
         own: dict[str, Any] = {"defence": defence, "n_adversaries": cell.n_adversaries}
         if attack is not None:
             own |= _attacked(cell, attack)
-        runs[cell.label] = {"scenario": scenario, "parameters": {**parameters, **own}}
+        runs[cell.label] = {"scenario": "defence_cell", "parameters": {**parameters, **own}}
         cells[cell.label] = cell
     return {"runs": runs, "cells": cells, "baseline": BASELINE}
 
