@@ -49,19 +49,19 @@ def study(
     """
     if preset not in PRESETS:
         raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
-    parameters = dict(agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
-    chosen = PRESETS[preset] | {key: value for key, value in parameters.items() if value is not None}
+    arguments = dict(agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
+    chosen = PRESETS[preset] | {key: value for key, value in arguments.items() if value is not None}
     common = dict(defence=defence, placement="random", attack_start_s=attack_start_s)
     runs, cells = {}, {}
     for count in several(chosen["agents"]):
-        place = common | sensors_of(count)
+        sensors = common | sensors_of(count)
         for attack in [None, *parse_choices(adversaries, "adversaries")]:
             for liars in numbers(chosen["shares"], count):
                 if (attack is None) == (liars == 0):
                     name = "" if attack is None else short_name(attack)
                     cell = BreakdownCell(name, count, liars, attack_start_s)
                     lying = {} if attack is None else dict(attack=attack, budget=budget)
-                    parameters = place | lying | dict(n_adversaries=liars)
+                    parameters = sensors | lying | dict(n_adversaries=liars)
                     runs[cell.label] = dict(scenario="defence_cell", parameters=parameters)
                     cells[cell.label] = cell
     return dict(

@@ -118,7 +118,7 @@ def study(
     """
     if preset not in PRESETS:
         raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
-    parameters = dict(
+    arguments = dict(
         defences=defences,
         adversaries=adversaries,
         counts=counts,
@@ -128,7 +128,7 @@ def study(
         trials=trials,
         frames=frames,
     )
-    chosen = PRESETS[preset] | {key: value for key, value in parameters.items() if value is not None}
+    chosen = PRESETS[preset] | {key: value for key, value in arguments.items() if value is not None}
     return dict(
         name="defences",
         **matrix_study(

@@ -31,10 +31,10 @@ def several(value: Any) -> list[Any]:
     return list(value) if isinstance(value, (list, tuple)) else [value]
 
 
-def parse_choices(text: str | list[Choice] | tuple[Choice, ...], place: str) -> list[Choice]:
+def parse_choices(text: str | list[Choice] | tuple[Choice, ...], setting: str) -> list[Choice]:
     """Choices from names separated by commas, or from a Python list of names and dicts; files with absolute paths.
 
-    Empty text has none. place: names the setting in errors. Raises ConfigurationError.
+    Empty text has none. setting: its name, for errors. Raises ConfigurationError.
     """
     choices: Any = text
     if isinstance(text, str):
@@ -42,13 +42,15 @@ def parse_choices(text: str | list[Choice] | tuple[Choice, ...], place: str) -> 
             literal = text.lstrip().startswith(("[", "(", "{"))
             choices = ast.literal_eval(text) if literal else text.split(",") if text.strip() else []
         except (ValueError, SyntaxError):
-            raise ConfigurationError(f"{place}: found {text!r}, expected names, or a list of names and dicts") from None
+            raise ConfigurationError(
+                f"{setting}: found {text!r}, expected names, or a list of names and dicts"
+            ) from None
     choices = [choices] if isinstance(choices, Mapping) else choices
     result = []
     for choice in choices:
         name = choice if isinstance(choice, str) else choice.get("type") if isinstance(choice, Mapping) else None
         if not isinstance(name, str) or not name.strip():
-            raise ConfigurationError(f"{place}: found {choice!r}, expected a name, a file or a dict with `type`")
+            raise ConfigurationError(f"{setting}: found {choice!r}, expected a name, a file or a dict with `type`")
         name = _absolute(name.strip())
         result.append(name if isinstance(choice, str) else {**choice, "type": name})
     return result

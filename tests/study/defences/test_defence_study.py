@@ -99,7 +99,7 @@ def test_without_adversaries_or_faults_no_scene_is_recorded_for_their_placement(
 ) -> None:
     frames: list[int | None] = []
     prepare = scenes.prepare
-    monkeypatch.setattr(scenes, "prepare", lambda *given: (frames.append(given[2]), prepare(*given))[1])
+    monkeypatch.setattr(scenes, "prepare", lambda *arguments: (frames.append(arguments[2]), prepare(*arguments))[1])
     settings = ["scene=intersection:4", "placement=worst", "placement_frames=9"]
     scenario.load("defence_cell", [*settings, "n_adversaries=0"])
     assert set(frames) == {1}, "for the agents' names"
