@@ -6,12 +6,15 @@ from uncoordinated import scenario as uncoordinated
 from mast_zenoh.attacks import Coordination
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.scenario import agents_of
-from mast_zenoh.study.defences import adversary_base, named, place
-from mast_zenoh.study.defences.choices import has_budget
-from mast_zenoh.study.defences.natural import faults_of
-
-#: The adversaries of the scenarios of these names: on tracks alone, without a budget and without knowledge.
-COORDINATED, UNCOORDINATED = "coordinated", "uncoordinated"
+from mast_zenoh.study.defences import (
+    COORDINATED,
+    UNCOORDINATED,
+    adversary_base,
+    faults_of,
+    has_budget,
+    place,
+    resolve_choice,
+)
 
 
 def scenario(
@@ -52,12 +55,12 @@ def scenario(
             adversary = uncoordinated(1, attack_start_s=attack_start_s)["adversaries"]["adversary_1"]["attack"]
     else:
         base = adversary_base(attack)
-        adversary = named(attack, base)
+        adversary = resolve_choice(attack, base)
         if budget is not None and has_budget(attack):
             # A coordination has one budget for all of its adversaries.
             adversary["budget"] = budget * (max(1, n_adversaries) if base is Coordination else 1)
     content = defended(
-        defence=named(defence, Integrity),
+        defence=resolve_choice(defence, Integrity),
         attack=adversary,
         knowledge=knowledge,
         wires=wires if adversary else None,

@@ -8,7 +8,7 @@ from mast_zenoh.attacks import Coordination
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.study.defences import adversary_base, named
+from mast_zenoh.study.defences import adversary_base, resolve_choice
 
 #: What the adversaries know besides their own wires, and the rewrites that let them hear it.
 KNOWLEDGE = {
@@ -52,7 +52,7 @@ def scenario(
         n_mobile=n_mobile,
     )
     center = attacked["command_center"]
-    stage = named(defence, Integrity)
+    stage = resolve_choice(defence, Integrity)
     heard = KNOWLEDGE.get(knowledge)
     if heard is None:
         raise ConfigurationError(f"knowledge: found {knowledge!r}{nearest(str(knowledge), KNOWLEDGE)}")
@@ -63,7 +63,7 @@ def scenario(
     rewrites = [*attacked["keyexpr"]["rewrites"], "views.toml"]
     if attack is not None:
         base = adversary_base(attack)
-        attack = named(attack, base)
+        attack = resolve_choice(attack, base)
         wires = wires or WIRES.get(attack["type"], "tracks view")
         start = dict(start_s=attack_start_s)
         directed = base is Coordination

@@ -1,11 +1,9 @@
 """With how many liars a defence breaks, next to the share at which honest viewers lose their majority."""
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.study.defences import parsed
-from mast_zenoh.study.defences.choices import title
-from mast_zenoh.study.defences.limits import BreakdownCell, sensors_of
+from mast_zenoh.study.defences import BreakdownCell, parse_choices, sensors_of, several, short_name, words
 
-# Three minutes and half an hour on two cores.
+# On two cores: quick 2 minutes, full 25.
 PRESETS = dict(
     quick=dict(
         agents=(5, 13),
@@ -51,29 +49,28 @@ def study(
     """
     if preset not in PRESETS:
         raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
-    given = dict(agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
-    chosen = PRESETS[preset] | {key: value for key, value in given.items() if value is not None}
+    arguments = dict(agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
+    chosen = PRESETS[preset] | {key: value for key, value in arguments.items() if value is not None}
     common = dict(defence=defence, placement="random", attack_start_s=attack_start_s)
     runs, cells = {}, {}
     for count in several(chosen["agents"]):
-        place = common | sensors_of(count)
-        for attack in [None, *parsed(adversaries, "adversaries")]:
+        sensors = common | sensors_of(count)
+        for attack in [None, *parse_choices(adversaries, "adversaries")]:
             for liars in numbers(chosen["shares"], count):
                 if (attack is None) == (liars == 0):
-                    name = "" if attack is None else title(attack)
+                    name = "" if attack is None else short_name(attack)
                     cell = BreakdownCell(name, count, liars, attack_start_s)
                     lying = {} if attack is None else dict(attack=attack, budget=budget)
-                    parameters = place | lying | dict(n_adversaries=liars)
+                    parameters = sensors | lying | dict(n_adversaries=liars)
                     runs[cell.label] = dict(scenario="defence_cell", parameters=parameters)
                     cells[cell.label] = cell
-    scenes = chosen["scenes"]
     return dict(
         name="breakdown",
         runs=runs,
         cells=cells,
         baseline=next(iter(runs)),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
-        scenes=scenes.split(",") if isinstance(scenes, str) else list(scenes),
+        scenes=words(chosen["scenes"]),
         trials=chosen["trials"],
         frames=chosen["frames"],
         seed=seed,
@@ -87,8 +84,3 @@ def numbers(shares, agents):
         if not 0.0 <= share <= 1.0:
             raise ConfigurationError(f"shares: found {share!r}, expected 0 to 1")
     return sorted({0, *(min(agents - 1, int(share * agents + 0.5)) for share in several(shares))})
-
-
-def several(value):
-    """A list of one value or several."""
-    return list(value) if isinstance(value, (list, tuple)) else [value]

@@ -1,7 +1,7 @@
 """Every defence against every adversary, with 0 to n - 1 adversaries."""
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.study.defences import matrix, parsed
+from mast_zenoh.study.defences import matrix_study, parse_choices, several, words
 
 # Adversaries that know the defence.
 ADAPTIVE = "BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,StatePerturbation,PoseDrift"
@@ -12,7 +12,7 @@ def junctions(first, last):
     return ",".join(f"intersection:{index}" for index in range(first, last + 1))
 
 
-# docs/studies.md says what each one is for, and how long it takes.
+# docs/defence_studies.md says what each one is for, and how long it takes.
 PRESETS = dict(
     quick=dict(
         defences="NoIntegrity,KOfN,Mate,FaultOrLie",
@@ -114,11 +114,11 @@ def study(
     trials: seeds of each scene; frames: of each run; seed: the first one;
     knowledge: of the adversaries (own, picture, trust);
     fault: of one agent without an adversary, in all runs (pose, delay, skew, loss, blind, ghosts). In the list of
-    adversaries, fault:pose stands for as many agents with this fault, and nobody who lies.
+    adversaries, fault:pose stands for as many faulty agents and no liars.
     """
     if preset not in PRESETS:
         raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
-    given = dict(
+    arguments = dict(
         defences=defences,
         adversaries=adversaries,
         counts=counts,
@@ -128,12 +128,12 @@ def study(
         trials=trials,
         frames=frames,
     )
-    chosen = PRESETS[preset] | {key: value for key, value in given.items() if value is not None}
+    chosen = PRESETS[preset] | {key: value for key, value in arguments.items() if value is not None}
     return dict(
         name="defences",
-        **matrix(
-            defences=parsed(chosen["defences"], "defences"),
-            adversaries=parsed(chosen["adversaries"], "adversaries"),
+        **matrix_study(
+            defences=parse_choices(chosen["defences"], "defences"),
+            adversaries=parse_choices(chosen["adversaries"], "adversaries"),
             counts=several(chosen["counts"]),
             placements=words(chosen["placements"]),
             budgets=several(chosen["budgets"]),
@@ -152,13 +152,3 @@ def study(
         seed=seed,
         runtime="inproc",
     )
-
-
-def words(text):
-    """The words of a text with commas, or a list; empty text has none."""
-    return [word.strip() for word in text.split(",") if text.strip()] if isinstance(text, str) else list(text)
-
-
-def several(value):
-    """A list of one value or several."""
-    return list(value) if isinstance(value, (list, tuple)) else [value]

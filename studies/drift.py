@@ -1,9 +1,9 @@
 """How long a displaced object stays unnoticed, next to the least delay that is possible."""
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.study.defences.limits import DriftCell, sensors_of
+from mast_zenoh.study.defences import DriftCell, sensors_of, several, words
 
-# Three and twenty minutes on two cores.
+# On two cores: quick 3 minutes, full 20.
 PRESETS = dict(
     quick=dict(scenes="intersection:8,intersection:9", trials=2),
     full=dict(scenes=",".join(f"intersection:{index}" for index in range(8, 16)), trials=4),
@@ -60,7 +60,7 @@ def study(
         cells={cell.label: cell for cell in cells},
         baseline=cells[0].label,
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
-        scenes=scenes.split(",") if isinstance(scenes, str) else list(scenes),
+        scenes=words(scenes),
         trials=chosen["trials"] if trials is None else trials,
         frames=frames,
         seed=seed,
@@ -72,8 +72,3 @@ def attack(cell):
     """One lie per second: one object at a time."""
     rate = AT_ONCE_MPS if cell.rate_mps is None else cell.rate_mps
     return dict(type="SlowDrift", rate_mps=rate, limit_m=cell.offset_m, budget=1.0)
-
-
-def several(value):
-    """A list of one value or several."""
-    return list(value) if isinstance(value, (list, tuple)) else [value]

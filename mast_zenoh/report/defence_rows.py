@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.trust import Roc
-from mast_zenoh.report.trust_facts import AgentTrust
+from mast_zenoh.report.trust_facts import AgentTrustSeries
 
 NAN = float("nan")
-#: How intervals were found, see `study.defences.intervals`.
+#: How intervals were computed, see `study.defences.intervals`.
 BOOTSTRAP, POISSON, BINOMIAL = "bootstrap over trials", "exact Poisson", "exact binomial"
 
 #: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
@@ -65,27 +65,34 @@ class Measured(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DelayCurve:
-    """Share of liars not suspended yet, over the time from their first observable lie (Kaplan-Meier).
+class Survival:
+    """Kaplan-Meier estimate (1958, JASA 53:457) of the share that is not detected yet.
 
-    time_s, undetected: (k,) steps; median_s: NaN if fewer than half were suspended
+    time_s:     (k,) s, ascending, beginning with 0; the last is the longest time observed
+    undetected: (k,) share, 0 to 1, from that time on
+    detections, watched: numbers of detections, and of all that were watched
     """
 
     time_s: Floats
     undetected: Floats
-    median_s: float
     detections: int
     watched: int
 
+    @property
+    def median_s(self) -> float:
+        """s until half are detected; NaN if fewer were, as far as they were watched."""
+        below = self.undetected <= 0.5
+        return float(self.time_s[below.argmax()]) if below.any() else float("nan")
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DefenceRow:
     """A defence against one adversary, with its most harmful budget.
 
     attack:    "" without one;  budget: lies per second of each adversary, None: the attack's own
     budgets:   number of budgets that were tried
     measures:  by name in MEASURES; damage is relative to no defence and no attack, with the same scene and seed
-    confusion: s by conduct (honest, faulty, lying) and state of trust, over all agents and trials; {}: no trust
+    state_seconds: s by conduct (honest, faulty, lying) and state of trust, over all agents and trials; {}: no trust
     delay:     until liars are suspended, over all trials; None: there was no observable lie, or no trust
     """
 
@@ -96,8 +103,8 @@ class DefenceRow:
     budget: float | None
     budgets: int
     measures: Mapping[str, Measured]
-    confusion: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    delay: DelayCurve | None = None
+    state_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    delay: Survival | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +121,7 @@ class DefenceRoc:
     hours: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DefenceSummary:
     """What one defence is worth, over all rows of the matrix.
 
@@ -122,7 +129,7 @@ class DefenceSummary:
     alarms_per_hour: suspensions of honest agents in runs without an attack, of `frames` frames together
     fn_added, fp_added: objects per frame without an attack
     faults_suspended: share of the runs with faults alone that suspend an agent
-    framed:  share of the runs in which an honest agent is framed by liars below the local majority
+    framed_by_minority: share of the runs in which an honest agent is framed by liars below the local majority
     """
 
     defence: str
@@ -134,7 +141,7 @@ class DefenceSummary:
     fn_added: Measured
     fp_added: Measured
     faults_suspended: Measured
-    framed: Measured
+    framed_by_minority: Measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,25 +152,25 @@ class TrustPanel:
     """
 
     title: str
-    agents: Sequence[AgentTrust]
+    agents: Sequence[AgentTrustSeries]
     left_out: int
     end_s: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DefenceMatrix:
     """The cells of a study, and a characteristic and a summary for each defence that judges agents.
 
-    confusions: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
+    state_shares: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
     panels: the trust of single trials;  unshown: number of pairs of a defence and an adversary without a panel
     """
 
     rows: Sequence[DefenceRow]
     rocs: Sequence[DefenceRoc]
-    delays: Mapping[str, DelayCurve]
+    delays: Mapping[str, Survival]
     summaries: Sequence[DefenceSummary]
     size: str
-    confusions: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
+    state_shares: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
     panels: Sequence[TrustPanel] = ()
     unshown: int = 0
 

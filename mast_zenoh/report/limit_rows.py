@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from mast_zenoh.report.defence_rows import Measured
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DriftRow:
     """Displaced objects of one offset or drift, in view of a number of honest agents.
 
-    viewers:  "2", "2 or more"; "" for whole runs: s from the first lie to the suspension, whoever saw it
+    viewers:  "2", "2 or more"; "" for whole runs: s from the first lie to the suspension, regardless of viewers
     episodes, detected, trials: numbers of displaced objects, of suspensions among them, and of runs with any
     delay_s:  median until the suspension (Kaplan-Meier)
     floor_s:  of the least delay that is possible with as many witnesses;  ratio: median delay in floors
     offset_m: median offset reached before the suspension;  floor_m: offset at the floor
     within:   share of the `judged` runs in which the liar was suspended within the limit
-    noticed:  the same from all episodes, short ones too (Kaplan-Meier); unknown if all end before the limit
+    noticed:  the same from all episodes (Kaplan-Meier), shorter ones included; unknown if all end before the limit
     """
 
     label: str
@@ -47,14 +47,14 @@ class DriftTable:
     size: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BreakdownRow:
     """Trials of one number of liars among a number of agents.
 
     broken:    share of trials in which the defence broke: `worse`, the picture is worse than the ego alone, or
-               `framed`, an honest agent is suspended before any liar, and not without liars
-    suspended: mean share of the honest agents that are suspended at any time
-    bound:     share of objects that more honest agents see than liars
+               `honest_first`, an honest agent is suspended before any liar, and not without liars
+    honest_suspended: mean share of the honest agents that are suspended at any time
+    honest_majority:  share of objects that more honest agents see than liars
     """
 
     attack: str
@@ -63,9 +63,9 @@ class BreakdownRow:
     trials: int
     broken: Measured
     worse: Measured
-    framed: Measured
-    suspended: float
-    bound: float
+    honest_first: Measured
+    honest_suspended: float
+    honest_majority: float
 
     @property
     def share(self) -> float:
@@ -73,7 +73,7 @@ class BreakdownRow:
         return self.liars / self.agents
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BreakdownPoint:
     """Shares of liars, infinite if not reached with up to `most` (a share, too).
 

@@ -101,7 +101,7 @@ class StudyFacts:
     @property
     def size(self) -> str:
         """`20 seeds × 3 scenes`."""
-        return f"{plural(len(self.seeds), 'seed')} \u00d7 {plural(len(self.scenes), 'scene')}"
+        return size_of(len(self.seeds), len(self.scenes))
 
 
 def _renamed(each: _Named, titles: Mapping[str, str]) -> _Named:
@@ -111,3 +111,8 @@ def _renamed(each: _Named, titles: Mapping[str, str]) -> _Named:
 def plural(count: int, noun: str) -> str:
     """`1 seed`, `20 seeds`."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def size_of(seeds: int, scenes: int) -> str:
+    """Numbers of seeds and scenes in words: `2 seeds × 1 scene`."""
+    return f"{plural(seeds, 'seed')} \u00d7 {plural(scenes, 'scene')}"

@@ -18,7 +18,7 @@ Spans = list[tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AgentTrust:
+class AgentTrustSeries:
     """The trust in one agent over time, next to its conduct.
 
     time_s: (n,) s;  value: (n,) mean or log-odds
@@ -62,7 +62,7 @@ def withheld_at(run: RunFolder, frame: int) -> tuple[Floats, Floats, Floats]:
     return position, size, column(here, "yaw")
 
 
-def trust_in_agents(run: RunFolder, names: Sequence[str], value: str = "mean") -> tuple[list[AgentTrust], float]:
+def trust_in_agents(run: RunFolder, names: Sequence[str], value: str = "mean") -> tuple[list[AgentTrustSeries], float]:
     """The trust in every judged agent, and the end of the run, s; [] without trust.
 
     names: of the states of interest;  value: column of the trust table: mean or log_odds
@@ -75,7 +75,9 @@ def trust_in_agents(run: RunFolder, names: Sequence[str], value: str = "mean") -
         table = rows(run.trust, run.trust["agent"] == agent)
         states = {name: state_spans(table, name, end_s) for name in names}
         times, values = column(table, "time_s"), column(table, value)
-        agents.append(AgentTrust(agent, times, values, states, lie_spans(run, agent), fault_spans(run, agent, end_s)))
+        agents.append(
+            AgentTrustSeries(agent, times, values, states, lie_spans(run, agent), fault_spans(run, agent, end_s))
+        )
     return agents, end_s
 
 

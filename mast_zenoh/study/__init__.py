@@ -6,10 +6,11 @@ The package can be called: `mast_zenoh.study("case_study")` carries out a study.
     definition  study files: validation, and expansion of grids into configurations
     comparison  every configuration once, with a run folder and a report each
     trials      many seeds, one result file per trial, resumable:
-                plan (list of trials), identity (digest of a trial's inputs), trial (runs one), execution (in this
-                process or on a Dask cluster), store (the study folder)
+                plan (list of trials), identity (digest of a trial's inputs), trial (what a trial and its outcome are),
+                trial_run (runs one), execution (in this process or on a Dask cluster), store (the study folder)
     tables      outputs of many trials: numbers (of one run), results (with increments), parameters (grid columns),
                 table_file (Parquet), statistics (intervals), summary (one estimate per configuration and series)
+    defences    studies of defences against adversaries
 
 See docs/studies.md.
 """

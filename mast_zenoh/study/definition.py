@@ -13,8 +13,7 @@ from mast_zenoh.config.settings import from_values, split
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
-from mast_zenoh.study.defences.cells import Cell
-from mast_zenoh.study.defences.limits import BreakdownCell, DriftCell
+from mast_zenoh.study.defences.kinds import KINDS, kind_of
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
@@ -31,8 +30,6 @@ KEYS = {
     "security": "security levels at which the attackers in each run's scenario file are tried",
 }
 PER_TRIAL = ("seed", "frames")
-#: A cell of a matrix of defences, or of a study of limits; all cells of a study are of one class.
-AnyCell = Cell | DriftCell | BreakdownCell
 RUN_KEYS = ("scenario", "parameters", "grid")
 RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
@@ -90,13 +87,14 @@ class Study:
     frames: int | None
     runtime: str | None
     security: tuple[str, ...] = ()
-    cells: Mapping[str, AnyCell] = field(default_factory=dict)
+    cells: Mapping[str, Any] = field(default_factory=dict)
     per_trial: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def evaluation(self) -> str:
-        """What is evaluated in each trial (`defences.evaluations`); "": nothing."""
-        return next((cell.evaluation for cell in self.cells.values()), "")
+        """The kind of study of defences for which each trial is evaluated (`defences.kinds`); "": another study."""
+        kind = kind_of(next(iter(self.cells.values()), None))
+        return "" if kind is None else kind.name
 
     def trial_settings(self, seed: int, frames: int | None) -> tuple[str, ...]:
         """The settings of a trial that depend on its seed and its frames."""
@@ -177,10 +175,11 @@ def _levels(path: Path, content: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(content))
 
 
-def _cells(path: Path, content: Any, labels: Sequence[str]) -> dict[str, AnyCell]:
+def _cells(path: Path, content: Any, labels: Sequence[str]) -> dict[str, Any]:
     """The cells of all configurations, or of none."""
-    if not isinstance(content, Mapping) or not all(isinstance(cell, AnyCell) for cell in content.values()):
-        raise ConfigurationError(f"{path}: cells: found {content!r:.120}, expected label to Cell")
+    if not isinstance(content, Mapping) or not all(kind_of(cell) for cell in content.values()):
+        known = ", ".join(kind.cell.__name__ for kind in KINDS)
+        raise ConfigurationError(f"{path}: cells: found {content!r:.120}, expected label to one of {known}")
     if len({type(cell) for cell in content.values()}) > 1:
         raise ConfigurationError(f"{path}: cells: expected cells of one class, found several")
     if content and set(content) != set(labels):

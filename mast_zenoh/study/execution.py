@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, StartError
-from mast_zenoh.study import trial as trial_module
+from mast_zenoh.study import trial_run
 from mast_zenoh.study.trial import Outcome, Trial
 
 _CONNECT_S = 20
@@ -48,7 +48,7 @@ def run_all(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Gener
     """
     if cluster is None and jobs == 1:
         for trial in trials:
-            yield trial_module.run(trial)
+            yield trial_run.run(trial)
         return
     require(jobs, cluster)
     with _client(jobs, cluster) as client:
@@ -65,7 +65,7 @@ def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
         for trial in trials:
             scene = trial.scene_key, trial.seed
             if scene not in prepared:
-                prepared[scene] = client.submit(trial_module.prepare, trial, pure=False)
+                prepared[scene] = client.submit(trial_run.prepare, trial, pure=False)
             pending[client.submit(_run_after, trial, prepared[scene], pure=False)] = trial
         for future in as_completed(list(pending)):
             trial = pending.pop(future)
@@ -81,7 +81,7 @@ def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
 
 def _run_after(trial: Trial, prepared: None) -> Outcome:
     """Run a trial; `prepared` makes Dask prepare its scene first."""
-    return trial_module.run(trial)
+    return trial_run.run(trial)
 
 
 @contextmanager

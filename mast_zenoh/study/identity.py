@@ -67,7 +67,7 @@ def digest(
 ) -> str:
     """Digest of a scenario's content, files and run options; 40 hexadecimal digits.
 
-    evaluation: what is evaluated besides the metrics of every run (`defences.evaluations`)
+    evaluation: kind of study of defences for which the trial is evaluated (`defences.kinds`); "": none
     """
     parts = {
         "scenario": loaded,

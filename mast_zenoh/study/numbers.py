@@ -38,6 +38,18 @@ class Number(NamedTuple):
     binary: bool = False
 
 
+def ego(metrics: Mapping[str, Any]) -> str:
+    """The agent whose estimates are scored: the one named `ego`, else the first of metrics.json."""
+    agents = metrics.get("agents", {})
+    return "ego" if "ego" in agents else next(iter(agents), "ego")
+
+
+def scored_frames(metrics: Mapping[str, Any]) -> tuple[int, int]:
+    """The first and the last scored frame of metrics.json; (0, -1): none."""
+    first, last = metrics.get("scored_frames") or (0, -1)
+    return first, last
+
+
 def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
     """The numbers below `agents`, `driving` and `achieved` of metrics.json.
 
@@ -47,7 +59,7 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
     to collision is below CRITICAL_S; every trial has it. These blocks hold no wall-clock times, so all numbers depend
     on scenario and seed alone.
     """
-    first, last = metrics.get("scored_frames") or (0, -1)
+    first, last = scored_frames(metrics)
     frames = last - first + 1
     for agent, estimators in metrics.get("agents", {}).items():
         for estimator, content in estimators.items():

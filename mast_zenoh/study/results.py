@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from mast_zenoh.metrics import Table, increments
-from mast_zenoh.study.numbers import NAN, Number, numbers
+from mast_zenoh.study.numbers import NAN, Number, ego, numbers, scored_frames
 from mast_zenoh.study.trial import Outcome, Trial
 
 #: The agent name of numbers of all compromised agents together.
@@ -39,11 +39,6 @@ def values(outcome: Outcome, baseline: Outcome | None) -> list[Number]:
     return result
 
 
-def ego(agents: Mapping[str, Any]) -> str:
-    """The agent whose estimates are scored: the one named `ego`, else the first."""
-    return "ego" if "ego" in agents else next(iter(agents), "ego")
-
-
 def _increments_over_baseline(
     baseline: Outcome, outcome: Outcome, attacked_numbers: Sequence[Number]
 ) -> Iterator[Number]:
@@ -51,7 +46,7 @@ def _increments_over_baseline(
 
     Means over frames are subtracted frame by frame, over the scored frames in which both runs have a value.
     """
-    agent = ego(outcome.metrics.get("agents", {}))
+    agent = ego(outcome.metrics)
     baseline_values = {
         (each.estimator, each.metric): each.value for each in numbers(baseline.metrics) if each.owner == agent
     }
@@ -71,7 +66,7 @@ def _increments_over_baseline(
 
 def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
     """Increments over the ego alone (IoE), and increments of the compromised agents."""
-    agent = ego(outcome.metrics["agents"])
+    agent = ego(outcome.metrics)
     # Without the same agents in the baseline, as in a sweep over their number, there is nothing to compare them with.
     known = set(np.unique(baseline.per_frame["agent"]).tolist())
     compromised = outcome.compromised if known.issuperset(outcome.compromised) else ()
@@ -87,7 +82,7 @@ def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
 
 def _scored_rows(outcome: Outcome) -> Table:
     """The rows of the frames that are scored."""
-    first, last = outcome.metrics.get("scored_frames") or (0, -1)
+    first, last = scored_frames(outcome.metrics)
     frame = outcome.per_frame["frame"]
     scored = (frame >= first) & (frame <= last)
     return {name: column[scored] for name, column in outcome.per_frame.items()}

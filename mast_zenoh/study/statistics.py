@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import betaincinv, stdtr, stdtrit
 
 from mast_zenoh.arrays.states import Bools, Floats
@@ -103,7 +104,7 @@ def rate_interval(successes: Floats) -> Interval:
 
     Values of trials are 0 or 1.
 
-    The Clopper-Pearson interval (1934, Biometrika 26:404) for the effective number of trials of Korn and Graubard
+    The interval of `clopper_pearson` for the effective number of trials of Korn and Graubard
     (1998, Survey Methodology 24:193): the number of independent trials whose rate would vary as much as the seeds'
     averages do, corrected for the degrees of freedom. With a single scene, or if fewer than
     MIN_CLUSTERS seeds have a success or a failure, the spread is unknown, and the number of seeds is used instead. The
@@ -120,10 +121,18 @@ def rate_interval(successes: Floats) -> Interval:
     estimable &= (variance > 0.0) & (scenes > 1)
     ratio = (stdtrit(trials - 1.0, _UPPER) / stdtrit(seeds - 1.0, _UPPER)) ** 2 * trials / (trials - 1.0)
     n[estimable] = np.minimum(trials, ratio * (rate * (1.0 - rate))[estimable] / variance[estimable])
-    successes_of_n = rate * n
+    return clopper_pearson(rate * n, n)
+
+
+def clopper_pearson(successes: ArrayLike, trials: ArrayLike) -> Interval:
+    """The exact interval of a binomial rate (1934, Biometrika 26:404).
+
+    successes, trials: arrays of one shape; they need not be whole, so that trials can be an effective number
+    """
+    k, n = np.asarray(successes, np.float64), np.asarray(trials, np.float64)
     with np.errstate(invalid="ignore"):
-        low = np.where(rate > 0.0, betaincinv(successes_of_n, n - successes_of_n + 1.0, 1.0 - _UPPER), 0.0)
-        high = np.where(rate < 1.0, betaincinv(successes_of_n + 1.0, n - successes_of_n, _UPPER), 1.0)
+        low = np.where(k > 0.0, betaincinv(k, n - k + 1.0, 1.0 - _UPPER), 0.0)
+        high = np.where(k < n, betaincinv(k + 1.0, n - k, _UPPER), 1.0)
     return Interval(low, high)
 
 

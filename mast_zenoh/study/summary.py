@@ -11,9 +11,9 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.report.tables.study_rows import Estimate, Series, StudyRow
 from mast_zenoh.study import statistics
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.numbers import ACHIEVED, NAN, SELECTIVE, Number
+from mast_zenoh.study.numbers import ACHIEVED, NAN, SELECTIVE, Number, ego
 from mast_zenoh.study.ranges import value_range
-from mast_zenoh.study.results import COMPROMISED, ego
+from mast_zenoh.study.results import COMPROMISED
 from mast_zenoh.study.statistics import Moments
 from mast_zenoh.study.trial import Outcome
 
@@ -32,7 +32,7 @@ class Samples:
 
     def add(self, outcome: Outcome, trial_numbers: Iterable[Number]) -> None:
         """Add the numbers of a trial, `results.values`."""
-        self._ego = agent = self._ego or ego(outcome.metrics["agents"])
+        self._ego = agent = self._ego or ego(outcome.metrics)
         trial = outcome.trial
         cell = self._scene[trial.scene], self._seed[trial.seed]
         cells = self._cells[trial.configuration]

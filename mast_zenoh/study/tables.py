@@ -16,7 +16,8 @@ from mast_zenoh.launch.tables import to_arrow
 from mast_zenoh.report.study_facts import FailedTrial, IdleAttack, StudyFacts
 from mast_zenoh.report.tables.study_rows import StudyRow
 from mast_zenoh.study import results
-from mast_zenoh.study.defences.measurements import Measurement, Written, measurement
+from mast_zenoh.study.defences.kinds import Collection, kind_named
+from mast_zenoh.study.defences.study_files import StudyFiles
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import ACHIEVED
 from mast_zenoh.study.parameters import ParameterColumns
@@ -31,7 +32,7 @@ class StudyResult:
     """A finished study with trials.
 
     rows: its estimates; facts: its configurations, seeds and versions; files: all files written; report: HTML page
-    written: tables and figures of a study of defences
+    defences: tables and figures of a study of defences
     """
 
     out: Path
@@ -39,14 +40,14 @@ class StudyResult:
     facts: StudyFacts
     files: list[Path]
     report: Path
-    written: Written | None = None
+    defences: StudyFiles | None = None
 
     def as_rich(self) -> Any:
         """The main tables for the terminal."""
         from mast_zenoh.report.tables import study as study_table
 
-        if self.written is not None:
-            return self.written.as_rich()
+        if self.defences is not None:
+            return self.defences.as_rich()
         return study_table.as_rich(self.rows, self.facts)
 
     def raise_failures(self) -> None:
@@ -69,8 +70,10 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     from mast_zenoh.report.tables import study_export
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
-    measured = measurement(study.cells, [scene.label for scene in study.scenes], seeds)
-    done, rows = _write_parquet(study, store, trials, seeds, measured)
+    collection = None
+    if study.cells:
+        collection = kind_named(study.evaluation).collect(study.cells, [scene.label for scene in study.scenes], seeds)
+    done, rows = _write_parquet(study, store, trials, seeds, collection)
     facts = StudyFacts(
         name=study.name,
         baseline=study.baseline,
@@ -96,18 +99,18 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     for item in figures.values():
         item.save(store.folder)
     names = ["results.parquet", "frames.parquet", *texts, *(f"{name}.png" for name in figures)]
-    written = None if measured is None else measured.write(store.folder)
-    if written is not None:
-        figures = written.figures
-        names += written.files
+    of_defences = None if collection is None else collection.write(store.folder)
+    if of_defences is not None:
+        figures = dict(of_defences.figures)
+        names += of_defences.names
     report = study_page.write_page(store.folder, rows, facts, figures)
-    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, written)
+    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, of_defences)
 
 
 def _write_parquet(
-    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], measured: Measurement | None
+    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], collection: Collection | None
 ) -> tuple[Counter[str], list[StudyRow]]:
-    """Write results.parquet and frames.parquet; add the trials to `measured`.
+    """Write results.parquet and frames.parquet; add the trials to `collection`.
 
     Returns the numbers of finished trials by configuration, and the table rows.
     Only the trials of one scene and seed are in memory at a time.
@@ -133,8 +136,8 @@ def _write_parquet(
                 trial_file.append(per_trial.add(to_arrow(results.columns(outcome.trial, trial_numbers)), label))
                 frame_file.append(per_frame.add(to_arrow(results.frames(outcome)), label))
                 done[label] += 1
-                if measured is not None:
-                    measured.add(outcome)
+                if collection is not None:
+                    collection.add(outcome)
     return done, samples.rows()
 
 

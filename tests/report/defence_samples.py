@@ -16,13 +16,13 @@ from mast_zenoh.report.defence_rows import (
     DefenceRoc,
     DefenceRow,
     DefenceSummary,
-    DelayCurve,
     Measured,
+    Survival,
     TrustPanel,
 )
-from mast_zenoh.report.trust_facts import AgentTrust
+from mast_zenoh.report.trust_facts import AgentTrustSeries
 
-DELAY = DelayCurve(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 0.3, 3, 5)
+DELAY = Survival(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 3, 5)
 RUNS = Measured(0.0, 0.0, 0.07, 48, 0, BINOMIAL)
 ALARMS = Measured(0.4, 0.0, 1.2, 180, 0, POISSON)
 SHARE = Measured(0.97, 0.95, 0.99, 48, 0, BOOTSTRAP)
@@ -35,8 +35,17 @@ def row(defence: str, attack: str, **measures: Measured) -> DefenceRow:
     values |= {"wrongly_suspended": RUNS} if attack != "Ghost" else {}
     delay = DELAY if attack == "Ghost" and defence == "Wall" else None
     faulty = {"faulty": {"trusted": 3.0, "suspended": 1.0}} if attack.startswith("fault:") else {}
-    place = (count, "worst" if attack else "", 4.0 if attack == "Ghost" else None, 2)
-    return DefenceRow(defence, attack, *place, _Unknown(values | measures), faulty, delay)
+    return DefenceRow(
+        defence=defence,
+        attack=attack,
+        n_adversaries=count,
+        placement="worst" if attack else "",
+        budget=4.0 if attack == "Ghost" else None,
+        budgets=2,
+        measures=_Unknown(values | measures),
+        state_seconds=faulty,
+        delay=delay,
+    )
 
 
 class _Unknown(dict[str, Measured]):
@@ -56,16 +65,16 @@ def summary(**changes: Any) -> DefenceSummary:
         fn_added=Measured(0.01, 0.0, 0.02, 180, 0, BOOTSTRAP),
         fp_added=Measured(-0.1, -0.2, -0.05, 180, 0, BOOTSTRAP),
         faults_suspended=RUNS,
-        framed=RUNS,
+        framed_by_minority=RUNS,
     )
-    return DefenceSummary("Wall", **(values | changes))
+    return DefenceSummary(defence="Wall", **(values | changes))
 
 
-def agent(name: str, **conduct: Any) -> AgentTrust:
+def agent(name: str, **conduct: Any) -> AgentTrustSeries:
     """Trust over 15 s that falls at 5 s."""
     times = np.arange(0.0, 15.0, 0.2)
     nothing = dict(states={"faulty": [], "suspended": []}, lies=[], faults=[])
-    return AgentTrust(name, times, np.where(times < 5.0, 4.5, -30.0), **(nothing | conduct))
+    return AgentTrustSeries(name, times, np.where(times < 5.0, 4.5, -30.0), **(nothing | conduct))
 
 
 def panel(title: str) -> TrustPanel:
@@ -80,6 +89,13 @@ def matrix(panels: int = 1, unshown: int = 0) -> DefenceMatrix:
     curve = DefenceRoc("Wall", roc([1.0, 0.0], [True, False]), area, Measured(0.5, math.nan, math.nan, 4), 1.5)
     titles = [f"Wall against Ghost{number} (1, worst)" for number in range(panels)]
     size = "6 seeds \u00d7 8 scenes"
-    confusions = {"Wall": {"lying": {"trusted": SHARE, "suspended": SHARE}}}
-    panels_drawn = [panel(each) for each in titles]
-    return DefenceMatrix(rows, [curve], {"Wall": DELAY}, [summary()], size, confusions, panels_drawn, unshown)
+    return DefenceMatrix(
+        rows=rows,
+        rocs=[curve],
+        delays={"Wall": DELAY},
+        summaries=[summary()],
+        size=size,
+        state_shares={"Wall": {"lying": {"trusted": SHARE, "suspended": SHARE}}},
+        panels=[panel(each) for each in titles],
+        unshown=unshown,
+    )

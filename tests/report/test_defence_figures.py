@@ -10,7 +10,7 @@ from defence_samples import agent, matrix, panel
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
-from mast_zenoh.report.figures.defence_trust import trust_of_trials
+from mast_zenoh.report.figures.defence_trust import trust_figure
 from mast_zenoh.report.figures.defences import figures_of_defences
 from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, Figure
 from mast_zenoh.report.figures.trust import LOG_ODDS, draw_agent, legend
@@ -26,15 +26,15 @@ def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:
 
 
 def test_trust_over_time_has_a_panel_per_trial_and_says_how_many_are_missing() -> None:
-    small, large = (trust_of_trials(matrix(panels=count).panels, 0) for count in (1, 12))
+    small, large = (trust_figure(matrix(panels=count).panels, 0) for count in (1, 12))
     assert large.pixels[1] > 3 * small.pixels[1]
     assert "Wall against Ghost11 (1, worst)" in large.alt
     assert "more pairs" not in large.caption
-    assert "7 more pairs are not shown" in trust_of_trials(matrix().panels, 7).caption
+    assert "7 more pairs are not shown" in trust_figure(matrix().panels, 7).caption
 
 
 def test_lies_are_drawn_in_the_colour_of_adversaries() -> None:
-    image = matplotlib.image.imread(io.BytesIO(trust_of_trials([panel("a")], 0).png))[..., :3]
+    image = matplotlib.image.imread(io.BytesIO(trust_figure([panel("a")], 0).png))[..., :3]
     lies = (np.abs(image - to_rgb(ADVERSARY_ON_LIGHT)) < 0.12).all(axis=-1)
     assert lies.sum() > 200
 

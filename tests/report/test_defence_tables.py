@@ -11,9 +11,9 @@ import pytest
 from defence_samples import matrix, row, summary
 
 from mast_zenoh.api.comparisons import as_text
-from mast_zenoh.report.defence_rows import BOOTSTRAP, MEASURES, DefenceMatrix, Measured
+from mast_zenoh.report.defence_rows import BOOTSTRAP, MEASURES, Measured
 from mast_zenoh.report.tables import defences as tables
-from mast_zenoh.report.tables.defence_lines import delay, measured
+from mast_zenoh.report.tables.text_table import measured, median_delay
 
 
 def test_a_number_has_its_interval_or_why_there_is_none() -> None:
@@ -23,29 +23,35 @@ def test_a_number_has_its_interval_or_why_there_is_none() -> None:
     assert measured(Measured()) == "\u2013"
 
 
+def test_an_unbounded_number_and_an_unbounded_interval_are_open() -> None:
+    assert measured(Measured(math.inf, 1.2, math.inf, 48)) == "not reached [1.20, \u221e)"
+    assert measured(Measured(math.inf, math.inf, math.inf, 48)) == "not reached"
+    assert measured(Measured(0.3, 0.2, math.inf, 48)) == "0.30 [0.20, \u221e)"
+
+
 def test_a_narrow_interval_has_more_digits() -> None:
     assert measured(Measured(0.9912, 0.991, 0.9916, 48)) == "0.9912 [0.9910, 0.9916]"
 
 
-def test_the_text_ends_with_the_targets_at_a_glance() -> None:
+def test_the_text_ends_with_the_summary() -> None:
     last = tables.as_markdown(matrix()).split("\n\n")[-3:]
-    assert last[0] == "## At a glance"
+    assert last[0] == "## Summary"
     line = last[2].strip().splitlines()[-1]
     assert line.startswith("| Wall | 0.970 [0.950, 0.990] | 0.30 [0.20, 0.50] | 0.970 [0.950, 0.990] |")
     assert "| 0.40 [0.00, 1.20] | 108000 | 0.010 [0.000, 0.020] |" in line
     assert line.count("0.000 [0.000, 0.070] of 48") == 2
 
 
-def test_the_terminal_ends_with_them_too() -> None:
+def test_the_terminal_ends_with_the_summary_too() -> None:
     text = as_text(tables.as_rich(matrix()))
-    assert text.index("Damage, worst") < text.index("At a glance")
+    assert text.index("Damage, worst") < text.index("Summary")
     assert "0.40 [0.00, 1.20]" in text
     assert "108000" in text
 
 
 def test_runs_without_an_attack_alone_have_no_empty_tables() -> None:
     whole = matrix()
-    quiet = DefenceMatrix([row("Open", ""), row("Wall", "")], [], {}, whole.summaries, whole.size)
+    quiet = replace(whole, rows=[row("Open", ""), row("Wall", "")], rocs=[], delays={}, state_shares={}, panels=[])
     text = tables.as_markdown(quiet)
     assert "## Cost without an attack" in text
     assert "## Damage" not in text
@@ -56,9 +62,13 @@ def test_runs_without_an_attack_alone_have_no_empty_tables() -> None:
 
 def test_a_delay_of_which_less_than_half_is_known_says_so() -> None:
     unknown = replace(matrix(), summaries=[summary(median_delay_s=Measured(math.nan, 1.2, math.inf, 48, 0, BOOTSTRAP))])
-    assert "| unknown [1.20, \u221e) |" in tables.as_markdown(unknown)
-    assert r"unknown [1.20, $\infty$)" in tables.as_latex(unknown)
-    assert delay(Measured(math.nan, math.inf, math.inf, 48)) == delay(Measured(math.nan, trials=3)) == "unknown"
+    assert "| not reached [1.20, \u221e) |" in tables.as_markdown(unknown)
+    assert r"not reached [1.20, $\infty$)" in tables.as_latex(unknown)
+    assert (
+        median_delay(Measured(math.nan, math.inf, math.inf, 48))
+        == median_delay(Measured(math.nan, trials=3))
+        == "not reached"
+    )
 
 
 def test_the_defence_that_judges_nobody_has_no_row_for_framing() -> None:
@@ -80,7 +90,7 @@ def test_the_csv_has_every_measure_of_every_cell_with_bounds_and_method() -> Non
     assert {line["measure"] for line in lines} >= {"auc", "partial_auc", "seconds faulty suspended"}
 
 
-@pytest.mark.parametrize("text", ["At a glance", "Detection", "Suspicion", "Framing", "Faults"])
+@pytest.mark.parametrize("text", ["Summary", "Detection", "ROC", "Framing", "Faults"])
 def test_latex_has_all_tables_with_escaped_text(text: str) -> None:
     latex = tables.as_latex(matrix())
     assert f"% {text}" in latex

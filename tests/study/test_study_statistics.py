@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mast_zenoh.study.statistics import Moments, over_scenes, over_seeds, p_value_of_zero_mean, pooled, rate_interval
+from mast_zenoh.study.statistics import (
+    Moments,
+    clopper_pearson,
+    over_scenes,
+    over_seeds,
+    p_value_of_zero_mean,
+    pooled,
+    rate_interval,
+)
 
 
 def sample(scenes: int, seeds: int, of: int = 0) -> np.ndarray:
@@ -95,3 +103,14 @@ def test_batched_intervals_equal_individual_ones() -> None:
         np.testing.assert_allclose(np.transpose(interval(values)), [interval(each) for each in values])
     hits = (values > 3.0).astype(np.float64)
     np.testing.assert_allclose(np.transpose(rate_interval(hits)), [rate_interval(each) for each in hits])
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 7), (3, 7), (7, 7), (1, 200)])
+def test_the_interval_of_a_binomial_rate_is_exact(successes: int, trials: int) -> None:
+    expected = stats.binomtest(successes, trials).proportion_ci(0.95, method="exact")
+    assert clopper_pearson(successes, trials) == pytest.approx((expected.low, expected.high))
+
+
+def test_the_interval_of_an_effective_number_of_trials_is_between_those_of_whole_numbers() -> None:
+    widths = [interval.high - interval.low for interval in (clopper_pearson(n / 4, n) for n in (8.0, 8.5, 9.0))]
+    assert widths[0] > widths[1] > widths[2]

@@ -18,7 +18,7 @@ from small_study import TABLES, tables, write_small
 from mast_zenoh.cli import app
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
 from mast_zenoh.metrics.record import ESTIMATORS
-from mast_zenoh.study import definition, identity, trial, trials
+from mast_zenoh.study import definition, identity, trial_run, trials
 from mast_zenoh.study.trial import Outcome, Trial
 
 OWN = """
@@ -44,19 +44,19 @@ def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> 
 def trials_run(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
     """The trials that are run, and not reused, from here on."""
     executed: list[Trial] = []
-    run = trial.run
+    run = trial_run.run
 
     def record(each: Trial) -> Outcome:
         executed.append(each)
         return run(each)
 
-    monkeypatch.setattr(trial, "run", record)
+    monkeypatch.setattr(trial_run, "run", record)
     return executed
 
 
 def interrupt(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     """Simulate Ctrl-C in the trial that follows `after` completed ones."""
-    run, done = trial.run, []
+    run, done = trial_run.run, []
 
     def interrupted(each: Trial) -> Outcome:
         if len(done) == after:
@@ -64,7 +64,7 @@ def interrupt(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
         done.append(each)
         return run(each)
 
-    monkeypatch.setattr(trial, "run", interrupted)
+    monkeypatch.setattr(trial_run, "run", interrupted)
 
 
 def test_an_attack_that_would_begin_after_the_last_frame_is_reported_and_has_no_success_rate(tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_a_trial_with_a_broken_file_is_run_again(small, whole, tmp_path: Path, t
 
 
 def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
-    run = trial.run
+    run = trial_run.run
 
     def failing(each: Trial) -> Outcome:
         if each.configuration == "attacked-1-5.0" and each.seed == 1:
@@ -165,7 +165,7 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
         return run(each)
 
     with monkeypatch.context() as patch:
-        patch.setattr(trial, "run", failing)
+        patch.setattr(trial_run, "run", failing)
         outcome = trials.run(small, tmp_path / "out", count=2)
     with pytest.raises(TrialsFailed, match="failed trials: 1;") as caught:
         outcome.raise_failures()
@@ -198,7 +198,7 @@ def test_the_command_of_a_trial_reproduces_its_numbers(small, whole, tmp_path: P
 
 def test_worker_with_different_code_or_versions_runs_no_trial(small) -> None:
     planned = trials.plan.trials(small, count=1, seed=0, frames=8, runtime="inproc")
-    outcome = trial.run(replace(planned[0], environment=(("numpy", "0.1"),)))
+    outcome = trial_run.run(replace(planned[0], environment=(("numpy", "0.1"),)))
     assert "numpy: this worker has" in outcome.error
     assert "the study was started with 0.1" in outcome.error
 
@@ -287,7 +287,7 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
 
 
 def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(trial, "_run_in_process", lambda *_: 1 / 0)
+    monkeypatch.setattr(trial_run, "_run_in_process", lambda *_: 1 / 0)
     monkeypatch.setattr(
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )
@@ -301,7 +301,7 @@ def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, c
 
 def test_an_idle_worker_imports_no_plotting_table_or_mesh_library() -> None:
     code = (
-        "import sys, mast_zenoh.study.trial\n"
+        "import sys, mast_zenoh.study.trial_run\n"
         "print([n for n in ('matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats') if n in sys.modules])"
     )
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)

@@ -67,7 +67,7 @@ def _curve(axes: Axes, rows: list[BreakdownRow], index: int, shift: float) -> No
         capsize=2.0,
         label=f"{agents} agents",
     )
-    without = [100.0 * (1.0 - row.bound) for row in rows]
+    without = [100.0 * (1.0 - row.honest_majority) for row in rows]
     axes.plot(x, without, color=colour, linestyle=_BOUND, linewidth=1.3)
 
 

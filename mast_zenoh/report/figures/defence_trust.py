@@ -18,7 +18,7 @@ _PANEL, _LEFT, _GAP = 3.8, 0.92, 0.12
 _ROW, _TITLE, _FOOT, _HEAD = 0.46, 0.3, 0.5, 0.42
 
 
-def trust_of_trials(panels: Sequence[TrustPanel], unshown: int) -> RenderedFigure:
+def trust_figure(panels: Sequence[TrustPanel], unshown: int) -> RenderedFigure:
     """A panel per trial, a row per agent.
 
     unshown: number of pairs of a defence and an adversary without a panel

@@ -10,7 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh.report.defence_rows import DefenceMatrix, DefenceRow
-from mast_zenoh.report.figures.defence_trust import trust_of_trials
+from mast_zenoh.report.figures.defence_trust import trust_figure
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
 from mast_zenoh.report.tables.study_rows import number
@@ -32,7 +32,7 @@ def figures_of_defences(matrix: DefenceMatrix) -> dict[str, RenderedFigure]:
     if matrix.rocs:
         figures["roc"] = _rocs(matrix)
     if matrix.panels:
-        figures["trust_over_time"] = trust_of_trials(matrix.panels, matrix.unshown)
+        figures["trust_over_time"] = trust_figure(matrix.panels, matrix.unshown)
     return figures
 
 

@@ -22,7 +22,7 @@ from mast_zenoh.report.figures.style import (
 )
 from mast_zenoh.report.figures.timeaxis import padded
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.trust_facts import AgentTrust, Spans, trust_in_agents
+from mast_zenoh.report.trust_facts import AgentTrustSeries, Spans, trust_in_agents
 
 
 class Scale(NamedTuple):
@@ -88,7 +88,7 @@ def trust_over_time(run: RunFolder, frame: int | None) -> Figure | None:
     return figure
 
 
-def draw_agent(axes: Axes, agent: AgentTrust, end: float, scale: Scale = MEAN, *, named: bool) -> None:
+def draw_agent(axes: Axes, agent: AgentTrustSeries, end: float, scale: Scale = MEAN, *, named: bool) -> None:
     """Draw one agent's row.
 
     end: s, of the run;  named: whether there is room for the names of faults
@@ -120,7 +120,7 @@ def _bands(axes: Axes, spans: Spans, lower: float, colour: str, *, hatched: bool
         axes.add_patch(band)
 
 
-def legend(agents: Sequence[AgentTrust], scale: Scale = MEAN) -> list[Line2D | Patch]:
+def legend(agents: Sequence[AgentTrustSeries], scale: Scale = MEAN) -> list[Line2D | Patch]:
     """Legend entries for what the rows of these agents show."""
     handles: list[Line2D | Patch] = [Line2D([], [], color=INK, linewidth=1.6, label=scale.label)]
     for state, colour in STATES_ON_LIGHT.items():

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from mast_zenoh.report.defence_rows import BINOMIAL, MEASURES, DefenceMatrix, DefenceRow, DefenceSummary, Measured
 from mast_zenoh.report.tables.scores import DASH
-from mast_zenoh.report.tables.study_rows import MIN_SEEDS, number
+from mast_zenoh.report.tables.study_rows import number
+from mast_zenoh.report.tables.text_table import TextTable, measured, median_delay
 
 #: Measures of each table.
 _COSTS = ("fn_added", "fp_added", "ospa_added_m", "honest_suspended_per_hour", "wrongly_suspended")
@@ -20,23 +19,10 @@ _FRAMING = ("framed", "framed_by_minority", "framed_by_majority")
 _FAULTS = ("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
 
 
-class TextTable(NamedTuple):
-    """A table: its title, a sentence about it, its headings and lines; text columns come first.
-
-    texts: number of text columns
-    """
-
-    title: str
-    about: str
-    headings: list[str]
-    lines: list[list[str]]
-    texts: int
-
-
 def tables(matrix: DefenceMatrix) -> list[TextTable]:
     """All tables that have a line, the summary last."""
     every = [_costs(matrix), *damage(matrix), _detection(matrix), _framing(matrix), _faults(matrix)]
-    every += [_confusion(matrix), _characteristics(matrix), summary(matrix)]
+    every += [_states_by_conduct(matrix), _characteristics(matrix), summary(matrix)]
     return [table for table in every if table.lines]
 
 
@@ -49,7 +35,7 @@ def damage(matrix: DefenceMatrix) -> Iterator[TextTable]:
             for count in matrix.names("n_adversaries"):
                 rows = [matrix.row(defence, attack, count, placement) for defence in defences]
                 if any(row is not None for row in rows):
-                    lines.append([str(attack), str(count), *(_cell(row, "damage") for row in rows)])
+                    lines.append([str(attack), str(count), *(_measure(row, "damage") for row in rows)])
         about = (
             "Missed and false objects added per frame to the ego's picture, compared with no attack and no defence. "
             f"Placement of the adversaries: {placement}."
@@ -69,45 +55,26 @@ def summary(matrix: DefenceMatrix) -> TextTable:
         "Over all adversaries above, each with its most harmful budget. False alarms are suspensions of honest agents "
         "in runs without an attack, of as many frames as given."
     )
-    return TextTable("At a glance", about, headings, [_summary(each) for each in matrix.summaries], 1)
-
-
-def measured(each: Measured, digits: int = 2) -> str:
-    """A number with its interval, `3.42 [3.10, 3.80]`, or why there is none, `3.42 (n < 5)`."""
-    if math.isnan(each.value):
-        return DASH
-    if math.isnan(each.low):
-        return f"{number(each.value, digits)} {f'(n < {MIN_SEEDS})' if each.trials < MIN_SEEDS else '(all equal)'}"
-    half = (each.high - each.low) / 2.0
-    if 0.0 < half < 0.01:  # so many decimals that the interval has a width
-        digits = min(5, max(digits, math.ceil(-math.log10(half))))
-    return f"{number(each.value, digits)} [{number(each.low, digits)}, {_end(each.high, digits)}]"
+    return TextTable("Summary", about, headings, [_summary(each) for each in matrix.summaries], 1)
 
 
 def _summary(each: DefenceSummary) -> list[str]:
     return [
         each.defence,
         measured(each.lies_detected, 3),
-        delay(each.median_delay_s),
+        median_delay(each.median_delay_s),
         measured(each.identifiable_removed, 3),
         measured(each.alarms_per_hour),
         f"{each.frames}" if each.frames else DASH,
         measured(each.fn_added, 3),
         measured(each.fp_added, 3),
         _of_runs(each.faults_suspended),
-        _of_runs(each.framed),
+        _of_runs(each.framed_by_minority),
     ]
 
 
-def delay(each: Measured) -> str:
-    """A median delay; if fewer than half were detected, only its lower bound is known."""
-    if not math.isnan(each.value) or each.trials == 0:
-        return measured(each)
-    return f"unknown [{number(each.low)}, \u221e)" if math.isfinite(each.low) else "unknown"
-
-
 def _costs(matrix: DefenceMatrix) -> TextTable:
-    lines = [[row.defence, *(_cell(row, name) for name in _COSTS)] for row in matrix.rows if not row.attack]
+    lines = [[row.defence, *(_measure(row, name) for name in _COSTS)] for row in matrix.rows if not row.attack]
     headings = ["defence", *(MEASURES[name] for name in _COSTS)]
     return TextTable("Cost without an attack", "Compared with no defence, per frame.", headings, lines, 1)
 
@@ -117,44 +84,44 @@ def _detection(matrix: DefenceMatrix) -> TextTable:
     for row in matrix.rows:
         if row.delay is None or row.defence not in matrix.delays:
             continue
-        values = [delay(row.measures[name]) if name == "median_delay_s" else _cell(row, name) for name in _DETECTION]
-        lines.append([*_place(row), _budget(row), *values, f"{row.delay.detections} of {row.delay.watched}"])
+        values = [_measure(row, name) for name in _DETECTION]
+        lines.append([*_cell_of(row), _budget(row), *values, f"{row.delay.detections} of {row.delay.watched}"])
     about = (
         "Lies that an honest agent could notice, and whether their object was withheld or their agent suspended; the "
         "time from the first of them to the suspension of its agent; how many of the liars were suspended."
     )
-    headings = [*_PLACE, "budget", *(MEASURES[name] for name in _DETECTION), "suspended"]
+    headings = [*_CELL, "budget", *(MEASURES[name] for name in _DETECTION), "suspended"]
     return TextTable("Detection", about, headings, lines, 5)
 
 
 def _framing(matrix: DefenceMatrix) -> TextTable:
     judging = {each.defence for each in matrix.summaries}
     rows = [row for row in matrix.rows if row.measures["framed"].trials and row.defence in judging]
-    lines = [[*_place(row), *(_of_runs(row.measures[name]) for name in _FRAMING)] for row in rows]
+    lines = [[*_cell_of(row), *(_of_runs(row.measures[name]) for name in _FRAMING)] for row in rows]
     about = (
         "An honest agent is framed if it is suspended after the first lie of a run. Liars are in the local majority if "
         "they outnumber the honest viewers of at least half of the lies that an honest agent could notice."
     )
-    return TextTable("Framing", about, [*_PLACE, *(MEASURES[name] for name in _FRAMING)], lines, 4)
+    return TextTable("Framing", about, [*_CELL, *(MEASURES[name] for name in _FRAMING)], lines, 4)
 
 
 def _faults(matrix: DefenceMatrix) -> TextTable:
-    rows = [row for row in matrix.rows if any(row.confusion.get("faulty", {}).values())]
-    lines = [[*_place(row), *(_cell(row, name) for name in _FAULTS)] for row in rows]
+    rows = [row for row in matrix.rows if any(row.state_seconds.get("faulty", {}).values())]
+    lines = [[*_cell_of(row), *(_measure(row, name) for name in _FAULTS)] for row in rows]
     about = "Agents with a natural fault that did not lie."
-    return TextTable("Faults", about, [*_PLACE, *(MEASURES[name] for name in _FAULTS)], lines, 4)
+    return TextTable("Faults", about, [*_CELL, *(MEASURES[name] for name in _FAULTS)], lines, 4)
 
 
-def _confusion(matrix: DefenceMatrix) -> TextTable:
+def _states_by_conduct(matrix: DefenceMatrix) -> TextTable:
     """The shares of states for each defence and conduct, over all its cells."""
     states: list[str] = []
     lines = []
-    for defence, conducts in matrix.confusions.items():
+    for defence, conducts in matrix.state_shares.items():
         for conduct, shares in conducts.items():
             states = list(shares)
             lines.append([defence, conduct, *(measured(each, 3) for each in shares.values())])
     about = "Share of the time in which agents were in each state of trust."
-    return TextTable("Honest, faulty or lying", about, ["defence", "conduct", *states], lines, 2)
+    return TextTable("States of trust by conduct", about, ["defence", "conduct", *states], lines, 2)
 
 
 def _characteristics(matrix: DefenceMatrix) -> TextTable:
@@ -163,13 +130,13 @@ def _characteristics(matrix: DefenceMatrix) -> TextTable:
         for each in matrix.rocs
     ]
     headings = ["defence", "AUC", "partial AUC below 1 false alarm/h", "hours"]
-    return TextTable("Suspicion", "One score for each agent and run: its greatest suspicion.", headings, lines, 1)
+    return TextTable("ROC", "One score for each agent and run: its greatest suspicion.", headings, lines, 1)
 
 
-_PLACE = ["defence", "adversary", "n", "placement"]
+_CELL = ["defence", "adversary", "n", "placement"]
 
 
-def _place(row: DefenceRow) -> list[str]:
+def _cell_of(row: DefenceRow) -> list[str]:
     return [row.defence, row.attack or DASH, str(row.n_adversaries), row.placement or DASH]
 
 
@@ -177,17 +144,15 @@ def _budget(row: DefenceRow) -> str:
     return DASH if row.budget is None else f"{row.budget:g}"
 
 
-def _cell(row: DefenceRow | None, name: str) -> str:
+def _measure(row: DefenceRow | None, name: str) -> str:
     if row is None:
         return DASH
     each = row.measures.get(name, Measured())
+    if name == "median_delay_s":
+        return median_delay(each)
     return _of_runs(each) if each.interval == BINOMIAL else measured(each)
 
 
 def _of_runs(each: Measured) -> str:
     """A share of runs, with their number."""
     return measured(each, 3) + (f" of {each.trials}" if each.trials else "")
-
-
-def _end(value: float, digits: int) -> str:
-    return "\u221e" if math.isinf(value) else number(value, digits)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,29 @@ from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config import loading, registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenario.names import name_of_file
-from mast_zenoh.study.defences.natural import PREFIX
+from mast_zenoh.study.defences.fault_presets import PREFIX
 
 #: The name of a class, FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters.
 Choice = str | dict[str, Any]
 
+#: The adversaries of the scenarios of these names: on tracks alone, without a budget and without knowledge.
+COORDINATED, UNCOORDINATED = "coordinated", "uncoordinated"
 
-def parsed(text: str | list[Choice] | tuple[Choice, ...], place: str) -> list[Choice]:
+
+def words(text: str | Sequence[str]) -> list[str]:
+    """The words of a text with commas, or a list; empty text has none."""
+    return [word.strip() for word in text.split(",") if text.strip()] if isinstance(text, str) else list(text)
+
+
+def several(value: Any) -> list[Any]:
+    """A list of one value or several."""
+    return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+def parse_choices(text: str | list[Choice] | tuple[Choice, ...], setting: str) -> list[Choice]:
     """Choices from names separated by commas, or from a Python list of names and dicts; files with absolute paths.
 
-    Empty text has none. place: names the setting in errors. Raises ConfigurationError.
+    Empty text has none. setting: its name, for errors. Raises ConfigurationError.
     """
     choices: Any = text
     if isinstance(text, str):
@@ -29,19 +42,21 @@ def parsed(text: str | list[Choice] | tuple[Choice, ...], place: str) -> list[Ch
             literal = text.lstrip().startswith(("[", "(", "{"))
             choices = ast.literal_eval(text) if literal else text.split(",") if text.strip() else []
         except (ValueError, SyntaxError):
-            raise ConfigurationError(f"{place}: found {text!r}, expected names, or a list of names and dicts") from None
+            raise ConfigurationError(
+                f"{setting}: found {text!r}, expected names, or a list of names and dicts"
+            ) from None
     choices = [choices] if isinstance(choices, Mapping) else choices
     result = []
     for choice in choices:
         name = choice if isinstance(choice, str) else choice.get("type") if isinstance(choice, Mapping) else None
         if not isinstance(name, str) or not name.strip():
-            raise ConfigurationError(f"{place}: found {choice!r}, expected a name, a file or a dict with `type`")
+            raise ConfigurationError(f"{setting}: found {choice!r}, expected a name, a file or a dict with `type`")
         name = _absolute(name.strip())
         result.append(name if isinstance(choice, str) else {**choice, "type": name})
     return result
 
 
-def named(choice: Choice, base: type) -> dict[str, Any]:
+def resolve_choice(choice: Choice, base: type) -> dict[str, Any]:
     """A dict with the name of a class as `type`; its file is loaded.
 
     choice: text may also be that of a dict. Raises ConfigurationError.
@@ -64,13 +79,15 @@ def adversary_base(choice: Choice) -> type:
 
 def has_budget(choice: Choice) -> bool:
     """Whether an adversary has a parameter `budget` that the choice leaves open."""
+    if isinstance(choice, str) and (choice in (COORDINATED, UNCOORDINATED) or choice.startswith(PREFIX)):
+        return False
     base = adversary_base(choice)
-    spec = named(choice, base)
+    spec = resolve_choice(choice, base)
     known = registry.known_types(base).get(spec["type"])
     return known is not None and "budget" not in spec and "budget" in inspect.signature(known).parameters
 
 
-def title(choice: Choice) -> str:
+def short_name(choice: Choice) -> str:
     """A short name for tables: the class, and parameters if there are any."""
     text = choice if isinstance(choice, str) else str(choice["type"])
     if text.startswith(PREFIX):

@@ -18,7 +18,7 @@ from scipy import stats
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.report.defence_rows import BINOMIAL, BOOTSTRAP, NAN, POISSON, Measured
 from mast_zenoh.report.tables.study_rows import MIN_SEEDS
-from mast_zenoh.study.statistics import CONFIDENCE
+from mast_zenoh.study.statistics import CONFIDENCE, clopper_pearson
 
 #: Minimum number of trials for a bootstrap.
 MIN_TRIALS = MIN_SEEDS
@@ -117,9 +117,8 @@ def share_of_trials(happened: float, trials: int) -> Measured:
     """The share of trials in which something happened; NaN without trials."""
     if not trials:
         return Measured()
-    low = stats.beta.ppf(_TAILS[0], happened, trials - happened + 1.0) if happened > 0.0 else 0.0
-    high = stats.beta.ppf(_TAILS[1], happened + 1.0, trials - happened) if happened < trials else 1.0
-    return Measured(happened / trials, float(low), float(high), trials, 0, BINOMIAL)
+    interval = clopper_pearson(happened, trials)
+    return Measured(happened / trials, float(interval.low), float(interval.high), trials, 0, BINOMIAL)
 
 
 def bootstrap(statistic: Callable[[Ints], Floats], count: int) -> tuple[float, float]:

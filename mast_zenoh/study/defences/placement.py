@@ -1,4 +1,4 @@
-"""Which agents are compromised."""
+"""Numbers of agents, and which of them are compromised."""
 
 from __future__ import annotations
 
@@ -19,6 +19,21 @@ from mast_zenoh.streams import stream
 PLACEMENTS = ("poles", "random", "worst")
 #: Lidar returns from which an agent sees an object.
 MIN_RETURNS = 5
+#: Up to so many agents, all but the ego stand on poles.
+_POLES_ALONE = 5
+_MAX_AGENTS = 29
+
+
+def sensors_of(agents: int) -> dict[str, int]:
+    """The parameters of a generated junction with this number of agents, the ego included.
+
+    Poles, and above five agents cars, too: 8 and 4 for 13 agents, 12 and 8 for 21. Raises ConfigurationError for a
+    number of agents that a junction cannot have.
+    """
+    if type(agents) is not int or not 2 <= agents <= _MAX_AGENTS:
+        raise ConfigurationError(f"agents: found {agents!r}, expected whole numbers from 2 to {_MAX_AGENTS}")
+    cars = max(0, (agents - _POLES_ALONE) // 2)
+    return {"n_infrastructure": agents - 1 - cars, "n_mobile": cars}
 
 
 def place(
@@ -46,12 +61,12 @@ def place(
     return _chosen(names, order, count)
 
 
-def by_coverage(points: NDArray[np.int32], min_returns: int = MIN_RETURNS) -> NDArray[np.int64]:
+def by_coverage(points: NDArray[np.int32]) -> NDArray[np.int64]:
     """(a,) agents from the one that covers the most objects to the one that covers the fewest; ties in their order.
 
     points: (n, a) lidar returns of n objects, over all frames, at a agents
     """
-    covered = (np.asarray(points) >= min_returns).sum(axis=0)
+    covered = (np.asarray(points) >= MIN_RETURNS).sum(axis=0)
     return np.argsort(-covered, kind="stable").astype(np.int64)
 
 

@@ -2,33 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mast_zenoh.arrays.states import Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Survival:
-    """Kaplan-Meier estimate (1958, JASA 53:457) of the share that is not detected yet.
-
-    time_s:     (k,) s, ascending, beginning with 0; the last is the longest time observed
-    undetected: (k,) share, 0 to 1, from that time on
-    detections, watched: numbers of detections, and of all that were watched
-    """
-
-    time_s: Floats
-    undetected: Floats
-    detections: int
-    watched: int
-
-    @property
-    def median_s(self) -> float:
-        """s until half are detected; NaN if fewer were, as far as they were watched."""
-        below = self.undetected <= 0.5
-        return float(self.time_s[below.argmax()]) if below.any() else float("nan")
+from mast_zenoh.report.defence_rows import Survival
 
 
 def kaplan_meier(time_s: ArrayLike, detected: ArrayLike) -> Survival:

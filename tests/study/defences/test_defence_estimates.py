@@ -6,10 +6,11 @@ import math
 from typing import Any
 
 import pytest
+from defence_outcomes import outcome
 
 from mast_zenoh.report.defence_rows import BINOMIAL, POISSON, DefenceMatrix, Measured
 from mast_zenoh.study.defences import Cell
-from mast_zenoh.study.defences.estimates import Collection
+from mast_zenoh.study.defences.matrix.collection import MatrixCollection
 
 SEEDS = range(5)
 CELLS = (
@@ -40,13 +41,13 @@ def metrics(
         "suspended_after_s": suspended_after_s,
         "observed_s": None if not trusted else 6.0 if suspended_after_s is None else suspended_after_s,
     }
-    found = suspended_after_s is not None
+    detected = suspended_after_s is not None
     suspension = [] if honest_suspended_s is None else [{"from_s": honest_suspended_s, "conduct": "honest"}]
     content: dict[str, Any] = {
         "frames": 360,
         "agents": {"ego": {"picture": picture}},
         "defence": {
-            "lies": {"all": 4 * lied, "observable": 4 * lied, "detected": 2 * found},
+            "lies": {"all": 4 * lied, "observable": 4 * lied, "detected": 2 * detected},
             "agents": {"liar": liar} if lied else {},
             "false": {"identifiable": fp, "unidentifiable": 0.0},
             "honest_majority": 0.75 if lied else 1.0,
@@ -73,7 +74,7 @@ def metrics(
 
 @pytest.fixture
 def matrix() -> DefenceMatrix:
-    collection = Collection({cell.label: cell for cell in CELLS}, ["junction"], list(SEEDS))
+    collection = MatrixCollection({cell.label: cell for cell in CELLS}, ["junction"], list(SEEDS))
     for seed in SEEDS:
         noise = 0.1 * seed
         trials = {
@@ -85,7 +86,7 @@ def matrix() -> DefenceMatrix:
             Cell("Wall", "Ghost", 1, "worst", 4.0): metrics(noise, trusted=True, lied=True, suspended_after_s=1.0),
         }
         for cell, content in trials.items():
-            collection.add(cell.label, "junction", seed, content)
+            collection.add(outcome(cell.label, "junction", seed, content))
     return collection.matrix()
 
 
@@ -134,10 +135,10 @@ def test_delays_and_characteristics_are_over_all_trials_of_a_defence(matrix: Def
 
 
 def test_a_failed_trial_is_left_out() -> None:
-    collection = Collection({cell.label: cell for cell in CELLS[:2]}, ["junction"], [0, 1])
-    collection.add(CELLS[0].label, "junction", 0, metrics(1.0))
-    collection.add(CELLS[1].label, "junction", 0, metrics(2.0, trusted=True))
-    collection.add(CELLS[1].label, "junction", 1, metrics(9.0, trusted=True))
+    collection = MatrixCollection({cell.label: cell for cell in CELLS[:2]}, ["junction"], [0, 1])
+    collection.add(outcome(CELLS[0].label, "junction", 0, metrics(1.0)))
+    collection.add(outcome(CELLS[1].label, "junction", 0, metrics(2.0, trusted=True)))
+    collection.add(outcome(CELLS[1].label, "junction", 1, metrics(9.0, trusted=True)))
     added = collection.matrix().rows[1].measures["fp_added"]
     assert (added.value, added.trials, added.left_out) == (1.0, 1, 1)
 
@@ -158,12 +159,12 @@ def played(*contents: dict[str, Any], cell: Cell = CELLS[-1]) -> DefenceMatrix:
     """A matrix of one attacked cell of `Wall`, a seed for each metrics.json, and the runs that it is compared with."""
     undefended = Cell("NoIntegrity", cell.attack, cell.n_adversaries, cell.placement, cell.budget)
     cells = {each.label: each for each in (Cell("NoIntegrity"), Cell("Wall"), undefended, cell)}
-    collection = Collection(cells, ["junction"], range(len(contents)))
+    collection = MatrixCollection(cells, ["junction"], range(len(contents)))
     for seed, content in enumerate(contents):
         for each in cells.values():
             trusted = each.defence == "Wall"
             other = metrics(3.0 if each.attack else 1.0, trusted=trusted, lied=bool(each.attack) and not cell.is_fault)
-            collection.add(each.label, "junction", seed, content if each == cell else other)
+            collection.add(outcome(each.label, "junction", seed, content if each == cell else other))
     return collection.matrix()
 
 
@@ -184,7 +185,7 @@ def test_framing_by_a_local_majority_is_counted_apart() -> None:
     minority, majority = (measure(matrix, "Wall", f"framed_by_{group}") for group in ("minority", "majority"))
     assert (minority.value, minority.trials) == (pytest.approx(1 / 3), 3)
     assert (majority.value, majority.trials) == (1.0, 2)
-    assert matrix.summaries[0].framed == minority
+    assert matrix.summaries[0].framed_by_minority == minority
 
 
 def test_a_run_with_faults_alone_that_suspends_an_agent_is_wrong_and_not_framing() -> None:
@@ -209,20 +210,20 @@ def test_the_summary_has_the_alarms_of_unattacked_runs_and_their_frames(matrix: 
 
 def test_the_runs_of_one_scene_and_seed_are_one_trial_of_a_defence() -> None:
     cells = [Cell("NoIntegrity"), *(Cell("Wall", attack, 1, "worst") for attack in ("a", "b", "c"))]
-    collection = Collection({cell.label: cell for cell in cells}, ["junction"], SEEDS)
+    collection = MatrixCollection({cell.label: cell for cell in cells}, ["junction"], SEEDS)
     for seed in SEEDS:
         for cell in cells:
             content = metrics(1.0, trusted=cell.defence == "Wall", lied=bool(cell.attack))
-            collection.add(cell.label, "junction", seed, content)
+            collection.add(outcome(cell.label, "junction", seed, content))
     (summary,) = collection.matrix().summaries
-    assert (summary.framed.value, summary.framed.trials) == (0.0, 15)
-    assert summary.framed.high == pytest.approx(1.0 - 0.025 ** (1 / 5))
+    assert (summary.framed_by_minority.value, summary.framed_by_minority.trials) == (0.0, 15)
+    assert summary.framed_by_minority.high == pytest.approx(1.0 - 0.025 ** (1 / 5))
 
 
 def test_the_time_in_each_state_is_a_share_with_an_interval(matrix: DefenceMatrix) -> None:
-    assert set(matrix.confusions["Wall"]) == {"honest"}
-    assert matrix.confusions["Wall"]["honest"]["suspended"].value == pytest.approx(0.1)
-    assert matrix.confusions["NoIntegrity"] == {}
+    assert set(matrix.state_shares["Wall"]) == {"honest"}
+    assert matrix.state_shares["Wall"]["honest"]["suspended"].value == pytest.approx(0.1)
+    assert matrix.state_shares["NoIntegrity"] == {}
 
 
 def test_an_unknown_median_delay_has_at_most_a_lower_bound() -> None:

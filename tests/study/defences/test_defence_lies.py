@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.study.defences.lies import detected_lies
+from mast_zenoh.study.defences.matrix.trial import detected_lies
 
 
 def lies(*rows: tuple[int, str, str, int, bool]) -> dict[str, Any]:
@@ -23,26 +23,26 @@ NEVER = [False] * 3
 
 
 def test_a_lie_is_all_that_one_agent_tells_about_one_object() -> None:
-    told = lies((1, "a", "inserted", 7, True), (2, "a", "inserted", 7, True), (2, "b", "inserted", 7, False))
-    assert detected_lies(told, np.array(NEVER), np.array(NEVER)) == {"all": 2, "observable": 1, "detected": 0}
+    claims = lies((1, "a", "inserted", 7, True), (2, "a", "inserted", 7, True), (2, "b", "inserted", 7, False))
+    assert detected_lies(claims, np.array(NEVER), np.array(NEVER)) == {"all": 2, "observable": 1, "detected": 0}
 
 
 def test_withholding_the_object_detects_the_lie() -> None:
-    told = lies((1, "a", "inserted", 7, True), (2, "a", "inserted", 7, True), (2, "a", "inserted", 8, True))
-    counts = detected_lies(told, np.array([False, True, False]), np.array(NEVER))
+    claims = lies((1, "a", "inserted", 7, True), (2, "a", "inserted", 7, True), (2, "a", "inserted", 8, True))
+    counts = detected_lies(claims, np.array([False, True, False]), np.array(NEVER))
     assert counts == {"all": 2, "observable": 2, "detected": 1}
 
 
 def test_a_detection_before_the_lie_was_observable_is_chance() -> None:
-    told = lies((1, "a", "inserted", 7, False), (2, "a", "inserted", 7, True), (3, "a", "inserted", 7, False))
-    assert detected_lies(told, np.array([True, False, False]), np.array(NEVER))["detected"] == 0
-    assert detected_lies(told, np.array([False, False, True]), np.array(NEVER))["detected"] == 1
+    claims = lies((1, "a", "inserted", 7, False), (2, "a", "inserted", 7, True), (3, "a", "inserted", 7, False))
+    assert detected_lies(claims, np.array([True, False, False]), np.array(NEVER))["detected"] == 0
+    assert detected_lies(claims, np.array([False, False, True]), np.array(NEVER))["detected"] == 1
 
 
 def test_a_removed_object_is_detected_by_suspension_alone() -> None:
-    told = lies((1, "a", "removed", 7, True), (2, "a", "removed", 7, True), (3, "a", "removed", 7, True))
-    assert detected_lies(told, np.array([True] * 3), np.array(NEVER))["detected"] == 0
-    assert detected_lies(told, np.array(NEVER), np.array([False, True, False]))["detected"] == 1
+    claims = lies((1, "a", "removed", 7, True), (2, "a", "removed", 7, True), (3, "a", "removed", 7, True))
+    assert detected_lies(claims, np.array([True] * 3), np.array(NEVER))["detected"] == 0
+    assert detected_lies(claims, np.array(NEVER), np.array([False, True, False]))["detected"] == 1
 
 
 def test_a_run_without_lies_has_none() -> None:

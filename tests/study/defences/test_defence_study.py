@@ -14,9 +14,10 @@ from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
-from mast_zenoh.study import definition, identity, plan, trial
-from mast_zenoh.study.defences import PLACEMENTS, place, records
-from mast_zenoh.study.defences.natural import FAULTS
+from mast_zenoh.study import definition, identity, plan, trial_run
+from mast_zenoh.study.defences import PLACEMENTS, place
+from mast_zenoh.study.defences.fault_presets import FAULTS
+from mast_zenoh.study.defences.matrix import records
 
 DEFENCE = """
 from mast_zenoh.integrity import NoIntegrity
@@ -98,7 +99,7 @@ def test_without_adversaries_or_faults_no_scene_is_recorded_for_their_placement(
 ) -> None:
     frames: list[int | None] = []
     prepare = scenes.prepare
-    monkeypatch.setattr(scenes, "prepare", lambda *given: (frames.append(given[2]), prepare(*given))[1])
+    monkeypatch.setattr(scenes, "prepare", lambda *arguments: (frames.append(arguments[2]), prepare(*arguments))[1])
     settings = ["scene=intersection:4", "placement=worst", "placement_frames=9"]
     scenario.load("defence_cell", [*settings, "n_adversaries=0"])
     assert set(frames) == {1}, "for the agents' names"
@@ -107,9 +108,9 @@ def test_without_adversaries_or_faults_no_scene_is_recorded_for_their_placement(
 
 
 def test_an_unattacked_trial_writes_no_run_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trial, "_run_in_folder", lambda *_: pytest.fail("recorded"))
+    monkeypatch.setattr(trial_run, "_run_in_folder", lambda *_: pytest.fail("recorded"))
     (alone,) = trials("adversaries=", "defences=NoIntegrity")
-    outcome = trial.run(alone)
+    outcome = trial_run.run(alone)
     assert outcome.error == ""
     assert outcome.metrics["defence"] == records.NO_LIES
     assert outcome.metrics["integrity"]["hours"] == pytest.approx(8 * 0.1 / 3600.0)
@@ -117,9 +118,9 @@ def test_an_unattacked_trial_writes_no_run_folder(monkeypatch: pytest.MonkeyPatc
 
 def test_an_unattacked_trial_has_the_metrics_of_a_recorded_one(monkeypatch: pytest.MonkeyPatch) -> None:
     (alone,) = trials("adversaries=", "defences=NoIntegrity")
-    outcome = trial.run(alone)
-    monkeypatch.setattr(trial, "_is_disturbed", lambda _: True)
-    recorded = trial.run(alone)
+    outcome = trial_run.run(alone)
+    monkeypatch.setattr(trial_run, "_is_disturbed", lambda _: True)
+    recorded = trial_run.run(alone)
     same = {name: part for name, part in outcome.metrics.items() if name != "defence"}
     assert json.loads(json.dumps(same)) == {name: recorded.metrics[name] for name in same}
     assert recorded.metrics["defence"].items() >= records.NO_LIES.items()

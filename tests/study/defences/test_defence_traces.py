@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh.study.defences.lies import outnumbered
-from mast_zenoh.study.defences.traces import MAX_AGENTS, panel, suspends, trace
+from mast_zenoh.study.defences.matrix.traces import MAX_AGENTS, panel, suspends, trace
+from mast_zenoh.study.defences.matrix.trial import outnumbered
 
 
 def kept(**changes: Any) -> dict[str, Any]:
@@ -23,9 +23,9 @@ def test_of_many_agents_those_that_lie_fail_or_are_suspended_are_shown() -> None
     agents["agent_6"] = kept(lies=[[1.0, 2.0]])
     agents["agent_7"] = kept(faults=[["Loss", 1.0, 2.0]])
     agents["agent_8"] = kept(states={"faulty": [], "suspended": [[1.0, 2.0]]})
-    shown = panel({"end_s": 3.0, "agents": agents}, "title")
-    assert [agent.agent for agent in shown.agents] == ["agent_0", "agent_1", "agent_6", "agent_7", "agent_8"]
-    assert (len(shown.agents), shown.left_out) == (MAX_AGENTS, 4)
+    drawn = panel({"end_s": 3.0, "agents": agents}, "title")
+    assert [agent.agent for agent in drawn.agents] == ["agent_0", "agent_1", "agent_6", "agent_7", "agent_8"]
+    assert (len(drawn.agents), drawn.left_out) == (MAX_AGENTS, 4)
     assert suspends({"agents": agents})
     assert not suspends({"agents": {"agent_0": kept()}})
 
@@ -43,10 +43,10 @@ def test_a_trace_survives_json_and_has_lies_and_suspensions(run: mast.Run) -> No
     content = trace(run.path)
     assert content is not None
     content = json.loads(json.dumps(content, allow_nan=False))
-    shown = panel(content, "title")
-    agents = {agent.agent: agent for agent in shown.agents}
+    drawn = panel(content, "title")
+    agents = {agent.agent: agent for agent in drawn.agents}
     assert list(agents) == ["ego", "infra_1", "infra_2", "infra_3", "infra_4"]
-    assert shown.end_s == pytest.approx(4.0)
+    assert drawn.end_s == pytest.approx(4.0)
     (begin, end), *_ = agents["infra_1"].lies
     assert begin == pytest.approx(2.0, abs=0.3)
     assert suspends(content)

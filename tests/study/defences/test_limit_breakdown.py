@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from defence_outcomes import outcome
 
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError
@@ -15,8 +16,8 @@ from mast_zenoh.report.figures.breakdown import figure_of_breakdown
 from mast_zenoh.report.limit_rows import BreakdownTable
 from mast_zenoh.report.tables import breakdown as tables
 from mast_zenoh.study import definition
-from mast_zenoh.study.defences.breakdown import BreakdownCollection
-from mast_zenoh.study.defences.limits import BreakdownCell, sensors_of
+from mast_zenoh.study.defences import BreakdownCell, sensors_of
+from mast_zenoh.study.defences.breakdown.collection import BreakdownCollection
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 
@@ -56,16 +57,21 @@ def table(*trials: tuple[int, str, dict[str, Any], tuple[int, int]]) -> Breakdow
     cells = [BreakdownCell("Lie" if liars else "", 5, liars, 0.5) for liars in sorted({each[0] for each in trials})]
     if not any(cell.liars for cell in cells):
         cells.append(BreakdownCell("Lie", 5, 4, 0.5))
-    collection = BreakdownCollection({cell.label: cell for cell in cells}, "size")
+    collection = BreakdownCollection({cell.label: cell for cell in cells}, ["a"], [0])
     for liars, scene, content, errors in trials:
         label = next(cell.label for cell in cells if cell.liars == liars)
-        collection.add(label, (scene, 0), content, per_frame(*errors))
+        collection.add(outcome(label, scene, 0, content, per_frame(*errors)))
     return collection.table()
 
 
 def test_a_picture_worse_than_the_ego_alone_is_broken() -> None:
-    alone, worse = table((0, "a", metrics(0), (2, 4)), (1, "a", metrics(1), (5, 4))).rows
-    assert (alone.broken.value, worse.broken.value, worse.worse.value, worse.framed.value) == (0.0, 1.0, 1.0, 0.0)
+    without_liars, worse = table((0, "a", metrics(0), (2, 4)), (1, "a", metrics(1), (5, 4))).rows
+    assert (without_liars.broken.value, worse.broken.value, worse.worse.value, worse.honest_first.value) == (
+        0.0,
+        1.0,
+        1.0,
+        0.0,
+    )
 
 
 def test_an_honest_agent_suspended_before_any_liar_is_broken() -> None:
@@ -75,30 +81,30 @@ def test_an_honest_agent_suspended_before_any_liar_is_broken() -> None:
     only = metrics(1, {"ego": 0.7})
     trials = [(1, name, each, (0, 4)) for name, each in zip("abcd", (before, after, together, only), strict=True)]
     (row,) = table(*trials).rows
-    assert (row.trials, row.framed.value, row.suspended) == (4, 0.5, 0.25)
+    assert (row.trials, row.honest_first.value, row.honest_suspended) == (4, 0.5, 0.25)
 
 
 def test_a_false_alarm_that_happens_without_liars_too_was_not_caused_by_them() -> None:
     alarm = metrics(0, {"ego": 0.7})
-    alone, same, earlier = table(
+    without_liars, same, earlier = table(
         (0, "a", alarm, (0, 4)),
         (1, "a", metrics(1, {"ego": 0.7}), (0, 4)),
         (2, "a", metrics(2, {"ego": 0.6}), (0, 4)),
     ).rows
-    assert (alone.framed.value, alone.suspended) == (0.0, 0.2)
-    assert (same.framed.value, same.suspended) == (0.0, 0.25)
-    assert earlier.framed.value == 1.0
+    assert (without_liars.honest_first.value, without_liars.honest_suspended) == (0.0, 0.2)
+    assert (same.honest_first.value, same.honest_suspended) == (0.0, 0.25)
+    assert earlier.honest_first.value == 1.0
 
 
 def test_the_breakdown_point_is_between_the_shares_around_one_half() -> None:
     # Six scenes: none is broken with one liar of five, half with two, all with three.
     broken, fine = (5, 4), (0, 4)
-    found = table(
+    result = table(
         *[(1, scene, metrics(1, majority=0.9), fine) for scene in "abcdef"],
         *[(2, scene, metrics(2, majority=0.6), broken if scene in "bdf" else fine) for scene in "abcdef"],
         *[(3, scene, metrics(3, majority=0.2), broken) for scene in "abcdef"],
     )
-    point = found.points["Lie", 5]
+    point = result.points["Lie", 5]
     assert point.point.value == pytest.approx(0.4)
     assert point.bound.value == pytest.approx(0.45), "a quarter of the way from 40 to 80 % without an honest majority"
     assert point.difference.value == pytest.approx(-0.05)
@@ -107,11 +113,14 @@ def test_the_breakdown_point_is_between_the_shares_around_one_half() -> None:
 
 
 def test_a_defence_that_never_breaks_has_a_point_beyond_what_was_tried() -> None:
-    found = table(*[(liars, "a", metrics(liars, majority=0.2), (0, 4)) for liars in (1, 2)])
-    assert found.points["Lie", 5].point.value == math.inf
-    assert "| Lie | 5 | > 40 | 20 | > 20 |" in tables.as_markdown(found)
-    assert "Lie,5,,,breakdown_point,inf,," in tables.as_csv(found)
-    assert "above 40 %" in figure_of_breakdown(found).alt
+    result = table(*[(liars, "a", metrics(liars, majority=0.2), (0, 4)) for liars in (1, 2)])
+    assert result.points["Lie", 5].point.value == math.inf
+    assert "| Lie | 5 | > 40 | 20 | > 20 |" in tables.as_markdown(result)
+    assert "Lie,5,,,breakdown_point,inf,," in tables.as_csv(result)
+    latex = tables.as_latex(result)
+    assert r"Lie & 5 & $>$ 40 & 20 & $>$ 20 \\" in latex
+    assert all(line.isascii() for line in latex.splitlines() if not line.startswith("%"))
+    assert "above 40 %" in figure_of_breakdown(result).alt
 
 
 def test_the_numbers_of_liars_surround_the_bound() -> None:

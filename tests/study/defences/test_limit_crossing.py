@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.study.defences.crossing import crossing
+from mast_zenoh.study.defences.breakdown.crossing import crossing
 
 
 def test_a_crossing_lies_between_its_neighbours() -> None:
@@ -35,8 +35,8 @@ def test_a_crossing_of_nothing_is_refused() -> None:
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=10))
 def test_a_crossing_is_never_before_a_point_below_the_level(shares: list[float]) -> None:
     x = np.arange(len(shares), dtype=float)
-    found = crossing(x, shares)
+    crossed = crossing(x, shares)
     reached = [index for index, each in enumerate(shares) if each >= 0.5 - 1e-12]
-    assert (found == math.inf) == (not reached)
+    assert (crossed == math.inf) == (not reached)
     if reached:
-        assert max(0, reached[0] - 1) <= found <= reached[0]
+        assert max(0, reached[0] - 1) <= crossed <= reached[0]

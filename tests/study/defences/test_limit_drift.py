@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from defence_outcomes import outcome
 
 import mast_zenoh as mast
 from mast_zenoh import scenario
@@ -14,8 +15,8 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.report.limit_rows import DriftRow
 from mast_zenoh.report.tables import drift as tables
 from mast_zenoh.study import definition, plan
-from mast_zenoh.study.defences.drift import DriftCollection
-from mast_zenoh.study.defences.limits import DriftCell
+from mast_zenoh.study.defences import DriftCell
+from mast_zenoh.study.defences.drift.collection import DriftCollection
 
 OFFSET, DRIFT = DriftCell(0.5), DriftCell(2.0, 0.1)
 
@@ -38,9 +39,9 @@ def trial(suspended_s: float | None, viewers: int = 2, frames: int = 201) -> dic
 
 def rows(cell: DriftCell, *trials: dict[str, Any]) -> dict[str, DriftRow]:
     """The rows by number of viewers."""
-    collection = DriftCollection({cell.label: cell}, "size")
+    collection = DriftCollection({cell.label: cell}, ["junction"], [0])
     for each in trials:
-        collection.add(cell.label, each)
+        collection.add(outcome(cell.label, "junction", 0, {"defence": each}))
     return {row.viewers: row for row in collection.table().rows}
 
 
@@ -72,7 +73,7 @@ def test_the_offset_of_a_drift_is_that_at_the_suspension() -> None:
     assert row.floor_m == pytest.approx(0.1 * row.floor_s)
 
 
-def test_whole_runs_count_from_the_first_lie_whoever_saw_it() -> None:
+def test_whole_runs_count_from_the_first_lie_regardless_of_viewers() -> None:
     row = rows(OFFSET, trial(5.0, viewers=0), trial(None, viewers=0))[""]
     assert (row.episodes, row.detected, row.delay_s.value) == (2, 1, pytest.approx(1.0))
 
@@ -80,19 +81,22 @@ def test_whole_runs_count_from_the_first_lie_whoever_saw_it() -> None:
 def test_a_run_without_a_lie_counts_nowhere() -> None:
     nothing = {"first_lie_s": None, "suspended_s": None, "end_s": 24.0}
     empty: dict[str, list[float]] = {name: [] for name in ("time_s", "track", "viewers", "offset_m")}
-    found = rows(OFFSET, nothing | {"displaced": empty})
-    assert all(row.episodes == row.trials == 0 for row in found.values())
-    assert not found["2 or more"].delay_s.known
+    by_viewers = rows(OFFSET, nothing | {"displaced": empty})
+    assert all(row.episodes == row.trials == 0 for row in by_viewers.values())
+    assert not by_viewers["2 or more"].delay_s.known
 
 
 def test_what_fewer_than_half_notice_is_not_reached() -> None:
-    collection = DriftCollection({OFFSET.label: OFFSET}, "size")
+    collection = DriftCollection({OFFSET.label: OFFSET}, ["junction"], [0])
     for suspended_s in (8.0, None, None):
-        collection.add(OFFSET.label, trial(suspended_s))
+        collection.add(outcome(OFFSET.label, "junction", 0, {"defence": trial(suspended_s)}))
     table = collection.table()
     assert math.isinf(next(row for row in table.rows if row.viewers == "2").delay_s.value)
     assert "not reached" in tables.as_markdown(table)
     assert ",inf," in tables.as_csv(table)
+    latex = tables.as_latex(table)
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 2
+    assert "not reached & " in latex
 
 
 def test_the_liar_moves_one_object_and_hears_nothing_of_its_suspension() -> None:

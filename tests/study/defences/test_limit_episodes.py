@@ -5,18 +5,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.study.defences.episodes import Episode, Group, episodes
+from mast_zenoh.study.defences.drift.episodes import Episode, ViewerRange, episodes
 
 PERIOD_S = 0.1
-TWO, TWO_OR_MORE, ANY = Group(2, 2), Group(2, None), Group(1, None)
+TWO, TWO_OR_MORE, ANY = ViewerRange(2, 2), ViewerRange(2, None), ViewerRange(1, None)
 
 
-def of(viewers: str, suspended_s: float | None = None, group: Group = TWO, start_s: float = 4.0) -> list[Episode]:
+def of(
+    viewers: str, suspended_s: float | None = None, viewer_range: ViewerRange = TWO, start_s: float = 4.0
+) -> list[Episode]:
     """Episodes of one track; viewers: the number in each frame, "-" where it is not displaced."""
     frames = [(index, int(each)) for index, each in enumerate(viewers) if each != "-"]
     times = [start_s + index * PERIOD_S for index, _ in frames]
     offset = [0.1 * (index + 1) for index, _ in frames]
-    return episodes(times, [7] * len(frames), [count for _, count in frames], offset, suspended_s, group)
+    return episodes(times, [7] * len(frames), [count for _, count in frames], offset, suspended_s, viewer_range)
 
 
 def test_an_episode_ends_with_the_suspension() -> None:
@@ -50,21 +52,21 @@ def test_another_number_of_viewers_ends_it_after_half_a_second() -> None:
 def test_a_clock_starts_only_where_nothing_was_known_before() -> None:
     assert of("3333" + "2" * 11) == [], "three agents saw it before"
     assert of("1111" + "2" * 11)[0].length_s == 1.0, "one witness decides nothing"
-    assert of("0000" + "1" * 11, group=Group(1, 1))[0].length_s == 1.0
-    assert of("2222" + "1" * 11, group=Group(1, 1)) == []
+    assert of("0000" + "1" * 11, viewer_range=ViewerRange(1, 1))[0].length_s == 1.0
+    assert of("2222" + "1" * 11, viewer_range=ViewerRange(1, 1)) == []
 
 
-def test_an_open_group_goes_on_while_viewers_change() -> None:
-    (episode,) = of("22223334441112222", group=TWO_OR_MORE)
+def test_an_open_range_goes_on_while_viewers_change() -> None:
+    (episode,) = of("22223334441112222", viewer_range=TWO_OR_MORE)
     assert episode.length_s == 1.6
-    (episode,) = of("1" * 10 + "8" * 10, group=ANY)
+    (episode,) = of("1" * 10 + "8" * 10, viewer_range=ANY)
     assert episode.speed_up == pytest.approx(1.5), "one witness, then eight: mean of 1 and 2"
 
 
 def test_each_track_has_its_own_clock() -> None:
     times = [4.0, 4.1, 4.2, 5.0, 5.1, 5.2]
-    found = episodes(times, [1, 1, 1, 2, 2, 2], [2] * 6, [0.5] * 6, 5.1, TWO)
-    assert [(each.watched_s, each.detected) for each in found] == [(0.2, False), (0.1, True)]
+    result = episodes(times, [1, 1, 1, 2, 2, 2], [2] * 6, [0.5] * 6, 5.1, TWO)
+    assert [(each.watched_s, each.detected) for each in result] == [(0.2, False), (0.1, True)]
 
 
 def test_only_what_lasts_long_enough_is_judged() -> None:

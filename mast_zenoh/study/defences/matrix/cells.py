@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.study.defences.choices import Choice, has_budget, title
-from mast_zenoh.study.defences.natural import PREFIX, check_fault
+from mast_zenoh.study.defences.choices import Choice, has_budget, short_name
+from mast_zenoh.study.defences.fault_presets import PREFIX, check_fault
 from mast_zenoh.study.defences.placement import PLACEMENTS
 
 #: The command centre without a defence: the reference of all others.
 UNDEFENDED = "NoIntegrity"
-#: The adversaries of the scenarios of these names; they have no budget.
-WITHOUT_BUDGET = ("coordinated", "uncoordinated")
 #: Label of the configuration without defence and without attack.
 BASELINE = f"{UNDEFENDED} alone"
 
@@ -27,8 +25,6 @@ class Cell:
     n_adversaries, placement: how many agents are compromised, and which (`placement.PLACEMENTS`)
     budget:          lies per second of each adversary; None: the attack's own, or it has none
     """
-
-    evaluation: ClassVar[str] = "lies"
 
     defence: str
     attack: str = ""
@@ -56,7 +52,7 @@ class Cell:
         return f"{self.defence} {attack} {self.n_adversaries} {self.placement}{budget}"
 
 
-def matrix(
+def matrix_study(
     *,
     defences: Sequence[Choice],
     adversaries: Sequence[Choice],
@@ -64,7 +60,6 @@ def matrix(
     placements: Sequence[str],
     budgets: Sequence[float | None],
     parameters: Mapping[str, Any],
-    scenario: str = "defence_cell",
 ) -> dict[str, Any]:
     """The keys `runs`, `cells` and `baseline` of a study of every defence against every adversary.
 
@@ -89,15 +84,9 @@ def matrix(
         own: dict[str, Any] = {"defence": defence, "n_adversaries": cell.n_adversaries}
         if attack is not None:
             own |= _attacked(cell, attack)
-        runs[cell.label] = {"scenario": scenario, "parameters": {**parameters, **own}}
+        runs[cell.label] = {"scenario": "defence_cell", "parameters": {**parameters, **own}}
         cells[cell.label] = cell
     return {"runs": runs, "cells": cells, "baseline": BASELINE}
-
-
-def _has_budget(attack: Choice) -> bool:
-    if isinstance(attack, str) and (attack in WITHOUT_BUDGET or attack.startswith(PREFIX)):
-        return False
-    return has_budget(attack)
 
 
 def _attacked(cell: Cell, attack: Choice) -> dict[str, Any]:
@@ -118,10 +107,10 @@ def _cells(
 ) -> Iterator[tuple[Cell, Choice, Choice | None]]:
     """The cells, each with its defence and its attack."""
     for defence in defences:
-        yield Cell(title(defence)), defence, None
+        yield Cell(short_name(defence)), defence, None
         for attack in adversaries:
-            own_budgets = budgets if _has_budget(attack) else (None,)
+            own_budgets = budgets if has_budget(attack) else (None,)
             for count in sorted({*counts} - {0}):
                 for placement in placements:
                     for budget in own_budgets:
-                        yield Cell(title(defence), title(attack), count, placement, budget), defence, attack
+                        yield Cell(short_name(defence), short_name(attack), count, placement, budget), defence, attack

@@ -13,9 +13,9 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.trust import auc, partial_auc, roc
-from mast_zenoh.report.defence_rows import DefenceRoc, DelayCurve, Measured
+from mast_zenoh.report.defence_rows import DefenceRoc, Measured, Survival
 from mast_zenoh.study.defences import intervals
-from mast_zenoh.study.defences.records import TrialRecord
+from mast_zenoh.study.defences.matrix.records import TrialRecord
 from mast_zenoh.study.defences.survival import kaplan_meier
 
 #: False alarms per hour below which the partial area under the characteristic is taken.
@@ -42,17 +42,16 @@ def median_delay(groups: Groups) -> Measured:
         value = kaplan_meier(drawn[:, 0], drawn[:, 1]).median_s
         return math.inf if math.isnan(value) else value
 
-    found = intervals.pooled(median, len(delays))
-    return found._replace(value=math.nan) if math.isinf(found.value) else found
+    measured = intervals.pooled(median, len(delays))
+    return measured._replace(value=math.nan) if math.isinf(measured.value) else measured
 
 
-def delay_curve(groups: Groups) -> DelayCurve | None:
+def delay_curve(groups: Groups) -> Survival | None:
     """The share of liars not suspended yet; None: nobody lied, or nobody was judged."""
     delays = np.concatenate([np.zeros((0, 2)), *_delays(groups)])
     if not len(delays):
         return None
-    curve = kaplan_meier(delays[:, 0], delays[:, 1])
-    return DelayCurve(curve.time_s, curve.undetected, curve.median_s, curve.detections, curve.watched)
+    return kaplan_meier(delays[:, 0], delays[:, 1])
 
 
 def alarms_per_hour(groups: Groups, *, faulty: bool = False) -> Measured:
@@ -81,9 +80,9 @@ def shares_of_runs(groups: Groups, *, lies: bool) -> dict[str, Measured]:
     }
 
 
-def confusion(groups: Groups) -> dict[str, dict[str, Measured]]:
+def state_shares(groups: Groups) -> dict[str, dict[str, Measured]]:
     """By conduct and state of trust, the share of the time with this conduct."""
-    conducts = dict.fromkeys(name for group in groups for record in group for name in record.confusion)
+    conducts = dict.fromkeys(name for group in groups for record in group for name in record.state_seconds)
     return {conduct: shares for conduct in conducts if (shares := _states(groups, conduct))}
 
 
@@ -117,7 +116,9 @@ def _delays(groups: Groups) -> list[Floats]:
 
 def _states(groups: Groups, conduct: str) -> dict[str, Measured]:
     """The shares of states; {} if no agent behaved like this."""
-    seconds = [[record.confusion[conduct] for record in group if conduct in record.confusion] for group in groups]
+    seconds = [
+        [record.state_seconds[conduct] for record in group if conduct in record.state_seconds] for group in groups
+    ]
     states = dict.fromkeys(state for group in seconds for each in group for state in each)
     sums = {state: np.array([sum(each[state] for each in group) for group in seconds]) for state in states}
     whole = np.sum(list(sums.values()), axis=0)

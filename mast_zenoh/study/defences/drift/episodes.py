@@ -2,8 +2,8 @@
 
 The clock of an object starts at the first frame in which enough honest agents see it while it is displaced, so that
 nothing was known of it before. It stops when the liar is suspended: a detection. It ends without a detection (censored)
-when the object is no longer displaced, when the number of honest viewers leaves the range of the group, or with the
-run. Interruptions up to GAP_S do not count, as five returns come and go, and tracks outlive them.
+when the object is no longer displaced, when the number of honest viewers leaves the range, or with the run.
+Interruptions up to GAP_S do not count, as five returns come and go, and tracks outlive them.
 
 When an episode ends does not depend on the defence, as the attack does not hear of its suspension. So nothing is
 selected by leaving out episodes that could not last long enough.
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.study.defences.floor import speed_up
+from mast_zenoh.study.defences.drift.floor import speed_up
 
 #: s, longest interruption within an episode.
 GAP_S = 0.5
@@ -29,8 +29,8 @@ _ROUNDING_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
-    """Episodes with at least `least` and at most `most` honest viewers (None: any number)."""
+class ViewerRange:
+    """A range of numbers of honest viewers: at least `least`, at most `most` (None: any number)."""
 
     least: int
     most: int | None
@@ -74,7 +74,7 @@ def episodes(
     viewers: ArrayLike,
     offset_m: ArrayLike,
     suspended_s: float | None,
-    group: Group,
+    viewer_range: ViewerRange,
 ) -> list[Episode]:
     """The episodes of one run in order of their beginning, at most one for each track of the liar.
 
@@ -84,25 +84,25 @@ def episodes(
     times, ids = np.asarray(time_s, np.float64), np.asarray(track)
     seen_by, offset = np.asarray(viewers, np.int64), np.asarray(offset_m, np.float64)
     end_s = math.inf if suspended_s is None else suspended_s
-    found = []
+    result = []
     for each in dict.fromkeys(ids.tolist()):
         rows = np.flatnonzero(ids == each)
         rows = rows[np.argsort(times[rows], kind="stable")]
-        period = _period(times, rows, seen_by[rows], group)
+        period = _period(times, rows, seen_by[rows], viewer_range)
         if period is not None and times[period[0]] < end_s - _ROUNDING_S:
-            found.append((float(times[period[0]]), _episode(times[period], seen_by[period], offset[period], end_s)))
-    return [episode for _, episode in sorted(found, key=lambda pair: pair[0])]
+            result.append((float(times[period[0]]), _episode(times[period], seen_by[period], offset[period], end_s)))
+    return [episode for _, episode in sorted(result, key=lambda pair: pair[0])]
 
 
-def _period(times: Floats, rows: Ints, seen_by: Ints, group: Group) -> Ints | None:
+def _period(times: Floats, rows: Ints, seen_by: Ints, viewer_range: ViewerRange) -> Ints | None:
     """The rows of a track's episode; None if it has none, or was known before."""
-    inside = seen_by >= group.least
-    if group.most is not None:
-        inside &= seen_by <= group.most
+    inside = seen_by >= viewer_range.least
+    if viewer_range.most is not None:
+        inside &= seen_by <= viewer_range.most
     if not inside.any():
         return None
     first = int(inside.argmax())
-    if (seen_by[:first] >= min(DECISIVE, group.least)).any():
+    if (seen_by[:first] >= min(DECISIVE, viewer_range.least)).any():
         return None
     last = first
     for index in _followers(inside, first):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,12 @@ from mast_zenoh.api.runs import Run
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.tables import from_arrow
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.bound import honest_majority
-from mast_zenoh.study.defences.traces import trace
+from mast_zenoh.study.defences.matrix.traces import trace
+from mast_zenoh.study.numbers import ego, scored_frames
 
 #: m, from a false object on the wires to the one of the command centre or of the picture that stands for it.
 GATE_M = 2.0
@@ -27,9 +27,12 @@ GATE_M = 2.0
 _Columns = Mapping[str, NDArray[Any]]
 
 
-def evaluate(folder: Path, metrics: Mapping[str, Any]) -> dict[str, Any]:
+def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
     """The part `defence` of a trial's metrics, from its run folder.
 
+    compromised: names of the agents with an adversary, whether it lied or not
+
+    The result:
     lies:   numbers of lies: all, observable, detected (of the observable ones), see `detected_lies`
     agents: by agent that lied: s of its first lie, of the first observable one, from there to its suspension (None:
             never), and for how long it was watched
@@ -44,8 +47,6 @@ def evaluate(folder: Path, metrics: Mapping[str, Any]) -> dict[str, Any]:
     seen = observability(run)
     lies = from_arrow(seen.lies)
     recording = Recording.load(folder / RECORDING)
-    nodes = run_folder.read_json(folder / "scenario.json")["nodes"].values()
-    compromised = {name for node in nodes if node["role"] == "adversary" for name in _agents(node["config"])}
     return {
         "lies": detected_lies(lies, *_withheld(run, lies)),
         "agents": {
@@ -82,7 +83,7 @@ def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str
     lies: n rows, as in `api.observability`;  withheld: (n,) whether the command centre withholds the object of a row
     suspended: (n,) whether it suspends its agent in that frame
 
-    A lie is what one agent tells about one object, from its first row to its last; rows without an id are one lie for
+    A lie is what one agent claims about one object, from its first row to its last; rows without an id are one lie for
     each agent and effect. It is observable if a row is. It is detected if, from the first observable row on, its object
     is withheld or its agent is suspended. Removing an object is detected by a suspension alone: nothing is left to
     withhold.
@@ -93,49 +94,43 @@ def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str
     first = np.full(count, np.iinfo(np.int64).max)
     rows = np.asarray(lies["observable"], bool)
     np.minimum.at(first, lie[rows], lies["frame"][rows].astype(np.int64))
-    caught = np.zeros(count, bool)
-    found = (suspended | (withheld & (lies["effect"] == "inserted"))) & (lies["frame"] >= first[lie])
-    caught[lie[found]] = True
+    detected = np.zeros(count, bool)
+    detection = (suspended | (withheld & (lies["effect"] == "inserted"))) & (lies["frame"] >= first[lie])
+    detected[lie[detection]] = True
     observable = first < np.iinfo(np.int64).max
-    return {"all": count, "observable": int(observable.sum()), "detected": int((caught & observable).sum())}
+    return {"all": count, "observable": int(observable.sum()), "detected": int((detected & observable).sum())}
 
 
 def _withheld(run: Run, lies: _Columns) -> tuple[Bools, Bools]:
     """(n,) whether the object of each row is withheld, and whether its agent is suspended; False without trust."""
-    no = np.zeros(len(lies["frame"]), bool)
+    every = np.ones(len(lies["frame"]), bool)
     try:
         agents, objects = from_arrow(run.trust), from_arrow(run.trust_objects)
     except RunFolderError:
-        return no, no
+        return ~every, ~every
     withheld = objects["withheld"].astype(bool)
     places = Places(objects["frame"][withheld].astype(np.int64), _positions(objects, withheld))
-    match, _ = nearest(Places(lies["frame"].astype(np.int64), _positions(lies, ~no)), places, GATE_M)
-    out = agents["state"] == "suspended"
-    suspended = set(zip(agents["frame"][out].tolist(), agents["agent"][out].tolist(), strict=True))
-    told = zip(lies["frame"].tolist(), lies["agent"].tolist(), strict=True)
-    return np.asarray(match >= 0), np.array([each in suspended for each in told], bool)
+    match, _ = nearest(Places(lies["frame"].astype(np.int64), _positions(lies, every)), places, GATE_M)
+    rows = agents["state"] == "suspended"
+    suspended = set(zip(agents["frame"][rows].tolist(), agents["agent"][rows].tolist(), strict=True))
+    liars = zip(lies["frame"].tolist(), lies["agent"].tolist(), strict=True)
+    return np.asarray(match >= 0), np.array([each in suspended for each in liars], bool)
 
 
 def _false_objects(run: Run, lies: _Columns, metrics: Mapping[str, Any]) -> dict[str, float]:
     """Inserted objects per scored frame in the ego's picture, by whether they are identifiable."""
-    first, last = metrics.get("scored_frames") or (0, -1)
+    first, last = scored_frames(metrics)
     objects = from_arrow(run.objects)
-    ego = "ego" if "ego" in metrics["agents"] else next(iter(metrics["agents"]))
-    rows = (objects["agent"] == ego) & (objects["estimator"] == "picture") & (objects["outcome"] == "false")
+    rows = (objects["agent"] == ego(metrics)) & (objects["estimator"] == "picture") & (objects["outcome"] == "false")
     rows &= (objects["cause"] == "inserted") & (objects["frame"] >= first) & (objects["frame"] <= last)
     inserted = lies["effect"] == "inserted"
     places = Places(lies["frame"][inserted].astype(np.int64), _positions(lies, inserted))
     match, _ = nearest(Places(objects["frame"][rows].astype(np.int64), _positions(objects, rows)), places, GATE_M)
     identifiable = lies["identifiable"][inserted][match[match >= 0]]
     frames = max(last - first + 1, 1)
-    known = int(identifiable.sum())
-    return {"identifiable": known / frames, "unidentifiable": (int(rows.sum()) - known) / frames}
+    count = int(identifiable.sum())
+    return {"identifiable": count / frames, "unidentifiable": (int(rows.sum()) - count) / frames}
 
 
 def _positions(columns: _Columns, rows: Bools) -> NDArray[np.float64]:
     return np.column_stack([columns[axis][rows] for axis in "xyz"]).astype(np.float64).reshape(-1, 3)
-
-
-def _agents(config: Mapping[str, Any]) -> list[str]:
-    agent = config.get("agent", ())
-    return [agent] if isinstance(agent, str) else list(agent)

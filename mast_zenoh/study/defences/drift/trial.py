@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,12 @@ from mast_zenoh.api.runs import Run
 from mast_zenoh.launch.tables import from_arrow
 
 
-def evaluate(folder: Path, metrics: Mapping[str, Any]) -> dict[str, Any]:
+def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
     """The part `defence` of a trial's metrics, from its run folder.
 
+    compromised: names of the agents with an adversary, not needed here
+
+    The result:
     first_lie_s, suspended_s: s of scene time, of the only liar; None: never
     end_s:    s, the last frame
     displaced: columns of a row for each displaced track and frame: time_s, track, viewers (honest agents that see the

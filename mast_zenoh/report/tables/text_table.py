@@ -1,0 +1,127 @@
+"""Tables of text, as Markdown, LaTeX and for the terminal, and the text of numbers with their intervals."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from rich.table import Table
+
+from mast_zenoh.report.defence_rows import Measured
+from mast_zenoh.report.tables.scores import DASH
+from mast_zenoh.report.tables.study_rows import MIN_SEEDS, number
+
+_NOT_REACHED = "not reached"
+
+
+class TextTable(NamedTuple):
+    """A table: its title, sentences about it, its headings and lines; text columns come first.
+
+    texts: number of text columns
+    """
+
+    title: str
+    about: str
+    headings: Sequence[str]
+    lines: Sequence[Sequence[str]]
+    texts: int
+
+
+def as_markdown(title: str, about: str, tables: Iterable[TextTable]) -> str:
+    """A page with a title, and all tables."""
+    parts = [f"# {title}", about]
+    for table in tables:
+        rows = [table.headings, ["---"] * len(table.headings), *table.lines]
+        lines = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+        parts += [f"## {table.title}", *([table.about] if table.about else []), lines]
+    return "\n\n".join(parts) + "\n"
+
+
+def as_latex(comment: str, tables: Iterable[TextTable]) -> str:
+    """All tables as LaTeX tabulars, after a comment; need no LaTeX package."""
+    parts = [f"% {comment}"]
+    for table in tables:
+        parts += [
+            f"% {table.title}. {table.about}".rstrip(),
+            r"\begin{tabular}{" + "l" * table.texts + "r" * (len(table.headings) - table.texts) + "}",
+            r"\hline",
+            " & ".join(map(_tex, table.headings)) + r" \\",
+            r"\hline",
+            *(" & ".join(map(_tex, line)) + r" \\" for line in table.lines),
+            r"\hline",
+            r"\end{tabular}",
+        ]
+    return "\n".join([*parts, ""])
+
+
+def as_rich(table: TextTable) -> Table:
+    """A table for the terminal, with the sentences below."""
+    result = Table(title=table.title, title_justify="left", caption=table.about or None, caption_justify="left")
+    for index, heading in enumerate(table.headings):
+        result.add_column(heading, justify="left" if index == 0 else "right")
+    for line in table.lines:
+        result.add_row(*line)
+    return result
+
+
+def as_csv(headings: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
+    """Lines of values as CSV; None is empty."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(headings)
+    writer.writerows(["" if value is None else value for value in line] for line in lines)
+    return buffer.getvalue()
+
+
+def digits(*values: float) -> list[str]:
+    """All digits of numbers; `inf` is not reached, empty is unknown."""
+    return ["" if math.isnan(value) else repr(float(value)) for value in values]
+
+
+def measured(each: Measured, decimals: int = 2) -> str:
+    """A number with its interval, `3.42 [3.10, 3.80]`, or why there is none, `3.42 (n < 5)`.
+
+    Infinite: `not reached [1.20, \u221e)`, or `not reached` if the interval is beyond what was watched, too.
+    """
+    if math.isnan(each.value):
+        return DASH
+    if math.isinf(each.value):
+        return _not_reached(each)
+    if math.isnan(each.low):
+        return f"{number(each.value, decimals)} {f'(n < {MIN_SEEDS})' if each.trials < MIN_SEEDS else '(all equal)'}"
+    half = (each.high - each.low) / 2.0
+    if 0.0 < half < 0.01:  # so many decimals that the interval has a width
+        decimals = min(5, max(decimals, math.ceil(-math.log10(half))))
+    low = number(each.low, decimals)
+    interval = f"[{low}, \u221e)" if math.isinf(each.high) else f"[{low}, {number(each.high, decimals)}]"
+    return f"{number(each.value, decimals)} {interval}"
+
+
+def median_delay(each: Measured) -> str:
+    """A median delay; if fewer than half were detected, only its lower bound is known."""
+    return _not_reached(each) if math.isnan(each.value) and each.trials else measured(each)
+
+
+def percent(share: Measured, unit: str = "", beyond: str = "") -> str:
+    """`44 [38, 47]`, in per cent; unit: after the value;  beyond: what stands for an infinite number."""
+    if not share.known:
+        return DASH
+    value, low, high = (beyond if math.isinf(each) else number(100.0 * each, 0) for each in share[:3])
+    return f"{value}{unit}" if math.isnan(share.low) else f"{value}{unit} [{low}, {high}]"
+
+
+def _not_reached(each: Measured) -> str:
+    return f"{_NOT_REACHED} [{number(each.low)}, \u221e)" if math.isfinite(each.low) else _NOT_REACHED
+
+
+def _tex(text: str) -> str:
+    replacements = (
+        *(("\u2212", "$-$"), ("\u221e", r"$\infty$"), (DASH, "--"), ("_", r"\_"), ("%", r"\%"), ("&", r"\&")),
+        *(("<", "$<$"), (">", "$>$")),
+    )
+    for character, replacement in replacements:
+        text = text.replace(character, replacement)
+    return text
