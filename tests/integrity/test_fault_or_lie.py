@@ -63,3 +63,32 @@ def test_agents_without_faults_are_left_alone() -> None:
     found = assessed((0.0, 0.0, 0.0, 0.0))
     assert not set(found.state.tolist()) & {FAULTY, SUSPENDED}
     assert not found.offset.any()
+
+
+@pytest.mark.parametrize("shift", [(1.0, 0.5), (0.7, 0.4)])
+def test_two_that_move_all_their_tracks_alike_blame_no_other(shift: tuple[float, float]) -> None:
+    random = np.random.default_rng(4)
+    names, cars = ("a", "b", "c", "d", "e"), 10
+    place, speed = random.uniform(-60.0, 60.0, (cars, 2)), random.uniform(-12.0, 12.0, (cars, 2))
+    stage, agent, labels = FaultOrLie(), np.repeat(np.arange(5), cars), np.tile(np.arange(cars), 5)
+    for frame in range(60):
+        true = np.column_stack([place + speed * 0.1 * frame, np.full(cars, 0.75)])
+        position = np.tile(true, (5, 1)) + np.column_stack(
+            [random.normal(0.0, 0.15, (5 * cars, 2)), np.zeros(5 * cars)]
+        )
+        position[agent >= 3, :2] += shift
+        states = ObjectStates.of(
+            position,
+            id=labels,
+            velocity=np.column_stack([np.tile(speed, (5, 1)), np.zeros(5 * cars)]),
+            size=np.tile(CAR, (5 * cars, 1)),
+            covariance=np.tile(np.diag(VARIANCE), (5 * cars, 1, 1)),
+        )
+        # An honest agent shares more of its objects with the two than with the other honest ones.
+        shared = (agent > 0) | (labels < 6)
+        rows = np.flatnonzero(shared & ~((agent == 1) & (labels < 4)))
+        states, of_rows = states.select(rows), agent[rows]
+        corrected, _ = stage.correct(frame * STEP_NS, states, of_rows, names, {})
+        last = stage.assess(Batch(frame * STEP_NS, corrected, of_rows, labels[rows], names, (None,) * 5)).agents
+    assert (last.state == FAULTY).tolist() == [False, False, False, True, True]
+    assert SUSPENDED not in last.state

@@ -93,6 +93,55 @@ def test_an_offset_is_found_under_a_new_id_in_every_frame() -> None:
     assert suspended(SequentialConsistency(), batches) == {"d"}
 
 
+def test_two_tracks_of_each_object_frame_nobody_and_are_a_lie() -> None:
+    batches = []
+    for frame in range(100):
+        tracks: list[Track] = []
+        for number, (x, y) in enumerate(CARS):  # the others' tracks fall into two clusters of one car
+            tracks += [("d", 2 * number, (x - 0.2, y)), ("a", 2 * number, (x - 0.1, y)), ("b", 2 * number, (x, y))]
+            tracks += [("d", 2 * number + 1, (x + 0.2, y)), ("c", 2 * number + 1, (x + 0.1, y))]
+        views = {name: view(place, *[(*car, 2.5) for car in CARS]) for name, place in PLACES.items()}
+        batches.append(batch(tracks, tuple(PLACES), views, frame=frame))
+    stage = SequentialConsistency()
+    assert suspended(stage, batches) == {"d"}
+    assert stage.assess(batches[-1]).agents.reason[3].startswith("reports one object twice")
+
+
+@pytest.mark.parametrize(("height_m", "size"), [(20.0, CAR), (0.75, (4.5, 1.8, 40.0)), (0.75, (0.0, 0.0, 0.0))])
+def test_what_no_road_user_can_be_is_withheld_and_a_lie(height_m: float, size: tuple[float, float, float]) -> None:
+    batches = []
+    for frame in range(60):
+        given = honest(frame, ("d", 2, PHANTOM))
+        position, sizes = given.states.position.copy(), given.states.size.copy()
+        position[-1, 2], sizes[-1] = height_m, size
+        batches.append(with_states(given, position=position, size=sizes))
+    stage = SequentialConsistency()
+    assert suspended(stage, batches) == {"d"}
+    assert stage.assess(batches[-1]).objects.withheld.tolist() == [False, False, True]
+
+
+def test_where_two_halves_disagree_about_a_position_nobody_is_off() -> None:
+    batches = []
+    for frame in range(200):
+        given = honest(frame)
+        position = given.states.position.copy()
+        position[given.agent >= 2, 0] += 0.6
+        batches.append(with_states(given, position=position))
+    assert suspended(SequentialConsistency(), batches) == set()
+
+
+def test_an_agent_that_stays_off_is_not_trusted_again() -> None:
+    stage = SequentialConsistency(release_s=3.0)
+    states = []
+    for frame in range(200):
+        given = honest(frame)
+        position = given.states.position.copy()
+        position[given.agent == 3, 0] += 1.2
+        states.append(stage.assess(with_states(given, position=position)).agents.state.tolist()[3])
+    first = states.index(SUSPENDED)
+    assert set(states[first:]) == {SUSPENDED}
+
+
 @pytest.mark.parametrize(("witnesses", "believed"), [("ab", False), ("ac", True)])
 def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, believed: bool) -> None:
     agents = AgentMemory()

@@ -1,0 +1,44 @@
+"""Tracks that no honest agent sends are found."""
+
+import numpy as np
+from integrity_batches import batch
+
+from mast_zenoh.integrity.claims import about, of_tracks, possible, repeated
+from mast_zenoh.integrity.clusters import ClusterBoxes
+
+AGENTS = ("a", "b")
+
+
+def test_the_ground_is_where_the_believed_tracks_stand() -> None:
+    given = batch([("a", i, (10.0 * i, 0.0)) for i in range(4)] + [("b", i, (10.0 * i, 0.0)) for i in range(4)], AGENTS)
+    position = given.states.position.copy()
+    position[given.agent == 1, 2] += 10.0
+    lifted = given.states.with_(position=position)
+    assert possible(lifted, given.agent == 0).tolist() == [True] * 4 + [False] * 4
+    assert possible(lifted, given.agent == 1).tolist() == [False] * 4 + [True] * 4
+
+
+def test_one_object_in_two_tracks_of_one_agent_counts_as_repeated_once() -> None:
+    given = batch([("a", 0, (0.0, 0.0)), ("a", 1, (0.4, 0.0)), ("b", 0, (0.1, 0.0)), ("a", 2, (9.0, 0.0))], AGENTS)
+    assert repeated(given).tolist() == [False, True, False, False]
+    assert of_tracks(given, repeated(given)).tolist() == [[False, False], [True, False], [False, False]]
+
+
+def test_cars_side_by_side_are_two_objects() -> None:
+    assert not repeated(batch([("a", 0, (0.0, 0.0)), ("a", 1, (0.0, 2.0))], AGENTS)).any()
+
+
+def test_an_agent_with_a_track_in_a_neighbouring_cluster_reports_about_the_object() -> None:
+    given = batch([("a", 0, (0.0, 0.0)), ("b", 1, (1.0, 0.0)), ("a", 2, (30.0, 0.0))], AGENTS)
+    assert about(given, ClusterBoxes.of(given)).tolist() == [[True, True], [True, True], [True, False]]
+
+
+def test_nothing_is_claimed_by_nobody() -> None:
+    nothing = batch([], AGENTS)
+    assert len(possible(nothing.states)) == len(repeated(nothing)) == 0
+    assert about(nothing, ClusterBoxes.of(nothing)).shape == (0, 2)
+
+
+def test_boxes_of_impossible_sizes_are_found() -> None:
+    given = batch([("a", i, (10.0 * i, 0.0)) for i in range(3)], AGENTS, size={0: (4.0, 1.8, 30.0), 1: (0.0, 0.0, 0.0)})
+    assert possible(given.states, np.array([False, False, True])).tolist() == [False, False, True]
