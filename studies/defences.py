@@ -56,7 +56,7 @@ PRESETS = dict(
     ),
     faults=dict(
         defences="FaultOrLie",
-        adversaries="fault:pose,fault:delay,fault:skew,fault:loss",
+        adversaries="fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts",
         counts=(1,),
         placements="random",
         budgets=(1.0, 4.0),

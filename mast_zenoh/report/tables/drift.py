@@ -55,7 +55,7 @@ def as_rich(table: DriftTable) -> Table:
     lines = [
         [
             *(row.label, f"{row.detected} of {row.episodes}", measured(row.delay_s), number(row.floor_s)),
-            *(measured(row.ratio), percent(row.noticed, " %")),
+            *(measured(row.ratio), percent(row.within, " %") + (f" of {row.judged}" if row.within.known else "")),
         ]
         for row in table.rows
         if row.viewers == _MAJORITY

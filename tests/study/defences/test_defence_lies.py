@@ -33,6 +33,12 @@ def test_withholding_the_object_detects_the_lie() -> None:
     assert counts == {"all": 2, "observable": 2, "detected": 1}
 
 
+def test_an_object_withheld_for_a_moment_is_no_detected_lie() -> None:
+    claims = lies(*((frame, "a", "inserted", 7, True) for frame in range(3)))
+    assert detected_lies(claims, np.array([False, True, False]), np.array(NEVER))["detected"] == 0
+    assert detected_lies(claims, np.array([False, True, True]), np.array(NEVER))["detected"] == 1
+
+
 def test_a_detection_before_the_lie_was_observable_is_chance() -> None:
     claims = lies((1, "a", "inserted", 7, False), (2, "a", "inserted", 7, True), (3, "a", "inserted", 7, False))
     assert detected_lies(claims, np.array([True, False, False]), np.array(NEVER))["detected"] == 0

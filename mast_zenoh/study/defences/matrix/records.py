@@ -29,7 +29,7 @@ class TrialRecord:
     scores:    fn, fp per frame and ospa_m of the ego's picture, false objects inserted and identifiable or not
     lies:      numbers of observable and detected lies
     delays:    (s, whether it was suspended) of each agent with an observable lie, from that lie on
-    suspicion: (greatest score, whether it lied) of each agent
+    suspicion: (greatest score, whether it lied) of each agent that was honest or lied
     state_seconds: s by conduct and state;  hours: of the run, 0 without trust;  frames: of the run
     alarms:    suspensions of honest agents;  fault_alarms: of faulty agents that did not lie
     wrongly_suspended: whether an agent that never lied was suspended, faulty or not
@@ -66,7 +66,11 @@ class TrialRecord:
             scores=scores,
             lies=(part["lies"]["observable"], part["lies"]["detected"]),
             delays=[(each["observed_s"], each["suspended_after_s"] is not None) for each in watched],
-            suspicion=[(_number(each["suspicion"]["max"]), each["lied"]) for each in judged],
+            suspicion=[
+                (_number(each["suspicion"]["max"]), each["lied"])
+                for each in judged
+                if each["lied"] or not each.get("faulty")
+            ],
             state_seconds=trust.get("seconds", {}),
             hours=trust.get("hours", 0.0),
             frames=metrics["frames"],

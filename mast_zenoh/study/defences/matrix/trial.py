@@ -85,8 +85,8 @@ def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str
 
     A lie is what one agent claims about one object, from its first row to its last; rows without an id are one lie for
     each agent and effect. It is observable if a row is. It is detected if, from the first observable row on, its object
-    is withheld or its agent is suspended. Removing an object is detected by a suspension alone: nothing is left to
-    withhold.
+    is withheld in half of the rows or more, or its agent is suspended in any. Removing an object is detected by a
+    suspension alone: nothing is left to withhold.
     """
     keys = list(zip(lies["agent"].tolist(), lies["effect"].tolist(), lies["id"].tolist(), strict=True))
     lie = np.array([{key: index for index, key in enumerate(dict.fromkeys(keys))}[key] for key in keys], np.int64)
@@ -94,9 +94,10 @@ def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str
     first = np.full(count, np.iinfo(np.int64).max)
     rows = np.asarray(lies["observable"], bool)
     np.minimum.at(first, lie[rows], lies["frame"][rows].astype(np.int64))
-    detected = np.zeros(count, bool)
-    detection = (suspended | (withheld & (lies["effect"] == "inserted"))) & (lies["frame"] >= first[lie])
-    detected[lie[detection]] = True
+    since = lies["frame"] >= first[lie]
+    hidden = since & withheld & (lies["effect"] == "inserted")
+    detected = 2 * np.bincount(lie[hidden], minlength=count) >= np.maximum(np.bincount(lie[since], minlength=count), 1)
+    detected[lie[since & suspended]] = True
     observable = first < np.iinfo(np.int64).max
     return {"all": count, "observable": int(observable.sum()), "detected": int((detected & observable).sum())}
 
