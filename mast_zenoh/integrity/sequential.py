@@ -33,7 +33,7 @@ MIN_MEDIAN_WEIGHT = 0.05
 MAX_LOG_ODDS = 20.0
 
 #: Tails of both statistics on unattacked junctions, see docs/defences.md.
-CONTRADICTION_TAIL = Tail(per_hour=130.0, scale=0.21)
+CONTRADICTION_TAIL = Tail(per_hour=84.0, scale=0.25)
 OFFSET_TAIL = Tail(per_hour=4800.0, scale=4.4)
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
