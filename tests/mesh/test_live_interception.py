@@ -83,7 +83,7 @@ def lost(run: Launched, observer: Observer) -> list[tuple[str, str, list[tuple[i
 
 @pytest.mark.timeout(600)
 def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going) -> None:
-    run, observer = going("--mode", "realtime", "--rate", "2")
+    run, observer = going("--mode", "realtime", "--rate", "1")
     for i in range(TIMES):
         wire = (TRACKS, DETECTIONS)[i % 2]
         settings = ("keeps=True",) if i % 5 == 0 else ()
