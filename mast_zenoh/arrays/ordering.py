@@ -49,6 +49,14 @@ def _any_equal(*keys: NDArray[Any]) -> bool:
     return bool(np.count_nonzero(equal))
 
 
+def by_agent(states: ObjectStates, agent: Ints) -> Ints:
+    """(n,) row indices that sort tracks by (agent, id); by position where a faulty source uses an id twice.
+
+    agent: (n,)
+    """
+    return row_order(states.id, agent, ties=lambda: states.position.T)
+
+
 def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:
     """(n,) row indices that sort objects by their columns, then by source.
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.ordering import by_agent
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer
 
@@ -43,7 +44,7 @@ def believed_first(clusterer: Clusterer, states: ObjectStates, agent: Ints, beli
     joined[len(middles[0]) + i[chosen]] = j[chosen]
     labels = joined[labels]
     # Numbered by the least member, (agent, id), of each.
-    order = np.lexsort((states.id, agent))
+    order = by_agent(states, agent)
     _, first, inverse = np.unique(labels[order], return_index=True, return_inverse=True)
     number = np.argsort(np.argsort(first, kind="stable"), kind="stable")
     result = np.empty(len(states), np.int64)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.clustering import merge_pairs, pairs_near
-from mast_zenoh.arrays.ordering import row_order
+from mast_zenoh.arrays.ordering import by_agent
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer
 
@@ -29,7 +29,7 @@ class SampledAssignmentClusterer(Clusterer):
         self._radius = assign_radius
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
-        order = _by_agent(states, agent)
+        order = by_agent(states, agent)
         position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
         i, j, distance = pairs_near(position, self._radius)
         labels = np.empty(len(order), np.int64)
@@ -57,7 +57,7 @@ class DBSCANClusterer(Clusterer):
         self._min_samples = min_samples
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
-        order = _by_agent(states, agent)
+        order = by_agent(states, agent)
         position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
         i, j, distance = pairs_near(position, self._eps)
         core = 1 + np.bincount(i, minlength=len(order)) + np.bincount(j, minlength=len(order)) >= self._min_samples
@@ -75,8 +75,3 @@ def _to_nearest_core(i: Ints, j: Ints, distance: Floats, core: Bools) -> Ints:
     by_distance = np.lexsort((np.where(core[i], i, j)[pair], distance[pair], border))
     _, first = np.unique(border[by_distance], return_index=True)
     return np.asarray(pair[by_distance][first])
-
-
-def _by_agent(states: ObjectStates, agent: Ints) -> Ints:
-    """(n,) rows by (agent, id); by position where a faulty source uses an id twice."""
-    return row_order(states.id, agent, ties=lambda: states.position.T)

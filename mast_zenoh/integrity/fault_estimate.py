@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.integrity.cumulative import MAX_STEP_S, SAMPLES_PER_S
-from mast_zenoh.integrity.fault_fit import NOTHING, Displacements, agreeing, explained, misfit, solved
+from mast_zenoh.integrity.fault_fit import NOTHING, Displacements, explained, misfit, solved
 
 #: Mean of Huber's loss of a displacement up to which a fit is good.
 FIT = 1.2
@@ -21,9 +21,8 @@ class FaultEstimate:
     """Sums and fault of one agent.
 
     time_ns: ns, of the last fit, or of the first batch
-    fault: x m, y m, turn rad, delay s; statistic: twice the log-likelihood that it gains
+    fault: see `faults`; statistic: twice the log-likelihood that it gains
     share: of the tracks in the last fit that the fault explains; others: agents that reported them, too
-    agreeing: numbers of the agents in the last fit whose tracks are where this agent's are
     applied: whether the agent's tracks are corrected
     excused_until_ns: ns, until when no further fault excuses what the agent did before it was found
     loss: 0 to 1, share of frames in which nothing of the agent arrived
@@ -36,7 +35,6 @@ class FaultEstimate:
     statistic: float = 0.0
     share: float = 0.0
     others: int = 0
-    agreeing: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     applied: bool = False
     excused_until_ns: int = 0
     loss: float = 0.0
@@ -52,17 +50,17 @@ class FaultEstimate:
         samples = SAMPLES_PER_S * min(elapsed_s, MAX_STEP_S)
         keep = np.exp(-elapsed_s / memory_s)
         self.time_ns = time_ns
-        self.agreeing = agreeing(found, self.known)
         past = keep * self.information, keep * self.score
         fault, total = solved(found, samples, past, self.fault, self.known)
-        if found.others and misfit(found, fault) > FIT * len(found.offset):
+        self.others = found.others
+        if self.others and misfit(found, fault) > FIT * len(found.offset):
             # What was known does not explain this batch. It may be a new fault: fitted to this batch alone.
             anew, sums = solved(found, samples, NOTHING, None, np.zeros(4), steps=3)
             if misfit(found, anew) < misfit(found, fault) - CHANGED:
                 fault, total = anew, sums
         self.fault, (self.information, self.score) = fault, total
         self.statistic = float(self.score @ fault)
-        self.share, self.others = explained(found, fault), found.others
+        self.share = explained(found, fault)
 
     def forget(self) -> None:
         """Forget the sums, but not a fault that is corrected."""

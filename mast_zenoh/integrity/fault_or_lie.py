@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from mast_zenoh.arrays.ordering import by_agent
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED, Assessment, Batch, Integrity
 from mast_zenoh.integrity.fault_estimate import FaultEstimate
-from mast_zenoh.integrity.fault_fit import displacements
+from mast_zenoh.integrity.fault_fit import agreeing, displacements
 from mast_zenoh.integrity.faults import described, displacement_m, view_without_fault, without_fault
 from mast_zenoh.integrity.sequential import MAX_NAMES, SequentialConsistency
 from mast_zenoh.integrity.views import SweptView
@@ -76,13 +77,12 @@ class FaultOrLie(Integrity):
         states, views = self._stage.correct(time_ns, states, agent, agents, views)
         for name in agents:
             self._note_loss(self._estimates.setdefault(name, FaultEstimate(time_ns)), views.get(name))
-        rows = {name: agent == number for number, name in enumerate(agents)}
-        pivots = {name: self._pivot(states, rows[name], views.get(name)) for name in agents}
+        pivots = [self._pivot(states, agent == row, views.get(name)) for row, name in enumerate(agents)]
         due = self._due(agents)
-        self._fit(time_ns, states, rows, pivots, due)
+        agree = self._fit(time_ns, states, agent, agents, pivots, due)
         if any(self._convincing(self._estimates[name]) for name in due):
-            self._fit(time_ns, states, rows, pivots, set(agents) - due)
-            self._apply_most_convincing(time_ns, agents)
+            agree |= self._fit(time_ns, states, agent, agents, pivots, set(agents) - due)
+            self._apply_most_convincing(time_ns, agents, agree)
         for name in agents:
             # Once corrected, an agent stays so until nothing is left to correct.
             self._estimates[name].applied &= displacement_m(self._estimates[name].fault) >= self._least_m
@@ -90,7 +90,7 @@ class FaultOrLie(Integrity):
             name: view_without_fault(view, self._estimates[name].fault) if self._applied(name) else view
             for name, view in views.items()
         }
-        result = self._without_faults(states, rows, pivots)
+        result = self._without_faults(states, agent, agents, pivots)
         if len(self._estimates) > MAX_NAMES:
             self._estimates = {name: self._estimates[name] for name in agents}
         return result, seen
@@ -110,39 +110,48 @@ class FaultOrLie(Integrity):
         return name in self._estimates and self._estimates[name].applied
 
     def _without_faults(
-        self, states: ObjectStates, rows: Mapping[str, Bools], pivots: Mapping[str, Floats]
+        self, states: ObjectStates, agent: Ints, agents: tuple[str, ...], pivots: Sequence[Floats]
     ) -> ObjectStates:
-        """The tracks without the faults that are known; rows: (n,) of each agent, pivots: (2,) m"""
-        for name, mine in rows.items():
+        """The tracks without the faults that are known; pivots: (2,) m, of each agent"""
+        for row, name in enumerate(agents):
             if self._applied(name):
-                states = without_fault(states, mine, self._estimates[name].fault, pivots[name])
+                states = without_fault(states, agent == row, self._estimates[name].fault, pivots[row])
         return states
 
     def _fit(
         self,
         time_ns: int,
         states: ObjectStates,
-        rows: Mapping[str, Bools],
-        pivots: Mapping[str, Floats],
+        agent: Ints,
+        agents: tuple[str, ...],
+        pivots: Sequence[Floats],
         names: set[str],
-    ) -> None:
-        """Update the estimates of some agents from a batch. rows: (n,) of each agent, pivots: (2,) m"""
-        reference = self._without_faults(states, rows, pivots)
-        number = np.zeros(len(states), np.int64)
-        trusted = np.ones(len(states), np.bool_)
-        for index, (name, mine) in enumerate(rows.items()):
-            number[mine] = index
-            trusted[mine] = name not in self._suspended
-        order = np.lexsort((states.id, number))  # the order of the rows must not matter
-        for name in rows:
-            mine = rows[name][order]
+    ) -> dict[int, set[int]]:
+        """Update the estimates of some agents from a batch; pivots: (2,) m, of each agent.
+
+        Returns for each of these agents that has tracks the rows of the agents whose tracks agree with its own.
+        """
+        reference = self._without_faults(states, agent, agents, pivots)
+        suspended = [row for row, name in enumerate(agents) if name in self._suspended]
+        order = by_agent(states, agent)  # the order of the rows must not matter
+        agent = agent[order]
+        trusted = ~np.isin(agent, suspended)
+        result = {}
+        for row, name in enumerate(agents):
+            mine = agent == row
             if name in names and mine.any():
-                own, other = order[mine], order[~mine & trusted[order]]
+                others = ~mine & trusted
                 estimate = self._estimates[name]
                 found = displacements(
-                    states.select(own), reference.select(other), number[other], pivots[name], estimate.known
+                    states.select(order[mine]),
+                    reference.select(order[others]),
+                    agent[others],
+                    pivots[row],
+                    estimate.known,
                 )
+                result[row] = set(agreeing(found, estimate.known).tolist())
                 estimate.update(time_ns, found, self._memory_s)
+        return result
 
     def _convincing(self, estimate: FaultEstimate) -> bool:
         """Whether an agent that is not corrected looks faulty."""
@@ -150,19 +159,12 @@ class FaultOrLie(Integrity):
         common = estimate.share >= self._share
         return not estimate.applied and significant and common and displacement_m(estimate.fault) >= self._least_m
 
-    def _largest_group(self, agents: tuple[str, ...]) -> set[str]:
-        """The agents of the largest group whose tracks agree; of all groups that are largest."""
-        groups: list[set[int]] = [{row} for row in range(len(agents))]
-        for row, name in enumerate(agents):
-            joined = {row, *self._estimates[name].agreeing.tolist()}
-            touched = [group for group in groups if group & joined]
-            groups = [*(group for group in groups if not group & joined), set.union(joined, *touched)]
-        most = max(map(len, groups))
-        return {agents[row] for group in groups if len(group) == most for row in group}
+    def _apply_most_convincing(self, time_ns: int, agents: tuple[str, ...], agree: Mapping[int, set[int]]) -> None:
+        """Correct the agent with the most convincing fault; forget what the others looked like next to it.
 
-    def _apply_most_convincing(self, time_ns: int, agents: tuple[str, ...]) -> None:
-        """Correct the agent with the most convincing fault; forget what the others looked like next to it."""
-        sound = self._largest_group(agents)
+        agree: by row of an agent, the rows of those whose tracks agree with its own
+        """
+        sound = {agents[row] for row in largest_groups(len(agents), agree)}
         suspects = [name for name in agents if self._convincing(self._estimates[name]) and name not in sound]
         if not suspects:
             return
@@ -205,3 +207,17 @@ class FaultOrLie(Integrity):
             loss=np.array([estimate.loss for estimate in estimates]),
         )
         return replace(assessment, agents=agents)
+
+
+def largest_groups(count: int, agree: Mapping[int, set[int]]) -> set[int]:
+    """The rows of the agents in the largest group that agrees, directly or by way of others; in all that are largest.
+
+    agree: by row of one of `count` agents, the rows of those that agree with it
+    """
+    groups: list[set[int]] = [{row} for row in range(count)]
+    for row, others in agree.items():
+        joined = {row, *others}
+        touched = [group for group in groups if group & joined]
+        groups = [*(group for group in groups if not group & joined), joined.union(*touched)]
+    most = max(map(len, groups), default=0)
+    return {row for group in groups if len(group) == most for row in group}

@@ -7,6 +7,7 @@ from integrity_batches import CAR, STEP_NS, VARIANCE
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity import Batch, FaultOrLie
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED
+from mast_zenoh.integrity.fault_or_lie import largest_groups
 from mast_zenoh.integrity.faults import without_fault
 
 AGENTS = ("a", "b", "c", "d")
@@ -92,3 +93,34 @@ def test_two_that_move_all_their_tracks_alike_blame_no_other(shift: tuple[float,
         last = stage.assess(Batch(frame * STEP_NS, corrected, of_rows, labels[rows], names, (None,) * 5)).agents
     assert (last.state == FAULTY).tolist() == [False, False, False, True, True]
     assert SUSPENDED not in last.state
+
+
+def test_agents_that_left_or_send_no_tracks_do_not_disturb_the_search_for_a_fault() -> None:
+    random = np.random.default_rng(5)
+    cars = 10
+    place = random.uniform(-60.0, 60.0, (cars, 2))
+    stage = FaultOrLie()
+    for frame in range(90):
+        early = frame < 40
+        names = ("a", "b", "c", "d", "e", "f") if early else ("a", "d", "e", "f")
+        senders = [row for row in range(len(names)) if early or names[row] != "a"]
+        agent, labels = np.repeat(senders, cars), np.tile(np.arange(cars), len(senders))
+        position = np.column_stack([np.tile(place, (len(senders), 1)), np.full(len(agent), 0.75)])
+        position[:, :2] += random.normal(0.0, 0.15, (len(agent), 2))
+        if not early:
+            position[agent == names.index("f"), 0] += 1.0
+        states = ObjectStates.of(
+            position,
+            id=labels,
+            size=np.tile(CAR, (len(agent), 1)),
+            covariance=np.tile(np.diag(VARIANCE), (len(agent), 1, 1)),
+        )
+        corrected, _ = stage.correct(frame * STEP_NS, states, agent, names, {})
+        last = stage.assess(Batch(frame * STEP_NS, corrected, agent, labels, names, (None,) * len(names))).agents
+    assert (last.state == FAULTY).tolist() == [False, False, False, True]
+
+
+def test_groups_agree_by_way_of_others_and_equal_ones_are_all_largest() -> None:
+    assert largest_groups(5, {0: {1}, 2: {1}, 3: {4}}) == {0, 1, 2}
+    assert largest_groups(4, {0: {1}, 2: {3}}) == {0, 1, 2, 3}
+    assert largest_groups(0, {}) == set()
