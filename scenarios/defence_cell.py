@@ -4,7 +4,6 @@ from defended import scenario as defended
 from uncoordinated import scenario as uncoordinated
 
 from mast_zenoh.attacks import Coordination
-from mast_zenoh.integrity import Integrity
 from mast_zenoh.scenario import agents_of
 from mast_zenoh.study.defences import (
     COORDINATED,
@@ -60,7 +59,7 @@ def scenario(
             # A coordination has one budget for all of its adversaries.
             adversary["budget"] = budget * (max(1, n_adversaries) if base is Coordination else 1)
     content = defended(
-        defence=resolve_choice(defence, Integrity),
+        defence=defence,
         attack=adversary,
         knowledge=knowledge,
         wires=wires if adversary else None,

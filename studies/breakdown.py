@@ -1,14 +1,23 @@
 """With how many liars a defence breaks, next to the share at which honest viewers lose their majority."""
 
-from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.study.defences import BreakdownCell, parse_choices, sensors_of, several, short_name, words
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.study.defences import (
+    BreakdownCell,
+    junctions,
+    parse_choices,
+    sensors_of,
+    several,
+    short_name,
+    with_preset,
+    words,
+)
 
 # On two cores: quick 2 minutes, full 25.
 PRESETS = dict(
     quick=dict(
         agents=(5, 13),
         shares=(0.0, 0.2, 0.4, 0.6),
-        scenes="intersection:8,intersection:9",
+        scenes=junctions(8, 9),
         trials=1,
         frames=100,
     ),
@@ -16,7 +25,7 @@ PRESETS = dict(
         agents=(5, 13, 21),
         # Close together around one half, where a majority is lost.
         shares=(0.0, 0.1, 0.25, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.8),
-        scenes="intersection:8,intersection:9,intersection:10,intersection:11,intersection:12",
+        scenes=junctions(8, 12),
         trials=2,
         frames=130,
     ),
@@ -47,10 +56,7 @@ def study(
     scenes: short names, separated by commas: intersection:INDEX; trials: seeds of each scene; seed: the first one;
     frames: of each run.
     """
-    if preset not in PRESETS:
-        raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
-    arguments = dict(agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
-    chosen = PRESETS[preset] | {key: value for key, value in arguments.items() if value is not None}
+    chosen = with_preset(PRESETS, preset, agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
     common = dict(defence=defence, placement="random", attack_start_s=attack_start_s)
     runs, cells = {}, {}
     for count in several(chosen["agents"]):

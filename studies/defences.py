@@ -1,16 +1,9 @@
 """Every defence against every adversary, with 0 to n - 1 adversaries."""
 
-from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.study.defences import matrix_study, parse_choices, several, words
+from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, several, with_preset, words
 
 # Adversaries that know the defence.
 ADAPTIVE = "BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,StatePerturbation,PoseDrift"
-
-
-def junctions(first, last):
-    """The generated junctions from one to another."""
-    return ",".join(f"intersection:{index}" for index in range(first, last + 1))
-
 
 # docs/defence_studies.md says what each one is for, and how long it takes.
 PRESETS = dict(
@@ -116,9 +109,9 @@ def study(
     fault: of one agent without an adversary, in all runs (pose, delay, skew, loss, blind, ghosts). In the list of
     adversaries, fault:pose stands for as many faulty agents and no liars.
     """
-    if preset not in PRESETS:
-        raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
-    arguments = dict(
+    chosen = with_preset(
+        PRESETS,
+        preset,
         defences=defences,
         adversaries=adversaries,
         counts=counts,
@@ -128,7 +121,6 @@ def study(
         trials=trials,
         frames=frames,
     )
-    chosen = PRESETS[preset] | {key: value for key, value in arguments.items() if value is not None}
     return dict(
         name="defences",
         **matrix_study(

@@ -1,12 +1,11 @@
 """How long a displaced object stays unnoticed, next to the least delay that is possible."""
 
-from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.study.defences import DriftCell, sensors_of, several, words
+from mast_zenoh.study.defences import DriftCell, junctions, sensors_of, several, with_preset, words
 
 # On two cores: quick 3 minutes, full 20.
 PRESETS = dict(
-    quick=dict(scenes="intersection:8,intersection:9", trials=2),
-    full=dict(scenes=",".join(f"intersection:{index}" for index in range(8, 16)), trials=4),
+    quick=dict(scenes=junctions(8, 9), trials=2),
+    full=dict(scenes=junctions(8, 15), trials=4),
 )
 #: m/s of an offset that is there at once: more than the largest offset within a frame.
 AT_ONCE_MPS = 1000.0
@@ -35,10 +34,7 @@ def study(
     scenes: short names, separated by commas: intersection:INDEX; trials: seeds of each scene; seed: the first one;
     frames: of each run, long enough to watch what nobody notices at first.
     """
-    if preset not in PRESETS:
-        raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, PRESETS)}")
-    chosen = PRESETS[preset]
-    scenes = chosen["scenes"] if scenes is None else scenes
+    chosen = with_preset(PRESETS, preset, scenes=scenes, trials=trials)
     lies = [(offset, None) for offset in several(offsets_m)] + [(limit_m, rate) for rate in several(rates_mps)]
     cells = [DriftCell(offset, rate, count) for count in several(agents) for offset, rate in lies]
     common = dict(
@@ -60,8 +56,8 @@ def study(
         cells={cell.label: cell for cell in cells},
         baseline=cells[0].label,
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
-        scenes=words(scenes),
-        trials=chosen["trials"] if trials is None else trials,
+        scenes=words(chosen["scenes"]),
+        trials=chosen["trials"],
         frames=frames,
         seed=seed,
         runtime="inproc",

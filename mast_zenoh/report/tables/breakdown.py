@@ -37,8 +37,7 @@ def as_markdown(table: BreakdownTable) -> str:
 
 def as_latex(table: BreakdownTable) -> str:
     """All tables as LaTeX tabulars; need no LaTeX package."""
-    size = table.size.replace("\u00d7", "x")
-    return text_table.as_latex(f"brackets: 95 % interval over trials (pairs of scene and seed); {size}", _tables(table))
+    return text_table.as_latex(table.size, _tables(table))
 
 
 def as_csv(table: BreakdownTable) -> str:

@@ -38,9 +38,7 @@ def as_csv(matrix: DefenceMatrix) -> str:
 
 def as_latex(matrix: DefenceMatrix) -> str:
     """All tables as LaTeX tabulars; need no LaTeX package."""
-    size = matrix.size.replace("\u00d7", "x")
-    comment = f"brackets: 95 % interval over trials (pairs of scene and seed); {size}"
-    return text_table.as_latex(comment, tables(matrix))
+    return text_table.as_latex(matrix.size, tables(matrix))
 
 
 def _csv_lines(matrix: DefenceMatrix) -> Iterator[list[object]]:

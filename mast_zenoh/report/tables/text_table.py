@@ -40,9 +40,10 @@ def as_markdown(title: str, about: str, tables: Iterable[TextTable]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def as_latex(comment: str, tables: Iterable[TextTable]) -> str:
-    """All tables as LaTeX tabulars, after a comment; need no LaTeX package."""
-    parts = [f"% {comment}"]
+def as_latex(size: str, tables: Iterable[TextTable]) -> str:
+    """All tables as LaTeX tabulars; need no LaTeX package. size: seeds and scenes"""
+    size = size.replace("\u00d7", "x")
+    parts = [f"% brackets: 95 % interval over trials (pairs of scene and seed); {size}"]
     for table in tables:
         parts += [
             f"% {table.title}. {table.about}".rstrip(),

@@ -21,10 +21,12 @@ from mast_zenoh.study.defences.choices import (
     UNCOORDINATED,
     adversary_base,
     has_budget,
+    junctions,
     parse_choices,
     resolve_choice,
     several,
     short_name,
+    with_preset,
     words,
 )
 from mast_zenoh.study.defences.drift.cell import DriftCell
@@ -42,6 +44,7 @@ __all__ = [
     "adversary_base",
     "faults_of",
     "has_budget",
+    "junctions",
     "matrix_study",
     "parse_choices",
     "place",
@@ -49,5 +52,6 @@ __all__ = [
     "sensors_of",
     "several",
     "short_name",
+    "with_preset",
     "words",
 ]

@@ -10,7 +10,7 @@ from typing import Any
 
 from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config import loading, registry
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenario.names import name_of_file
 from mast_zenoh.study.defences.fault_presets import PREFIX
 
@@ -29,6 +29,18 @@ def words(text: str | Sequence[str]) -> list[str]:
 def several(value: Any) -> list[Any]:
     """A list of one value or several."""
     return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+def junctions(first: int, last: int) -> str:
+    """The short names of generated junctions, from one to another."""
+    return ",".join(f"intersection:{index}" for index in range(first, last + 1))
+
+
+def with_preset(presets: Mapping[str, Mapping[str, Any]], preset: str, **arguments: Any) -> dict[str, Any]:
+    """The arguments of a study, those that are None from a preset. Raises ConfigurationError for an unknown preset."""
+    if preset not in presets:
+        raise ConfigurationError(f"preset: found {preset!r}{nearest(preset, presets)}")
+    return {**presets[preset], **{key: value for key, value in arguments.items() if value is not None}}
 
 
 def parse_choices(text: str | list[Choice] | tuple[Choice, ...], setting: str) -> list[Choice]:
