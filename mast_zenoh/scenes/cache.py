@@ -138,7 +138,7 @@ def _code() -> str:
     """Hash of the code that prepares scenes; a change invalidates all of them."""
     files = [Path(module.__file__ or "") for module in (geometry, states, streams)]
     for file in (__file__, sensing.__file__):
-        files += Path(file or "").parent.glob("*.py")
+        files += Path(file or "").parent.rglob("*.py")
     return _hash_of(files)
 
 

@@ -131,7 +131,7 @@ def test_a_shorter_recording_is_the_start_of_a_longer_one(log: Path) -> None:
     assert len(short) == 2
     np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
     np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
-    with pytest.raises(ConfigurationError, match="6 frames requested, the log has 5"):
+    with pytest.raises(ConfigurationError, match="6 frames requested, the scene has 5"):
         AV2Log(path=str(log)).record(0, 6)
 
 
@@ -143,8 +143,24 @@ def test_too_many_poles_are_refused(log: Path) -> None:
 def test_a_log_has_four_poles_by_default_and_no_other_mobile_agent(log: Path) -> None:
     assert read(log).agent_names == read(log, n_infrastructure=4, n_mobile=0).agent_names
     assert len(read(log).agents) == 5
-    with pytest.raises(ConfigurationError, match="n_mobile is 1, expected 0: a log has no other car with sensors"):
-        AV2Log(path=str(log), n_mobile=1)
+
+
+def test_recorded_vehicles_get_a_lidar_on_the_roof(log: Path) -> None:
+    recording = read(log, n_infrastructure=0, n_mobile=1)
+    assert recording.agent_names == ("ego", "mobile_1")
+    bus = recording.agents[1]
+    assert (bus.kind, bus.object_id) == ("mobile", 2)
+    np.testing.assert_allclose(recording.agent_position[2, 1], [0.0, 22.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(bus.sensor.mount_position, [0.0, 0.0, 3.2])
+    assert recording.points_at(2)[:, 1].tolist()[2] == 0  # it does not see itself,
+    assert recording.points_at(2)[0, 1] >= 5  # but the ego behind it
+
+
+def test_more_cars_than_there_are_vehicles_are_refused(log: Path) -> None:
+    with pytest.raises(ConfigurationError, match="n_mobile is 2, expected 0 to 1: 1 vehicles are annotated in every"):
+        read(log, n_mobile=2)
+    with pytest.raises(ConfigurationError, match="n_mobile is -1, expected 0 or more"):
+        read(log, n_mobile=-1)
 
 
 def with_value(name: str, row: int, value: object) -> Callable[[dict[str, Any]], dict[str, Any]]:

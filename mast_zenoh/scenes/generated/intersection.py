@@ -8,12 +8,12 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitc
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.buildings import rows_of_buildings
-from mast_zenoh.scenes.junction import ROAD, Arm, arms_of, plan
+from mast_zenoh.scenes.generated.buildings import rows_of_buildings
+from mast_zenoh.scenes.generated.junction import ROAD, Arm, arms_of, plan
+from mast_zenoh.scenes.generated.road_users import road_users
+from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic
 from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
-from mast_zenoh.scenes.road_users import road_users
-from mast_zenoh.scenes.traffic import Motion, Movers, Network, Traffic
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 from mast_zenoh.streams import stream
 

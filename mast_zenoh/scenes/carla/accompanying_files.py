@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.avstack_decode import class_of, reason, reject_constant
+from mast_zenoh.scenes.carla.decode import class_of, reason, reject_constant
 
 _DEFAULT_HEIGHT_M = 12.0  # of buildings
 

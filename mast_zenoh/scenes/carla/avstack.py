@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import accompanying_files
-from mast_zenoh.scenes.avstack_decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
-from mast_zenoh.scenes.avstack_layout import Layout, open_layout
 from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.carla import accompanying_files
+from mast_zenoh.scenes.carla.decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
+from mast_zenoh.scenes.carla.layout import Layout, open_layout
 from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.archive import unpack
+from mast_zenoh.scenes.carla.archive import unpack
 
 _MAX_DEPTH = 3  # levels of subfolders that are searched for a run
 

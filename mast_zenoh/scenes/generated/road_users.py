@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenes.junction import BIKE, CROSSER, ROAD, WALKER
-from mast_zenoh.scenes.traffic import Movers, Network
+from mast_zenoh.scenes.generated.junction import BIKE, CROSSER, ROAD, WALKER
+from mast_zenoh.scenes.generated.traffic import Movers, Network
 
 # kind: user, class, (l, w, h) m smallest and largest, desired speed m/s, acceleration, braking m/s^2, headway s, gap m
 _KINDS = {

@@ -12,9 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.scenes.junction import ROAD, Lane
-from mast_zenoh.scenes.paths import PathTable
-from mast_zenoh.scenes.signals import LATE_S, LONG, SHORT, Lights, conflicts, lights, origins, passable, shared
+from mast_zenoh.scenes.generated.junction import ROAD, Lane
+from mast_zenoh.scenes.generated.paths import PathTable
+from mast_zenoh.scenes.generated.signals import (
+    LATE_S,
+    LONG,
+    SHORT,
+    Lights,
+    conflicts,
+    lights,
+    origins,
+    passable,
+    shared,
+)
 from mast_zenoh.streams import stream
 
 _STOP_AHEAD = 0.8  # m, distance between front and stop line when stopped

@@ -52,7 +52,7 @@ LEFT_OUT = (
 
 
 @dataclass(frozen=True, eq=False)
-class Boxes:
+class Annotations:
     """N annotated boxes in the frame of the recording car, by time and then by track.
 
     frame: (N,) row of `times_ns` (F,);  track: (N,) number of the track, from 1, in the order of their UUIDs
@@ -102,7 +102,7 @@ def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
     return _poses(path, {name: values[order[rows]] for name, values in columns.items()})
 
 
-def read_boxes(path: Path) -> Boxes:
+def read_annotations(path: Path) -> Annotations:
     """The annotated road users of a log, without those `LEFT_OUT`.
 
     Unknown categories get class 0 (unknown).
@@ -128,7 +128,7 @@ def read_boxes(path: Path) -> Boxes:
         raise SceneError(f"{path}: a size is 0 or less, or num_interior_pts is negative")
     position, rotation = _poses(path, columns)
     class_id = np.array([CLASS_OF_CATEGORY.get(name, 0) for name in columns["category"]], np.uint8)
-    return Boxes(times, frame, track, position, rotation, size, class_id, columns["num_interior_pts"])
+    return Annotations(times, frame, track, position, rotation, size, class_id, columns["num_interior_pts"])
 
 
 def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.scenes.junction import PAVEMENT, PAVEMENT_END, REACH, Arm, corners
+from mast_zenoh.scenes.generated.junction import PAVEMENT, PAVEMENT_END, REACH, Arm, corners
 
 _GAP = 3.0  # m, between two buildings
 

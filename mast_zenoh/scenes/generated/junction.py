@@ -13,7 +13,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.scenes.paths import Path, arc, bend, oval, rounded, straight
+from mast_zenoh.scenes.generated.paths import Path, arc, bend, oval, rounded, straight
 
 LANE = 3.5  # m, width of a lane
 BIKE_LANE = 2.0

@@ -1,0 +1,1 @@
+"""Reader of Argoverse 2 logs."""

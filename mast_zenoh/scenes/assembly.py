@@ -1,0 +1,189 @@
+"""Makes a recording from boxes and the paths of the agents: the last step of every reader of a data set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import Detections, Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.boxes import Boxes
+from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
+from mast_zenoh.scenes.velocities import fill_velocity
+from mast_zenoh.sensing import Detector
+
+_GROUND_RADIUS_M = 25.0  # the ground's height is estimated from the boxes within this distance,
+_MIN_GROUND_BOXES = 20  # and from at least this many
+_PERIOD_NS = 100_000_000  # of a scene with a single frame
+_MAX_SHEAR = 1e-3  # of a rotation matrix, per element of its product with its transpose
+
+
+@dataclass(frozen=True, eq=False)
+class AgentPath:
+    """An agent, its path, and what it sees.
+
+    agent:    name, kind, object and sensors
+    position: (F, 3) m, world frame; rotation: (F, 3, 3) active, agent to world
+    velocity: (F, 3) m/s, world frame; None: that of its object, otherwise computed from the positions
+    points:   (N,) lidar returns of each box, in the order of the boxes; None: by ray casting
+    ground:   (F,) m, z of the ground below the agent; None: the bottom of its own box, otherwise of boxes around it
+    """
+
+    agent: SceneAgent
+    position: Floats
+    rotation: Floats
+    velocity: Floats | None = None
+    points: NDArray[np.int32] | None = None
+    ground: Floats | None = None
+
+
+#: Detections of a recording: its columns `detections`, `detection_start` and `detection_truth_id`.
+DetectionColumns = tuple[Detections, Ints, Ints]
+
+
+def assemble(
+    name: str,
+    times_ns: Ints,
+    boxes: Boxes,
+    paths: Sequence[AgentPath],
+    detected: Detector | DetectionColumns,
+    *,
+    seed: int,
+    frames: int | None = None,
+    buildings: tuple[Floats, ...] = (),
+    building_height: Floats | None = None,
+) -> Recording:
+    """The recording of a scene.
+
+    times_ns: (F,) ns, ascending; of all frames of the boxes and paths
+    paths:    the ego's first
+    detected: the model that generates detections, or detections of the first `frames` frames
+    frames:   how many frames to keep, the first ones; None: all. Velocities are computed from all.
+    buildings, building_height: as in `Recording`
+
+    Raises SceneError for boxes or paths that cannot be, and ConfigurationError for more frames than there are.
+    """
+    total = len(times_ns)
+    kept = total if frames is None else frames
+    if not 1 <= kept <= total:
+        raise ConfigurationError(f"{name}: {kept} frames requested, the scene has {total}")
+    boxes.validate(name, total)
+    order = np.lexsort((boxes.id, boxes.frame))
+    order = order[boxes.frame[order] < kept]
+    _check(name, times_ns, boxes, paths)
+    world = _world(name, times_ns, boxes, kept, order)
+    world = replace(
+        world,
+        agents=tuple(path.agent for path in paths),
+        agent_position=np.stack([path.position[:kept] for path in paths], axis=1),
+        agent_rotation=np.stack([path.rotation[:kept] for path in paths], axis=1),
+        agent_velocity=np.stack([_velocity(path, world, times_ns) for path in paths], axis=1),
+        buildings=buildings,
+        building_height=np.zeros(0) if building_height is None else building_height,
+    )
+    cast = [column for column, path in enumerate(paths) if path.points is None]
+    points = lidar_visibility(world, cast) if cast else np.zeros((len(order), len(paths)), np.int32)
+    for column, path in enumerate(paths):
+        if path.points is not None:
+            points[:, column] = path.points[order]
+    if not isinstance(detected, Detector):
+        return make_recording(world, points, *detected)
+    ground = np.stack([_ground(path, boxes, kept) for path in paths], axis=1)
+    return make_recording(world, points, *detect(world, points, detected, seed, ground))
+
+
+def _world(name: str, times_ns: Ints, boxes: Boxes, kept: int, order: NDArray[np.intp]) -> World:
+    """The kept frames without agents. order: rows of the boxes that are kept, by frame and id."""
+    by_time = np.argsort(boxes.frame, kind="stable")
+    velocity = np.empty_like(boxes.velocity)
+    velocity[by_time] = fill_velocity(
+        boxes.id[by_time], boxes.position[by_time], boxes.velocity[by_time], times_ns[boxes.frame[by_time]]
+    )
+    names = ("id", "position", "size", "yaw", "class_id")
+    columns = {field: getattr(boxes, field)[order] for field in names} | {"velocity": velocity[order]}
+    return World(
+        name=name,
+        agents=(),
+        period_ns=int(np.median(np.diff(times_ns))) if len(times_ns) > 1 else _PERIOD_NS,
+        times_ns=times_ns[:kept] - times_ns[0],
+        truth=truth_states(columns),
+        truth_start=np.searchsorted(boxes.frame[order], np.arange(kept + 1)).astype(np.int64),
+        agent_position=np.zeros((kept, 0, 3)),
+        agent_rotation=np.zeros((kept, 0, 3, 3)),
+        agent_velocity=np.zeros((kept, 0, 3)),
+    )
+
+
+def _check(name: str, times_ns: Ints, boxes: Boxes, paths: Sequence[AgentPath]) -> None:
+    """Raise SceneError for agents that do not fit the boxes, or poses that are none."""
+    frames = len(times_ns)
+    for path in paths:
+        place = f"{name}: agent {path.agent.name}"
+        expected = {"position": (frames, 3), "rotation": (frames, 3, 3), "velocity": (frames, 3)}
+        expected |= {"points": (len(boxes),), "ground": (frames,)}
+        for field, shape in expected.items():
+            values = getattr(path, field)
+            if values is not None and values.shape != shape:
+                raise SceneError(f"{place}: {field} has shape {values.shape}, expected {shape}")
+            if values is not None and not np.isfinite(values).all():
+                raise SceneError(f"{place}: {field} contains a number that is not finite")
+        shear = np.abs(path.rotation @ np.swapaxes(path.rotation, 1, 2) - np.eye(3)).max(axis=(1, 2))
+        invalid = (shear > _MAX_SHEAR) | (np.linalg.det(path.rotation) < 0)
+        if invalid.any():
+            frame = int(np.flatnonzero(invalid)[0])
+            found = np.round(path.rotation[frame], 3).tolist()
+            raise SceneError(
+                f"{place}: frame {frame}: rotation is {found}, expected an orthonormal right-handed matrix"
+            )
+        if path.points is not None and len(boxes) and path.points.min() < 0:
+            raise SceneError(f"{place}: points has a number below 0, expected counts of lidar returns")
+        if path.agent.object_id >= 0:
+            missing = np.setdiff1d(np.arange(frames), boxes.frame[boxes.id == path.agent.object_id])
+            if len(missing):
+                raise SceneError(
+                    f"{place}: frame {missing[0]} has no box of its object {path.agent.object_id}, "
+                    "expected one in every frame"
+                )
+
+
+def _velocity(path: AgentPath, world: World, times_ns: Ints) -> Floats:
+    """(F, 3) m/s of an agent in the frames of the world."""
+    frames = len(world.times_ns)
+    if path.velocity is not None:
+        return path.velocity[:frames]
+    if path.agent.object_id >= 0:
+        own: Floats = world.truth.velocity[world.truth.id == path.agent.object_id]
+        return own
+    unknown = np.full_like(path.position, np.nan)
+    return fill_velocity(np.zeros(len(times_ns), np.int64), path.position, unknown, times_ns)[:frames]
+
+
+def _ground(path: AgentPath, boxes: Boxes, frames: int) -> Floats:
+    """(frames,) m, z of the ground below an agent."""
+    if path.ground is not None:
+        return path.ground[:frames]
+    own = np.flatnonzero(boxes.id == path.agent.object_id)
+    if path.agent.object_id >= 0:
+        own = own[np.argsort(boxes.frame[own], kind="stable")][:frames]
+        bottom: Floats = boxes.position[own, 2] - boxes.size[own, 2] / 2
+        return bottom
+    still = bool((path.position == path.position[0]).all())
+    levels = [ground_level(boxes, position[:2]) for position in path.position[: 1 if still else frames]]
+    return np.resize(levels, frames)
+
+
+def ground_level(boxes: Boxes, position: Floats) -> float:
+    """Height m of the ground at `position` (2,): the median bottom of the boxes nearby, in all frames.
+
+    If there are too few, the nearest boxes are used; without any, 0.
+    """
+    if not len(boxes):
+        return 0.0
+    distance = np.hypot(*(boxes.position[:, :2] - position).T)
+    radius = max(_GROUND_RADIUS_M, np.sort(distance)[:_MIN_GROUND_BOXES][-1])
+    near = distance <= radius
+    return float(np.median(boxes.position[near, 2] - boxes.size[near, 2] / 2))

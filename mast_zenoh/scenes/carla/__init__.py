@@ -1,0 +1,1 @@
+"""Reader of the CARLA multi-agent layout of AVstack."""

@@ -1,0 +1,1 @@
+"""Generated junctions: streets, signals, traffic and buildings."""

@@ -1,0 +1,130 @@
+"""Recordings are made from boxes and paths in any order, and what cannot be is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import Recording, SceneAgent
+from mast_zenoh.scenes.assembly import AgentPath, assemble, ground_level
+from mast_zenoh.scenes.boxes import Boxes
+from mast_zenoh.scenes.virtual_agents import poles, vehicle, vehicles_throughout
+from mast_zenoh.sensing import Camera, CleanDetector, LidarSensor
+
+FRAMES = 4
+TIMES = 7_000_000_000 + 100_000_000 * np.arange(FRAMES)
+
+
+def road() -> Boxes:
+    """Two cars, ids 3 and 8, 20 m apart, east at 10 m/s on ground 5 m high; 8 is in front."""
+    frame = np.tile(np.arange(FRAMES), 2)
+    number = np.repeat([3, 8], FRAMES)
+    position = np.stack([frame + np.where(number == 8, 20.0, 0.0), np.zeros(8), np.full(8, 5.75)], axis=1)
+    size = np.tile([4.5, 1.9, 1.5], (8, 1))
+    return Boxes(frame, number, position, size, np.zeros(8), np.ones(8, np.uint8), np.full((8, 3), np.nan))
+
+
+def recorded(boxes: Boxes, paths: list[AgentPath], **options) -> Recording:
+    return assemble("road", TIMES, boxes, paths, CleanDetector(), seed=0, **options)
+
+
+def test_the_order_of_boxes_makes_no_difference() -> None:
+    boxes = road()
+    order = np.random.default_rng(0).permutation(len(boxes))
+    one = recorded(boxes, [vehicle("ego", boxes, 3)])
+    other = recorded(boxes.select(order), [vehicle("ego", boxes.select(order), 3)])
+    assert one.truth.id.tolist() == [3, 8] * FRAMES
+    for name, values in one.truth.columns().items():
+        np.testing.assert_array_equal(values, other.truth.columns()[name])
+    np.testing.assert_array_equal(one.detections.position, other.detections.position)
+
+
+def test_velocities_come_from_positions_and_times_begin_at_zero() -> None:
+    recording = recorded(road(), [vehicle("ego", road(), 3)])
+    np.testing.assert_allclose(recording.truth.velocity, np.tile([10.0, 0.0, 0.0], (8, 1)))
+    np.testing.assert_allclose(recording.agent_velocity[:, 0], np.tile([10.0, 0.0, 0.0], (FRAMES, 1)))
+    assert recording.times_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]
+
+
+def test_a_car_sees_the_one_ahead_and_not_itself() -> None:
+    recording = recorded(road(), [vehicle("ego", road(), 3)])
+    assert recording.points_at(0)[0, 0] == 0
+    assert recording.points_at(0)[1, 0] > 50
+    np.testing.assert_allclose(recording.detections_at(0, 0).position, [[20.0, 0.0, 0.75 - 1.8]])
+
+
+def test_given_lidar_returns_are_kept_in_the_order_of_the_boxes() -> None:
+    boxes = road()
+    path = replace(vehicle("ego", boxes, 3), points=np.arange(8, dtype=np.int32))
+    recording = recorded(boxes, [path])
+    assert recording.points[:, 0].tolist() == [0, 4, 1, 5, 2, 6, 3, 7]
+
+
+def test_a_shorter_recording_has_the_velocities_of_the_whole() -> None:
+    whole, short = (recorded(road(), [vehicle("ego", road(), 3)], frames=n) for n in (None, 2))
+    assert len(short) == 2
+    np.testing.assert_array_equal(short.truth.velocity, whole.truth.velocity[:4])
+    with pytest.raises(ConfigurationError, match="road: 5 frames requested, the scene has 4"):
+        recorded(road(), [vehicle("ego", road(), 3)], frames=5)
+
+
+def test_poles_stand_15_m_above_the_ground_beside_the_route() -> None:
+    route = road().position[:FRAMES, :2]
+    (pole, _) = poles(road(), route, np.zeros(FRAMES), 2)
+    np.testing.assert_allclose(pole.position[0, 1:], [16.0, 20.0])
+    assert recorded(road(), [vehicle("ego", road(), 3), pole]).points[:, 1].max() >= 5
+
+
+def test_vehicles_that_leave_are_not_there_throughout() -> None:
+    boxes = road()
+    keep = ~((boxes.id == 8) & (boxes.frame == 2))
+    assert vehicles_throughout(boxes, FRAMES).tolist() == [3, 8]
+    assert vehicles_throughout(boxes.select(keep), FRAMES).tolist() == [3]
+
+
+def test_the_ground_is_below_the_boxes_nearby() -> None:
+    assert ground_level(road(), np.zeros(2)) == 5.0
+    assert ground_level(road().select(np.zeros(0, np.intp)), np.zeros(2)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("frame", 4, r"frame 4, object 3: frame is 4, expected 0 to 3"),
+        ("id", -2, "object -2: id is -2, expected 0 or more"),
+        ("position", np.nan, "frame 1, object 3: position is .*, expected finite"),
+        ("size", 0.0, "size is .*, expected finite numbers above 0"),
+        ("yaw", np.inf, "yaw is inf, expected a finite"),
+        ("velocity", np.inf, "velocity is .*, expected finite numbers, or NaN"),
+        ("class_id", 200, "class_id is 200"),
+        ("frame", 0, "frame 0, object 3: found two boxes"),
+    ],
+)
+def test_an_impossible_box_is_refused(field: str, value: float, message: str) -> None:
+    boxes = road()
+    values = getattr(boxes, field).copy()
+    values[1] = value
+    with pytest.raises(SceneError, match=f"road: .*{message}"):
+        recorded(replace(boxes, **{field: values}), [vehicle("ego", boxes, 3)])
+
+
+def pole() -> AgentPath:
+    agent = SceneAgent("ego", "static", -1, LidarSensor(), Camera())
+    return AgentPath(agent, np.zeros((FRAMES, 3)), np.tile(np.eye(3), (FRAMES, 1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(position=np.zeros((3, 3))), r"position has shape \(3, 3\), expected \(4, 3\)"),
+        (dict(position=np.full((FRAMES, 3), np.nan)), "position contains a number that is not finite"),
+        (dict(rotation=np.tile(2 * np.eye(3), (FRAMES, 1, 1))), "frame 0: rotation is .*, expected an orthonormal"),
+        (dict(points=np.zeros(3, np.int32)), r"points has shape \(3,\), expected \(8,\)"),
+        (dict(points=np.full(8, -1, np.int32)), "points has a number below 0"),
+        (dict(agent=replace(pole().agent, object_id=5)), "frame 0 has no box of its object 5"),
+    ],
+)
+def test_an_impossible_path_is_refused(changes: dict, message: str) -> None:
+    with pytest.raises(SceneError, match=f"road: agent ego: {message}"):
+        recorded(road(), [replace(pole(), **changes)])
