@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -16,9 +17,13 @@ from mast_zenoh.api import messages as recorded
 from mast_zenoh.api.messages import Columns
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.config import registry
-from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenario.shape import RUN_DEFAULTS
 from mast_zenoh.scenes import Recording
+
+#: Arguments of `scenes.from_arrays`, and those of them that are needed.
+_ARRAYS = tuple(inspect.signature(scenes.from_arrays).parameters)
+_OF_ARRAYS = ("times_s", "position")
 
 
 class PreparedScene:
@@ -63,6 +68,18 @@ class PreparedScene:
                 yield frame, time_s, rows(frame)
 
         return recorded.table(parts())
+
+    def save(self, path: str | Path) -> Path:
+        """Write the scene to a file (.npz), and return its path; a scenario plays it as scene="recording:PATH".
+
+        Raises SceneError if it cannot be written.
+        """
+        target = Path(path)
+        try:
+            self.recording.save(target)
+        except OSError as error:
+            raise SceneError(f"{target}: cannot be written: {error}") from error
+        return target
 
     def __len__(self) -> int:
         return len(self.recording)
@@ -115,7 +132,7 @@ class PreparedAgent:
 
 
 def prepare(
-    scene: str | Path | Mapping[str, Any] = "intersection",
+    scene: str | Path | Mapping[str, Any] | None = None,
     *,
     seed: int | None = None,
     frames: int | None = None,
@@ -123,14 +140,19 @@ def prepare(
 ) -> PreparedScene:
     """Prepare a scene without running anything.
 
-    scene:      a short name ("intersection", "intersection:2", "avstack:PATH", "av2:PATH"), a dict(type=…) with the
-                parameters of a scene, the Python file of a scenario, whose scene it is, or a scene.npz of a run
+    scene:      a short name ("intersection:2", "av2:PATH", …), a dict(type=…) with the parameters of a scene, the
+                Python file of a scenario, whose scene it is, or a file of `save` or scene.npz of a run; None: from
+                arrays, `mast.scene(times_s=…, position=…)` (docs/scenes.md), and without any, "intersection"
     seed:       seed of its random draws; None: the scenario's seed, otherwise 0
     frames:     number of frames; None: all of the scene
     parameters: of the scene; with a file, of its `scenario` function
 
     Raises ConfigurationError, and SceneError for missing or damaged data.
     """
+    if scene is None and parameters.keys() & _OF_ARRAYS:
+        _check_arguments(parameters)
+        return PreparedScene(scenes.from_arrays(**parameters, seed=seed or 0, frames=frames))
+    scene = "intersection" if scene is None else scene
     suffix = "" if isinstance(scene, Mapping) else Path(scene).suffix
     if suffix == ".npz":
         options = {"seed": seed, "frames": frames} | parameters
@@ -147,3 +169,13 @@ def prepare(
     built = registry.build(spec, scenes.Scene, "scene")
     recording = scenes.prepare(built, run["seed"] if seed is None else seed, frames, json.dumps(spec, sort_keys=True))
     return PreparedScene(recording)
+
+
+def _check_arguments(parameters: Mapping[str, Any]) -> None:
+    """Raise ConfigurationError for a missing or unknown argument of a scene from arrays."""
+    for name in parameters:
+        if name not in _ARRAYS:
+            raise ConfigurationError(f"scene: from arrays has no parameter {name!r}{nearest(name, _ARRAYS)}")
+    for name in _OF_ARRAYS:
+        if name not in parameters:
+            raise ConfigurationError(f"scene: {name} is missing, expected {' and '.join(_OF_ARRAYS)}")

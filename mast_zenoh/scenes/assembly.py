@@ -71,6 +71,7 @@ def assemble(
     kept = total if frames is None else frames
     if not 1 <= kept <= total:
         raise ConfigurationError(f"{name}: {kept} frames requested, the scene has {total}")
+    check_times(name, times_ns)
     boxes.validate(name, total)
     order = np.lexsort((boxes.id, boxes.frame))
     order = order[boxes.frame[order] < kept]
@@ -94,6 +95,13 @@ def assemble(
         return make_recording(world, points, *detected)
     ground = np.stack([_ground(path, boxes, kept) for path in paths], axis=1)
     return make_recording(world, points, *detect(world, points, detected, seed, ground))
+
+
+def check_times(name: str, times_ns: Ints) -> None:
+    """Raise SceneError for a frame that is not later than the one before."""
+    late = np.flatnonzero(np.diff(times_ns) <= 0)
+    if len(late):
+        raise SceneError(f"{name}: frame {late[0] + 1} is not later than frame {late[0]}")
 
 
 def _world(name: str, times_ns: Ints, boxes: Boxes, kept: int, order: NDArray[np.intp]) -> World:
@@ -121,6 +129,8 @@ def _world(name: str, times_ns: Ints, boxes: Boxes, kept: int, order: NDArray[np
 def _check(name: str, times_ns: Ints, boxes: Boxes, paths: Sequence[AgentPath]) -> None:
     """Raise SceneError for agents that do not fit the boxes, or poses that are none."""
     frames = len(times_ns)
+    if not paths:
+        raise SceneError(f"{name}: found no agents, expected the ego at least")
     for path in paths:
         place = f"{name}: agent {path.agent.name}"
         expected = {"position": (frames, 3), "rotation": (frames, 3, 3), "velocity": (frames, 3)}

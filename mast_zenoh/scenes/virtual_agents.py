@@ -69,13 +69,18 @@ def poles(boxes: Boxes, route: Floats, yaw: Floats, count: int) -> list[AgentPat
         direction = at(fraction + 0.02) - at(fraction - 0.02)
         offset = np.array([-direction[1], direction[0]]) / np.hypot(*direction) * _POLE_OFFSET_M
         position = at(fraction) + (offset if k % 2 == 0 else -offset)
-        placed.append(_pole(f"infra_{k + 1}", boxes, position, at(0.5) - position, len(route)))
+        facing = at(0.5) - position
+        placed.append(pole(f"infra_{k + 1}", boxes, position, np.arctan2(facing[1], facing[0]), len(route)))
     return placed
 
 
-def _pole(name: str, boxes: Boxes, position: Floats, facing: Floats, frames: int) -> AgentPath:
+def pole(name: str, boxes: Boxes, position: Floats, yaw: float, frames: int) -> AgentPath:
+    """A pole at `position` (2,) m, 15 m above the ground; its lidar looks 30 degrees down.
+
+    yaw: rad, where it looks
+    """
     ground = ground_level(boxes, position)
-    rotation = rotation_from_yaw_pitch(float(np.arctan2(facing[1], facing[0])), np.radians(_POLE_PITCH_DEG))
+    rotation = rotation_from_yaw_pitch(float(yaw), np.radians(_POLE_PITCH_DEG))
     sensors = LidarSensor.infrastructure(), Camera(mount_position=np.zeros(3))
     return AgentPath(
         SceneAgent(name, "static", -1, *sensors),

@@ -61,7 +61,7 @@ MEMBERS = {
     },
     "Comparison": {"table", "headline", "plot", "markdown"},
     "FinishedStudy": {"table", "comparison", "results", "frames"},
-    "PreparedScene": {"name", "agents", "agent", "truth"},
+    "PreparedScene": {"name", "agents", "agent", "truth", "save"},
     "Listing": {"names", "groups", "index", "count"},
 }
 KEYWORDS = {

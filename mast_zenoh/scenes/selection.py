@@ -1,0 +1,75 @@
+"""Parts of a recording: its first frames, and some of its agents."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Ints
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenes.recording import Recording
+
+
+def first_frames(recording: Recording, frames: int | None) -> Recording:
+    """The first frames of a recording; None: all. Raises ConfigurationError for more than there are."""
+    if frames is None or frames == len(recording):
+        return recording
+    if not 1 <= frames < len(recording):
+        raise ConfigurationError(f"{recording.name}: {frames} frames requested, the scene has {len(recording)}")
+    truth = slice(int(recording.truth_start[frames]))
+    detections = slice(int(recording.detection_start[frames * len(recording.agents)]))
+    return replace(
+        recording,
+        times_ns=recording.times_ns[:frames],
+        truth=recording.truth.select(truth),
+        truth_start=recording.truth_start[: frames + 1],
+        points=recording.points[truth],
+        agent_position=recording.agent_position[:frames],
+        agent_rotation=recording.agent_rotation[:frames],
+        agent_velocity=recording.agent_velocity[:frames],
+        detections=recording.detections.select(detections),
+        detection_start=recording.detection_start[: frames * len(recording.agents) + 1],
+        detection_truth_id=recording.detection_truth_id[detections],
+        sweeps=tuple(sweep[:frames] for sweep in recording.sweeps),
+    )
+
+
+def fewer_agents(recording: Recording, n_mobile: int | None, n_infrastructure: int | None) -> Recording:
+    """A recording with the ego and the first mobile and static agents; None: all of a kind.
+
+    Raises ConfigurationError for more than there are.
+    """
+    others = list(enumerate(recording.agents))[1:]
+    kept = [0]
+    for name, count, kind, words in (
+        ("n_mobile", n_mobile, "mobile", "mobile agents besides the ego"),
+        ("n_infrastructure", n_infrastructure, "static", "static agents"),
+    ):
+        rows = [row for row, agent in others if agent.kind == kind]
+        if count is not None and not 0 <= count <= len(rows):
+            raise ConfigurationError(
+                f"{recording.name}: {name} is {count}, expected 0 to {len(rows)}: the scene has {len(rows)} {words}"
+            )
+        kept += rows[:count]
+    return recording if len(kept) == len(recording.agents) else _with_agents(recording, np.array(sorted(kept)))
+
+
+def _with_agents(recording: Recording, rows: Ints) -> Recording:
+    """A recording with the agents of some rows, ascending."""
+    frames, agents = len(recording), len(recording.agents)
+    counts = np.diff(recording.detection_start).reshape(frames, agents)
+    owner = np.repeat(np.tile(np.arange(agents), frames), counts.ravel())
+    kept = np.flatnonzero(np.isin(owner, rows))
+    return replace(
+        recording,
+        agents=tuple(recording.agents[row] for row in rows),
+        points=recording.points[:, rows],
+        agent_position=recording.agent_position[:, rows],
+        agent_rotation=recording.agent_rotation[:, rows],
+        agent_velocity=recording.agent_velocity[:, rows],
+        detections=recording.detections.select(kept),
+        detection_start=np.concatenate([[0], np.cumsum(counts[:, rows])]),
+        detection_truth_id=recording.detection_truth_id[kept],
+        sweeps=tuple(recording.sweeps[row] for row in rows) if recording.sweeps else (),
+    )
