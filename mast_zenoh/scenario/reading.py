@@ -20,8 +20,9 @@ def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, An
 
     scene: "intersection", "avstack:PATH", … or a dict
 
-    Options that are None are ignored. Raises ConfigurationError for an option that the scene's type does not take, or
-    that contradicts the scene.
+    Options that are None are ignored. `detections`, of any scene: a path, or a dict of it and `first_frame`, see
+    `scenes.OwnDetections`. Raises ConfigurationError for an option that the scene's type does not take, or that
+    contradicts the scene.
     """
     if not isinstance(scene, (str, Mapping)):
         raise ConfigurationError(f"scene: found {scene!r}, expected a short name or a dict(type=…)")
@@ -31,11 +32,20 @@ def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, An
     for name, value in options.items():
         if value is None:
             continue
-        if name not in accepted:
+        if name not in accepted and name != "detections":
             raise ConfigurationError(f"scene: {spec['type']} has no parameter {name!r}{nearest(name, accepted)}")
         if spec.setdefault(name, value) != value:
             raise ConfigurationError(f"scene: {name} is {value!r}, but {spec[name]!r} in {scene!r}: expected one value")
-    return spec
+    return spec if "detections" in accepted else _with_own_detections(spec)
+
+
+def _with_own_detections(spec: dict[str, Any]) -> dict[str, Any]:
+    """The spec of a scene, inside one that replays its `detections`, if it has any."""
+    detections = spec.pop("detections", None)
+    if detections is None:
+        return spec
+    files = dict(detections) if isinstance(detections, Mapping) else {"path": detections}
+    return {"type": "OwnDetections", "scene": spec, **files}
 
 
 def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:

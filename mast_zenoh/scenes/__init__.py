@@ -7,6 +7,7 @@ from mast_zenoh.scenes.carla.avstack import AVstackScene
 from mast_zenoh.scenes.from_arrays import from_arrays
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.names import parse_scene
+from mast_zenoh.scenes.own_detections.replayed import OwnDetections
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.scenes.recording_file import RecordingFile
 
@@ -14,6 +15,7 @@ __all__ = [
     "AV2Log",
     "AVstackScene",
     "Intersection",
+    "OwnDetections",
     "Recording",
     "RecordingFile",
     "Scene",

@@ -17,6 +17,7 @@ from mast_zenoh.scenes.carla import accompanying_files
 from mast_zenoh.scenes.carla.decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
 from mast_zenoh.scenes.carla.layout import Layout, open_layout
 from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.own_detections.json_lines import read_json_lines
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
@@ -91,7 +92,7 @@ class AVstackScene(Scene):
         if file is None:
             return make_recording(world, points, *detect(world, points, self.detector, seed, ground))
         rotation = world.agent_rotation @ np.stack([agent.sensor.mount_rotation for agent in world.agents])
-        return make_recording(world, points, *accompanying_files.read_detections(file, numbers, agents, rotation))
+        return make_recording(world, points, *read_json_lines(file, numbers, agents, rotation))
 
     def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
         """Numbers of the agents: the ego, other mobile agents, then static agents."""

@@ -12,22 +12,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import SceneError
-
-_CLASSES = {
-    "van": "car",
-    "walker": "pedestrian",
-    "person": "pedestrian",
-    "cyclist": "bicycle",
-    "bike": "bicycle",
-    "motorbike": "motorcycle",
-}
+from mast_zenoh.scenes.class_names import class_of
+from mast_zenoh.scenes.json_lines import reason, reject_constant
 
 #: Values of `occlusion` of an object that a sensor does not see: invalid and complete. 0, 1 and 2 mean none, partial
 #: and most, 99 means unknown.
@@ -56,11 +49,6 @@ class ObjectState:
     def class_id(self) -> int:
         """Index into CLASSES."""
         return class_of(self.kind)
-
-
-def class_of(name: str) -> int:
-    """The index into CLASSES of a type name; 0 (unknown) for other names."""
-    return CLASS_INDEX.get(_CLASSES.get(name.lower(), name.lower()), 0)
 
 
 def read_objects(path: Path, frame: int) -> tuple[float, list[ObjectState]]:
@@ -212,13 +200,3 @@ def _read(path: Path) -> Any:
 
 def _decode(text: str) -> Any:
     return json.loads(text, parse_constant=reject_constant)
-
-
-def reject_constant(name: str) -> NoReturn:
-    """Refuse a number that is not finite, for `json.loads(parse_constant=)`."""
-    raise ValueError(f"{name} is not a finite number")
-
-
-def reason(error: Exception) -> str:
-    """Why decoding failed, in words."""
-    return f"{error} is missing" if isinstance(error, KeyError) else str(error)
