@@ -85,13 +85,15 @@ def detect(
     Each (agent, frame) has its own random stream, so adding an agent does not affect the others.
     ground: (F, A) m, z of the ground at each agent; None: 0.
     """
+    period_s = world.period_ns * 1e-9
+    detectors = [detector.begin(agent.name, "lidar", period_s) for agent in world.agents]
     batches: list[Detections] = []
     ids: list[Ints] = []
     for frame in range(len(world.times_ns)):
         rows = world.rows(frame)
         truth = world.truth.select(rows)
         for column, agent in enumerate(world.agents):
-            detections, truth_id = detector.detect(
+            detections, truth_id = detectors[column].detect(
                 truth,
                 points[rows, column],
                 agent.sensor,

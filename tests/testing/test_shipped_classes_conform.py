@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import os
+import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +89,24 @@ def data(name: str) -> Path:
     return root / name
 
 
+@cache
+def saved() -> Path:
+    """A scene in a file, beside it a folder of detections: none at all."""
+    folder = Path(tempfile.mkdtemp())
+    recording = scenes.Intersection(n_infrastructure=1).record(0, 5)
+    recording.save(folder / "scene.npz")
+    for name in recording.agent_names:
+        (folder / f"{name}.txt").touch()
+    return folder / "scene.npz"
+
+
+def replayed() -> scenes.OwnDetections:
+    return scenes.OwnDetections(scene=scenes.RecordingFile(path=str(saved())), path=str(saved().parent))
+
+
 SCENES: dict[str, Callable[[], scenes.Scene]] = {
+    "RecordingFile": lambda: scenes.RecordingFile(path=str(saved())),
+    "OwnDetections": replayed,
     "Intersection": scenes.Intersection,
     "AVstackScene": lambda: scenes.AVstackScene(path=str(data("avstack_carla_fixture"))),
     "AV2Log": lambda: scenes.AV2Log(path=str(min(path for path in data("av2_logs").iterdir() if path.is_dir()))),
