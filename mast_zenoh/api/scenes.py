@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,15 @@ from mast_zenoh.api import messages as recorded
 from mast_zenoh.api.messages import Columns
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.config import registry
+from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
+from mast_zenoh.report.figures.scene import scene_figure
+from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.scenario.shape import RUN_DEFAULTS
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes import Recording, inspection
+from mast_zenoh.scenes.names import SHORT_NAMES
+from mast_zenoh.scenes.own_detections import kitti
+from mast_zenoh.scenes.recognition import recognised
 
 #: Arguments of `scenes.from_arrays`, and those of them that are needed.
 _ARRAYS = tuple(inspect.signature(scenes.from_arrays).parameters)
@@ -80,6 +86,36 @@ class PreparedScene:
         except OSError as error:
             raise SceneError(f"{target}: cannot be written: {error}") from error
         return target
+
+    def save_detections(self, folder: str | Path) -> list[Path]:
+        """Write the detections as KITTI text, a file for each agent in a new or empty folder, and return the files.
+
+        `scene.detections=FOLDER` replays them (docs/own_detections.md). Raises SceneError if they cannot be written.
+        """
+        target = Path(folder)
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            if any(target.iterdir()):
+                raise SceneError(f"{target}: is not empty, expected a new or empty folder")
+            return [kitti.write(target, name, self.recording, row) for row, name in enumerate(self.agents)]
+        except OSError as error:
+            raise SceneError(f"{target}: cannot be written: {error}") from error
+
+    @property
+    def description(self) -> str:
+        """What the scene contains, and what is suspicious about it, as lines of text."""
+        rows = [("scene", self.name), *inspection.contents(self.recording)]
+        suspicious = [("suspicious", each) for each in inspection.problems(self.recording)]
+        return "\n".join(f"{name:12}{text}" for name, text in [*rows, *suspicious])
+
+    def birdseye(self, frame: int = 0) -> Figure:
+        """A figure of a frame from above: what the agents see, detections, and the agents with their ranges.
+
+        Raises ConfigurationError for a frame that the scene does not have.
+        """
+        if not 0 <= frame < len(self):
+            raise ConfigurationError(f"{self.name}: frame is {frame}, expected 0 to {len(self) - 1}")
+        return scene_figure(self.recording, frame)
 
     def __len__(self) -> int:
         return len(self.recording)
@@ -153,7 +189,8 @@ def prepare(
         _check_arguments(parameters)
         return PreparedScene(scenes.from_arrays(**parameters, seed=seed or 0, frames=frames))
     scene = "intersection" if scene is None else scene
-    suffix = "" if isinstance(scene, Mapping) else Path(scene).suffix
+    named_so = isinstance(scene, Mapping) or str(scene).partition(":")[0] in SHORT_NAMES
+    suffix = "" if named_so else Path(str(scene)).suffix
     if suffix == ".npz":
         options = {"seed": seed, "frames": frames} | parameters
         if unused := [name for name, value in options.items() if value is not None]:
@@ -169,6 +206,16 @@ def prepare(
     built = registry.build(spec, scenes.Scene, "scene")
     recording = scenes.prepare(built, run["seed"] if seed is None else seed, frames, json.dumps(spec, sort_keys=True))
     return PreparedScene(recording)
+
+
+def named(
+    scene: str, settings: Sequence[str] = (), *, seed: int | None = None, frames: int | None = None
+) -> PreparedScene:
+    """The scene of a short name, or of a file or folder, whose type is recognised.
+
+    settings: `key=value`, parameters of the scene
+    """
+    return prepare(recognised(scene), seed=seed, frames=frames, **nested(settings))
 
 
 def _check_arguments(parameters: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from mast_zenoh import scenario
-from mast_zenoh.cli import deploy, intercept, listing
+from mast_zenoh.cli import deploy, intercept, listing, scene
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -49,6 +49,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(deploy.app, name="deploy")
+app.add_typer(scene.app, name="scene")
 app.command()(deploy.doctor)
 
 

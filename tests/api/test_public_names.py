@@ -61,7 +61,7 @@ MEMBERS = {
     },
     "Comparison": {"table", "headline", "plot", "markdown"},
     "FinishedStudy": {"table", "comparison", "results", "frames"},
-    "PreparedScene": {"name", "agents", "agent", "truth", "save"},
+    "PreparedScene": {"name", "agents", "agent", "truth", "save", "save_detections", "description", "birdseye"},
     "Listing": {"names", "groups", "index", "count"},
 }
 KEYWORDS = {

@@ -18,7 +18,7 @@ from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.config import registry
 from mast_zenoh.errors import MastError, SceneError
 from mast_zenoh.scenes import OwnDetections, Recording, RecordingFile, Scene, from_arrays
-from mast_zenoh.scenes.own_detections.kitti import read_kitti, write_kitti
+from mast_zenoh.scenes.own_detections.kitti import read_kitti, write
 from mast_zenoh.scenes.own_detections.rows import DetectionRows
 from mast_zenoh.sensing import DetectionModel
 
@@ -93,7 +93,7 @@ def write_table(path: Path, recording: Recording, **changes: object) -> Path:
 def write_folder(folder: Path, recording: Recording) -> Path:
     folder.mkdir(exist_ok=True)
     for agent, name in enumerate(AGENTS):
-        write_kitti(folder, name, rows_of(recording, agent))
+        write(folder, name, recording, agent)
     return folder
 
 

@@ -148,7 +148,7 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         behind = -np.array([np.cos(turn), np.sin(turn)])
         inside = np.abs(position[:2] + behind * 0.25 * half - [x, y]) < half
         letters = max(map(len, label.split("\n")))
-        side = _free_side(occupied, position, letters, half, np.where(inside, behind, -behind) > 0)
+        side = free_side(occupied, position, letters, half, np.where(inside, behind, -behind) > 0)
         axes.annotate(
             plain(label),
             (position[0], position[1]),
@@ -165,7 +165,7 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         )
 
 
-def _free_side(
+def free_side(
     occupied: list[tuple[float, float, float, float]], at: Floats, letters: int, half: float, preferred: Bools
 ) -> tuple[bool, bool]:
     """(right, above): the side of a position where a label does not overlap others.

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit
 
+from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError, nearest
 from mast_zenoh.scenes.elements import read_text
 from mast_zenoh.scenes.own_detections.rows import DetectionRows
+from mast_zenoh.scenes.recording import Recording
 
 #: Numbers of a line of AB3DMOT: frame, type, left, top, right, bottom, score, h, w, l, x, y, z, rotation_y, alpha.
 _AB3DMOT = 15
@@ -104,22 +106,24 @@ def _line(file: Path, number: int, line: str) -> tuple[float, ...]:
     return (frame, CLASS_INDEX[class_name], score, *box)
 
 
-def write_kitti(folder: Path, agent: str, rows: DetectionRows) -> Path:
-    """Write the detections of one agent as lines of AB3DMOT, and return the file.
+def write(folder: Path, agent: str, recording: Recording, row: int) -> Path:
+    """Write the detections of an agent of a recording as lines of AB3DMOT, and return the file.
 
-    Covariances and true ids have no place in it.
+    row: of the agent in the recording. Covariances, true ids and other classes have no place in the file.
     """
     numbers = {CLASS_INDEX[name]: number for number, name in _NUMBERED.items()}
     lines = []
-    for frame, position, size, yaw, score, class_id in zip(
-        rows.frame, rows.position, rows.size, rows.yaw, rows.score, rows.class_id, strict=True
-    ):
-        length, width, height = size
-        ahead, left, up = position
-        turn = (-yaw - np.pi / 2 + np.pi) % (2 * np.pi) - np.pi
-        values = (score, height, width, length, -left, height / 2 - up, ahead, turn)
-        kind = numbers.get(int(class_id), 0)
-        lines.append(",".join([str(int(frame)), str(kind), "0,0,0,0", *(f"{value:.6f}" for value in values), "0"]))
+    for frame in range(len(recording)):
+        found = recording.detections_at(frame, row)
+        for position, size, yaw, score, class_id in zip(
+            found.position, found.size, found.yaw, found.score, found.class_id.tolist(), strict=True
+        ):
+            length, width, height = size
+            ahead, left, up = position
+            turn = wrap_angle(-yaw - np.pi / 2)
+            values = (score, height, width, length, -left, height / 2 - up, ahead, turn)
+            kind = numbers.get(class_id, 0)
+            lines.append(",".join([str(frame), str(kind), "0,0,0,0", *(f"{value:.6f}" for value in values), "0"]))
     file = folder / f"{agent}.txt"
     file.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     return file

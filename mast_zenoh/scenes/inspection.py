@@ -1,0 +1,120 @@
+"""What a scene contains, and what is suspicious about it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from mast_zenoh.arrays.states import CLASSES, Bools, Floats
+from mast_zenoh.scenes.recording import Recording
+
+#: Lidar returns of an object that counts as seen.
+SEEN_RETURNS = 5
+_MAX_SPEED_MPS = 70.0
+_MAX_JUMP_M = 2.0  # of a position against the mean of its velocities before and after
+_UNEVEN = 1.5  # periods between two frames
+_SHOWN = 3  # objects with one kind of problem
+
+
+def contents(recording: Recording) -> list[tuple[str, str]]:
+    """What a scene has, as pairs of a name and a text."""
+    frames, agents = len(recording), len(recording.agents)
+    duration = (recording.times_ns[-1] - recording.times_ns[0]) * 1e-9
+    ids, first = np.unique(recording.truth.id, return_index=True)
+    kinds, count = np.unique(recording.truth.class_id[first], return_counts=True)
+    classes = ", ".join(f"{n} {CLASSES[kind]}" for kind, n in zip(kinds, count, strict=True))
+    per_frame = np.diff(recording.truth_start)
+    seen = recording.points >= SEEN_RETURNS
+    shares = ", ".join(
+        f"{agent.name} {seen[:, column].sum() / frames:.1f}" for column, agent in enumerate(recording.agents)
+    )
+    return [
+        ("frames", f"{frames} at {1e9 / recording.period_ns:.1f} Hz, {duration:.1f} s"),
+        ("agents", f"{agents}: {', '.join(f'{agent.name} ({agent.kind})' for agent in recording.agents)}"),
+        ("objects", f"{len(ids)}: {classes}; {per_frame.min()} to {per_frame.max()} in a frame"),
+        ("seen", f"objects in a frame with at least {SEEN_RETURNS} lidar returns: {shares}"),
+        ("detections", _detections(recording)),
+        ("buildings", str(len(recording.buildings))),
+    ]
+
+
+def _detections(recording: Recording) -> str:
+    """Number, scores and covariances of the detections."""
+    detections = recording.detections
+    if not len(detections):
+        return "none"
+    rate = len(detections) / (len(recording) * len(recording.agents))
+    low, high = detections.score.min(), detections.score.max()
+    scores = f"all scores {low:.2f}" if low == high else f"scores {low:.2f} to {high:.2f}"
+    given = "with" if detections.covariance.any() else "without"
+    return f"{rate:.1f} per agent and frame, {scores}, {given} covariances"
+
+
+def problems(recording: Recording) -> list[str]:
+    """What is probably wrong with a scene that can be read, in sentences."""
+    found = []
+    steps = np.diff(recording.times_ns) / recording.period_ns
+    if (uneven := np.flatnonzero(steps > _UNEVEN)).size:
+        gap = f"{steps[uneven[0]]:.1f} periods before frame {uneven[0] + 1}"
+        found.append(f"{uneven.size} gaps in time, the first of {gap}")
+    speed = np.linalg.norm(recording.truth.velocity, axis=1)
+    found += _at(recording, speed > _MAX_SPEED_MPS, f"faster than {_MAX_SPEED_MPS:.0f} m/s")
+    found += _at(recording, _jumps(recording), f"more than {_MAX_JUMP_M:.0f} m from where their velocity leads")
+    found += _at(recording, _inside_others(recording), "with their centre inside another object")
+    for column, agent in enumerate(recording.agents):
+        seen = recording.points[:, column] >= SEEN_RETURNS
+        if not seen.any():
+            found.append(f"{agent.name} never sees an object")
+        rows = np.diff(recording.detection_start).reshape(len(recording), -1)[:, column]
+        if not rows.any() and len(recording.detections):
+            found.append(f"{agent.name} has no detections")
+    unseen = np.asarray(~(recording.points >= SEEN_RETURNS).any(axis=1))
+    if len(unseen) and unseen.mean() > 0.5:
+        found.append(f"{unseen.mean():.0%} of the objects in a frame are seen by nobody")
+    return found
+
+
+def _at(recording: Recording, rows: Bools, words: str) -> list[str]:
+    """A sentence on the objects in some truth rows, if there are any."""
+    where = np.flatnonzero(rows)
+    if not len(where):
+        return []
+    frame = np.searchsorted(recording.truth_start, where, side="right") - 1
+    ids, first = np.unique(recording.truth.id[where], return_index=True)
+    places = [f"{number} (frame {frame[row]})" for number, row in zip(ids, first, strict=True)]
+    more = f" and {len(ids) - _SHOWN} more" if len(ids) > _SHOWN else ""
+    return [f"objects {words}: {', '.join(places[:_SHOWN])}{more}"]
+
+
+def _jumps(recording: Recording) -> Bools:
+    """(N,) whether a row is far from where its object's row in the frame before leads."""
+    frame = np.repeat(np.arange(len(recording)), np.diff(recording.truth_start))
+    order = np.lexsort((frame, recording.truth.id))
+    ids, times = recording.truth.id[order], recording.times_ns[frame[order]] * 1e-9
+    position, velocity = recording.truth.position[order], recording.truth.velocity[order]
+    seconds = np.diff(times)[:, None]
+    expected: Floats = position[:-1] + 0.5 * (velocity[:-1] + velocity[1:]) * seconds
+    far = np.linalg.norm(position[1:] - expected, axis=1) > _MAX_JUMP_M
+    jumps = np.zeros(len(order), np.bool_)
+    jumps[order[1:]] = far & (ids[1:] == ids[:-1])
+    return jumps
+
+
+def _inside_others(recording: Recording) -> Bools:
+    """(N,) whether the centre of an object is in the box of another one, seen from above and by height."""
+    inside = np.zeros(len(recording.truth), np.bool_)
+    for frame in range(len(recording)):
+        truth = recording.truth_at(frame)
+        if len(truth) < 2:
+            continue
+        reach = float(np.hypot(truth.size[:, 0], truth.size[:, 1]).max() / 2)
+        i, j = KDTree(truth.position[:, :2]).query_pairs(reach, output_type="ndarray").T
+        first = int(recording.truth_start[frame])
+        for a, b in ((i, j), (j, i)):
+            offset = truth.position[a] - truth.position[b]
+            cos, sin = np.cos(truth.yaw[b]), np.sin(truth.yaw[b])
+            along = np.stack([cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]], axis=1)
+            within = (np.abs(along) < truth.size[b, :2] / 2).all(axis=1)
+            within &= np.abs(offset[:, 2]) < truth.size[b, 2] / 2
+            inside[first + a[within]] = True
+    return inside

@@ -1,0 +1,122 @@
+"""What `mast scene` says about a scene, and what it writes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+import mast_zenoh as mast
+from mast_zenoh.cli.app import app
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import Recording, from_arrays
+from mast_zenoh.scenes.inspection import contents, problems
+from mast_zenoh.scenes.recognition import recognised
+
+TIMES = np.arange(6) / 10
+
+
+def road(**changes) -> Recording:
+    """Two cars 20 m apart, north at 10 m/s."""
+    position = np.zeros((6, 2, 2))
+    position[:, :, 1] = 10.0 * TIMES[:, None] + [0.0, 20.0]
+    return from_arrays(**dict(times_s=TIMES, position=position, name="road") | changes)
+
+
+def test_contents_count_objects_agents_and_detections() -> None:
+    rows = dict(contents(road(poles=[(10.0, 0.0, np.pi)])))
+    assert rows["frames"] == "6 at 10.0 Hz, 0.5 s"
+    assert rows["agents"] == "2: ego (mobile), infra_1 (static)"
+    assert rows["objects"] == "2: 2 car; 2 to 2 in a frame"
+    assert rows["detections"].endswith("with covariances")
+
+
+def test_a_sound_scene_has_no_problems() -> None:
+    assert problems(road()) == []
+
+
+def changed(field: str, rows: slice, value: object) -> Recording:
+    recording = road()
+    values = getattr(recording.truth, field).copy()
+    values[rows] = value
+    return replace(recording, truth=replace(recording.truth, **{field: values}))
+
+
+@pytest.mark.parametrize(
+    ("recording", "message"),
+    [
+        (lambda: road(times_s=[0, 0.1, 0.2, 0.3, 0.9, 1.0]), "1 gaps in time, the first of 6.0 periods before"),
+        (lambda: changed("velocity", slice(4, 5), [90.0, 0, 0]), "objects faster than 70 m/s: 0 (frame 2)"),
+        (
+            lambda: changed("position", slice(4, 5), [50.0, 0, 0]),
+            "objects more than 2 m from where",
+        ),
+        (
+            lambda: changed("position", slice(0, 1), [0.5, 20.0, 0.75]),
+            "with their centre inside another object: 0",
+        ),
+        (lambda: road(points=np.zeros((6, 2, 1))), "ego never sees an object"),
+    ],
+)
+def test_what_is_suspicious_is_named(recording, message: str) -> None:
+    assert any(message in each for each in problems(recording())), problems(recording())
+
+
+def test_a_check_lists_the_contents_and_draws_the_first_frame(tmp_path: Path) -> None:
+    road().save(tmp_path / "road.npz")
+    result = CliRunner().invoke(app, ["scene", "check", str(tmp_path / "road.npz"), "--draw", str(tmp_path / "x.png")])
+    assert result.exit_code == 0, result.output
+    assert "frames      6 at 10.0 Hz" in result.output
+    with Image.open(tmp_path / "x.png") as image:
+        assert image.width > 500
+        assert len(image.convert("RGB").getcolors(10**6) or []) > 20
+
+
+def test_a_converted_scene_plays_like_the_original(tmp_path: Path) -> None:
+    target = tmp_path / "junction.npz"
+    command = ["scene", "convert", "intersection:1", str(target), "--frames", "4", "--seed", "5"]
+    result = CliRunner().invoke(app, [*command, "--set", "n_infrastructure=1"])
+    assert result.exit_code == 0, result.output
+    original = mast.scene("intersection:1", seed=5, frames=4, n_infrastructure=1)
+    converted = mast.scene(target)
+    assert converted.truth.equals(original.truth)
+    assert converted.agent("infra_1").detections.equals(original.agent("infra_1").detections)
+
+
+def test_written_detections_are_replayed(tmp_path: Path) -> None:
+    folder = tmp_path / "detections"
+    command = ["scene", "detections", "intersection:1", str(folder), "--frames", "4", "--set", "n_infrastructure=1"]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    assert result.output.count(".txt") == 2
+    again = mast.scene("intersection:1", frames=4, n_infrastructure=1, detections=str(folder))
+    original = mast.scene("intersection:1", frames=4, n_infrastructure=1)
+    ours, theirs = again.agent("ego").detections, original.agent("ego").detections
+    np.testing.assert_allclose(ours["x"].to_numpy(), theirs["x"].to_numpy(), atol=2e-6)
+    refused = CliRunner().invoke(app, command).exception
+    assert isinstance(refused, SceneError)
+    assert "is not empty, expected a new or empty folder" in str(refused)
+
+
+def test_a_frame_that_is_not_there_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="frame is 6, expected 0 to 5"):
+        mast.scene(times_s=TIMES, position=np.zeros((6, 1, 2))).birdseye(6)
+
+
+def test_folders_are_recognised_by_their_files(tmp_path: Path) -> None:
+    (tmp_path / "city_SE3_egovehicle.feather").touch()
+    assert recognised(str(tmp_path)) == f"av2:{tmp_path}"
+    assert recognised("intersection:3") == "intersection:3"
+    (tmp_path / "objects").mkdir()
+    (tmp_path / "objects" / "objectstate-npcs-1-0.1.txt").touch()
+    with pytest.raises(SceneError, match="files of avstack and of av2 in this folder"):
+        recognised(str(tmp_path))
+    with pytest.raises(ConfigurationError, match="no such file or folder, and no short name"):
+        recognised("nowhere")
+    with pytest.raises(SceneError, match="no files of a known type in this folder; found objectstate"):
+        recognised(str(tmp_path / "objects"))
+    (tmp_path / "x.txt").touch()
+    with pytest.raises(SceneError, match="found a file, expected a folder"):
+        recognised(str(tmp_path / "x.txt"))
