@@ -35,7 +35,10 @@ class Element:
 
     def fail(self, expected: str) -> NoReturn:
         """Raise SceneError: this value is not what was expected."""
-        shown = repr(self.value)
+        try:
+            shown = repr(self.value)
+        except RecursionError:  # read by a caller with fewer frames on the stack
+            shown = "values nested too deeply"
         shown = shown if len(shown) <= _MAX_SHOWN else shown[:_MAX_SHOWN] + "…"
         place = f"{self.place}: " if self.place else ""
         raise SceneError(f"{self.path}: {place}found {shown}, expected {expected}")

@@ -84,10 +84,13 @@ def pole_frame(frame: int) -> str:
     return f"{50 + frame:06d}"
 
 
-def write_spd(root: Path, recording: Recording, references: bool = True) -> Path:
-    """The ego and the first pole as V2X-Seq-SPD. references: cooperative labels name the sides' tracks."""
+def write_spd(root: Path, recording: Recording, count: int, references: bool = True) -> Path:
+    """The ego and the first pole in the first `count` frames as V2X-Seq-SPD.
+
+    references: cooperative labels name the sides' tracks
+    """
     pairs = []
-    for frame in range(len(recording)):
+    for frame in range(count):
         car, _ = write_sides(root, recording, frame, tracks=True)
         entries = []
         for row in rows_seen(recording, frame, (0, 1)):
@@ -108,14 +111,14 @@ def write_spd(root: Path, recording: Recording, references: bool = True) -> Path
             }
         )
     write_json(root / "cooperative" / "data_info.json", pairs)
-    write_clocks(root, recording, lambda name: {"frame_id": name, "sequence_id": "0003"})
+    write_clocks(root, recording, count, lambda name: {"frame_id": name, "sequence_id": "0003"})
     return root
 
 
-def write_c(root: Path, recording: Recording) -> Path:
-    """The ego and the first pole as DAIR-V2X-C: labels in the world frame, corners, no tracks."""
+def write_c(root: Path, recording: Recording, count: int) -> Path:
+    """The ego and the first pole in the first `count` frames as DAIR-V2X-C: corners in the world frame, no tracks."""
     pairs = []
-    for frame in range(len(recording)):
+    for frame in range(count):
         write_sides(root, recording, frame, tracks=False)
         entries = []
         for row in rows_seen(recording, frame, (0, 1)):
@@ -133,7 +136,7 @@ def write_c(root: Path, recording: Recording) -> Path:
             }
         )
     write_json(root / "cooperative" / "data_info.json", pairs)
-    write_clocks(root, recording, lambda name: {"pointcloud_path": f"velodyne/{name}.pcd", "batch_id": "7"})
+    write_clocks(root, recording, count, lambda name: {"pointcloud_path": f"velodyne/{name}.pcd", "batch_id": "7"})
     return root
 
 
@@ -162,13 +165,13 @@ def write_sides(root: Path, recording: Recording, frame: int, tracks: bool) -> t
     return car, pole
 
 
-def write_clocks(root: Path, recording: Recording, more: Callable[[str], dict[str, Any]]) -> None:
+def write_clocks(root: Path, recording: Recording, count: int, more: Callable[[str], dict[str, Any]]) -> None:
     for side, name_of, delay in (
         ("vehicle-side", vehicle_frame, 0),
         ("infrastructure-side", pole_frame, DELAY_US),
     ):
         infos = []
-        for frame, time in enumerate(recording.times_ns.tolist()):
+        for frame, time in enumerate(recording.times_ns[:count].tolist()):
             moment = START_US + time // 1000 + delay
             infos.append({"pointcloud_timestamp": str(moment)} | more(name_of(frame)))
         write_json(root / side / "data_info.json", infos)
@@ -184,15 +187,15 @@ def clockwise_from_front_left(corners: np.ndarray, yaw: float, middle: np.ndarra
 SITE, SEQUENCE, POLES = "117-118-120", "seq-4", ("117", "118", "120")
 
 
-def write_rcooper(root: Path, recording: Recording) -> Path:
-    """The first three poles as RCooper."""
+def write_rcooper(root: Path, recording: Recording, count: int) -> Path:
+    """The first three poles in the first `count` frames as RCooper."""
     first = lidar_pose(recording, 0, 1)
     for agent, name in enumerate(POLES, start=1):
         position, rotation = lidar_pose(recording, 0, agent)
         content = {"rotation": rotation.tolist(), "translation": position.tolist()}
         write_json(root / "calib" / "lidar2world" / f"{name}.json", content)
     folder = root / "labels" / SITE
-    for frame, time in enumerate(recording.times_ns.tolist()):
+    for frame, time in enumerate(recording.times_ns[:count].tolist()):
         moment = 1_692_685_344 * 10**9 + time
         rows = rows_seen(recording, frame, (1, 2, 3))
         coop = [rcooper_label(recording, row, first) for row in rows]

@@ -96,9 +96,8 @@ def read_truth(
         files += [f"{file}: {label.place}" for label in labels]
     everything = Boxes.concatenate(boxes)
     if not len(everything):
-        raise SceneError(
-            f"{layout.root / 'cooperative'}: found no labels in {len(pairs)} frames, expected at least one"
-        )
+        folder = layout.cooperative_labels(pairs[0]).parent
+        raise SceneError(f"{folder}: found no labels in {len(pairs)} frames, expected at least one")
     ids = _ids(names, files, everything, times_ns, link_m)
     known = np.ones((len(everything), 2), bool)
     return Truth(replace(everything, id=ids), np.concatenate(seen), known)

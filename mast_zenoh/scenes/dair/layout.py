@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -50,6 +51,10 @@ class Layout:
     root: Path
     in_world: bool
 
+    def clocks(self, side: str) -> Path:
+        """The file with the times of a side's frames. side: VEHICLE or INFRASTRUCTURE"""
+        return self.root / side / "data_info.json"
+
     def cooperative_labels(self, pair: Pair) -> Path:
         """The file with the cooperative labels of a pair."""
         return self.root / "cooperative" / ("label_world" if self.in_world else "label") / f"{pair.vehicle}.json"
@@ -80,9 +85,16 @@ class Layout:
         return position + (offset if self.in_world else vehicle_rotation @ offset), rotation
 
 
+def split_path(path: Path) -> tuple[Path, str | None]:
+    """The folder of the data set, and the name of a sequence if the path ends in one: `<data set>/<sequence>`."""
+    if not os.path.exists(path) and os.path.isfile(path.parent / PAIRS):
+        return path.parent, path.name
+    return path, None
+
+
 def open_layout(path: Path) -> Layout:
     """The data set at `path`: its folder, or a folder that holds a single one."""
-    if not path.is_dir():
+    if not os.path.isdir(path):
         raise SceneError(f"{path}: no such folder")
     try:
         roots = [folder for folder in (path, *sorted(path.iterdir())) if (folder / PAIRS).is_file()]
@@ -108,7 +120,7 @@ def read_pairs(layout: Layout, sequence: str | None) -> list[Pair]:
     entries = read_json(file).elements()
     if not 1 <= len(entries) <= _MAX_PAIRS:
         raise SceneError(f"{file}: found {len(entries)} pairs, expected 1 to {_MAX_PAIRS}")
-    sides = {side: _side(layout.root / side / "data_info.json") for side in (VEHICLE, INFRASTRUCTURE)}
+    sides = {side: _side(layout.clocks(side)) for side in (VEHICLE, INFRASTRUCTURE)}
     groups: dict[str, dict[str, tuple[Pair, str]]] = {}
     for entry in entries:
         pair, group, pole_group = _pair(entry, sides, layout.in_world)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,6 +24,7 @@ from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
 _COOPERATIVE = "coop"
+_CALIBRATION = "calib/lidar2world"
 _TIME = re.compile(r"([0-9]{1,10})(?:\.([0-9]{1,9}))?", re.ASCII)
 _MAX_FRAMES = 100_000
 _SHOWN = 10  # names of sites or sequences in a message
@@ -36,7 +38,8 @@ _DETECTOR = DetectionModel()
 class RCooperScene(Scene):
     """A sequence of RCooper: two to four poles, with cooperative labels.
 
-    path:                  the folder of the data set, with calib and labels (or label)
+    path:                  the folder of the data set, with calib and labels (or label); the names of a site and of a
+                           sequence may follow, as in RCooper/106-105/seq-0
     site:                  name of the site, such as "106-105"; None: the only one
     sequence:              name of the sequence, such as "seq-0"; None: the only one
     n_infrastructure:      poles besides the first one; None: all
@@ -60,14 +63,16 @@ class RCooperScene(Scene):
         n_mobile: int | None = None,
         detector: Detector = _DETECTOR,
         max_time_difference_s: float = 0.2,
-        max_gap_s: float = 0.35,
+        max_gap_s: float = 0.15,
         match_radius_m: float = 2.0,
     ) -> None:
         if n_mobile:
             raise ConfigurationError(f"RCooperScene: n_mobile is {n_mobile}, expected 0: the data has only poles")
-        self.path = Path(path)
-        self.site = site
-        self.sequence = sequence
+        self.path, *named = _split_path(Path(path))
+        self.site, self.sequence = site or named[0], sequence or named[1]
+        for name, value, expected in (("site", site, named[0]), ("sequence", sequence, named[1])):
+            if None not in (value, expected) and value != expected:
+                raise ConfigurationError(f"{path}: {name} is {value!r}, expected {expected!r} as in the path")
         self.n_infrastructure = n_infrastructure
         self.detector = detector
         self.max_time_difference_s = check_limit("RCooperScene", "max_time_difference_s", max_time_difference_s)
@@ -100,7 +105,7 @@ class RCooperScene(Scene):
         cooperative = folder / _COOPERATIVE / sequence
         times, files = self._frames(cooperative)
         check_times(cooperative, [file.name for file in files], times, self.max_gap_s)
-        poses = [read_transform(self.path / "calib" / "lidar2world" / f"{agent}.json") for agent in agents]
+        poses = [read_transform(self.path / _CALIBRATION / f"{agent}.json") for agent in agents]
         boxes = _truth(files, poses[0])
         paths = []
         for column, (agent, pose) in enumerate(zip(agents, poses, strict=True)):
@@ -114,15 +119,15 @@ class RCooperScene(Scene):
 
     def _folders(self) -> tuple[Path, list[str], str]:
         """The folder of the site's labels, the poles that play, and the name of the sequence."""
+        if not os.path.isdir(self.path):
+            raise SceneError(f"{self.path}: no such folder")
         labels = self.path / "labels"
-        labels = labels if labels.is_dir() else self.path / "label"
+        labels = labels if os.path.isdir(labels) else self.path / "label"
         folder = labels / _chosen(labels, "site", self.site)
         agents = folder.name.split("-")
         for name in (*agents, _COOPERATIVE):
-            if not (folder / name).is_dir():
-                raise SceneError(
-                    f"{folder / name}: no such folder, expected one for every agent of {folder.name} and coop"
-                )
+            if not os.path.isdir(folder / name):
+                raise SceneError(f"{folder / name}: no such folder, expected one for every pole and coop")
         if len(set(agents)) != len(agents) or len(agents) < 2:
             raise SceneError(f"{folder}: found agents {', '.join(agents)}, expected at least two different ones")
         others = len(agents) - 1
@@ -149,6 +154,15 @@ class RCooperScene(Scene):
         return np.array([time for time, _ in moments], np.int64), [file for _, file in moments]
 
 
+def _split_path(path: Path) -> tuple[Path, str | None, str | None]:
+    """The folder of the data set, and the names of a site and of a sequence if the path ends in them."""
+    if not os.path.exists(path) and os.path.isdir(path.parent / _CALIBRATION):
+        return path.parent, path.name, None
+    if not os.path.exists(path) and os.path.isdir(path.parent.parent / _CALIBRATION):
+        return path.parent.parent, path.parent.name, path.name
+    return path, None, None
+
+
 def _truth(files: list[Path], pose: tuple[Floats, Floats]) -> Boxes:
     """The cooperative boxes in the world frame. pose: of the first pole."""
     boxes, names = [], []
@@ -156,7 +170,6 @@ def _truth(files: list[Path], pose: tuple[Floats, Floats]) -> Boxes:
         labels = read_labels(file)
         boxes.append(labelled_boxes(frame, labels, pose))
         for label in labels:
-            label["track_id"]
             names.append(track_of(label))
             if not names[-1]:
                 label["track_id"].fail("a name or a number")
@@ -178,7 +191,7 @@ def _path(name: str, pose: tuple[Floats, Floats], frames: int) -> AgentPath:
 
 def _chosen(folder: Path, parameter: str, value: str | None) -> str:
     """The name of a folder in `folder`: a parameter's value, or the only one."""
-    names = [entry.name for entry in _entries(folder) if entry.is_dir()]
+    names = [entry.name for entry in _entries(folder) if os.path.isdir(entry)]
     known = ", ".join(names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
     if not names:
         raise SceneError(f"{folder}: found no folders, expected one for every {parameter}")

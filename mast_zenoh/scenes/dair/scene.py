@@ -13,7 +13,17 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.assembly import AgentPath, assemble
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.dair.cooperative import Poses, read_truth, with_car
-from mast_zenoh.scenes.dair.layout import PAIRS, Layout, Pair, clocks, frame_number, open_layout, read_pairs
+from mast_zenoh.scenes.dair.layout import (
+    INFRASTRUCTURE,
+    VEHICLE,
+    Layout,
+    Pair,
+    clocks,
+    frame_number,
+    open_layout,
+    read_pairs,
+    split_path,
+)
 from mast_zenoh.scenes.dair.timing import check_differences, check_limit, check_times
 from mast_zenoh.scenes.dair.visibility import returns
 from mast_zenoh.scenes.recording import Recording, SceneAgent
@@ -40,7 +50,8 @@ _NO_LIMIT = 10**40
 class DAIRScene(Scene):
     """A sequence of V2X-Seq-SPD or DAIR-V2X-C: a car and a pole, with cooperative labels.
 
-    path:                  the folder of the data set, or a folder that holds a single one
+    path:                  the folder of the data set, or a folder that holds a single one; the name of a sequence may
+                           follow, as in V2X-Seq-SPD/0003
     sequence:              name of the sequence (DAIR-V2X-C: the car's batch_id); None: the only one
     n_infrastructure:      0: without the pole; None: 1
     n_mobile:              cars besides the ego; None: 0, the only value
@@ -62,14 +73,14 @@ class DAIRScene(Scene):
         self,
         *,
         path: str,
-        sequence: str | None = None,
+        sequence: str | int | None = None,
         n_infrastructure: int | None = None,
         n_mobile: int | None = None,
         detector: Detector = _DETECTOR,
         first_frame: int | None = None,
         last_frame: int | None = None,
         max_time_difference_s: float = 0.2,
-        max_gap_s: float = 0.35,
+        max_gap_s: float = 0.15,
         match_radius_m: float = 2.0,
         link_radius_m: float | None = None,
     ) -> None:
@@ -79,8 +90,10 @@ class DAIRScene(Scene):
                     f"DAIRScene: {name} is {value}, expected {'0' if highest == 0 else '0 or 1'}: "
                     "the data has one car and one pole"
                 )
-        self.path = Path(path)
-        self.sequence = sequence
+        self.path, named = split_path(Path(path))
+        self.sequence = named if sequence is None else str(sequence)
+        if named not in (None, self.sequence):
+            raise ConfigurationError(f"{path}: sequence is {self.sequence!r}, expected {named!r} as in the path")
         self.n_infrastructure = 1 if n_infrastructure is None else n_infrastructure
         self.detector = detector
         self.first_frame = first_frame
@@ -134,10 +147,10 @@ class DAIRScene(Scene):
                 f"{layout.root}: first_frame {self.first_frame} to last_frame {self.last_frame}: found no frame, "
                 f"expected some of {pairs[0].vehicle} to {pairs[-1].vehicle}"
             )
-        file, names = layout.root / PAIRS, [pair.vehicle for pair in chosen]
+        names = [pair.vehicle for pair in chosen]
         times, difference = clocks(chosen)
-        check_times(file, names, times, self.max_gap_s)
-        check_differences(file, names, "infra_1", difference, self.max_time_difference_s)
+        check_times(layout.clocks(VEHICLE), names, times, self.max_gap_s)
+        check_differences(layout.clocks(INFRASTRUCTURE), names, "infra_1", difference, self.max_time_difference_s)
         return chosen
 
 
