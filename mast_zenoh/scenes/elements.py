@@ -136,7 +136,8 @@ def orthonormal(matrix: Floats, element: Element) -> Floats:
 
     element: where it is from, for the message
     """
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > _MAX_SHEAR or np.linalg.det(matrix) < 0:
+    large = np.abs(matrix).max() > 1 + _MAX_SHEAR  # so large that products overflow, perhaps
+    if large or np.abs(matrix @ matrix.T - np.eye(3)).max() > _MAX_SHEAR or np.linalg.det(matrix) < 0:
         element.fail("an orthonormal, right-handed rotation matrix")
     left, _, right = np.linalg.svd(matrix)
     rotation: Floats = left @ right
