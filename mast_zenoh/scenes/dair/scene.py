@@ -134,7 +134,8 @@ class DAIRScene(Scene):
             replace(path, points=returns(truth.boxes, path, times, truth.seen[:, column], ~truth.known[:, column]))
             for column, path in enumerate(paths[: 1 + self.n_infrastructure])
         ]
-        return assemble(layout.root.name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
+        name = f"{layout.root.name} {self.sequence or ''}".strip()
+        return assemble(name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
 
     def _pairs(self, layout: Layout) -> list[Pair]:
         """The pairs of the requested frames, with times checked."""
