@@ -4,6 +4,8 @@ from mast_zenoh.scenes.argoverse.av2 import AV2Log
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.cache import cache_folder, prepare, prepare_sweeps
 from mast_zenoh.scenes.carla.avstack import AVstackScene
+from mast_zenoh.scenes.dair.rcooper import RCooperScene
+from mast_zenoh.scenes.dair.scene import DAIRScene
 from mast_zenoh.scenes.from_arrays import from_arrays
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.names import parse_scene
@@ -14,8 +16,10 @@ from mast_zenoh.scenes.recording_file import RecordingFile
 __all__ = [
     "AV2Log",
     "AVstackScene",
+    "DAIRScene",
     "Intersection",
     "OwnDetections",
+    "RCooperScene",
     "Recording",
     "RecordingFile",
     "Scene",

@@ -35,7 +35,10 @@ class Element:
 
     def fail(self, expected: str) -> NoReturn:
         """Raise SceneError: this value is not what was expected."""
-        shown = repr(self.value)
+        try:
+            shown = repr(self.value)
+        except RecursionError:  # read by a caller with fewer frames on the stack
+            shown = "values nested too deeply"
         shown = shown if len(shown) <= _MAX_SHOWN else shown[:_MAX_SHOWN] + "…"
         place = f"{self.place}: " if self.place else ""
         raise SceneError(f"{self.path}: {place}found {shown}, expected {expected}")
@@ -133,7 +136,8 @@ def orthonormal(matrix: Floats, element: Element) -> Floats:
 
     element: where it is from, for the message
     """
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > _MAX_SHEAR or np.linalg.det(matrix) < 0:
+    large = np.abs(matrix).max() > 1 + _MAX_SHEAR  # so large that products overflow, perhaps
+    if large or np.abs(matrix @ matrix.T - np.eye(3)).max() > _MAX_SHEAR or np.linalg.det(matrix) < 0:
         element.fail("an orthonormal, right-handed rotation matrix")
     left, _, right = np.linalg.svd(matrix)
     rotation: Floats = left @ right

@@ -7,7 +7,13 @@ from typing import Any
 from mast_zenoh.errors import ConfigurationError, nearest
 
 #: Scene types by short name; the text after the colon is their path.
-_WITH_PATH = {"recording": "RecordingFile", "avstack": "AVstackScene", "av2": "AV2Log"}
+_WITH_PATH = {
+    "recording": "RecordingFile",
+    "avstack": "AVstackScene",
+    "av2": "AV2Log",
+    "dair": "DAIRScene",
+    "rcooper": "RCooperScene",
+}
 #: All names before the colon.
 SHORT_NAMES = ("intersection", *_WITH_PATH)
 _KNOWN = ("intersection", "intersection:INDEX", *(f"{name}:PATH" for name in _WITH_PATH))

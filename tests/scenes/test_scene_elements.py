@@ -63,6 +63,20 @@ def test_a_rounded_rotation_is_made_orthonormal() -> None:
     np.testing.assert_allclose(rotation, rounded, atol=1e-3)
 
 
+def test_a_rotation_of_huge_numbers_is_refused_without_overflow() -> None:
+    huge = [[1e200, 1e200, 0], [-1e200, 1e200, 0], [0, 0, 1]]
+    with np.errstate(all="raise"), pytest.raises(SceneError, match="expected an orthonormal"):
+        element(huge).rotation()
+
+
+def test_a_deeply_nested_value_is_refused() -> None:
+    value: list = []
+    for _ in range(100_000):
+        value = [value]
+    with pytest.raises(SceneError, match="found values nested too deeply, expected text"):
+        element(value).text()
+
+
 @given(ANYTHING)
 def test_any_value_is_read_or_refused(value: object) -> None:
     for read in (

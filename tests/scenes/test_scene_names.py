@@ -13,6 +13,8 @@ from mast_zenoh.scenes import parse_scene
         ("intersection:7", {"type": "Intersection", "scene_index": 7}),
         ("avstack:/data/run-0", {"type": "AVstackScene", "path": "/data/run-0"}),
         ("av2:logs/a:b", {"type": "AV2Log", "path": "logs/a:b"}),
+        ("dair:/data/V2X-Seq-SPD/0003", {"type": "DAIRScene", "path": "/data/V2X-Seq-SPD/0003"}),
+        ("rcooper:/data/RCooper", {"type": "RCooperScene", "path": "/data/RCooper"}),
     ],
 )
 def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None:
@@ -25,6 +27,8 @@ def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None
         ("sumo:net.xml", "known: intersection"),
         ("avstack", "no path, expected avstack:PATH"),
         ("av2:", "no path"),
+        ("dair", "no path, expected dair:PATH"),
+        ("rcooper:", "no path, expected rcooper:PATH"),
         ("intersection:x", "not an index"),
         ("intersecton", "did you mean 'intersection'"),
         ("carla:x", "unknown name 'carla'.*known: intersection"),

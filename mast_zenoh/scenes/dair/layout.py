@@ -1,0 +1,212 @@
+"""Folders, pairs of frames and clocks of V2X-Seq-SPD and DAIR-V2X-C."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError, nearest
+from mast_zenoh.scenes.dair.labels import number, read_transform
+from mast_zenoh.scenes.elements import Element, read_json
+
+PAIRS = "cooperative/data_info.json"
+VEHICLE, INFRASTRUCTURE = "vehicle-side", "infrastructure-side"
+_MAX_PAIRS = 1_000_000
+_MAX_TIME_US = 9 * 10**15  # so that nanoseconds fit into 64 bits
+_MAX_OFFSET_M = 1000.0
+_SHOWN = 10  # names of sequences in a message
+_NAME = re.compile(r"[0-9A-Za-z_]{1,40}")
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A frame of the car, and the pole's frame that belongs to it.
+
+    vehicle, infrastructure:          names of the frames
+    time_ns, infrastructure_time_ns:  of their point clouds
+    offset:                           (2,) m, of the pole relative to the car's localisation, in the frame of the labels
+    """
+
+    vehicle: str
+    infrastructure: str
+    time_ns: int
+    infrastructure_time_ns: int
+    offset: Floats
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The folders of a data set.
+
+    root:     with cooperative, vehicle-side and infrastructure-side
+    in_world: the cooperative labels are in the world frame (DAIR-V2X-C), otherwise in the car's lidar (V2X-Seq-SPD)
+    """
+
+    root: Path
+    in_world: bool
+
+    def clocks(self, side: str) -> Path:
+        """The file with the times of a side's frames. side: VEHICLE or INFRASTRUCTURE"""
+        return self.root / side / "data_info.json"
+
+    def cooperative_labels(self, pair: Pair) -> Path:
+        """The file with the cooperative labels of a pair."""
+        return self.root / "cooperative" / ("label_world" if self.in_world else "label") / f"{pair.vehicle}.json"
+
+    def vehicle_labels(self, pair: Pair) -> Path:
+        """The file with the labels of the car."""
+        return self.root / VEHICLE / "label" / "lidar" / f"{pair.vehicle}.json"
+
+    def infrastructure_labels(self, pair: Pair) -> Path:
+        """The file with the labels of the pole."""
+        return self.root / INFRASTRUCTURE / "label" / "virtuallidar" / f"{pair.infrastructure}.json"
+
+    def vehicle_pose(self, pair: Pair) -> tuple[Floats, Floats]:
+        """Position (3,) m and rotation (3, 3) of the car's lidar in the world."""
+        calibration = self.root / VEHICLE / "calib"
+        mount, turned = read_transform(calibration / "lidar_to_novatel" / f"{pair.vehicle}.json")
+        position, rotation = read_transform(calibration / "novatel_to_world" / f"{pair.vehicle}.json")
+        return position + rotation @ mount, rotation @ turned
+
+    def infrastructure_pose(self, pair: Pair, vehicle_rotation: Floats) -> tuple[Floats, Floats]:
+        """Position (3,) m and rotation (3, 3) of the pole's lidar in the world, with the pair's offset.
+
+        vehicle_rotation: (3, 3) of the car's lidar in the world
+        """
+        file = self.root / INFRASTRUCTURE / "calib" / "virtuallidar_to_world" / f"{pair.infrastructure}.json"
+        position, rotation = read_transform(file)
+        offset = np.append(pair.offset, 0.0)
+        return position + (offset if self.in_world else vehicle_rotation @ offset), rotation
+
+
+def split_path(path: Path) -> tuple[Path, str | None]:
+    """The folder of the data set, and the name of a sequence if the path ends in one: `<data set>/<sequence>`."""
+    if not os.path.exists(path) and os.path.isfile(path.parent / PAIRS):
+        return path.parent, path.name
+    return path, None
+
+
+def open_layout(path: Path) -> Layout:
+    """The data set at `path`: its folder, or a folder that holds a single one."""
+    if not os.path.isdir(path):
+        raise SceneError(f"{path}: no such folder")
+    try:
+        roots = [folder for folder in (path, *sorted(path.iterdir())) if (folder / PAIRS).is_file()]
+        if len(roots) != 1:
+            raise SceneError(f"{path}: found {len(roots)} data sets with a file {PAIRS}, expected one")
+        kinds = [name for name in ("label", "label_world") if (roots[0] / "cooperative" / name).is_dir()]
+    except OSError as error:
+        raise SceneError(f"{path}: {error}") from error
+    if len(kinds) != 1:
+        raise SceneError(
+            f"{roots[0] / 'cooperative'}: found {len(kinds)} of the folders label (V2X-Seq-SPD) and label_world "
+            "(DAIR-V2X-C), expected one"
+        )
+    return Layout(roots[0], kinds[0] == "label_world")
+
+
+def read_pairs(layout: Layout, sequence: str | None) -> list[Pair]:
+    """The pairs of a sequence, in the order of the car's frames.
+
+    sequence: None: the only one. Raises ConfigurationError, with the names, if there are several.
+    """
+    file = layout.root / PAIRS
+    entries = read_json(file).elements()
+    if not 1 <= len(entries) <= _MAX_PAIRS:
+        raise SceneError(f"{file}: found {len(entries)} pairs, expected 1 to {_MAX_PAIRS}")
+    sides = {side: _side(layout.clocks(side)) for side in (VEHICLE, INFRASTRUCTURE)}
+    groups: dict[str, dict[str, tuple[Pair, str]]] = {}
+    for entry in entries:
+        pair, group, pole_group = _pair(entry, sides, layout.in_world)
+        members = groups.setdefault(group, {})
+        if pair.vehicle in members:
+            raise SceneError(f"{file}: {entry.place}: found frame {pair.vehicle} of the car twice, expected it once")
+        members[pair.vehicle] = pair, pole_group
+    chosen = _chosen(layout.root, list(groups), sequence)
+    poles = sorted({pole_group for _, pole_group in groups[chosen].values()})
+    if len(poles) != 1:
+        raise SceneError(
+            f"{file}: sequence {chosen}: found frames of the pole from the sequences {', '.join(poles[:_SHOWN])}, "
+            "expected one sequence"
+        )
+    return [groups[chosen][name][0] for name in sorted(groups[chosen], key=lambda name: (len(name), name))]
+
+
+def clocks(pairs: list[Pair]) -> tuple[Ints, Floats]:
+    """Times (F,) ns of the car's frames, and how much later (F,) s the pole's frames are."""
+    vehicle = np.array([pair.time_ns for pair in pairs], np.int64)
+    infrastructure = np.array([pair.infrastructure_time_ns for pair in pairs], np.int64)
+    return vehicle, (infrastructure - vehicle) / 1e9
+
+
+def frame_number(name: str) -> int:
+    """The number in the name of a frame, such as 123 for 000123."""
+    return int("0" + "".join(character for character in name if character.isdigit()))
+
+
+def _chosen(root: Path, names: list[str], sequence: str | None) -> str:
+    names = sorted(names)
+    known = ", ".join(names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
+    if sequence is None and len(names) > 1:
+        raise ConfigurationError(f"{root}: sequence is not given, expected one of {len(names)}: {known}")
+    if sequence is not None and sequence not in names:
+        hint = nearest(sequence, names)
+        raise ConfigurationError(f"{root}: unknown sequence {sequence!r}{hint}, expected one of {len(names)}: {known}")
+    return names[0] if sequence is None else sequence
+
+
+def _side(path: Path) -> dict[str, Element]:
+    """The frames of one side, by name."""
+    frames: dict[str, Element] = {}
+    for entry in read_json(path).elements():
+        name = _frame(entry)
+        if name in frames:
+            raise SceneError(f"{path}: {entry.place}: found frame {name} twice, expected it once")
+        frames[name] = entry
+    return frames
+
+
+def _frame(entry: Element) -> str:
+    """The name of an entry's frame: its `frame_id`, otherwise the name of its point cloud."""
+    known = entry.get("frame_id")
+    return _name(entry["pointcloud_path"]) if known is None else _name(known)
+
+
+def _name(element: Element) -> str:
+    """A name, or the name of the file at a path, that is safe as the name of a file."""
+    whole = isinstance(element.value, int) and not isinstance(element.value, bool)
+    text = str(element.integer(0)) if whole else element.text()
+    name = text.rsplit("/", 1)[-1].removesuffix(".pcd")
+    if not _NAME.fullmatch(name):
+        element.fail("a name of 1 to 40 letters, digits and _")
+    return name
+
+
+def _pair(entry: Element, sides: Mapping[str, dict[str, Element]], in_world: bool) -> tuple[Pair, str, str]:
+    """A pair, and the sequences of its two frames."""
+    frames, times, groups = [], [], []
+    for side, key in ((VEHICLE, "vehicle"), (INFRASTRUCTURE, "infrastructure")):
+        named = entry[f"{key}_pointcloud_path"] if in_world else entry[f"{key}_frame"]
+        name = _name(named)
+        if name not in sides[side]:
+            named.fail(f"a frame of {side}/data_info.json")
+        info = sides[side][name]
+        frames.append(name)
+        times.append(info["pointcloud_timestamp"].integer(0, _MAX_TIME_US) * 1000)
+        groups.append(_name(info["batch_id"] if in_world else entry[f"{key}_sequence"]))
+    return Pair(frames[0], frames[1], times[0], times[1], _offset(entry)), groups[0], groups[1]
+
+
+def _offset(entry: Element) -> Floats:
+    """(2,) m, 0 where the file leaves it empty."""
+    offset = entry.get("system_error_offset")
+    if offset is None or offset.value == "":
+        return np.zeros(2)
+    deltas = [offset[f"delta_{axis}"] for axis in "xy"]
+    return np.array([0.0 if delta.value == "" else number(delta, -_MAX_OFFSET_M, _MAX_OFFSET_M) for delta in deltas])
