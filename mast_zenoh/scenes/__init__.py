@@ -7,6 +7,8 @@ from mast_zenoh.scenes.carla.avstack import AVstackScene
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.names import parse_scene
 from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.tumtraf.tumtraf import TUMTrafV2X
+from mast_zenoh.scenes.urbaning.urbaning import UrbanIngV2X
 
 __all__ = [
     "AV2Log",
@@ -15,6 +17,8 @@ __all__ = [
     "Recording",
     "Scene",
     "SceneAgent",
+    "TUMTrafV2X",
+    "UrbanIngV2X",
     "cache_folder",
     "parse_scene",
     "prepare",
