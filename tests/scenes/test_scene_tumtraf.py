@@ -185,6 +185,25 @@ def test_labels_may_name_their_coordinate_system_and_cuboids_may_be_listed(split
     np.testing.assert_allclose(read(split, label_system=CAR).truth.position, expected.truth.position)
 
 
+def test_a_cuboid_is_its_middle_then_a_quaternion_with_the_scalar_last_then_l_w_h(split: Path) -> None:
+    half = float(np.sqrt(0.5))
+    val = [691_000.0, 5_335_010.0, 480.75, 0.0, 0.0, half, half, 4.0, 2.0, 1.5]
+    cuboid = {"val": val, "coordinate_system": "s110_base"}
+    change(files(split)[0], lambda content: first(content).update(cuboid=cuboid))
+    number = int(next(iter(objects(json.loads(files(split)[0].read_text())["openlabel"]))))
+    truth = read(split).truth_at(0)
+    row = truth.id.tolist().index(number)
+    expected = np.array([0.0, 10.0, 0.75]) - source().agent_position[0, 0]
+    np.testing.assert_allclose(truth.position[row], expected, atol=1e-6)
+    np.testing.assert_allclose(truth.yaw[row], np.pi / 2)
+    assert truth.size[row].tolist() == [4.0, 2.0, 1.5]
+
+
+def test_the_cache_tracks_the_label_files(twin: Path, tmp_path: Path) -> None:
+    assert TUMTrafV2X(path=str(twin)).inputs() == (twin / LABELS,)
+    assert TUMTrafV2X(path=str(tmp_path / "nowhere")).inputs() == (tmp_path / "nowhere",)
+
+
 def test_tracks_with_text_for_a_name_are_numbered_by_it(split: Path) -> None:
     def rename(content: OpenLabel) -> None:
         frame(content)["objects"] = {f"uuid-{name:>06}": entry for name, entry in objects(content).items()}

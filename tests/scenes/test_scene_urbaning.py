@@ -148,6 +148,12 @@ def test_a_car_without_labels_has_the_size_in_av_vehicle_data(root: Path) -> Non
     assert recording.truth.size[recording.truth.id == own].tolist() == [[4.8, 1.9, 1.7]] * FRAMES
 
 
+def test_the_cache_tracks_the_files_of_the_sequence(twin: Path) -> None:
+    inputs = UrbanIngV2X(path=str(twin)).inputs()
+    assert {twin / "dataset" / SEQUENCE, twin / LABELS, twin / OWN} < set(inputs)
+    assert UrbanIngV2X(path=str(twin), sequence="other").inputs() == (twin,)
+
+
 def test_tracks_with_text_for_a_name_are_numbered_by_it(root: Path) -> None:
     names = {int(number): f"track-{int(number):06}" for number in np.unique(source().truth.id)}
 

@@ -8,7 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import label_twins
 import pytest
+import tumtraf_writer
+import urbaning_writer
 
 from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, testing, tracking
 from mast_zenoh.config import bundle, loading, registry
@@ -94,13 +97,32 @@ SCENES: dict[str, Callable[[], scenes.Scene]] = {
 }
 
 
+def tumtraf(folder: Path) -> scenes.Scene:
+    tumtraf_writer.write(folder, label_twins.source())
+    return scenes.TUMTrafV2X(path=str(folder))
+
+
+def urbaning(folder: Path) -> scenes.Scene:
+    urbaning_writer.write(folder, label_twins.source())
+    return scenes.UrbanIngV2X(path=str(folder))
+
+
+#: Scenes of data sets without originals: of a generated recording in their layout, written to a folder.
+TWINS: dict[str, Callable[[Path], scenes.Scene]] = {"TUMTrafV2X": tumtraf, "UrbanIngV2X": urbaning}
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_a_shipped_scene_of_a_twin_conforms(name: str, tmp_path: Path) -> None:
+    testing.check_scene(TWINS[name](tmp_path))
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_a_shipped_scene_conforms(name: str) -> None:
     testing.check_scene(SCENES[name]())
 
 
 def test_every_shipped_scene_is_checked() -> None:
-    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys()
+    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys() | TWINS.keys()
 
 
 @pytest.mark.parametrize("mission", [dict(type="PictureFirst"), None])

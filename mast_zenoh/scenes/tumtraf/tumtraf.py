@@ -39,7 +39,7 @@ class TUMTrafV2X(Scene):
     max_gap_s:        a longer time between two frames begins a new sequence
     lidars:           coordinate systems that are agents, those of cars beginning with "vehicle"; None: those in the
                       name of the label folder, LIDAR_and_LIDAR_registered
-    label_system:     coordinate system of labels that name none; None: the first in the name of the label folder
+    label_system:     coordinate system of labels that name none; None: that of the first of the lidars
     detector:         the model that generates detections from lidar visibility
 
     The world is the root of the coordinate systems, shifted so that its origin is on the ground below the ego's first
