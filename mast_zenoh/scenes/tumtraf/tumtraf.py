@@ -95,7 +95,9 @@ class TUMTrafV2X(Scene):
         ]
         paths += [_pole(f"infra_{k}", *poses[name]) for k, name in enumerate(poles, start=1)]
         times = np.array([frame.time_ns for frame in sequence], np.int64)
-        return assemble(f"{self.path.name}_{number}", times, boxes, paths, self.detector, seed=seed, frames=frames)
+        return assemble(
+            f"{self.path.absolute().name}_{number}", times, boxes, paths, self.detector, seed=seed, frames=frames
+        )
 
     def _agents(self, folder: Path) -> tuple[list[str], list[str], list[str]]:
         """Coordinate systems of lidars: of all cars, of those that are agents, the ego first, and of poles."""
