@@ -12,6 +12,8 @@ from mast_zenoh.scenes.names import parse_scene
 from mast_zenoh.scenes.own_detections.replayed import OwnDetections
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.scenes.recording_file import RecordingFile
+from mast_zenoh.scenes.tumtraf.tumtraf import TUMTrafV2X
+from mast_zenoh.scenes.urbaning.urbaning import UrbanIngV2X
 
 __all__ = [
     "AV2Log",
@@ -24,6 +26,8 @@ __all__ = [
     "RecordingFile",
     "Scene",
     "SceneAgent",
+    "TUMTrafV2X",
+    "UrbanIngV2X",
     "cache_folder",
     "from_arrays",
     "parse_scene",

@@ -13,6 +13,8 @@ _WITH_PATH = {
     "av2": "AV2Log",
     "dair": "DAIRScene",
     "rcooper": "RCooperScene",
+    "tumtraf": "TUMTrafV2X",
+    "urbaning": "UrbanIngV2X",
 }
 #: All names before the colon.
 SHORT_NAMES = ("intersection", *_WITH_PATH)

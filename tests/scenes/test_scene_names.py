@@ -15,6 +15,8 @@ from mast_zenoh.scenes import parse_scene
         ("av2:logs/a:b", {"type": "AV2Log", "path": "logs/a:b"}),
         ("dair:/data/V2X-Seq-SPD/0003", {"type": "DAIRScene", "path": "/data/V2X-Seq-SPD/0003"}),
         ("rcooper:/data/RCooper", {"type": "RCooperScene", "path": "/data/RCooper"}),
+        ("tumtraf:train", {"type": "TUMTrafV2X", "path": "train"}),
+        ("urbaning:/data/UrbanIng-V2X", {"type": "UrbanIngV2X", "path": "/data/UrbanIng-V2X"}),
     ],
 )
 def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None:

@@ -10,7 +10,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import label_twins
 import pytest
+import tumtraf_writer
+import urbaning_writer
 
 from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, testing, tracking
 from mast_zenoh.config import bundle, loading, registry
@@ -112,11 +115,27 @@ SCENES: dict[str, Callable[[], scenes.Scene]] = {
     "AV2Log": lambda: scenes.AV2Log(path=str(min(path for path in data("av2_logs").iterdir() if path.is_dir()))),
 }
 
-#: Scenes that are checked with twins of their data sets.
-TWINS = {
-    "DAIRScene",  # tests/scenes/test_scene_dair.py
-    "RCooperScene",
-}
+#: Scenes that are checked with twins of their data sets elsewhere, in tests/scenes/test_scene_dair.py.
+CHECKED_ELSEWHERE = {"DAIRScene", "RCooperScene"}
+
+
+def tumtraf(folder: Path) -> scenes.Scene:
+    tumtraf_writer.write(folder, label_twins.source())
+    return scenes.TUMTrafV2X(path=str(folder))
+
+
+def urbaning(folder: Path) -> scenes.Scene:
+    urbaning_writer.write(folder, label_twins.source())
+    return scenes.UrbanIngV2X(path=str(folder))
+
+
+#: Scenes of data sets without originals: of a generated recording in their layout, written to a folder.
+TWINS: dict[str, Callable[[Path], scenes.Scene]] = {"TUMTrafV2X": tumtraf, "UrbanIngV2X": urbaning}
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_a_shipped_scene_of_a_twin_conforms(name: str, tmp_path: Path) -> None:
+    testing.check_scene(TWINS[name](tmp_path))
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -125,7 +144,7 @@ def test_a_shipped_scene_conforms(name: str) -> None:
 
 
 def test_every_shipped_scene_is_checked() -> None:
-    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys() | TWINS
+    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys() | TWINS.keys() | CHECKED_ELSEWHERE
 
 
 @pytest.mark.parametrize("mission", [dict(type="PictureFirst"), None])

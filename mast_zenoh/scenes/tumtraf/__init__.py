@@ -1,0 +1,1 @@
+"""Reader of TUMTraf-V2X, in OpenLABEL."""

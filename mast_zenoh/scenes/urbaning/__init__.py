@@ -1,0 +1,1 @@
+"""Reader of UrbanIng-V2X."""
