@@ -6,15 +6,21 @@ from mast_zenoh.scenes.cache import cache_folder, prepare, prepare_sweeps
 from mast_zenoh.scenes.carla.avstack import AVstackScene
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.names import parse_scene
+from mast_zenoh.scenes.opv2v.multi_v2x import MultiV2XScene
+from mast_zenoh.scenes.opv2v.scenes import OPV2VScene, V2V4RealScene, V2XRealScene
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 
 __all__ = [
     "AV2Log",
     "AVstackScene",
     "Intersection",
+    "MultiV2XScene",
+    "OPV2VScene",
     "Recording",
     "Scene",
     "SceneAgent",
+    "V2V4RealScene",
+    "V2XRealScene",
     "cache_folder",
     "parse_scene",
     "prepare",

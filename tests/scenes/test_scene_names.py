@@ -13,6 +13,10 @@ from mast_zenoh.scenes import parse_scene
         ("intersection:7", {"type": "Intersection", "scene_index": 7}),
         ("avstack:/data/run-0", {"type": "AVstackScene", "path": "/data/run-0"}),
         ("av2:logs/a:b", {"type": "AV2Log", "path": "logs/a:b"}),
+        ("opv2v:train/2021_08_16", {"type": "OPV2VScene", "path": "train/2021_08_16"}),
+        ("v2xreal:test/2023", {"type": "V2XRealScene", "path": "test/2023"}),
+        ("multiv2x:Town01", {"type": "MultiV2XScene", "path": "Town01"}),
+        ("v2v4real:train/testoutput_0", {"type": "V2V4RealScene", "path": "train/testoutput_0"}),
     ],
 )
 def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None:
