@@ -12,10 +12,9 @@ import numpy as np
 import opv2v_writer as writer
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -27,12 +26,15 @@ from mast_zenoh.scenes import (
     Scene,
     V2V4RealScene,
     V2XRealScene,
-    parse_scene,
 )
 from mast_zenoh.sensing import CleanDetector
+from mast_zenoh.testing.fixtures import play
+
+__all__ = ["play"]
 
 FRAMES = 20
 SHORT_NAMES = {OPV2VScene: "opv2v", V2XRealScene: "v2xreal", MultiV2XScene: "multiv2x", V2V4RealScene: "v2v4real"}
+DOUBLED = (OPV2VScene, MultiV2XScene)  # whose frames are numbered 68, 70, …
 WRITERS: dict[type[Scene], Callable[[Recording, Path], Path]] = {
     OPV2VScene: writer.write_opv2v,
     V2XRealScene: writer.write_v2xreal,
@@ -499,3 +501,48 @@ def test_a_path_that_is_no_scenario_is_refused(tmp_path: Path, short_twins: Any)
         shutil.copytree(short_twins[OPV2VScene], tmp_path / name)
     with pytest.raises(SceneError, match="2 scenarios, expected one"):
         read(OPV2VScene, tmp_path)
+
+
+VALUES = st.sampled_from(
+    ["", "-1", "1e400", ".nan", "[]", "{}", "null", "true", "--5", "!!python/tuple [1]", "*id001", "&id001 x", "9" * 50]
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
+def test_any_mutation_of_a_file_is_read_or_refused(cls: Any, short_twins: Any, tmp_path: Path, data: Any) -> None:
+    folder = tmp_path / "scenario"
+    if not folder.exists():
+        shutil.copytree(short_twins[cls], folder)
+    files = sorted(path for path in folder.glob("*/*.yaml") if "70" in path.stem or "1" in path.stem)
+    file = data.draw(st.sampled_from(files))
+    before = file.read_bytes()
+    text = bytearray(before)
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, len(text) - 1))
+        if data.draw(st.booleans()):
+            text[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=4))
+        else:  # another value of a line
+            start = text.rfind(b" ", 0, place) + 1
+            end = text.find(b"\n", start)
+            text[start:end] = data.draw(VALUES).encode()
+    file.write_bytes(bytes(text))
+    try:
+        read(cls, folder, last_frame=data.draw(st.sampled_from([None, 70 if cls in DOUBLED else 1])))
+    except (SceneError, ConfigurationError):
+        pass
+    finally:
+        file.write_bytes(before)
+
+
+@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
+@pytest.mark.parametrize("scenario", ["baseline", "uncoordinated", "coordinated"])
+def test_baseline_and_both_attacks_play_a_scenario(play: Any, scenario: str, cls: Any, twins: Any) -> None:
+    attack = {} if scenario == "baseline" else dict(n_adversaries=1, attack_start_s=0.5)
+    name = f"{SHORT_NAMES[cls]}:{twins[cls]}"
+    run = play(scenario, frames=FRAMES, seed=1, scene=name, report=False, **attack)
+    scores = run.summary["agents"]["ego"]["picture"]
+    assert scores["tp"]["mean"] > 1
+    if attack:
+        assert run.status == "ok"

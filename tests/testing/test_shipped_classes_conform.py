@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import opv2v_writer
 import pytest
 
 from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, testing, tracking
@@ -93,14 +94,33 @@ SCENES: dict[str, Callable[[], scenes.Scene]] = {
     "AV2Log": lambda: scenes.AV2Log(path=str(min(path for path in data("av2_logs").iterdir() if path.is_dir()))),
 }
 
+#: Writers of a recording into the layout of a data set, by the scene that reads it.
+TWINS: dict[str, Callable[[scenes.Recording, Path], Path]] = {
+    "OPV2VScene": opv2v_writer.write_opv2v,
+    "V2XRealScene": opv2v_writer.write_v2xreal,
+    "MultiV2XScene": opv2v_writer.write_multiv2x,
+    "V2V4RealScene": opv2v_writer.write_v2v4real,
+}
+
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_shipped_scene_conforms(name: str) -> None:
     testing.check_scene(SCENES[name]())
 
 
+@pytest.fixture(scope="module")
+def recording() -> scenes.Recording:
+    return scenes.Intersection(n_infrastructure=1, n_mobile=1).record(0, 4)
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_a_shipped_reader_of_a_data_set_conforms(name: str, recording: scenes.Recording, tmp_path: Path) -> None:
+    cls = registry.known_types(scenes.Scene)[name]
+    testing.check_scene(cls(path=str(TWINS[name](recording, tmp_path / "scene"))))
+
+
 def test_every_shipped_scene_is_checked() -> None:
-    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys()
+    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys() | TWINS.keys()
 
 
 @pytest.mark.parametrize("mission", [dict(type="PictureFirst"), None])
