@@ -1,8 +1,8 @@
 """Poses and numbers of the files, in a right-handed world.
 
-A pose is [x, y, z, roll, yaw, pitch] in m and degrees. OpenCOOD (x_to_world in transformation_utils.py) turns it into the
-matrix Rz(yaw) Ry(-pitch) Rx(-roll) of a frame with y to the right. Inverting y on both sides gives the same rotation
-with y to the left: Rz(-yaw) Ry(-pitch) Rx(roll).
+A pose is [x, y, z, roll, yaw, pitch] in m and degrees. OpenCOOD (x_to_world in transformation_utils.py) turns it into
+the matrix Rz(yaw) Ry(-pitch) Rx(-roll) of a frame with y to the right. Inverting y on both sides gives the same
+rotation with y to the left: Rz(-yaw) Ry(-pitch) Rx(roll).
 """
 
 from __future__ import annotations

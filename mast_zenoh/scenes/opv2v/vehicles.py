@@ -78,11 +78,11 @@ def missing_boxes(boxes: Boxes, car: OwnCar, variant: Variant) -> Boxes:
     frames = np.setdiff1d(np.arange(len(car.position)), boxes.frame[own])
     size, centre, class_id = variant.own_size, variant.own_centre, CLASS_INDEX["car"]
     if len(own):
-        rotation = car.rotation[boxes.frame[own]]
+        rotation = _upright(car.rotation[boxes.frame[own]])
         offset = boxes.position[own] - car.position[boxes.frame[own]]
         centre = np.einsum("nji,nj->ni", rotation, offset).mean(axis=0)
         size, class_id = np.median(boxes.size[own], axis=0), int(np.bincount(boxes.class_id[own]).argmax())
-    position = car.position[frames] + car.rotation[frames] @ centre
+    position = car.position[frames] + _upright(car.rotation[frames]) @ centre
     return Boxes(
         frame=frames.astype(np.int64),
         id=np.full(len(frames), car.object_id, np.int64),
@@ -92,6 +92,15 @@ def missing_boxes(boxes: Boxes, car: OwnCar, variant: Variant) -> Boxes:
         class_id=np.full(len(frames), class_id, np.uint8),
         velocity=np.full_like(position, np.nan),
     )
+
+
+def _upright(rotation: Floats) -> Floats:
+    """(n, 3, 3) rotations with the same heading as those of lidars, which may be tilted on their cars."""
+    upright = np.tile(np.eye(3), (len(rotation), 1, 1))
+    yaw = heading(rotation)
+    upright[:, 0, 0] = upright[:, 1, 1] = np.cos(yaw)
+    upright[:, 1, 0], upright[:, 0, 1] = np.sin(yaw), -np.sin(yaw)
+    return upright
 
 
 def _distance(listed: Listed, car: OwnCar) -> Floats:
