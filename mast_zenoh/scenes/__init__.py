@@ -9,6 +9,8 @@ from mast_zenoh.scenes.dair.scene import DAIRScene
 from mast_zenoh.scenes.from_arrays import from_arrays
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.names import parse_scene
+from mast_zenoh.scenes.opv2v.multi_v2x import MultiV2XScene
+from mast_zenoh.scenes.opv2v.scenes import OPV2VScene, V2V4RealScene, V2XRealScene
 from mast_zenoh.scenes.own_detections.replayed import OwnDetections
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.scenes.recording_file import RecordingFile
@@ -20,6 +22,8 @@ __all__ = [
     "AVstackScene",
     "DAIRScene",
     "Intersection",
+    "MultiV2XScene",
+    "OPV2VScene",
     "OwnDetections",
     "RCooperScene",
     "Recording",
@@ -28,6 +32,8 @@ __all__ = [
     "SceneAgent",
     "TUMTrafV2X",
     "UrbanIngV2X",
+    "V2V4RealScene",
+    "V2XRealScene",
     "cache_folder",
     "from_arrays",
     "parse_scene",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -17,6 +18,7 @@ from mast_zenoh.errors import SceneError, nearest
 MAX_BYTES = 500_000_000
 _MAX_NAMES = 20  # of the members of an object in a message
 _MAX_SHOWN = 80  # characters of a value in a message
+_WHOLE = re.compile("-?[0-9]+")
 _MAX_SHEAR = 1e-2  # of a rotation matrix, per element of its product with its transpose; files round
 
 
@@ -83,7 +85,12 @@ class Element:
     def integer(self, low: float = -(2**63), high: float = 2**63 - 1) -> int:
         """A whole number from `low` to `high`; text of digits is one, too."""
         value = self.value
-        if isinstance(value, str) and len(value) < 20 and value.lstrip("-").isascii() and value.lstrip("-").isdigit():
+        if (
+            isinstance(value, str)
+            and len(value) < 20
+            and (digits := value.removeprefix("-")).isascii()
+            and digits.isdigit()
+        ):
             value = int(value)
         if isinstance(value, float) and value.is_integer():
             value = int(value)

@@ -35,6 +35,7 @@ def test_values_are_found_by_key_and_index() -> None:
     [
         (lambda e: e["size"], {"sise": 1}, "frames.3: size is missing; did you mean 'sise'"),
         (lambda e: e["x"], [1], r"found \[1\], expected an object"),
+        (lambda e: e.integer(), "--5", "found '--5', expected a whole number"),
         (lambda e: e.number(), True, "found True, expected a finite number"),
         (lambda e: e.number(), 10**400, "expected a finite number"),
         (lambda e: e.number(0, 1), 1.5, "found 1.5, expected a finite number from 0 to 1"),

@@ -17,6 +17,10 @@ from mast_zenoh.scenes import parse_scene
         ("rcooper:/data/RCooper", {"type": "RCooperScene", "path": "/data/RCooper"}),
         ("tumtraf:train", {"type": "TUMTrafV2X", "path": "train"}),
         ("urbaning:/data/UrbanIng-V2X", {"type": "UrbanIngV2X", "path": "/data/UrbanIng-V2X"}),
+        ("opv2v:train/2021_08_16", {"type": "OPV2VScene", "path": "train/2021_08_16"}),
+        ("v2xreal:test/2023", {"type": "V2XRealScene", "path": "test/2023"}),
+        ("multiv2x:Town01", {"type": "MultiV2XScene", "path": "Town01"}),
+        ("v2v4real:train/testoutput_0", {"type": "V2V4RealScene", "path": "train/testoutput_0"}),
     ],
 )
 def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None:
