@@ -1,4 +1,4 @@
-"""Short names of scenes: `intersection`, `avstack:PATH`, `av2:PATH`."""
+"""Short names of scenes: `intersection`, `avstack:PATH`, `av2:PATH`, `commonroad:PATH`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from typing import Any
 from mast_zenoh.errors import ConfigurationError, nearest
 
 #: Scene types by short name; the text after the colon is their path.
-_WITH_PATH = {"avstack": "AVstackScene", "av2": "AV2Log"}
-_KNOWN = ("intersection", "intersection:INDEX", "avstack:PATH", "av2:PATH")
+_WITH_PATH = {"avstack": "AVstackScene", "av2": "AV2Log", "commonroad": "CommonRoadScenario"}
+_KNOWN = ("intersection", "intersection:INDEX", "avstack:PATH", "av2:PATH", "commonroad:PATH")
 
 
 def parse_scene(text: str) -> dict[str, Any]:
     """The configuration of a scene from its short name.
 
     `intersection` and `intersection:INDEX` (a generated junction), `avstack:PATH` (CARLA multi-agent layout),
-    `av2:PATH` (Argoverse 2 log). Raises ConfigurationError, listing the known names, for anything else.
+    `av2:PATH` (Argoverse 2 log), `commonroad:PATH` (CommonRoad scenario), `sumo:PATH` (trace of SUMO).
+
+    Raises ConfigurationError, listing the known names, for anything else.
     """
     name, colon, argument = text.partition(":")
     if name == "intersection" and not colon:

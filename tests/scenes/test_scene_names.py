@@ -13,6 +13,7 @@ from mast_zenoh.scenes import parse_scene
         ("intersection:7", {"type": "Intersection", "scene_index": 7}),
         ("avstack:/data/run-0", {"type": "AVstackScene", "path": "/data/run-0"}),
         ("av2:logs/a:b", {"type": "AV2Log", "path": "logs/a:b"}),
+        ("commonroad:USA.xml", {"type": "CommonRoadScenario", "path": "USA.xml"}),
     ],
 )
 def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None:
