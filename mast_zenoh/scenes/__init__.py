@@ -8,6 +8,7 @@ from mast_zenoh.scenes.commonroad.scenario import CommonRoadScenario
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.names import parse_scene
 from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.sumo.floating_cars import SumoTrace
 
 __all__ = [
     "AV2Log",
@@ -17,6 +18,7 @@ __all__ = [
     "Recording",
     "Scene",
     "SceneAgent",
+    "SumoTrace",
     "cache_folder",
     "parse_scene",
     "prepare",

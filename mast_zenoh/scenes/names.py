@@ -1,4 +1,4 @@
-"""Short names of scenes: `intersection`, `avstack:PATH`, `av2:PATH`, `commonroad:PATH`."""
+"""Short names of scenes: `intersection`, `avstack:PATH`, `av2:PATH`, `commonroad:PATH`, `sumo:PATH`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 from mast_zenoh.errors import ConfigurationError, nearest
 
 #: Scene types by short name; the text after the colon is their path.
-_WITH_PATH = {"avstack": "AVstackScene", "av2": "AV2Log", "commonroad": "CommonRoadScenario"}
-_KNOWN = ("intersection", "intersection:INDEX", "avstack:PATH", "av2:PATH", "commonroad:PATH")
+_WITH_PATH = {"avstack": "AVstackScene", "av2": "AV2Log", "commonroad": "CommonRoadScenario", "sumo": "SumoTrace"}
+_KNOWN = ("intersection", "intersection:INDEX", "avstack:PATH", "av2:PATH", "commonroad:PATH", "sumo:PATH")
 
 
 def parse_scene(text: str) -> dict[str, Any]:
@@ -26,8 +26,6 @@ def parse_scene(text: str) -> dict[str, Any]:
         return {"type": "Intersection", "scene_index": int(argument)}
     if name in _WITH_PATH and argument:
         return {"type": _WITH_PATH[name], "path": argument}
-    if name == "sumo":
-        raise ConfigurationError(f"scene {text!r}: SUMO networks cannot be read; known: {', '.join(_KNOWN)}")
     if name in _WITH_PATH:
         raise ConfigurationError(f"scene {text!r}: no path, expected {name}:PATH")
     if name == "intersection":

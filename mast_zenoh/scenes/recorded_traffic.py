@@ -19,7 +19,7 @@ from mast_zenoh.scenes.virtual_agents import MAX_POLES, poles, vehicle, vehicles
 HEIGHT_OF_CLASS = np.array([1.5, 1.5, 2.4, 3.4, 1.5, 1.7, 1.719])
 _DEFAULT_POLES = 4
 _NEAR_M = 50.0  # an ego has others this near,
-_MOVING_M = 10.0  # and moves this far, if any vehicle does
+_MOVING = 1 / 3  # and moves at least this part of the way of the vehicle that moves farthest
 
 
 def agent_counts(kind: str, n_infrastructure: int | None, n_mobile: int | None) -> tuple[int, int]:
@@ -39,13 +39,15 @@ def agent_counts(kind: str, n_infrastructure: int | None, n_mobile: int | None) 
 def busiest_vehicle(boxes: Boxes, frames: int, path: Path) -> int:
     """Id of the vehicle that has the most company among those with a box in each of the frames.
 
-    Company is the number of boxes within 50 m, over all frames. Vehicles that move less than 10 m are chosen only if
-    all do. path: of the data, for the message. Raises SceneError if no vehicle is there throughout.
+    Company is the number of boxes within 50 m, over all frames. Vehicles that move less than a third of the way of the
+    one that moves farthest are not chosen. path: of the data, for the message. Raises SceneError if no vehicle is there
+    throughout.
     """
     candidates = vehicles_throughout(boxes, frames)
     if not len(candidates):
         raise SceneError(
-            f"{path}: found no car, truck or bus with a box in all {frames} frames, expected one for the ego"
+            f"{path}: found no car, truck or bus with a box in all {frames} frames, expected one for the ego; "
+            "choose another start_s or a shorter duration_s"
         )
     company = np.zeros(len(candidates), np.int64)
     travelled = np.zeros(len(candidates))
@@ -58,7 +60,7 @@ def busiest_vehicle(boxes: Boxes, frames: int, path: Path) -> int:
         if previous is not None:
             travelled += np.linalg.norm(position - previous, axis=1)
         previous = position
-    company[travelled < _MOVING_M] -= int(company.max())
+    company[travelled < _MOVING * travelled.max()] = 0
     return int(candidates[company.argmax()])
 
 

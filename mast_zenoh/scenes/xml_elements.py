@@ -73,10 +73,10 @@ class XmlElement:
         return TextElement("".join(self.pieces).strip(), self.path, self.place)
 
 
-def read_xml(path: Path, root: str, tags: Collection[str], max_bytes: int = MAX_BYTES) -> Iterator[XmlElement]:
+def read_xml(path: Path, root: str | None, tags: Collection[str], max_bytes: int = MAX_BYTES) -> Iterator[XmlElement]:
     """The root of an XML file, without its children; then each element with one of the tags, when it is complete.
 
-    root: the tag expected of the root; tags: only the outermost of nested elements are yielded
+    root: the tag expected of the root; None: any; tags: only the outermost of nested elements are yielded
 
     The file may be compressed by gzip. Raises SceneError if it is not XML, too large or nested too deeply, has another
     root, or a document type declaration: nothing that is read needs one, and entities could expand without limit.
@@ -99,7 +99,7 @@ def read_xml(path: Path, root: str, tags: Collection[str], max_bytes: int = MAX_
 class _Builder:
     """Collects elements from the events of a parser."""
 
-    def __init__(self, path: Path, root: str, tags: Collection[str]) -> None:
+    def __init__(self, path: Path, root: str | None, tags: Collection[str]) -> None:
         self.parser = expat.ParserCreate()
         self.parser.buffer_text = True
         self.parser.StartElementHandler = self._start
@@ -125,7 +125,7 @@ class _Builder:
         if self._depth > _MAX_DEPTH:
             element.fail(f"found more than {_MAX_DEPTH} nested elements, expected at most as many")
         if self._depth == 1:
-            if tag != self._root:
+            if self._root is not None and tag != self._root:
                 element.fail(f"found this root, expected <{self._root}>")
             self._complete.append(element)
         elif self._open:

@@ -14,6 +14,7 @@ from mast_zenoh.scenes import parse_scene
         ("avstack:/data/run-0", {"type": "AVstackScene", "path": "/data/run-0"}),
         ("av2:logs/a:b", {"type": "AV2Log", "path": "logs/a:b"}),
         ("commonroad:USA.xml", {"type": "CommonRoadScenario", "path": "USA.xml"}),
+        ("sumo:fcd.xml.gz", {"type": "SumoTrace", "path": "fcd.xml.gz"}),
     ],
 )
 def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None:
@@ -23,7 +24,7 @@ def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("sumo:net.xml", "known: intersection"),
+        ("sumo:", "no path, expected sumo:PATH"),
         ("avstack", "no path, expected avstack:PATH"),
         ("av2:", "no path"),
         ("intersection:x", "not an index"),
