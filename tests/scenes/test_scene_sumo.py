@@ -314,7 +314,9 @@ def test_any_change_of_bytes_is_read_or_refused(
 def test_a_twin_plays_without_and_with_attacks(name: str, twin: Path, tmp_path: Path) -> None:
     agents = play_scored(tmp_path, name, f"sumo:{twin}", frames=len(twin_source()))
     assert set(agents) == {"ego", "mobile_1", "mobile_2", "infra_1", "infra_2"}
-    assert agents["ego"]["picture"]["tp"]["mean"] > 2
+    picture = agents["ego"]["picture"]
+    assert picture["tp"]["mean"] > 2
+    assert name == "baseline" or picture["fp"]["mean"] > 0.3  # objects that the attack adds
 
 
 @pytest.mark.parametrize(
