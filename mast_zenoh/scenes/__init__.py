@@ -6,6 +6,7 @@ from mast_zenoh.scenes.cache import cache_folder, prepare, prepare_sweeps
 from mast_zenoh.scenes.carla.avstack import AVstackScene
 from mast_zenoh.scenes.commonroad.scenario import CommonRoadScenario
 from mast_zenoh.scenes.generated.intersection import Intersection
+from mast_zenoh.scenes.kitti.tracking import KittiTracking
 from mast_zenoh.scenes.names import parse_scene
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.scenes.sumo.floating_cars import SumoTrace
@@ -15,6 +16,7 @@ __all__ = [
     "AVstackScene",
     "CommonRoadScenario",
     "Intersection",
+    "KittiTracking",
     "Recording",
     "Scene",
     "SceneAgent",

@@ -1,4 +1,4 @@
-"""Short names of scenes: `intersection`, `avstack:PATH`, `av2:PATH`, `commonroad:PATH`, `sumo:PATH`."""
+"""Short names of scenes, such as `intersection` and `av2:PATH`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,22 @@ from typing import Any
 from mast_zenoh.errors import ConfigurationError, nearest
 
 #: Scene types by short name; the text after the colon is their path.
-_WITH_PATH = {"avstack": "AVstackScene", "av2": "AV2Log", "commonroad": "CommonRoadScenario", "sumo": "SumoTrace"}
-_KNOWN = ("intersection", "intersection:INDEX", "avstack:PATH", "av2:PATH", "commonroad:PATH", "sumo:PATH")
+_WITH_PATH = {
+    "avstack": "AVstackScene",
+    "av2": "AV2Log",
+    "commonroad": "CommonRoadScenario",
+    "kitti": "KittiTracking",
+    "sumo": "SumoTrace",
+}
+_KNOWN = ("intersection", "intersection:INDEX", *(f"{name}:PATH" for name in _WITH_PATH))
 
 
 def parse_scene(text: str) -> dict[str, Any]:
     """The configuration of a scene from its short name.
 
     `intersection` and `intersection:INDEX` (a generated junction), `avstack:PATH` (CARLA multi-agent layout),
-    `av2:PATH` (Argoverse 2 log), `commonroad:PATH` (CommonRoad scenario), `sumo:PATH` (trace of SUMO).
+    `av2:PATH` (Argoverse 2 log), `commonroad:PATH` (CommonRoad scenario), `kitti:PATH` (KITTI tracking),
+    `sumo:PATH` (trace of SUMO).
 
     Raises ConfigurationError, listing the known names, for anything else.
     """

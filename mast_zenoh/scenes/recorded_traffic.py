@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.assembly import AgentPath
@@ -93,28 +94,40 @@ def add_agents(
     All vehicles have a lidar on the roof, and need a box in each of the frames. Raises ConfigurationError if there are
     not enough.
     """
-    throughout = vehicles_throughout(boxes, frames)
-    if ego not in throughout:
+    if ego not in vehicles_throughout(boxes, frames):
         raise ConfigurationError(
             f"{path}: ego is {name_of(ego)}, expected a car, truck or bus with a box in all {frames} frames"
         )
-    others = throughout[throughout != ego]
     n_infrastructure, n_mobile = counts
-    if n_mobile > len(others):
+    first = vehicle("ego", boxes, ego)
+    route = first.position[:, :2]
+    return [
+        first,
+        *nearest_vehicles(boxes, ego, frames, n_mobile, path),
+        *poles(boxes, route, heading(first.rotation), n_infrastructure),
+    ]
+
+
+def nearest_vehicles(boxes: Boxes, ego: int, frames: int, count: int, path: Path) -> list[AgentPath]:
+    """The vehicles nearest to the ego as agents "mobile_1", "mobile_2", …; each has a box in all frames.
+
+    ego: id of its object, which has one, too. Raises ConfigurationError if there are fewer than `count`; path: of the
+    data, for the message.
+    """
+    others = vehicles_throughout(boxes, frames)
+    others = others[others != ego]
+    if count > len(others):
         raise ConfigurationError(
-            f"{path}: n_mobile is {n_mobile}, expected 0 to {len(others)}: {len(others)} vehicles besides the ego "
+            f"{path}: n_mobile is {count}, expected 0 to {len(others)}: {len(others)} vehicles besides the ego "
             f"have a box in all {frames} frames"
         )
-    first = vehicle("ego", boxes, ego)
-    mobiles = {int(number): vehicle("", boxes, int(number)) for number in others}
-    distance = {
-        number: np.linalg.norm(path.position - first.position, axis=1).mean() for number, path in mobiles.items()
-    }
-    nearest = sorted(mobiles, key=lambda number: (distance[number], number))[:n_mobile]
-    chosen = [
-        replace(mobiles[number], agent=replace(mobiles[number].agent, name=f"mobile_{k}"))
-        for k, number in enumerate(nearest, start=1)
-    ]
-    route = first.position[:, :2]
-    yaw = np.arctan2(first.rotation[:, 1, 0], first.rotation[:, 0, 0])
-    return [first, *chosen, *poles(boxes, route, yaw, n_infrastructure)]
+    own = _positions(boxes, ego)
+    distance = [np.linalg.norm(_positions(boxes, int(number)) - own, axis=1).mean() for number in others]
+    nearest = others[np.argsort(distance, kind="stable")][:count]
+    return [vehicle(f"mobile_{k}", boxes, int(number)) for k, number in enumerate(nearest, start=1)]
+
+
+def _positions(boxes: Boxes, number: int) -> Floats:
+    """(F, 3) m of an object with a box in every frame."""
+    own = np.flatnonzero(boxes.id == number)
+    return boxes.position[own[np.argsort(boxes.frame[own], kind="stable")]]

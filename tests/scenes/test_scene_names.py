@@ -14,6 +14,7 @@ from mast_zenoh.scenes import parse_scene
         ("avstack:/data/run-0", {"type": "AVstackScene", "path": "/data/run-0"}),
         ("av2:logs/a:b", {"type": "AV2Log", "path": "logs/a:b"}),
         ("commonroad:USA.xml", {"type": "CommonRoadScenario", "path": "USA.xml"}),
+        ("kitti:training", {"type": "KittiTracking", "path": "training"}),
         ("sumo:fcd.xml.gz", {"type": "SumoTrace", "path": "fcd.xml.gz"}),
     ],
 )
