@@ -13,6 +13,7 @@ from mast_zenoh.scenes.text_elements import TextElement
 
 _MAX_DEPTH = 50
 _MAX_PARTS = 500_000  # elements within one that is read
+_MAX_CHARACTERS = 20_000_000  # of attributes and text within one that is read
 _MAX_NAMES = 12  # of elements or attributes in a message
 
 
@@ -111,6 +112,7 @@ class _Builder:
         self._tags = tags
         self._depth = 0
         self._parts = 0
+        self._characters = 0
         self._open: list[XmlElement] = []
         self._complete: list[XmlElement] = []
 
@@ -130,13 +132,16 @@ class _Builder:
             self._complete.append(element)
         elif self._open:
             self._parts += 1
+            self._count(sum(map(len, attributes.values())))
             if self._parts > _MAX_PARTS:
                 self._open[0].fail(f"found more than {_MAX_PARTS} elements in it, expected at most as many")
             self._open[-1].children.append(element)
             self._open.append(element)
         elif tag in self._tags:
             self._parts = 0
+            self._characters = 0
             self._open.append(element)
+            self._count(sum(map(len, attributes.values())))
 
     def _end(self, tag: str) -> None:
         self._depth -= 1
@@ -148,6 +153,12 @@ class _Builder:
     def _text(self, text: str) -> None:
         if self._open:
             self._open[-1].pieces.append(text)
+            self._count(len(text))
+
+    def _count(self, characters: int) -> None:
+        self._characters += characters
+        if self._characters > _MAX_CHARACTERS:
+            self._open[0].fail(f"found more than {_MAX_CHARACTERS} characters in it, expected at most as many")
 
     def _refuse(self, *_: object) -> None:
         raise SceneError(

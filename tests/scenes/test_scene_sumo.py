@@ -288,7 +288,7 @@ def test_a_window_that_no_vehicle_spans_is_refused(folder: Path) -> None:
 FUZZED = {"fcd.xml": TRACE, "types.rou.xml": TYPES, "town.poly.xml": HOUSES, "fcd.csv": TABLE}
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     file=st.sampled_from(sorted(FUZZED)),
     fraction=st.floats(0.0, 1.0),

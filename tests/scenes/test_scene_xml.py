@@ -55,6 +55,16 @@ def test_deep_nesting_and_elements_with_too_many_parts_are_refused(file: Path, m
         list(read_xml(file, "r", ("b",)))
 
 
+@pytest.mark.parametrize("content", ['<b a="{}"/>', "<b>{}</b>", '<b><c a="{}"/></b>'])
+def test_long_attributes_and_texts_are_refused(file: Path, content: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mast_zenoh.scenes.xml_elements._MAX_CHARACTERS", 1000)
+    file.write_text("<r>\n" + content.format("x" * 1000) + "</r>")
+    assert len(list(read_xml(file, "r", ("b",)))) == 2
+    file.write_text("<r>\n" + content.format("x" * 1001) + "</r>")
+    with pytest.raises(SceneError, match="file: line 2: <b>: found more than 1000 characters in it"):
+        list(read_xml(file, "r", ("b",)))
+
+
 def test_lines_are_read_across_pieces(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounded_file, "_PIECE", 4)
     file.write_bytes("\ufeffa,b\r\nüü\n\nlast".encode())

@@ -100,7 +100,9 @@ def read_scenario(path: Path) -> ScenarioFile:
     name = root.attribute("benchmarkID").text()
     obstacles: dict[int, Obstacle] = {}
     buildings: list[Floats] = []
-    for element in elements:
+    for count, element in enumerate(elements):
+        if count >= _MAX_OBSTACLES:
+            element.fail(f"found more than {_MAX_OBSTACLES} obstacles, expected at most as many")
         kind = element.child("type").text.text() if element.tag != "phantomObstacle" else ""
         if element.tag == "environmentObstacle" and kind == "building":
             buildings.append(read_polygon(element.child("shape").child("polygon")))
@@ -112,8 +114,6 @@ def read_scenario(path: Path) -> ScenarioFile:
         if obstacle.id in obstacles:
             element.fail(f"id {obstacle.id} occurs twice, expected it once")
         obstacles[obstacle.id] = obstacle
-        if len(obstacles) > _MAX_OBSTACLES:
-            element.fail(f"found more than {_MAX_OBSTACLES} obstacles, expected at most as many")
     return ScenarioFile(name, step_s, list(obstacles.values()), buildings)
 
 

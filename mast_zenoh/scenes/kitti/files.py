@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.bounded_file import read_lines
+from mast_zenoh.scenes.bounded_file import MAX_BYTES, read_lines
 from mast_zenoh.scenes.elements import orthonormal
 from mast_zenoh.scenes.text_elements import TextElement
 
 _MAX_ROWS = 1_000_000
+_MAX_CALIBRATION_BYTES = 1_000_000
 _MAX_FRAMES = 100_000
 _MAX_COORDINATE_M = 1e5
 _MAX_SIZE_M = 100.0
@@ -118,7 +119,7 @@ def _size(value: TextElement) -> float:
 def read_calibration(path: Path) -> Calibration:
     """Where the camera and the lidar are. Raises SceneError with file, line and name of the matrix."""
     values: dict[str, list[TextElement]] = {}
-    for number, fields in _rows(path):
+    for number, fields in _rows(path, _MAX_CALIBRATION_BYTES):
         name = fields[0].rstrip(":")
         if name in values:
             raise SceneError(f"{path}: line {number}: found {name} twice, expected it once")
@@ -192,8 +193,8 @@ def _rotations(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
     return z @ y @ x
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, max_bytes: int = MAX_BYTES) -> Iterator[tuple[int, list[str]]]:
     """Number and values of each line that is not empty."""
-    for number, line in enumerate(read_lines(path), start=1):
+    for number, line in enumerate(read_lines(path, max_bytes), start=1):
         if fields := line.split():
             yield number, fields

@@ -14,6 +14,7 @@ from mast_zenoh.scenes.text_elements import TextElement
 from mast_zenoh.scenes.xml_elements import XmlElement, read_xml
 
 _MAX_CORNERS = 10_000
+_MAX_BUILDINGS = 20_000  # near the route
 _MAX_COORDINATE_M = 1e8
 _MAX_HEIGHT_M = 1000.0
 _HEIGHT = re.compile(r"(\d{1,4}(?:\.\d{1,6})?)\s*m?", re.ASCII)
@@ -38,6 +39,8 @@ def read_buildings(
             if np.min(distance) <= radius:
                 outlines.append(outline)
                 heights.append(_height(element, default_height))
+            if len(outlines) > _MAX_BUILDINGS:
+                element.fail(f"found more than {_MAX_BUILDINGS} buildings near the route, expected at most as many")
     return outlines, heights
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -62,7 +63,7 @@ def csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, dict[str, TextElem
 
 def _columns(names: list[str], file: Path) -> list[tuple[bool, dict[str, int]]]:
     """For vehicles and for persons, the column of each value."""
-    repeated = next((name for name in names if names.count(name) > 1), None)
+    repeated = next((name for name, count in Counter(names).items() if count > 1), None)
     if repeated is not None:
         raise SceneError(f"{file}: line 1: found column {repeated!r} twice, expected it once")
     column = {name: index for index, name in enumerate(names)}
