@@ -11,6 +11,9 @@ _WITH_PATH = {
     "recording": "RecordingFile",
     "avstack": "AVstackScene",
     "av2": "AV2Log",
+    "kitti": "KittiTracking",
+    "commonroad": "CommonRoadScenario",
+    "sumo": "SumoTrace",
     "opv2v": "OPV2VScene",
     "v2xreal": "V2XRealScene",
     "multiv2x": "MultiV2XScene",
@@ -38,8 +41,6 @@ def parse_scene(text: str) -> dict[str, Any]:
         return {"type": "Intersection", "scene_index": int(argument)}
     if name in _WITH_PATH and argument:
         return {"type": _WITH_PATH[name], "path": argument}
-    if name == "sumo":
-        raise ConfigurationError(f"scene {text!r}: SUMO networks cannot be read; known: {', '.join(_KNOWN)}")
     if name in _WITH_PATH:
         raise ConfigurationError(f"scene {text!r}: no path, expected {name}:PATH")
     if name == "intersection":

@@ -18,7 +18,8 @@ _POLE_HEIGHT_M = 15.0
 _POLE_PITCH_DEG = 30.0
 _POLE_OFFSET_M = 16.0  # from the route
 _ROUTE_EXTENSION_M = 20.0  # by which the route is extended at both ends
-_VEHICLES = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
+#: Classes of objects that can be vehicles with a lidar.
+VEHICLE_CLASSES = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
 
 
 def roof_sensors(height: float) -> tuple[LidarSensor, Camera]:
@@ -45,7 +46,7 @@ def vehicle(name: str, boxes: Boxes, object_id: int) -> AgentPath:
 
 def vehicles_throughout(boxes: Boxes, frames: int) -> Ints:
     """Ids of the cars, trucks and buses that have a box in each of the frames, ascending."""
-    ids, count = np.unique(boxes.id[np.isin(boxes.class_id, _VEHICLES)], return_counts=True)
+    ids, count = np.unique(boxes.id[np.isin(boxes.class_id, VEHICLE_CLASSES)], return_counts=True)
     throughout: Ints = ids[count == frames]
     return throughout
 

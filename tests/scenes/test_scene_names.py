@@ -21,6 +21,9 @@ from mast_zenoh.scenes import parse_scene
         ("v2xreal:test/2023", {"type": "V2XRealScene", "path": "test/2023"}),
         ("multiv2x:Town01", {"type": "MultiV2XScene", "path": "Town01"}),
         ("v2v4real:train/testoutput_0", {"type": "V2V4RealScene", "path": "train/testoutput_0"}),
+        ("commonroad:USA.xml", {"type": "CommonRoadScenario", "path": "USA.xml"}),
+        ("kitti:training", {"type": "KittiTracking", "path": "training"}),
+        ("sumo:fcd.xml.gz", {"type": "SumoTrace", "path": "fcd.xml.gz"}),
     ],
 )
 def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None:
@@ -30,7 +33,7 @@ def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("sumo:net.xml", "known: intersection"),
+        ("sumo:", "no path, expected sumo:PATH"),
         ("avstack", "no path, expected avstack:PATH"),
         ("av2:", "no path"),
         ("dair", "no path, expected dair:PATH"),

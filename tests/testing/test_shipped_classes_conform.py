@@ -10,10 +10,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import commonroad_writer
 import dair_writer
+import kitti_writer
 import label_twins
 import opv2v_writer
 import pytest
+import sumo_writer
 import tumtraf_writer
 import urbaning_writer
 
@@ -126,6 +129,9 @@ TWINS: dict[str, Callable[[Path, scenes.Recording], Path]] = {
     "V2V4RealScene": lambda folder, source: opv2v_writer.write_v2v4real(source, folder),
     "DAIRScene": lambda folder, source: dair_writer.write_spd(folder, source, len(source)),
     "RCooperScene": lambda folder, source: dair_writer.write_rcooper(folder, source, len(source)),
+    "KittiTracking": lambda folder, source: kitti_writer.write_kitti(source, folder),
+    "CommonRoadScenario": lambda folder, source: commonroad_writer.write_commonroad(source, folder.with_suffix(".xml")),
+    "SumoTrace": lambda folder, source: sumo_writer.write_sumo(source, folder),
     "TUMTrafV2X": lambda folder, source: tumtraf_writer.write(folder, source) and folder,
     "UrbanIngV2X": lambda folder, source: urbaning_writer.write(folder, source) and folder,
 }

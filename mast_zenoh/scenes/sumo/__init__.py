@@ -1,0 +1,1 @@
+"""Reader of traces of the traffic simulator SUMO."""
