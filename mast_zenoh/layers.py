@@ -32,7 +32,7 @@ LAYERS: dict[str, str] = {
     "pipelines": "processing stages of agents and of the command centre",
     "integrity": "judges the agents' tracks: whom to trust, and what to withhold",
     "fusion": "fuses the tracks of many agents into one picture",
-    "scenes": "ground truth: generated and recorded scenes",
+    "scenes": "ground truth: making/ recordings of boxes and paths; generated/, and a folder for each data set",
     "messages": "schemas, codec, memory layout, validation",
     "links": "network effects: loss, delay, duplication, corruption",
     "metrics": "compares estimates with the truth",

@@ -103,7 +103,7 @@ def study(
     defences, adversaries: names or files (my_defence.py, my_attack.py:MyAttack), separated by commas, or a list of
     these and of dicts with parameters; counts: numbers of adversaries; placements: random, worst, poles;
     budgets: lies per second of each adversary: a cell counts with the one that does the most damage;
-    scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH;
+    scenes: short names, separated by commas: intersection:INDEX, av2:PATH, …;
     trials: seeds of each scene; frames: of each run; seed: the first one;
     knowledge: of the adversaries (own, picture, trust);
     fault: of one agent without an adversary, in all runs (pose, delay, skew, loss, blind, ghosts). In the list of

@@ -11,7 +11,7 @@ def study(
 ):
     """Runs for each number of adversaries.
 
-    scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH, …;
+    scenes: short names, separated by commas: intersection:INDEX, av2:PATH, …;
     adversaries: numbers of adversaries to compare.
     """
     attack = dict(

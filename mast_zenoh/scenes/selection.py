@@ -35,23 +35,37 @@ def first_frames(recording: Recording, frames: int | None) -> Recording:
     )
 
 
+def check_counts(
+    place: object,
+    mobile: tuple[int | None, int],
+    static: tuple[int | None, int],
+    kinds: tuple[str, str] = ("mobile agents besides the ego", "static agents"),
+) -> None:
+    """Raise ConfigurationError for a request for more agents than a scene has.
+
+    place: for the message; mobile, static: (`n_mobile` or `n_infrastructure`, number of them in the scene); kinds: what
+    they are called
+    """
+    for name, (requested, available), kind in zip(
+        ("n_mobile", "n_infrastructure"), (mobile, static), kinds, strict=True
+    ):
+        if requested is not None and not 0 <= requested <= available:
+            raise ConfigurationError(
+                f"{place}: {name} is {requested}, expected 0 to {available}: the scene has {available} {kind}"
+            )
+
+
 def fewer_agents(recording: Recording, n_mobile: int | None, n_infrastructure: int | None) -> Recording:
     """A recording with the ego and the first mobile and static agents; None: all of a kind.
 
     Raises ConfigurationError for more than there are.
     """
-    others = list(enumerate(recording.agents))[1:]
-    kept = [0]
-    for name, count, kind, words in (
-        ("n_mobile", n_mobile, "mobile", "mobile agents besides the ego"),
-        ("n_infrastructure", n_infrastructure, "static", "static agents"),
-    ):
-        rows = [row for row, agent in others if agent.kind == kind]
-        if count is not None and not 0 <= count <= len(rows):
-            raise ConfigurationError(
-                f"{recording.name}: {name} is {count}, expected 0 to {len(rows)}: the scene has {len(rows)} {words}"
-            )
-        kept += rows[:count]
+    mobile, static = (
+        [row for row, agent in enumerate(recording.agents) if row and agent.kind == kind]
+        for kind in ("mobile", "static")
+    )
+    check_counts(recording.name, (n_mobile, len(mobile)), (n_infrastructure, len(static)))
+    kept = [0, *mobile[:n_mobile], *static[:n_infrastructure]]
     return recording if len(kept) == len(recording.agents) else _with_agents(recording, np.array(sorted(kept)))
 
 

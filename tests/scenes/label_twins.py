@@ -14,7 +14,7 @@ import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import Intersection, Recording
-from mast_zenoh.scenes.observe import World, lidar_visibility
+from mast_zenoh.scenes.making.observe import World, lidar_visibility
 
 FRAMES = 12
 

@@ -157,7 +157,7 @@ def test_recorded_vehicles_get_a_lidar_on_the_roof(log: Path) -> None:
 
 
 def test_more_cars_than_there_are_vehicles_are_refused(log: Path) -> None:
-    with pytest.raises(ConfigurationError, match="n_mobile is 2, expected 0 to 1: 1 vehicles are annotated in every"):
+    with pytest.raises(ConfigurationError, match="n_mobile is 2, expected 0 to 1: 1 vehicles besides the ego"):
         read(log, n_mobile=2)
     with pytest.raises(ConfigurationError, match="n_mobile is -1, expected 0 or more"):
         read(log, n_mobile=-1)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.elements import Element, read_json
+from mast_zenoh.scenes.files.elements import Element, read_json
 
 ANYTHING = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),

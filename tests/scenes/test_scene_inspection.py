@@ -3,8 +3,16 @@
 from dataclasses import replace
 from pathlib import Path
 
+import commonroad_writer
+import dair_writer
+import kitti_writer
+import label_twins
 import numpy as np
+import opv2v_writer
 import pytest
+import sumo_writer
+import tumtraf_writer
+import urbaning_writer
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -13,6 +21,7 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import Recording, from_arrays
 from mast_zenoh.scenes.inspection import contents, problems
+from mast_zenoh.scenes.names import SHORT_NAMES
 from mast_zenoh.scenes.recognition import recognised
 
 TIMES = np.arange(6) / 10
@@ -105,18 +114,41 @@ def test_a_frame_that_is_not_there_is_refused() -> None:
         mast.scene(times_s=TIMES, position=np.zeros((6, 1, 2))).birdseye(6)
 
 
-def test_folders_are_recognised_by_their_files(tmp_path: Path) -> None:
+SOURCE = label_twins.source
+TWINS = {
+    "opv2v": lambda folder: opv2v_writer.write_opv2v(SOURCE(), folder),
+    "v2xreal": lambda folder: opv2v_writer.write_v2xreal(SOURCE(), folder),
+    "multiv2x": lambda folder: opv2v_writer.write_multiv2x(SOURCE(), folder),
+    "v2v4real": lambda folder: opv2v_writer.write_v2v4real(SOURCE(), folder),
+    "dair": lambda folder: dair_writer.write_spd(folder, SOURCE(), 2),
+    "rcooper": lambda folder: dair_writer.write_rcooper(folder, SOURCE(), 2),
+    "tumtraf": lambda folder: tumtraf_writer.write(folder, SOURCE()) and folder,
+    "urbaning": lambda folder: urbaning_writer.write(folder, SOURCE()),
+    "kitti": lambda folder: kitti_writer.write_kitti(SOURCE(), folder),
+    "sumo": lambda folder: sumo_writer.write_sumo(SOURCE(), folder),
+    "commonroad": lambda folder: commonroad_writer.write_commonroad(SOURCE(), folder.with_suffix(".xml")),
+}
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_every_data_set_is_recognised_by_its_files(name: str, tmp_path: Path) -> None:
+    path = TWINS[name](tmp_path / "scene")
+    assert recognised(str(path)) == f"{name}:{path}"
+    assert TWINS.keys() | {"intersection", "recording", "avstack", "av2"} == set(SHORT_NAMES)
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "city_SE3_egovehicle.feather").touch()
     assert recognised(str(tmp_path)) == f"av2:{tmp_path}"
     assert recognised("intersection:3") == "intersection:3"
     (tmp_path / "objects").mkdir()
     (tmp_path / "objects" / "objectstate-npcs-1-0.1.txt").touch()
-    with pytest.raises(SceneError, match="files of avstack and of av2 in this folder"):
+    with pytest.raises(SceneError, match="found files of avstack and of av2; name one of them, avstack:"):
         recognised(str(tmp_path))
-    with pytest.raises(ConfigurationError, match="no such file or folder, and no short name"):
-        recognised("nowhere")
-    with pytest.raises(SceneError, match="no files of a known type in this folder; found objectstate"):
+    with pytest.raises(ConfigurationError, match="no such file or folder, and no short name; did you mean 'sumo'"):
+        recognised("sumoo")
+    with pytest.raises(SceneError, match=r"found objectstate-npcs-1-0\.1\.txt; expected the files of one of"):
         recognised(str(tmp_path / "objects"))
     (tmp_path / "x.txt").touch()
-    with pytest.raises(SceneError, match="found a file, expected a folder"):
+    with pytest.raises(SceneError, match=r"found x\.txt; expected the files of one of"):
         recognised(str(tmp_path / "x.txt"))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.elements import Element
-from mast_zenoh.scenes.matrices import read_listed_pose, read_pose
+from mast_zenoh.scenes.files.elements import Element
+from mast_zenoh.scenes.files.matrices import read_listed_pose, read_pose
 
 #: 90 degrees to the left, at (5, 6, 7).
 ROWS = [[0.0, -1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]]

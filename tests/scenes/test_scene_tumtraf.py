@@ -15,7 +15,9 @@ from tumtraf_writer import CAR, LABELS, POLE, write
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Recording, TUMTrafV2X, elements, labels
+from mast_zenoh.scenes import Recording, TUMTrafV2X
+from mast_zenoh.scenes.files import elements
+from mast_zenoh.scenes.making import labels
 from mast_zenoh.scenes.tumtraf import openlabel
 
 OpenLabel = dict[str, Any]

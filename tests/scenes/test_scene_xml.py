@@ -7,9 +7,9 @@ import pytest
 
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes import bounded_file
-from mast_zenoh.scenes.bounded_file import MAX_LINE, read_lines, read_pieces
-from mast_zenoh.scenes.text_elements import TextElement
-from mast_zenoh.scenes.xml_elements import read_xml
+from mast_zenoh.scenes.files.bounded_file import MAX_LINE, read_lines, read_pieces
+from mast_zenoh.scenes.files.text_elements import TextElement
+from mast_zenoh.scenes.files.xml_elements import read_xml
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_deep_nesting_and_elements_with_too_many_parts_are_refused(file: Path, m
     file.write_text("<r>" * 100_000)
     with pytest.raises(SceneError, match="file: line 1: <r>: found more than 50 nested elements"):
         list(read_xml(file, "r", ()))
-    monkeypatch.setattr("mast_zenoh.scenes.xml_elements._MAX_PARTS", 100)
+    monkeypatch.setattr("mast_zenoh.scenes.files.xml_elements._MAX_PARTS", 100)
     file.write_text("<r>\n<b>" + "<c/>" * 101 + "</b></r>")
     with pytest.raises(SceneError, match="line 2: <b>: found more than 100 elements in it"):
         list(read_xml(file, "r", ("b",)))
@@ -57,7 +57,7 @@ def test_deep_nesting_and_elements_with_too_many_parts_are_refused(file: Path, m
 
 @pytest.mark.parametrize("content", ['<b a="{}"/>', "<b>{}</b>", '<b><c a="{}"/></b>'])
 def test_long_attributes_and_texts_are_refused(file: Path, content: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mast_zenoh.scenes.xml_elements._MAX_CHARACTERS", 1000)
+    monkeypatch.setattr("mast_zenoh.scenes.files.xml_elements._MAX_CHARACTERS", 1000)
     file.write_text("<r>\n" + content.format("x" * 1000) + "</r>")
     assert len(list(read_xml(file, "r", ("b",)))) == 2
     file.write_text("<r>\n" + content.format("x" * 1001) + "</r>")

@@ -9,13 +9,13 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.argoverse.files import Annotations, find_log, read_annotations, read_poses
-from mast_zenoh.scenes.assembly import AgentPath, assemble
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.boxes import Boxes
+from mast_zenoh.scenes.making.assembly import AgentPath, assemble
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.recorded_traffic import agent_counts, nearest_vehicles
+from mast_zenoh.scenes.making.virtual_agents import poles
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.scenes.virtual_agents import MAX_POLES, poles, vehicle, vehicles_throughout
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
 #: The recording car. The origin of its frame is the rear axle; the ego's box encloses the body.
@@ -29,7 +29,6 @@ _EGO_LIDAR = LidarSensor(
 )
 _EGO_CAMERA = Camera(mount_position=np.array([1.6, 0.0, 1.4]))
 
-_POLES = 4
 _DETECTOR = DetectionModel()
 
 
@@ -56,15 +55,8 @@ class AV2Log(Scene):
         n_mobile: int | None = None,
         detector: Detector = _DETECTOR,
     ) -> None:
-        n_infrastructure = _POLES if n_infrastructure is None else n_infrastructure
-        n_mobile = n_mobile or 0
-        if not 0 <= n_infrastructure <= MAX_POLES:
-            raise ConfigurationError(f"AV2Log: n_infrastructure is {n_infrastructure}, expected 0 to {MAX_POLES}")
-        if n_mobile < 0:
-            raise ConfigurationError(f"AV2Log: n_mobile is {n_mobile}, expected 0 or more")
         self.path = Path(path)
-        self.n_infrastructure = n_infrastructure
-        self.n_mobile = n_mobile
+        self.n_infrastructure, self.n_mobile = agent_counts("AV2Log", n_infrastructure, n_mobile)
         self.detector = detector
 
     def inputs(self) -> Sequence[Path]:
@@ -84,31 +76,11 @@ class AV2Log(Scene):
             points=np.concatenate([np.zeros(len(axle), np.int32), annotations.points.astype(np.int32)]),
             ground=axle[:, 2] - _AXLE_HEIGHT_M,
         )
-        others = self._others(boxes, axle)
+        others = nearest_vehicles(boxes, _EGO_ID, len(axle), self.n_mobile, self.path)
         roadside = poles(boxes, axle[:, :2], heading(rotation), self.n_infrastructure)
         name = file.parent.name
         paths = [ego, *others, *roadside]
         return assemble(name, annotations.times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
-
-    def _others(self, boxes: Boxes, axle: Floats) -> list[AgentPath]:
-        """Recorded vehicles as agents, the nearest first."""
-        ids = vehicles_throughout(boxes, len(axle))
-        ids = ids[ids != _EGO_ID]
-        if self.n_mobile > len(ids):
-            raise ConfigurationError(
-                f"{self.path}: n_mobile is {self.n_mobile}, expected 0 to {len(ids)}: "
-                f"{len(ids)} vehicles are annotated in every frame"
-            )
-        nearest = ids[np.argsort([_distance(boxes, number, axle) for number in ids], kind="stable")]
-        return [
-            vehicle(f"mobile_{k}", boxes, int(number)) for k, number in enumerate(nearest[: self.n_mobile], start=1)
-        ]
-
-
-def _distance(boxes: Boxes, number: int, axle: Floats) -> float:
-    """Mean distance m of an object from the ego."""
-    own = boxes.id == number
-    return float(np.linalg.norm(boxes.position[own] - axle[boxes.frame[own]], axis=1).mean())
 
 
 def _boxes(annotations: Annotations, axle: Floats, rotation: Floats) -> Boxes:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.json_lines import lines_of_agents, reason, reject_constant
+from mast_zenoh.scenes.files.json_lines import lines_of_agents, reason, reject_constant
 
 _DEFAULT_HEIGHT_M = 12.0  # of buildings
 

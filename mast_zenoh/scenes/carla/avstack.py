@@ -16,10 +16,11 @@ from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.carla import accompanying_files
 from mast_zenoh.scenes.carla.decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
 from mast_zenoh.scenes.carla.layout import Layout, open_layout
-from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.velocities import fill_velocity
 from mast_zenoh.scenes.own_detections.json_lines import read_json_lines
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
-from mast_zenoh.scenes.velocities import fill_velocity
+from mast_zenoh.scenes.selection import check_counts
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
 #: Object id of agent 0; agent k, if it is an object, has this plus k. The layout numbers agents and objects
@@ -101,15 +102,7 @@ class AVstackScene(Scene):
         if not mobile:
             raise SceneError(f"{run / 'objects'}: no actor has a box, expected at least the ego")
         ego, *others = mobile
-        for name, count, candidates, kind in (
-            ("n_mobile", self.n_mobile, others, "mobile agents besides the ego"),
-            ("n_infrastructure", self.n_infrastructure, static, "static agents"),
-        ):
-            if count is not None and not 0 <= count <= len(candidates):
-                raise ConfigurationError(
-                    f"{self.path}: {name} is {count}, expected 0 to {len(candidates)}: "
-                    f"the scene has {len(candidates)} {kind}"
-                )
+        check_counts(self.path, (self.n_mobile, len(others)), (self.n_infrastructure, len(static)))
         return [ego, *others[: self.n_mobile], *static[: self.n_infrastructure]]
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.class_names import class_of
-from mast_zenoh.scenes.json_lines import reason, reject_constant
+from mast_zenoh.scenes.files.class_names import class_of
+from mast_zenoh.scenes.files.json_lines import reason, reject_constant
 
 #: Values of `occlusion` of an object that a sensor does not see: invalid and complete. 0, 1 and 2 mean none, partial
 #: and most, 99 means unknown.

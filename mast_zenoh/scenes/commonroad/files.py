@@ -14,7 +14,7 @@ import numpy as np
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.commonroad.shapes import Outline, read_outline, read_point, read_polygon
-from mast_zenoh.scenes.xml_elements import XmlElement, read_xml
+from mast_zenoh.scenes.files.xml_elements import XmlElement, read_xml
 
 _VERSIONS = ("2018b", "2020a")
 _TAGS = ("obstacle", "dynamicObstacle", "staticObstacle", "environmentObstacle", "phantomObstacle")

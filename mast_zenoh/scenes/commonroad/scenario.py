@@ -9,19 +9,19 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.assembly import assemble
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.boxes import Boxes
 from mast_zenoh.scenes.commonroad.files import Obstacle, ScenarioFile, find_scenario, read_scenario
-from mast_zenoh.scenes.recorded_traffic import (
+from mast_zenoh.scenes.making.assembly import assemble
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.recorded_traffic import (
     HEIGHT_OF_CLASS,
     add_agents,
     agent_counts,
     busiest_vehicle,
     with_origin_at,
 )
+from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.scenes.virtual_agents import VEHICLE_CLASSES
 from mast_zenoh.sensing import DetectionModel, Detector
 
 _DETECTOR = DetectionModel()

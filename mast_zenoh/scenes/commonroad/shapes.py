@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.scenes.xml_elements import XmlElement
+from mast_zenoh.scenes.files.xml_elements import XmlElement
 
 _MAX_COORDINATE_M = 1e8
 _MAX_SIZE_M = 1000.0

@@ -10,12 +10,12 @@ import numpy as np
 from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.assembly import ground_level
-from mast_zenoh.scenes.boxes import Boxes
 from mast_zenoh.scenes.dair.labels import box, class_of, dimensions, location, read_labels, track_of
 from mast_zenoh.scenes.dair.layout import Layout, Pair
 from mast_zenoh.scenes.dair.tracks import linked, matched, numbered
-from mast_zenoh.scenes.elements import Element
+from mast_zenoh.scenes.files.elements import Element
+from mast_zenoh.scenes.making.assembly import ground_level
+from mast_zenoh.scenes.making.boxes import Boxes
 
 _UNSEEN = "-1"  # in place of the name of a side's track
 _REFERENCES = ("veh_track_id", "inf_track_id")

@@ -13,7 +13,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.elements import Element, read_json
+from mast_zenoh.scenes.files.elements import Element, read_json
 
 MAX_LABELS = 5_000  # in one file
 MAX_EXTENT_M = 1e8  # of a coordinate

@@ -13,7 +13,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.dair.labels import number, read_transform
-from mast_zenoh.scenes.elements import Element, read_json
+from mast_zenoh.scenes.files.elements import Element, read_json
 
 PAIRS = "cooperative/data_info.json"
 VEHICLE, INFRASTRUCTURE = "vehicle-side", "infrastructure-side"

@@ -12,14 +12,14 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.assembly import AgentPath, assemble
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.boxes import Boxes
 from mast_zenoh.scenes.dair.cooperative import labelled_boxes, positions
 from mast_zenoh.scenes.dair.labels import read_labels, read_transform, track_of
 from mast_zenoh.scenes.dair.timing import check_differences, check_limit, check_times
 from mast_zenoh.scenes.dair.tracks import matched, numbered
 from mast_zenoh.scenes.dair.visibility import returns
+from mast_zenoh.scenes.making.assembly import AgentPath, assemble
+from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 

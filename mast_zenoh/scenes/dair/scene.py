@@ -10,7 +10,6 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenes.assembly import AgentPath, assemble
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.dair.cooperative import Poses, read_truth, with_car
 from mast_zenoh.scenes.dair.layout import (
@@ -26,6 +25,7 @@ from mast_zenoh.scenes.dair.layout import (
 )
 from mast_zenoh.scenes.dair.timing import check_differences, check_limit, check_times
 from mast_zenoh.scenes.dair.visibility import returns
+from mast_zenoh.scenes.making.assembly import AgentPath, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Ints
-from mast_zenoh.scenes.assembly import AgentPath
-from mast_zenoh.scenes.boxes import Boxes
-from mast_zenoh.scenes.observe import World, lidar_visibility
+from mast_zenoh.scenes.making.assembly import AgentPath
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.observe import World, lidar_visibility
 from mast_zenoh.scenes.recording import truth_states
 
 _MIN_SEEN_POINTS = 5  # returns of an object that counts as seen

@@ -12,7 +12,7 @@ from mast_zenoh.scenes.generated.buildings import rows_of_buildings
 from mast_zenoh.scenes.generated.junction import ROAD, Arm, arms_of, plan
 from mast_zenoh.scenes.generated.road_users import road_users
 from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic
-from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 from mast_zenoh.streams import stream

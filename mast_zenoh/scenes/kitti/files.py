@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.bounded_file import MAX_BYTES, read_lines
-from mast_zenoh.scenes.elements import orthonormal
-from mast_zenoh.scenes.text_elements import TextElement
+from mast_zenoh.scenes.files.bounded_file import MAX_BYTES, read_lines
+from mast_zenoh.scenes.files.elements import orthonormal
+from mast_zenoh.scenes.files.text_elements import TextElement
 
 _MAX_ROWS = 1_000_000
 _MAX_CALIBRATION_BYTES = 1_000_000

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.assembly import AgentPath, assemble
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.boxes import Boxes
 from mast_zenoh.scenes.kitti.files import Calibration, Labels, read_calibration, read_labels, read_poses
-from mast_zenoh.scenes.recorded_traffic import agent_counts, nearest_vehicles
+from mast_zenoh.scenes.making.assembly import AgentPath, assemble
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.recorded_traffic import agent_counts, nearest_vehicles
+from mast_zenoh.scenes.making.virtual_agents import poles
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.scenes.virtual_agents import poles
 from mast_zenoh.sensing import Camera, CleanDetector, DetectionModel, Detector, LidarSensor
 
 _DETECTOR = DetectionModel()

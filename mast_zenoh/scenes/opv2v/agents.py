@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.assembly import AgentPath
-from mast_zenoh.scenes.boxes import Boxes
+from mast_zenoh.scenes.making.assembly import AgentPath
+from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.opv2v.labels import AgentPose
 from mast_zenoh.scenes.opv2v.layout import AgentFolder
 from mast_zenoh.scenes.opv2v.variants import Variant

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
-from mast_zenoh.scenes.elements import Element
+from mast_zenoh.scenes.files.elements import Element
 from mast_zenoh.scenes.opv2v.poses import numbers, pose, positions, rotations
 from mast_zenoh.scenes.opv2v.variants import LEFT_OUT, Variant, category_key, class_of
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Ints
-from mast_zenoh.scenes.assembly import assemble
-from mast_zenoh.scenes.boxes import Boxes
+from mast_zenoh.scenes.making.assembly import assemble
+from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.opv2v import variants
 from mast_zenoh.scenes.opv2v.agents import Poses, agent_path
 from mast_zenoh.scenes.opv2v.labels import AgentPose, read_labels, read_pose, read_visible

@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.elements import Element, read_text
+from mast_zenoh.scenes.files.elements import Element, read_text
 from mast_zenoh.scenes.opv2v.numpy_tags import PREFIX, decode_binary, decode_container, decode_name
 
 _MAX_BYTES = 50_000_000  # of one file

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.scenes.elements import Element
+from mast_zenoh.scenes.files.elements import Element
 
 #: Limit on coordinates, m, and on angles, degrees.
 MAX_COORDINATE = 1e7

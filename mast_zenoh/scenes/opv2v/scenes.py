@@ -11,9 +11,9 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.assembly import assemble
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.boxes import Boxes
+from mast_zenoh.scenes.making.assembly import assemble
+from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.opv2v import variants
 from mast_zenoh.scenes.opv2v.agents import Poses, agent_path, listed_returns
 from mast_zenoh.scenes.opv2v.labels import Labels, read_labels, read_pose
@@ -23,6 +23,7 @@ from mast_zenoh.scenes.opv2v.traffic import Listed, check_ids_last, shared_ids
 from mast_zenoh.scenes.opv2v.variants import Variant
 from mast_zenoh.scenes.opv2v.vehicles import OwnCar, check_numbers, claim, missing_boxes
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.selection import check_counts
 from mast_zenoh.sensing import DetectionModel, Detector
 
 _DETECTOR = DetectionModel()
@@ -82,14 +83,8 @@ class ScenarioFolder(Scene):
         """Columns of the agents that play, the ego first, then other cars, then poles."""
         cars = [column for column, agent in enumerate(agents) if not agent.is_pole and column > 0]
         poles = [column for column, agent in enumerate(agents) if agent.is_pole]
-        for name, count, there, kind in (
-            ("n_mobile", self.n_mobile, cars, "cars besides the ego"),
-            ("n_infrastructure", self.n_infrastructure, poles, "poles"),
-        ):
-            if count is not None and not 0 <= count <= len(there):
-                raise ConfigurationError(
-                    f"{folder}: {name} is {count}, expected 0 to {len(there)}: the scene has {len(there)} {kind}"
-                )
+        kinds = "cars besides the ego", "poles"
+        check_counts(folder, (self.n_mobile, len(cars)), (self.n_infrastructure, len(poles)), kinds)
         return [0, *cars[: self.n_mobile], *poles[: self.n_infrastructure]]
 
 

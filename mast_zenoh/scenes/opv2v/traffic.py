@@ -10,7 +10,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.boxes import Boxes
+from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.opv2v.labels import Labels
 
 _MAX_SPEED_M_S = 70.0  # of an object whose id lasts,

@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.boxes import Boxes
+from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.opv2v.traffic import FileOf, Listed
 from mast_zenoh.scenes.opv2v.variants import Variant
 

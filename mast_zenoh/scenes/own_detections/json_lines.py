@@ -11,9 +11,9 @@ import numpy as np
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.assembly import DetectionColumns
-from mast_zenoh.scenes.class_names import class_of
-from mast_zenoh.scenes.json_lines import lines_of_agents, reason
+from mast_zenoh.scenes.files.class_names import class_of
+from mast_zenoh.scenes.files.json_lines import lines_of_agents, reason
+from mast_zenoh.scenes.making.assembly import DetectionColumns
 
 
 def read_json_lines(

@@ -11,7 +11,7 @@ from scipy.special import expit
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError, nearest
-from mast_zenoh.scenes.elements import read_text
+from mast_zenoh.scenes.files.elements import read_text
 from mast_zenoh.scenes.own_detections.rows import DetectionRows
 from mast_zenoh.scenes.recording import Recording
 

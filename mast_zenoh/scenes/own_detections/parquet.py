@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from mast_zenoh.errors import SceneError, nearest
-from mast_zenoh.scenes.class_names import class_of
-from mast_zenoh.scenes.elements import MAX_BYTES
+from mast_zenoh.scenes.files.class_names import class_of
+from mast_zenoh.scenes.files.elements import MAX_BYTES
 from mast_zenoh.scenes.own_detections.rows import DetectionRows
 
 _NEEDED = ("frame", "agent", "x", "y", "z", "l", "w", "h", "yaw")

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.assembly import DetectionColumns
 from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.making.assembly import DetectionColumns
 from mast_zenoh.scenes.own_detections.json_lines import read_json_lines
 from mast_zenoh.scenes.own_detections.kitti import read_kitti
 from mast_zenoh.scenes.own_detections.parquet import read_parquet

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.assembly import DetectionColumns
+from mast_zenoh.scenes.making.assembly import DetectionColumns
 
 
 @dataclass(frozen=True, eq=False)

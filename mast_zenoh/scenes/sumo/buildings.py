@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.scenes.text_elements import TextElement
-from mast_zenoh.scenes.xml_elements import XmlElement, read_xml
+from mast_zenoh.scenes.files.text_elements import TextElement
+from mast_zenoh.scenes.files.xml_elements import XmlElement, read_xml
 
 _MAX_CORNERS = 10_000
 _MAX_BUILDINGS = 20_000  # near the route

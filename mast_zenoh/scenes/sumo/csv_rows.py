@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.bounded_file import read_lines
-from mast_zenoh.scenes.text_elements import TextElement
+from mast_zenoh.scenes.files.bounded_file import read_lines
+from mast_zenoh.scenes.files.text_elements import TextElement
 
 #: Columns of tables without prefixes, by SUMO's names of attributes.
 _ALIASES = {

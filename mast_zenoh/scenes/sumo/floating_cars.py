@@ -9,10 +9,10 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.assembly import assemble
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.boxes import Boxes
-from mast_zenoh.scenes.recorded_traffic import (
+from mast_zenoh.scenes.making.assembly import assemble
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.recorded_traffic import (
     add_agents,
     agent_counts,
     busiest_vehicle,

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes.files.text_elements import TextElement
+from mast_zenoh.scenes.files.xml_elements import read_xml
 from mast_zenoh.scenes.sumo.csv_rows import csv_rows
-from mast_zenoh.scenes.text_elements import TextElement
-from mast_zenoh.scenes.xml_elements import read_xml
 
 _MAX_NAMES = 12  # in a message
 _MAX_OBJECTS = 100_000  # at one time

@@ -10,8 +10,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.text_elements import TextElement
-from mast_zenoh.scenes.xml_elements import XmlElement, read_xml
+from mast_zenoh.scenes.files.text_elements import TextElement
+from mast_zenoh.scenes.files.xml_elements import XmlElement, read_xml
 
 MAX_SIZE_M = 1000.0
 _MAX_TYPES = 100_000

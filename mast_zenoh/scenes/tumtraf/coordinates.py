@@ -6,8 +6,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import SceneError, nearest
-from mast_zenoh.scenes.elements import Element
-from mast_zenoh.scenes.matrices import read_listed_pose
+from mast_zenoh.scenes.files.elements import Element
+from mast_zenoh.scenes.files.matrices import read_listed_pose
 
 _BETWEEN = "_to_"
 

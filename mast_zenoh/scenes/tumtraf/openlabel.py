@@ -11,8 +11,8 @@ import numpy as np
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.elements import Element, read_json
-from mast_zenoh.scenes.labels import read_point, read_size
+from mast_zenoh.scenes.files.elements import Element, read_json
+from mast_zenoh.scenes.making.labels import read_point, read_size
 from mast_zenoh.scenes.tumtraf.coordinates import Coordinates
 
 MAX_FILES = 100_000

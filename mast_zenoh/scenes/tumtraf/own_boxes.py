@@ -6,8 +6,8 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
-from mast_zenoh.scenes.boxes import Boxes
-from mast_zenoh.scenes.labels import boxes_throughout
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.labels import boxes_throughout
 
 #: Of a car without a label: an assumption, as the data set does not give its size.
 CAR_SIZE = np.array([4.8, 1.9, 1.7])

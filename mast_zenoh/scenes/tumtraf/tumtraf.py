@@ -11,11 +11,12 @@ import numpy as np
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.assembly import AgentPath, assemble
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.boxes import Boxes
-from mast_zenoh.scenes.labels import Labels
+from mast_zenoh.scenes.making.assembly import AgentPath, assemble
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.labels import Labels
 from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.selection import check_counts
 from mast_zenoh.scenes.tumtraf.openlabel import Frame, find_labels, read_frames
 from mast_zenoh.scenes.tumtraf.own_boxes import own_object
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
@@ -108,14 +109,8 @@ class TUMTrafV2X(Scene):
         poles = [name for name in lidars if not name.startswith("vehicle")]
         if not cars:
             raise SceneError(f"{folder}: found the lidars {list(lidars)}, expected at least one of a car, vehicle…")
-        for parameter, count, available, kind in (
-            ("n_mobile", self.n_mobile, len(cars) - 1, "cars besides the ego"),
-            ("n_infrastructure", self.n_infrastructure, len(poles), "poles"),
-        ):
-            if count is not None and not 0 <= count <= available:
-                raise ConfigurationError(
-                    f"{self.path}: {parameter} is {count}, expected 0 to {available}: the scene has {available} {kind}"
-                )
+        kinds = "cars besides the ego", "poles"
+        check_counts(self.path, (self.n_mobile, len(cars) - 1), (self.n_infrastructure, len(poles)), kinds)
         kept = len(cars) if self.n_mobile is None else 1 + self.n_mobile
         return cars, cars[:kept], poles[: self.n_infrastructure]
 

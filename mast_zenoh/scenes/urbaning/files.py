@@ -16,9 +16,9 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.elements import read_json, read_text
-from mast_zenoh.scenes.labels import read_size
-from mast_zenoh.scenes.matrices import read_pose
+from mast_zenoh.scenes.files.elements import read_json, read_text
+from mast_zenoh.scenes.files.matrices import read_pose
+from mast_zenoh.scenes.making.labels import read_size
 
 TIMESYNC = "timesync_info.csv"
 _TIME = "timestamp_ms"

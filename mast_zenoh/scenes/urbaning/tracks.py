@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
-from mast_zenoh.scenes.elements import Element, read_json
-from mast_zenoh.scenes.labels import Labels, read_point, read_size
+from mast_zenoh.scenes.files.elements import Element, read_json
+from mast_zenoh.scenes.making.labels import Labels, read_point, read_size
 
 _MAX_TRACKS = 100_000
 _MAX_ANGLE = 1e4  # rad

@@ -11,11 +11,12 @@ import numpy as np
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.assembly import AgentPath, assemble
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.boxes import Boxes
-from mast_zenoh.scenes.labels import Labels, boxes_throughout
+from mast_zenoh.scenes.making.assembly import AgentPath, assemble
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.labels import Labels, boxes_throughout
 from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.selection import check_counts
 from mast_zenoh.scenes.urbaning.files import (
     TIMESYNC,
     Files,
@@ -102,14 +103,8 @@ class UrbanIngV2X(Scene):
 
     def _agents(self, vehicles: list[str], lidars: list[str]) -> tuple[list[str], list[str]]:
         """The vehicles and the pole lidars that play."""
-        for parameter, count, available, kind in (
-            ("n_mobile", self.n_mobile, len(vehicles) - 1, "cars besides the ego"),
-            ("n_infrastructure", self.n_infrastructure, len(lidars), "lidars on poles"),
-        ):
-            if count is not None and not 0 <= count <= available:
-                raise ConfigurationError(
-                    f"{self.path}: {parameter} is {count}, expected 0 to {available}: the scene has {available} {kind}"
-                )
+        kinds = "cars besides the ego", "lidars on poles"
+        check_counts(self.path, (self.n_mobile, len(vehicles) - 1), (self.n_infrastructure, len(lidars)), kinds)
         kept = len(vehicles) if self.n_mobile is None else 1 + self.n_mobile
         return vehicles[:kept], lidars[: self.n_infrastructure]
 

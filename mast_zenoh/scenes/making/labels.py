@@ -9,9 +9,9 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.boxes import Boxes
-from mast_zenoh.scenes.elements import Element
-from mast_zenoh.scenes.matrices import MAX_COORDINATE_M
+from mast_zenoh.scenes.files.elements import Element
+from mast_zenoh.scenes.files.matrices import MAX_COORDINATE_M
+from mast_zenoh.scenes.making.boxes import Boxes
 
 #: Limits on one scene: a single object, and all of its boxes.
 MAX_SIZE_M = 200.0

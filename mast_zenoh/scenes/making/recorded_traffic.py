@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.assembly import AgentPath
-from mast_zenoh.scenes.boxes import Boxes
-from mast_zenoh.scenes.virtual_agents import MAX_POLES, poles, vehicle, vehicles_throughout
+from mast_zenoh.scenes.making.assembly import AgentPath
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, poles, vehicle, vehicles_throughout
 
 #: Heights m of data without any, by class: the defaults of SUMO's vehicle classes; unknown objects as cars.
 HEIGHT_OF_CLASS = np.array([1.5, 1.5, 2.4, 3.4, 1.5, 1.7, 1.719])

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.boxes import Boxes
-from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.velocities import fill_velocity
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
-from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Detector
 
 _GROUND_RADIUS_M = 25.0  # the ground's height is estimated from the boxes within this distance,

@@ -6,7 +6,7 @@ import math
 import re
 from typing import NoReturn
 
-from mast_zenoh.scenes.elements import Element
+from mast_zenoh.scenes.files.elements import Element
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?", re.ASCII)
 _INTEGER = re.compile(r"[+-]?\d{1,19}", re.ASCII)

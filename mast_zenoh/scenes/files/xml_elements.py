@@ -8,8 +8,8 @@ from typing import NoReturn
 from xml.parsers import expat
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.bounded_file import MAX_BYTES, read_pieces
-from mast_zenoh.scenes.text_elements import TextElement
+from mast_zenoh.scenes.files.bounded_file import MAX_BYTES, read_pieces
+from mast_zenoh.scenes.files.text_elements import TextElement
 
 _MAX_DEPTH = 50
 _MAX_PARTS = 500_000  # elements within one that is read

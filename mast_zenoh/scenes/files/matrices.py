@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.scenes.elements import Element
+from mast_zenoh.scenes.files.elements import Element
 
 #: Limit on a coordinate, m: far beyond any map projection, and its square is far below the limit of a number.
 MAX_COORDINATE_M = 1e8
