@@ -13,7 +13,7 @@ from mast_zenoh.scenes.selection import fewer_agents, first_frames
 class RecordingFile(Scene):
     """A recording in a file: of `mast scene convert`, of `PreparedScene.save`, or scene.npz of a run.
 
-    path:             the file, see docs/scene_file.md
+    path:             the file, see docs/scene_arrays.md
     n_infrastructure: number of static agents to use, the first ones; None: all
     n_mobile:         number of mobile agents besides the ego to use, the first ones; None: all
 
