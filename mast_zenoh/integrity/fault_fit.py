@@ -28,6 +28,8 @@ EXPLAINED_SD = 3.0
 #: Tracks that two agents must share to be compared, and mean squared deviation up to which they agree; 2 is the mean of
 #: honest agents.
 COMPARABLE, AGREEING = 3, 3.5
+#: Gain of log-likelihood from which a fault explains the difference of two agents clearly better than none.
+CLEARLY = 3.0
 #: Sums of no batches.
 NOTHING = np.zeros((4, 4)), np.zeros(4)
 #: Variances of the parameters before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
@@ -124,8 +126,12 @@ def normal_equations(found: Displacements, estimate: Floats | None) -> tuple[Flo
 
 def misfit(found: Displacements, estimate: Floats) -> float:
     """Sum of Huber's loss over the displacements that a fault (4,) leaves."""
-    deviation = _deviations(found, estimate)
-    return float(np.where(deviation <= CLIP, 0.5 * deviation**2, CLIP * (deviation - 0.5 * CLIP)).sum())
+    return float(_loss(_deviations(found, estimate)).sum())
+
+
+def _loss(deviation: Floats) -> Floats:
+    """Huber's loss of deviations."""
+    return np.where(deviation <= CLIP, 0.5 * deviation**2, CLIP * (deviation - 0.5 * CLIP))
 
 
 def explained(found: Displacements, estimate: Floats) -> float:
@@ -133,15 +139,21 @@ def explained(found: Displacements, estimate: Floats) -> float:
     return float((_deviations(found, estimate) <= EXPLAINED_SD).mean()) if len(found.offset) else 0.0
 
 
-def agreeing(found: Displacements, known: Floats) -> Ints:
+def agreeing(found: Displacements, known: Floats, fitted: Floats, corrected: Ints) -> Ints:
     """Numbers of the other agents whose tracks are where those of the agent are, without its known fault (4,).
 
+    fitted: (4,) fault that fits the agent's tracks best. Where it explains the differences from another agent clearly
+    better, the two do not agree, even if most of their objects stand and show nothing of a wrong clock.
+    corrected: numbers of agents with a known fault; what is left of theirs looks like a fault of the agent's own, so
+    that they do not count for this
     Of fewer than COMPARABLE tracks of one other agent, nothing is said.
     """
-    squared = np.minimum(_deviations(found, known) ** 2, EXPLAINED_SD**2)
+    deviation = _deviations(found, known)
     count = np.bincount(found.agent)
-    mean = np.bincount(found.agent, squared) / np.maximum(count, 1)
-    return np.flatnonzero((count >= COMPARABLE) & (mean <= AGREEING))
+    mean = np.bincount(found.agent, np.minimum(deviation, EXPLAINED_SD) ** 2) / np.maximum(count, 1)
+    gain = np.bincount(found.agent, _loss(deviation) - _loss(_deviations(found, fitted)))
+    gain[corrected[corrected < len(gain)]] = 0.0
+    return np.flatnonzero((count >= COMPARABLE) & (mean <= AGREEING) & (gain <= CLEARLY))
 
 
 def _deviations(found: Displacements, estimate: Floats) -> Floats:

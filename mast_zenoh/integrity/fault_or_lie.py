@@ -133,6 +133,7 @@ class FaultOrLie(Integrity):
         """
         reference = self._without_faults(states, agent, agents, pivots)
         suspended = [row for row, name in enumerate(agents) if name in self._suspended]
+        corrected = np.array([row for row, name in enumerate(agents) if self._applied(name)], np.int64)
         order = by_agent(states, agent)  # the order of the rows must not matter
         agent = agent[order]
         trusted = ~np.isin(agent, suspended)
@@ -149,8 +150,9 @@ class FaultOrLie(Integrity):
                     pivots[row],
                     estimate.known,
                 )
-                result[row] = set(agreeing(found, estimate.known).tolist())
+                known = estimate.known
                 estimate.update(time_ns, found, self._memory_s)
+                result[row] = set(agreeing(found, known, estimate.fault, corrected).tolist())
         return result
 
     def _convincing(self, estimate: FaultEstimate) -> bool:
@@ -212,11 +214,12 @@ class FaultOrLie(Integrity):
 def largest_groups(count: int, agree: Mapping[int, set[int]]) -> set[int]:
     """The rows of the agents in the largest group that agrees, directly or by way of others; in all that are largest.
 
-    agree: by row of one of `count` agents, the rows of those that agree with it
+    agree: by row of one of `count` agents, the rows of those that agree with it. Two agents agree if each does with
+    the other: what is wrong with one of them may show only in its own fit.
     """
     groups: list[set[int]] = [{row} for row in range(count)]
     for row, others in agree.items():
-        joined = {row, *others}
+        joined = {row, *(other for other in others if row in agree.get(other, ()))}
         touched = [group for group in groups if group & joined]
         groups = [*(group for group in groups if not group & joined), joined.union(*touched)]
     most = max(map(len, groups), default=0)

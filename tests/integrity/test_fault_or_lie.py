@@ -13,10 +13,11 @@ from mast_zenoh.integrity.faults import without_fault
 AGENTS = ("a", "b", "c", "d")
 
 
-def assessed(fault: tuple[float, float, float, float], lies: int = 0, frames: int = 60):
-    """Four agents that all see twelve moving cars; `d` has a fault and moves some tracks by 1.5 m."""
+def assessed(fault: tuple[float, float, float, float], lies: int = 0, frames: int = 60, standing: int = 0):
+    """Four agents that all see twelve cars, most of them moving; `d` has a fault and moves some tracks by 1.5 m."""
     random = np.random.default_rng(3)
     place, speed = random.uniform(-60.0, 60.0, (12, 2)), random.uniform(-12.0, 12.0, (12, 2))
+    speed[:standing] = 0.0
     stage, agent = FaultOrLie(), np.repeat(np.arange(4), 12)
     labels = np.tile(np.arange(12), 4)
     for frame in range(frames):
@@ -47,6 +48,12 @@ def test_a_fault_is_found_corrected_and_not_punished(fault: tuple[float, float, 
     measured = [*found.offset[3], found.turn[3], -found.delay[3]]
     assert measured == pytest.approx(fault, abs=0.15)
     assert "all its tracks are" in found.reason[3]
+
+
+def test_a_wrong_clock_is_found_although_most_objects_stand() -> None:
+    found = assessed((0.0, 0.0, 0.0, 0.15), standing=9)
+    assert found.state.tolist() == [found.state[0]] * 3 + [FAULTY]
+    assert -found.delay[3] == pytest.approx(0.15, abs=0.05)
 
 
 def test_moving_some_objects_is_a_lie_not_a_fault() -> None:
@@ -121,6 +128,10 @@ def test_agents_that_left_or_send_no_tracks_do_not_disturb_the_search_for_a_faul
 
 
 def test_groups_agree_by_way_of_others_and_equal_ones_are_all_largest() -> None:
-    assert largest_groups(5, {0: {1}, 2: {1}, 3: {4}}) == {0, 1, 2}
-    assert largest_groups(4, {0: {1}, 2: {3}}) == {0, 1, 2, 3}
+    assert largest_groups(5, {0: {1}, 1: {0, 2}, 2: {1}, 3: {4}, 4: {3}}) == {0, 1, 2}
+    assert largest_groups(4, {0: {1}, 1: {0}, 2: {3}, 3: {2}}) == {0, 1, 2, 3}
     assert largest_groups(0, {}) == set()
+
+
+def test_agents_agree_only_if_each_does_with_the_other() -> None:
+    assert largest_groups(3, {0: {1, 2}, 1: {0, 2}, 2: set()}) == {0, 1}
