@@ -1,0 +1,153 @@
+"""Consistency: whether estimates are as accurate as their covariances say.
+
+Normalised estimation error squared (NEES; Bar-Shalom, Li, Kirubarajan 2001, section 5.4) of matched pairs of a track
+and a truth object. Pure; docs/metrics.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.arrays.chi_square import TWO_SIDED, mean_bounds
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.metrics.matched_pairs import MatchedPairs
+from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, RECEIVED
+
+#: Degrees of freedom of both quantities: two horizontal axes.
+DOF = 2
+#: Median of a chi-square distribution with two degrees of freedom.
+MEDIAN = 2.0 * math.log(2.0)
+#: Greater values count as this, so that sums are finite: a factor of a million.
+MAX_NEES = 2e12
+
+OVERCONFIDENT, OVERCAUTIOUS = "overconfident", "overcautious"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Consistency:
+    """Settings for the comparison of errors with covariances.
+
+    samples_per_s: independent samples that the errors of one track give per second: consecutive frames share theirs
+    limit: factor between confidence and accuracy that matters: beyond it, or below its inverse, a run warns
+    Raises ValueError for samples_per_s that are not positive, and for a limit below 1.
+    """
+
+    samples_per_s: float = 1.1
+    limit: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not self.samples_per_s > 0.0:
+            raise ValueError(f"samples_per_s: found {self.samples_per_s}, expected more than 0")
+        if not self.limit >= 1.0:
+            raise ValueError(f"limit: found {self.limit}, expected at least 1")
+
+    def summary(
+        self, pairs: MatchedPairs, series: Sequence[tuple[str, str]], ego: str, scored: slice, period_s: float
+    ) -> dict[str, dict[str, dict[str, Any]]]:
+        """NEES of position and velocity by agent and estimate; see `nees_summary`.
+
+        Of every agent's own tracks, as sent and as received, and of its mission estimate; and of the ego's picture.
+
+        pairs: of the rows of `series`, (agent, estimator);  scored: the frames that count
+        """
+        result: dict[str, dict[str, dict[str, Any]]] = {}
+        counted = pairs.in_frames(scored)
+        for row, (agent, estimator) in enumerate(series):
+            if estimator in (LOCAL, RECEIVED, MISSION) or (agent == ego and estimator == PICTURE):
+                own = counted.of_series(row)
+                errors = {"position": own.position_errors(), "velocity": own.velocity_errors()}
+                result.setdefault(agent, {})[estimator] = {
+                    name: self.nees_summary(nees(*error), own.object_id, period_s) for name, error in errors.items()
+                }
+        return result
+
+    def nees_summary(self, values: Floats, objects: Ints, period_s: float) -> dict[str, Any]:
+        """Plain values; None where undefined.
+
+        values: (n,) NEES, NaN without a usable covariance;  objects: (n,) ids;  period_s: s from frame to frame
+
+        nees: mean;  expected: of a consistent estimate;  low, high: two-sided 95 % bounds of its mean
+        factor: sqrt(nees / expected), how many times more confident than accurate; factor_low, factor_high: its 95 %
+            interval;  typical_factor, typical_low, typical_high: the same from the median
+        pairs, objects: how many count;  samples: independent ones among the pairs
+        without_covariance: other pairs;  verdict: "overconfident", "overcautious" or None
+        """
+        usable = np.isfinite(values)
+        left_out = len(values) - int(np.count_nonzero(usable))
+        values, objects = (values, objects) if not left_out else (values[usable], objects[usable])
+        counts = {"pairs": len(values), "without_covariance": left_out}
+        if not len(values):
+            names = ("nees", "low", "high", "factor", "factor_low", "factor_high")
+            undefined = (*names, "typical_factor", "typical_low", "typical_high", "verdict")
+            return {"expected": DOF, **dict.fromkeys(undefined), "objects": 0, "samples": 0.0, **counts}
+        of_object, per_object = np.unique(objects, return_inverse=True, return_counts=True)[1:]
+        samples = self._samples(values, of_object.reshape(-1), per_object, period_s)
+        mean, (low, high) = float(values.mean()), mean_bounds(samples, DOF)
+        factors = math.sqrt(mean / DOF), math.sqrt(mean / high), math.sqrt(mean / low) if low else None
+        typical = _typical(values, samples)
+        return {
+            "nees": mean,
+            "expected": DOF,
+            "low": low,
+            "high": high,
+            **dict(zip(("factor", "factor_low", "factor_high"), factors, strict=True)),
+            **dict(zip(("typical_factor", "typical_low", "typical_high"), typical, strict=True)),
+            "objects": len(per_object),
+            "samples": samples,
+            **counts,
+            "verdict": self._verdict(factors, typical),
+        }
+
+    def _samples(self, values: Floats, of_object: Ints, per_object: Ints, period_s: float) -> float:
+        """Effective number of independent samples: the smaller of two.
+
+        One follows from how long each object is matched, as every second has `samples_per_s`. The other follows from
+        how differently the objects come out: the share of values above the median varies between independent objects
+        as it would between so many samples.
+        """
+        n, k = len(values), len(per_object)
+        independent = np.minimum(np.maximum(self.samples_per_s * period_s * per_object, 1.0), per_object)
+        by_time = n * n / float((per_object**2 / independent).sum())
+        if k < 2:
+            return by_time
+        above = np.bincount(of_object, values > np.median(values), minlength=k) - 0.5 * per_object
+        variance = k / (k - 1) * float((above**2).sum()) / n**2
+        return by_time if by_time * variance <= 0.25 else 0.25 / variance
+
+    def _verdict(self, *intervals: tuple[float | None, float | None, float | None]) -> str | None:
+        """The verdict if all intervals (factor, low, high) are beyond the limit on the same side."""
+        if all(low is not None and low > self.limit for _, low, _ in intervals):
+            return OVERCONFIDENT
+        if all(high is not None and high < 1.0 / self.limit for _, _, high in intervals):
+            return OVERCAUTIOUS
+        return None
+
+
+def nees(error: Floats, covariance: Floats) -> Floats:
+    """Normalised squares (n,) of errors (n, 2); NaN where the covariance is not positive definite.
+
+    covariance: (n, 3), its elements xx, xy, yy
+    """
+    (x, y), (a, b, c) = error.T, covariance.T
+    with np.errstate(all="ignore"):
+        slope = b / a
+        rest = c - b * slope
+        value = x * x / a + (y - slope * x) ** 2 / rest
+        return np.where((a > 0.0) & (rest > 0.0) & ~np.isnan(value), np.minimum(value, MAX_NEES), np.nan)
+
+
+def _typical(values: Floats, samples: float) -> tuple[float, float | None, float | None]:
+    """The factor from the median, and its 95 % interval between two other quantiles.
+
+    The interval does not depend on the distribution of the values. None: too few samples for it.
+    """
+    half = 0.5 * TWO_SIDED / math.sqrt(samples)
+    if half > 0.5:
+        return math.sqrt(float(np.median(values)) / MEDIAN), None, None
+    low, middle, high = np.sqrt(np.quantile(values, (0.5 - half, 0.5, 0.5 + half)) / MEDIAN).tolist()
+    return middle, low, high
