@@ -17,6 +17,7 @@ from mast_zenoh.arrays.chi_square import TWO_SIDED, mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.matched_pairs import MatchedPairs
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, RECEIVED
+from mast_zenoh.tracking.innovations import LIMIT, OVERCAUTIOUS, OVERCONFIDENT
 
 #: Degrees of freedom of both quantities: two horizontal axes.
 DOF = 2
@@ -25,20 +26,19 @@ MEDIAN = 2.0 * math.log(2.0)
 #: Greater values count as this, so that sums are finite: a factor of a million.
 MAX_NEES = 2e12
 
-OVERCONFIDENT, OVERCAUTIOUS = "overconfident", "overcautious"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Consistency:
     """Settings for the comparison of errors with covariances.
 
     samples_per_s: independent samples that the errors of one track give per second: consecutive frames share theirs
-    limit: factor between confidence and accuracy that matters: beyond it, or below its inverse, a run warns
+    limit: factor between confidence and accuracy that matters: above it, an estimate is
+        overconfident, below its inverse overcautious
     Raises ValueError for samples_per_s that are not positive, and for a limit below 1.
     """
 
     samples_per_s: float = 1.1
-    limit: float = 2.0
+    limit: float = LIMIT
 
     def __post_init__(self) -> None:
         if not self.samples_per_s > 0.0:

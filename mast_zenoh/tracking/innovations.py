@@ -12,6 +12,10 @@ from mast_zenoh.tracking.gating import GATE
 
 #: Degrees of freedom: the horizontal position.
 DOF = 2
+#: Factor between confidence and accuracy that matters, by default.
+LIMIT = 2.0
+#: Verdicts about an estimate or a tracker.
+OVERCONFIDENT, OVERCAUTIOUS = "overconfident", "overcautious"
 #: Factors beyond this are not told apart: the gate leaves hardly any trace of them.
 _MAX_FACTOR = 10.0
 
@@ -44,6 +48,7 @@ class Innovations:
         nis: mean;  expected;  low, high: two-sided 95 % bounds of the mean of a consistent tracker
         factor, factor_low, factor_high: how many times larger innovations are than expected, with its 95 % interval.
             None: at least _MAX_FACTOR, or unknown
+        verdict: "overconfident" or "overcautious" if the interval is beyond LIMIT or its inverse, else None
 
         Innovations of a consistent tracker are independent of each other (Bar-Shalom, Li, Kirubarajan 2001, 5.4.2), so
         every pair counts.
@@ -53,6 +58,11 @@ class Innovations:
         mean = self.total / self.pairs if known else 0.0
         factors = [untruncated_factor(value) for value in (mean, mean * DOF / high, mean * DOF / low if low else 0.0)]
         factor, factor_low, factor_high = factors if known else [None, None, None]
+        verdict = None
+        if known and (factor_low is None or factor_low > LIMIT):
+            verdict = OVERCONFIDENT
+        elif known and low and not self.at_most and factor_high is not None and factor_high < 1.0 / LIMIT:
+            verdict = OVERCAUTIOUS
         return {
             "nis": mean if known else None,
             "expected": DOF,
@@ -64,6 +74,7 @@ class Innovations:
             "pairs": self.pairs,
             "sudden": self.sudden,
             "at_most": self.at_most,
+            "verdict": verdict,
         }
 
     @classmethod
