@@ -11,7 +11,12 @@ from mast_zenoh.tracking.innovations import OVERCONFIDENT, Innovations
 #: Roles of nodes with a tracker.
 _TRACKING = ("agent", "command_center")
 #: The notices name agents; "as received" and so on tell which of their estimates is meant.
-_SUBJECTS = {"local": "{}", "received": "{} as received", "picture": "the picture", "mission": "the mission of {}"}
+_SUBJECTS = {
+    "local": "{}",
+    "received": "{} as received",
+    "picture": "the picture",
+    "mission": "the mission estimate of {}",
+}
 _MAX_LINES = 20
 _QUANTITIES = {"position": "", "velocity": " in velocity"}
 
@@ -74,9 +79,8 @@ def _estimate_text(agent: str, estimate: str, summaries: Mapping[str, Mapping[st
 
 
 def _tracker_text(node: str, summary: Mapping[str, Any]) -> str:
-    factor = "at least 10" if summary["factor"] is None else _number(summary["factor"])
     return (
-        f"the tracker of {node} is {factor} times more confident than its measurements bear out "
+        f"the tracker of {node} is {_number(summary['factor'])} times more confident than its measurements bear out "
         f"(NIS {_number(summary['nis'])}, expected {summary['expected']})"
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 from mast_zenoh.arrays.chi_square import TWO_SIDED, mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.matched_pairs import MatchedPairs
-from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, RECEIVED
+from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, RECEIVED, rank_of
 from mast_zenoh.tracking.innovations import LIMIT, OVERCAUTIOUS, OVERCONFIDENT
 
 #: Degrees of freedom of both quantities: two horizontal axes.
@@ -55,13 +55,14 @@ class Consistency:
 
         pairs: of the rows of `series`, (agent, estimator);  scored: the frames that count
         """
-        result: dict[str, dict[str, dict[str, Any]]] = {}
+        result: dict[str, dict[str, dict[str, Any]]] = {agent: {} for agent, _ in series}
         counted = pairs.in_frames(scored)
-        for row, (agent, estimator) in enumerate(series):
+        in_order = sorted(enumerate(series), key=lambda item: rank_of(item[1][1]))
+        for row, (agent, estimator) in in_order:
             if estimator in (LOCAL, RECEIVED, MISSION) or (agent == ego and estimator == PICTURE):
                 own = counted.of_series(row)
                 errors = {"position": own.position_errors(), "velocity": own.velocity_errors()}
-                result.setdefault(agent, {})[estimator] = {
+                result[agent][estimator] = {
                     name: self.nees_summary(nees(*error), own.object_id, period_s) for name, error in errors.items()
                 }
         return result

@@ -16,8 +16,6 @@ DOF = 2
 LIMIT = 2.0
 #: Verdicts about an estimate or a tracker.
 OVERCONFIDENT, OVERCAUTIOUS = "overconfident", "overcautious"
-#: Factors beyond this are not told apart: the gate leaves hardly any trace of them.
-_MAX_FACTOR = 10.0
 
 
 @dataclass(slots=True)
@@ -46,31 +44,31 @@ class Innovations:
         """Plain values for the results of a node; None where undefined, without pairs.
 
         nis: mean;  expected;  low, high: two-sided 95 % bounds of the mean of a consistent tracker
-        factor, factor_low, factor_high: how many times larger innovations are than expected, with its 95 % interval.
-            None: at least _MAX_FACTOR, or unknown
+        factor, factor_low, factor_high: how many times larger innovations are than expected, with its 95 % interval:
+            the estimate of greatest likelihood that takes sudden pairs as beyond the gate. Others beyond it are unknown
         verdict: "overconfident" or "overcautious" if the interval is beyond LIMIT or its inverse, else None
 
         Innovations of a consistent tracker are independent of each other (Bar-Shalom, Li, Kirubarajan 2001, 5.4.2), so
         every pair counts.
         """
         low, high = mean_bounds(self.pairs, DOF)
-        known = self.pairs > 0
-        mean = self.total / self.pairs if known else 0.0
-        factors = [untruncated_factor(value) for value in (mean, mean * DOF / high, mean * DOF / low if low else 0.0)]
-        factor, factor_low, factor_high = factors if known else [None, None, None]
-        verdict = None
-        if known and (factor_low is None or factor_low > LIMIT):
-            verdict = OVERCONFIDENT
-        elif known and low and not self.at_most and factor_high is not None and factor_high < 1.0 / LIMIT:
-            verdict = OVERCAUTIOUS
+        factor = factor_low = factor_high = verdict = None
+        if self.pairs:
+            scale = math.sqrt((self.total + GATE.steady * self.sudden) / self.pairs)
+            factor, factor_low = scale / math.sqrt(DOF), scale / math.sqrt(high)
+            factor_high = scale / math.sqrt(low) if low else None
+            if factor_low > LIMIT:
+                verdict = OVERCONFIDENT
+            elif factor_high is not None and factor_high < 1.0 / LIMIT and not self.at_most:
+                verdict = OVERCAUTIOUS
         return {
-            "nis": mean if known else None,
+            "nis": self.total / self.pairs if self.pairs else None,
             "expected": DOF,
             "low": 0.0 if self.at_most else low,
-            "high": high if known else None,
+            "high": high if self.pairs else None,
             "factor": factor,
             "factor_low": factor_low,
-            "factor_high": factor_high if low else None,
+            "factor_high": factor_high,
             "pairs": self.pairs,
             "sudden": self.sudden,
             "at_most": self.at_most,
@@ -89,24 +87,3 @@ class Innovations:
         if not isinstance(mean, float) or not 0.0 <= mean < math.inf:
             return None
         return cls(mean * pairs, pairs, sudden, value.get("at_most") is True)
-
-
-def untruncated_factor(mean: float) -> float | None:
-    """Ratio of actual to expected innovations from their mean normalised square; None: at least _MAX_FACTOR.
-
-    With a ratio of k the values have the mean 2 k^2 and an exponential distribution, of which the gate removes the part
-    beyond GATE.steady.
-    """
-    gate = GATE.steady
-
-    def expected_mean(factor: float) -> float:
-        scale = DOF * factor**2
-        return scale - gate / math.expm1(gate / scale) if scale > gate / 700.0 else scale
-
-    if mean >= expected_mean(_MAX_FACTOR):
-        return None
-    low, high = 0.0, _MAX_FACTOR
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if expected_mean(middle) > mean else (middle, high)
-    return 0.5 * (low + high)
