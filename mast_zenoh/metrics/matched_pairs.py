@@ -26,7 +26,7 @@ class MatchedPairs(NamedTuple):
     tracks: TrackTable
 
     def in_frames(self, scored: slice) -> MatchedPairs:
-        """The pairs in some rows of `Scores.frames`, from `scored.start` to before `scored.stop`."""
+        """The pairs in a slice of the rows of `Scores.frames`, with a start and a stop."""
         return self._select((self.frame >= scored.start) & (self.frame < scored.stop))
 
     def of_series(self, row: int) -> MatchedPairs:
