@@ -80,6 +80,15 @@ def scenario():
     return base | dict(name="blind")
 """
 
+STRICT = """
+from mast_zenoh.scenario import load
+
+
+def scenario():
+    _, base = load("baseline")
+    return base | dict(name="strict", evaluator=dict(consistency=dict(limit=1.2, samples_per_s=10.0)))
+"""
+
 Once = Callable[..., Played]
 
 
@@ -182,6 +191,12 @@ def test_without_truth_the_trackers_themselves_are_judged(once: Once) -> None:
         r"the tracker of infra_2 is .+ times more confident than its measurements bear out \(NIS \S+, expected 2\)",
         notice,
     )
+
+
+def test_a_scenario_sets_the_limit(once: Once) -> None:
+    strict = once("strict", strict=STRICT)
+    assert strict.metrics["consistency"]["ego"]["local"]["velocity"]["verdict"] == "overcautious"
+    assert confidence_notices(strict) == [], "only overconfident estimates have a notice"
 
 
 def test_measuring_again_keeps_what_only_nodes_know(once: Once) -> None:

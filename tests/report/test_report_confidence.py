@@ -14,6 +14,7 @@ from mast_zenoh.metrics import Consistency
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.consistency import estimate_rows, tracker_rows
+from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.tracking import Innovations
 
 
@@ -45,7 +46,7 @@ def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
     assert picture.verdict == "velocity: overcautious"
     assert received.verdict == "position: overconfident; velocity: overconfident"
     assert float(received.factor.split()[0]) == pytest.approx(3.0, rel=0.2)
-    assert set(unknown[1:7]) == {"–"}
+    assert set(unknown[1:7]) == {DASH}
     assert (unknown.pairs, unknown.verdict) == (0, "")
 
 
@@ -53,7 +54,7 @@ def test_each_tracker_has_a_row(folder: Path) -> None:
     ego, silent = tracker_rows(RunFolder.load(folder))
     assert ego.nis.startswith("1.90 (")
     assert (ego.pairs, ego.sudden, ego.verdict) == (100, 1, "")
-    assert (silent.nis, silent.pairs) == ("–", 0)
+    assert (silent.nis, silent.pairs) == (DASH, 0)
 
 
 def test_the_page_has_both_tables_and_says_what_is_left_out(folder: Path) -> None:
