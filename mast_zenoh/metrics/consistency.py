@@ -56,21 +56,22 @@ class Consistency:
         pairs: of the rows of `series`, (agent, estimator);  scored: the frames that count
         """
         result: dict[str, dict[str, dict[str, Any]]] = {agent: {} for agent, _ in series}
-        counted = pairs.in_frames(scored)
-        in_order = sorted(enumerate(series), key=lambda item: rank_of(item[1][1]))
-        for row, (agent, estimator) in in_order:
+        object_of = np.unique(pairs.truth.boxes.id, return_inverse=True)[1].reshape(-1)
+        for row, (agent, estimator) in sorted(enumerate(series), key=lambda item: rank_of(item[1][1])):
             if estimator in (LOCAL, RECEIVED, MISSION) or (agent == ego and estimator == PICTURE):
-                own = counted.of_series(row)
-                errors = {"position": own.position_errors(), "velocity": own.velocity_errors()}
+                errors = pairs.errors(row, scored)
+                objects = object_of.take(errors.truth_row)
                 result[agent][estimator] = {
-                    name: self.nees_summary(nees(*error), own.object_id, period_s) for name, error in errors.items()
+                    "position": self.nees_summary(nees(*errors.position), objects, period_s),
+                    "velocity": self.nees_summary(nees(*errors.velocity), objects, period_s),
                 }
         return result
 
     def nees_summary(self, values: Floats, objects: Ints, period_s: float) -> dict[str, Any]:
         """Plain values; None where undefined.
 
-        values: (n,) NEES, NaN without a usable covariance;  objects: (n,) ids;  period_s: s from frame to frame
+        values: (n,) NEES, NaN without a usable covariance;  objects: (n,) their numbers, from 0
+        period_s: s from frame to frame
 
         nees: mean;  expected: of a consistent estimate;  low, high: two-sided 95 % bounds of its mean
         factor: sqrt(nees / expected), how many times more confident than accurate; factor_low, factor_high: its 95 %
@@ -78,19 +79,20 @@ class Consistency:
         pairs, objects: how many count;  samples: independent ones among the pairs
         without_covariance: other pairs;  verdict: "overconfident", "overcautious" or None
         """
-        usable = np.isfinite(values)
-        left_out = len(values) - int(np.count_nonzero(usable))
-        values, objects = (values, objects) if not left_out else (values[usable], objects[usable])
-        counts = {"pairs": len(values), "without_covariance": left_out}
-        if not len(values):
+        ascending = np.sort(values)  # NaN come last
+        usable = int(ascending.searchsorted(np.nan))
+        counts = {"pairs": usable, "without_covariance": len(values) - usable}
+        if not usable:
             names = ("nees", "low", "high", "factor", "factor_low", "factor_high")
             undefined = (*names, "typical_factor", "typical_low", "typical_high", "verdict")
             return {"expected": DOF, **dict.fromkeys(undefined), "objects": 0, "samples": 0.0, **counts}
-        of_object, per_object = np.unique(objects, return_inverse=True, return_counts=True)[1:]
-        samples = self._samples(values, of_object.reshape(-1), per_object, period_s)
-        mean, (low, high) = float(values.mean()), mean_bounds(samples, DOF)
+        if usable < len(values):
+            finite = np.isfinite(values)
+            values, objects, ascending = values[finite], objects[finite], ascending[:usable]
+        samples, n_objects = self._samples(values, objects, _quantile(ascending, 0.5), period_s)
+        mean, (low, high) = float(ascending.mean()), mean_bounds(samples, DOF)
         factors = math.sqrt(mean / DOF), math.sqrt(mean / high), math.sqrt(mean / low) if low else None
-        typical = _typical(values, samples)
+        typical = _typical(ascending, samples)
         return {
             "nees": mean,
             "expected": DOF,
@@ -98,27 +100,28 @@ class Consistency:
             "high": high,
             **dict(zip(("factor", "factor_low", "factor_high"), factors, strict=True)),
             **dict(zip(("typical_factor", "typical_low", "typical_high"), typical, strict=True)),
-            "objects": len(per_object),
+            "objects": n_objects,
             "samples": samples,
             **counts,
             "verdict": self._verdict(factors, typical),
         }
 
-    def _samples(self, values: Floats, of_object: Ints, per_object: Ints, period_s: float) -> float:
-        """Effective number of independent samples: the smaller of two.
+    def _samples(self, values: Floats, objects: Ints, median: float, period_s: float) -> tuple[float, int]:
+        """Effective number of independent samples, the smaller of two; and the number of objects.
 
         One follows from how long each object is matched, as every second has `samples_per_s`. The other follows from
         how differently the objects come out: the share of values above the median varies between independent objects
         as it would between so many samples.
         """
-        n, k = len(values), len(per_object)
-        independent = np.minimum(np.maximum(self.samples_per_s * period_s * per_object, 1.0), per_object)
-        by_time = n * n / float((per_object**2 / independent).sum())
+        pairs = np.bincount(objects)
+        n, k = len(values), int(np.count_nonzero(pairs))
+        independent = np.minimum(np.maximum(self.samples_per_s * period_s * pairs, 1.0), pairs)
+        by_time = n * n / float((pairs**2 / np.maximum(independent, 1.0)).sum())
         if k < 2:
-            return by_time
-        above = np.bincount(of_object, values > np.median(values), minlength=k) - 0.5 * per_object
+            return by_time, k
+        above = np.bincount(objects, values > median) - 0.5 * pairs
         variance = k / (k - 1) * float((above**2).sum()) / n**2
-        return by_time if by_time * variance <= 0.25 else 0.25 / variance
+        return (by_time if by_time * variance <= 0.25 else 0.25 / variance), k
 
     def _verdict(self, *intervals: tuple[float | None, float | None, float | None]) -> str | None:
         """The verdict if all intervals (factor, low, high) are beyond the limit on the same side."""
@@ -142,13 +145,21 @@ def nees(error: Floats, covariance: Floats) -> Floats:
         return np.where((a > 0.0) & (rest > 0.0) & ~np.isnan(value), np.minimum(value, MAX_NEES), np.nan)
 
 
-def _typical(values: Floats, samples: float) -> tuple[float, float | None, float | None]:
-    """The factor from the median, and its 95 % interval between two other quantiles.
+def _typical(ascending: Floats, samples: float) -> tuple[float, float | None, float | None]:
+    """The factor from the median of sorted values, and its 95 % interval between two other quantiles.
 
     The interval does not depend on the distribution of the values. None: too few samples for it.
     """
     half = 0.5 * TWO_SIDED / math.sqrt(samples)
-    if half > 0.5:
-        return math.sqrt(float(np.median(values)) / MEDIAN), None, None
-    low, middle, high = np.sqrt(np.quantile(values, (0.5 - half, 0.5, 0.5 + half)) / MEDIAN).tolist()
-    return middle, low, high
+    middle, low, high = (
+        math.sqrt(_quantile(ascending, min(max(share, 0.0), 1.0)) / MEDIAN) for share in (0.5, 0.5 - half, 0.5 + half)
+    )
+    return (middle, low, high) if half <= 0.5 else (middle, None, None)
+
+
+def _quantile(ascending: Floats, share: float) -> float:
+    """A quantile of n >= 1 sorted values, by linear interpolation."""
+    position = share * (len(ascending) - 1)
+    row = int(position)
+    low, high = ascending[row : row + 2].tolist() if row + 1 < len(ascending) else (float(ascending[row]),) * 2
+    return float(low + (position - row) * (high - low))

@@ -4,54 +4,49 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.record import TrackTable, TruthTable
 
 
-class MatchedPairs(NamedTuple):
-    """n pairs of a track and a truth object, sorted by series, frame and object.
+class PairErrors(NamedTuple):
+    """n pairs of a track and a truth object.
 
-    series, frame: (n,) rows of `Scores.series` and `Scores.frames`;  object_id: (n,) of the truth object
-    truth_row, track_row: (n,) rows of the tables
+    truth_row: (n,) rows of the truth
+    position, velocity: horizontal errors (n, 2), m and m/s, and the elements xx, xy, yy (n, 3) of their covariances
     """
 
-    series: Ints
-    frame: Ints
-    object_id: Ints
     truth_row: Ints
-    track_row: Ints
+    position: tuple[Floats, Floats]
+    velocity: tuple[Floats, Floats]
+
+
+class MatchedPairs(NamedTuple):
+    """n pairs of a truth object and a track.
+
+    group: (n,) series · n_frames + frame, rows of `Scores.series` and `Scores.frames`, ascending
+    truth_box, track_box: (n,) numbers of the truth objects, and of the tracks, among those of all series
+    truth_rows, track_rows: the row of each of these in the tables `truth` and `tracks`
+    """
+
+    group: Ints
+    n_frames: int
+    truth_box: Ints
+    track_box: Ints
+    truth_rows: Ints
+    track_rows: Ints
     truth: TruthTable
     tracks: TrackTable
 
-    def in_frames(self, scored: slice) -> MatchedPairs:
-        """The pairs in a slice of the rows of `Scores.frames`, with a start and a stop."""
-        return self._select((self.frame >= scored.start) & (self.frame < scored.stop))
-
-    def of_series(self, row: int) -> MatchedPairs:
-        """The pairs of one series."""
-        first, last = self.series.searchsorted((row, row + 1)).tolist()
-        return self._select(slice(first, last))
-
-    def position_errors(self) -> tuple[Floats, Floats]:
-        """Horizontal errors (n, 2) m, and the elements xx, xy, yy (n, 3) m^2 of their covariances."""
-        error = self.tracks.boxes.position.take(self.track_row, 0) - self.truth.boxes.position.take(self.truth_row, 0)
-        return error[:, :2], self.tracks.spread.take(self.track_row, 0)[:, :3]
-
-    def velocity_errors(self) -> tuple[Floats, Floats]:
-        """Horizontal errors (n, 2) m/s, and the elements xx, xy, yy (n, 3) (m/s)^2 of their covariances."""
-        error = self.tracks.velocity.take(self.track_row, 0) - self.truth.velocity.take(self.truth_row, 0)
-        return error[:, :2], self.tracks.spread.take(self.track_row, 0)[:, 3:]
-
-    def _select(self, index: Bools | slice) -> MatchedPairs:
-        return self._replace(
-            series=self.series[index],
-            frame=self.frame[index],
-            object_id=self.object_id[index],
-            truth_row=self.truth_row[index],
-            track_row=self.track_row[index],
-        )
+    def errors(self, series: int, frames: slice) -> PairErrors:
+        """The errors of one series in a slice of the frames, with a start and a stop."""
+        begin = series * self.n_frames
+        first, last = self.group.searchsorted((begin + frames.start, begin + frames.stop)).tolist()
+        truth_row = self.truth_rows.take(self.truth_box[first:last])
+        track_row = self.track_rows.take(self.track_box[first:last])
+        truth, tracks, spread = self.truth, self.tracks, self.tracks.spread.take(track_row, 0)
+        position = tracks.boxes.position.take(track_row, 0) - truth.boxes.position.take(truth_row, 0)
+        velocity = tracks.velocity.take(track_row, 0) - truth.velocity.take(truth_row, 0)
+        return PairErrors(truth_row, (position[:, :2], spread[:, :3]), (velocity[:, :2], spread[:, 3:]))
 
 
 class Sources(NamedTuple):
@@ -65,11 +60,9 @@ class Sources(NamedTuple):
     truth_rows: Ints
     track_rows: Ints
 
-    def pairs(self, group: Ints, object_id: Ints, pairs: Ints, n_frames: int) -> MatchedPairs:
-        """The pairs (n, 2) of a truth object and a track of the layout.
-
-        group: (n,) series · n_frames + frame, ascending;  object_id: (n,)
-        """
-        series, frame = np.divmod(group, max(n_frames, 1))
-        truth_row, track_row = self.truth_rows[pairs[:, 0]], self.track_rows[pairs[:, 1]]
-        return MatchedPairs(series, frame, object_id, truth_row, track_row, self.truth, self.tracks)
+    def pairs(self, group: Ints, pairs: Ints, n_frames: int) -> MatchedPairs:
+        """The pairs (n, 2) of a truth object and a track of the layout; group: (n,), see `MatchedPairs`."""
+        truth_box, track_box = pairs.T
+        return MatchedPairs(
+            group, n_frames, truth_box, track_box, self.truth_rows, self.track_rows, self.truth, self.tracks
+        )

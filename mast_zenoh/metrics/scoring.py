@@ -249,7 +249,7 @@ def _compare(
         judged=_judged(
             layout, (truth_outcome, of_truth), (track_outcome, of_track), sources.tracks.score[sources.track_rows]
         ),
-        pairs=sources.pairs(group, truth.id[pairs[:, 0]], pairs, shape[1]),
+        pairs=sources.pairs(group, pairs, shape[1]),
         same_as=same_as,
     )
 
