@@ -141,8 +141,9 @@ def nees(error: Floats, covariance: Floats) -> Floats:
     with np.errstate(all="ignore"):
         slope = b / a
         rest = c - b * slope
-        value = x * x / a + (y - slope * x) ** 2 / rest
-        return np.where((a > 0.0) & (rest > 0.0) & ~np.isnan(value), np.minimum(value, MAX_NEES), np.nan)
+        value = np.minimum(x * x / a + (y - slope * x) ** 2 / rest, MAX_NEES)
+        value[~((a > 0.0) & (rest > 0.0))] = np.nan
+        return value
 
 
 def _typical(ascending: Floats, samples: float) -> tuple[float, float | None, float | None]:
