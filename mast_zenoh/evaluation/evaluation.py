@@ -188,7 +188,7 @@ class _Results:
                 ),
                 "driving": consequences.summary(drives, scored),
                 "consistency": self.settings.consistency.summary(
-                    scores.pairs, scores.series, data.ego, scored, data.period_s
+                    scores.pairs, scores.series, data.record.agents, data.ego, scored, data.period_s
                 ),
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
                 "latency_ms": {"sim_to_picture": percentiles(data.latencies_ns())},

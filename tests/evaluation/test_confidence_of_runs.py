@@ -116,7 +116,7 @@ def test_every_estimate_is_in_metrics_json_and_the_picture_once(once: Once) -> N
     metrics = once("baseline").metrics
     own = {agent: list(estimates) for agent, estimates in metrics["consistency"].items()}
     assert own.pop("ego") == ["local", "picture", "mission"]
-    assert own == {f"infra_{i}": ["local", "mission"] for i in range(1, 5)}
+    assert own == {f"infra_{i}": ["local"] for i in range(1, 5)}, "poles do not act on a picture"
     assert metrics["same_as"]["ego"]["received"] == "local", "which is why it has no separate entry"
 
 
@@ -131,7 +131,7 @@ def test_pairs_are_those_of_the_scores(once: Once) -> None:
 
 def test_tracks_changed_on_the_way_are_compared_as_received(once: Once) -> None:
     attacked = once("coordinated", "attack_start_s=0.5").metrics
-    assert list(attacked["consistency"]["infra_1"]) == ["local", "received", "mission"]
+    assert list(attacked["consistency"]["infra_1"]) == ["local", "received"]
 
 
 def test_an_agent_that_is_too_confident_is_named(once: Once) -> None:

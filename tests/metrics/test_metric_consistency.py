@@ -173,19 +173,20 @@ def states(position: Floats, velocity: Floats, variance: float) -> ObjectStates:
 
 
 def recorded(variance: float, frames: int = 60, missing: bool = False) -> tuple[Record, dict[str, Any]]:
-    """A run of two agents whose tracks have unit errors in x of position, and 2 m/s in y of velocity."""
-    record = Record(["ego", "infra_1"])
+    """A run of a car and two other agents; tracks have unit errors in x, and of 2 m/s in the velocity along y."""
+    record = Record(["ego", "car", "pole"])
     record.expect([Series("ego", "local"), Series("", "picture")])
     place = 20.0 * np.arange(4.0)[:, None] * np.array([1.0, 0.0])
     offset = np.array([1.0, 0.0])
     for frame in range(frames):
         truth = states(place, np.zeros((4, 2)), 0.0)
-        record.add_truth(frame, truth, np.full((4, 2), 9), np.zeros((2, 3)), np.array([-1, -1]))
+        record.add_truth(frame, truth, np.full((4, 3), 9), np.zeros((3, 3)), np.array([-1, 3, -1]))
         tracks_ = states(place + offset, np.tile([0.0, 2.0], (4, 1)), variance)
         if missing:
             tracks_ = ObjectStates.empty()
         record.add(frame, [Series("ego", "local"), Series("ego", "received")], Snapshot.of(tracks_))
-        record.add(frame, [Series("infra_1", "mission")], Snapshot.of(tracks_))
+        record.add(frame, [Series("car", "mission")], Snapshot.of(tracks_))
+        record.add(frame, [Series("pole", "mission")], Snapshot.of(tracks_))
         record.add(frame, [Series("", "picture")], Snapshot.of(tracks_))
     return record, of_record(record)
 
@@ -193,15 +194,16 @@ def recorded(variance: float, frames: int = 60, missing: bool = False) -> tuple[
 def of_record(record: Record, scored: slice | None = None) -> dict[str, Any]:
     scores = Scorer().score(record)
     scored = slice(0, len(scores.frames)) if scored is None else scored
-    found = Consistency().summary(scores.pairs, scores.series, "ego", scored, PERIOD_S)
+    found = Consistency().summary(scores.pairs, scores.series, record.agents, "ego", scored, PERIOD_S)
     json.dumps(found, allow_nan=False)
     return found
 
 
 def test_position_and_velocity_of_every_estimate_are_compared_over_matched_pairs() -> None:
     record, found = recorded(0.25)
-    assert {agent: list(by) for agent, by in found.items()} == {"ego": ["local", "picture"], "infra_1": ["mission"]}
-    for each in (found["ego"]["local"], found["ego"]["picture"], found["infra_1"]["mission"]):
+    estimates = {agent: list(by) for agent, by in found.items()}
+    assert estimates == {"ego": ["local", "picture"], "car": ["mission"], "pole": []}, "a pole acts on no estimate"
+    for each in (found["ego"]["local"], found["ego"]["picture"], found["car"]["mission"]):
         assert each["position"]["nees"] == pytest.approx(4.0)
         assert each["velocity"]["nees"] == pytest.approx(16.0)
         assert (each["position"]["pairs"], each["position"]["objects"]) == (240, 4)
