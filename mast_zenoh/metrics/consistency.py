@@ -66,7 +66,7 @@ class Consistency:
         result: dict[str, dict[str, dict[str, Any]]] = {agent: {} for agent, _ in series}
         object_of = np.unique(pairs.truth.boxes.id, return_inverse=True)[1].reshape(-1)
         mobile = np.flatnonzero((pairs.truth.agent_object >= 0).any(axis=0))
-        acting = {ego, *(agents[column] for column in mobile)}
+        acting = {ego, *(agents[column] for column in mobile.tolist())}
         wanted = {(agent, MISSION) for agent in acting} | {(ego, PICTURE)}
         for row, (agent, estimator) in sorted(enumerate(series), key=lambda item: rank_of(item[1][1])):
             if estimator in (LOCAL, RECEIVED) or (agent, estimator) in wanted:
