@@ -7,6 +7,8 @@ frame: this frame's may arrive before or after it, and the result must not depen
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
@@ -139,6 +141,11 @@ class Agent(Node):
                 "tracks": np.array([len(tracks)]),
             }
             context.publish("status", status, frame=frame, time_ns=time_ns)
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """How far its detections were from what its tracker expected, if that tells."""
+        innovations = self.pipeline.tracker.innovations
+        return {} if innovations is None else {"innovations": innovations.summary()}
 
     def picture_at(self, frame: int, time_ns: int) -> ObjectStates:
         """The latest picture of an earlier frame, propagated to `time_ns`.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from typing import Any
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity.views import SweptView, views_of
@@ -91,6 +92,11 @@ class CommandCenter(Node):
         if self.pipeline.trust is not None:
             texts = {name: text(list(self.pipeline.trust[name])) for name in ("agents", "reason")}
             context.publish("trust", {**self.pipeline.trust, **texts}, frame=received.frame, time_ns=received.time_ns)
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """How far the agents' tracks were from what its tracker expected, if that tells."""
+        innovations = self.pipeline.innovations
+        return {} if innovations is None else {"innovations": innovations.summary()}
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Pose
 from mast_zenoh.evaluation import Evaluation, RunData
-from mast_zenoh.metrics import Attribution, CutOff, Driving, Metric, Record, Scorer, Series
+from mast_zenoh.metrics import Attribution, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
@@ -46,6 +46,7 @@ class Evaluator(Node):
     agents:  their names
     scorer:  None: Scorer()
     attribution, cut_off: rules for the causes of errors, None: Attribution(), CutOff()
+    consistency: how errors are compared with covariances, None: Consistency()
     faults:  of the timeline by agent: type, beginning and end in s; None: none
     The other parameters are described in `evaluation.Evaluation`.
     """
@@ -65,6 +66,7 @@ class Evaluator(Node):
         metrics: tuple[Metric, ...] = (),
         attribution: Attribution | None = None,
         cut_off: CutOff | None = None,
+        consistency: Consistency | None = None,
         faults: dict[str, list[tuple[str, float, float | None]]] | None = None,
     ) -> None:
         self.agents = agents
@@ -78,6 +80,7 @@ class Evaluator(Node):
             metrics=metrics,
             attribution=attribution or Attribution(),
             cut_off=cut_off or CutOff(),
+            consistency=consistency or Consistency(),
             faults=faults or {},
         )
         self.data = RunData(Record(agents))

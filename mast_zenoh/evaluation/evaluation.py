@@ -18,6 +18,7 @@ from mast_zenoh.evaluation.tables import attacks
 from mast_zenoh.links import WIRES
 from mast_zenoh.metrics import (
     Attribution,
+    Consistency,
     CutOff,
     CutOffObjects,
     Driving,
@@ -48,6 +49,7 @@ class Evaluation:
              frames to begin with; kept when they would be more than half of the run
     picture_age_s: s, for how long an agent uses a picture when no newer one arrives; picture_ages_s: by agent
     attribution, cut_off: settings for the causes of errors
+    consistency: settings for the comparison of errors with covariances
     faults:  of the timeline by agent, for runs with trust
     Raises ValueError for invalid values.
     """
@@ -61,6 +63,7 @@ class Evaluation:
     picture_ages_s: Mapping[str, float] = field(default_factory=dict)
     attribution: Attribution = field(default_factory=Attribution)
     cut_off: CutOff = field(default_factory=CutOff)
+    consistency: Consistency = field(default_factory=Consistency)
     faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -184,6 +187,9 @@ class _Results:
                     targets, manipulations.culprits, scores, labels.switch_by, data.ego, data.period_s, scored
                 ),
                 "driving": consequences.summary(drives, scored),
+                "consistency": self.settings.consistency.summary(
+                    scores.pairs, scores.series, data.record.agents, data.ego, scored, data.period_s
+                ),
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
                 "latency_ms": {"sim_to_picture": percentiles(data.latencies_ns())},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,

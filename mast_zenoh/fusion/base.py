@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.tracking.innovations import Innovations
 
 
 class Clusterer(ABC):
@@ -36,6 +37,11 @@ class Fusion(ABC):
 
 class GroupTracker(ABC):
     """Turns clusters of tracks into the picture: objects with persistent ids."""
+
+    @property
+    def innovations(self) -> Innovations | None:
+        """How far clusters were from what was expected, see `Tracker`; None: it does not tell."""
+        return None
 
     @abstractmethod
     def step(

@@ -9,6 +9,7 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.fusion.base import Fusion, GroupTracker
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
+from mast_zenoh.tracking.innovations import Innovations
 
 _BIPARTITE = BipartiteAssignment()
 
@@ -35,6 +36,10 @@ class GroupTrackerWrapper(GroupTracker):
     @property
     def clusters(self) -> Ints:
         return self._clusters
+
+    @property
+    def innovations(self) -> Innovations | None:
+        return self._tracker.innovations
 
     def reset(self) -> None:
         self._tracker.reset()

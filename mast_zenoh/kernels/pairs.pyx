@@ -163,6 +163,24 @@ def pair_gains(t, detected, class_id, confusion, i, j, log_density, double log_c
     return ratios, total
 
 
+def innovation_sum(t, measured, noise, jump):
+    cdef const double* row = float_data(t, 2)
+    cdef const double* at = float_data(measured, 2)
+    cdef const double* measurement_noise = float_data(noise, 3)
+    cdef const double* added = float_data(jump, 1)
+    cdef Py_ssize_t r, steady = 0, stride = length(measured, 1), w = length(noise, 1)
+    cdef double total = 0.0, log_density
+    for r in range(length(t)):
+        if added[r] == 0.0:
+            total += distance_of(
+                at[0] - row[0], at[1] - row[1], row[XX] + measurement_noise[0], row[XY] + measurement_noise[1],
+                row[YY] + measurement_noise[w + 1], &log_density,
+            )
+            steady += 1
+        row, at, measurement_noise = row + WIDTH, at + stride, measurement_noise + w * w
+    return total, steady
+
+
 def useful_pairs(row, column, cost):
     cdef const np.int64_t* of_row = int_data(row)
     cdef const np.int64_t* of_column = int_data(column)

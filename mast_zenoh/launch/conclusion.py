@@ -8,8 +8,8 @@ from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
+from mast_zenoh.launch import confidence_notices, notices
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import notices
 
 
 def write(
@@ -27,9 +27,11 @@ def write(
     """
     run_folder.note_recording(folder, record, handed_in, resolved.nodes)
     collations = results.collations(handed_in, resolved.nodes)
-    measured = {"late": results.late(collations), **measured}
+    innovations = confidence_notices.innovations(handed_in, resolved.nodes)
+    measured = {"late": results.late(collations), "innovations": innovations, **measured}
     refused = run_folder.write_results(folder, handed_in, measured)
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused)
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))
+        record["notices"] += confidence_notices.of_metrics(metrics, innovations)

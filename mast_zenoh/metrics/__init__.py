@@ -4,6 +4,7 @@
     boxes, overlap, assignment    matching of tracks and truth objects, for all frames in one call
     scoring     counts per agent, estimator and frame
     ospa        distances between sets: OSPA, GOSPA
+    matched_pairs, consistency    whether estimates are as accurate as their covariances say
     scores      tables, and the summary in metrics.json
     manipulations    manipulated objects, and the estimates that they can influence
     attribution, histories, causes, blame   the cause of every false and every missed object of every estimate
@@ -23,6 +24,7 @@ from mast_zenoh.metrics.attribution import Attribution
 from mast_zenoh.metrics.blame import causes_of
 from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, cause_names
+from mast_zenoh.metrics.consistency import Consistency
 from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence
 from mast_zenoh.metrics.driving import Driving
 from mast_zenoh.metrics.increments import increments
@@ -44,6 +46,7 @@ __all__ = [
     "Attribution",
     "Boxes",
     "CenterDistanceAssigner",
+    "Consistency",
     "CutOff",
     "CutOffObjects",
     "Driving",

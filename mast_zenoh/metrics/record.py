@@ -67,17 +67,20 @@ class TrackTable:
     """n rows of tracks of some series in f frames.
 
     boxes: group = series · f + row of the frame;  velocity: (n, 3) m/s, world frame;  score: (n,)
+    spread: (n, 6), see `Snapshot`
     """
 
     boxes: Boxes
     velocity: Floats
     score: Floats
+    spread: Floats
 
 
 class Snapshot(NamedTuple):
     """The columns of one message's objects that metrics use.
 
     id (n,) int64, position (n, 3) m, size (n, 3) m, yaw (n,) rad, velocity (n, 3) m/s, score (n,); world frame
+    spread (n, 6): covariances of the horizontal position, xx, xy, yy m^2, and of the velocity, the same in (m/s)^2
     """
 
     id: Ints
@@ -86,6 +89,7 @@ class Snapshot(NamedTuple):
     yaw: Floats
     velocity: Floats
     score: Floats
+    spread: Floats
 
     @classmethod
     def of(cls, states: ObjectStates, *, views: bool = False) -> Snapshot:
@@ -94,10 +98,13 @@ class Snapshot(NamedTuple):
         views: copy their columns, which are views of larger arrays
         """
         columns = _snapshot_columns(states)
-        return cls(*([column.copy() for column in columns] if views else columns))
+        spread = states.covariance.reshape(len(states), 81).take(_SPREAD, 1)
+        return cls(*[*(column.copy() for column in columns), spread] if views else [*columns, spread])
 
 
-_snapshot_columns = attrgetter(*Snapshot._fields)
+_snapshot_columns = attrgetter(*Snapshot._fields[:-1])
+#: Of the 81 numbers of a covariance: x x, x y, y y, vx vx, vx vy, vy vy.
+_SPREAD = np.array([0, 1, 10, 60, 61, 70])
 _EMPTY = Snapshot.of(ObjectStates.empty())
 
 
@@ -191,7 +198,7 @@ class Record:
         """The truth of (f,) frames."""
         a = len(self.agents)
         parts = [self._truth[int(frame)] for frame in frames]
-        boxes, velocity, _ = _concatenate([part[0] for part in parts])
+        boxes, velocity, *_ = _concatenate([part[0] for part in parts])
         return TruthTable(
             boxes=boxes,
             velocity=velocity,
@@ -212,8 +219,8 @@ class Record:
         return TrackTable(*_concatenate(parts))
 
 
-def _concatenate(parts: list[Snapshot]) -> tuple[Boxes, Floats, Floats]:
-    """The boxes of all parts, group = number of the part; their velocities and scores."""
+def _concatenate(parts: list[Snapshot]) -> tuple[Boxes, Floats, Floats, Floats]:
+    """The boxes of all parts, group = number of the part; their velocities, scores and spreads."""
     group = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.id) for part in parts])
-    *columns, velocity, score = (np.concatenate(column) for column in zip(_EMPTY, *parts, strict=True))
-    return Boxes(group, *columns), velocity, score
+    *columns, velocity, score, spread = (np.concatenate(column) for column in zip(_EMPTY, *parts, strict=True))
+    return Boxes(group, *columns), velocity, score, spread

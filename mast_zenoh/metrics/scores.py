@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Boxes
+from mast_zenoh.metrics.matched_pairs import MatchedPairs
 from mast_zenoh.metrics.record import rank_of
 
 #: A table: one array per column, all of one length.
@@ -114,6 +115,7 @@ class Scores:
     seen:          a row per series, frame and evaluated truth object
     switches:      a row per identity switch
     judged:        every box of every series
+    pairs:         the matched pairs, with the tables that they come from
     same_as:       other series, each with the one of `series` that has the same messages and therefore scores; they
                    are in the table per frame and in the summary, but have no separate boxes
     """
@@ -130,6 +132,7 @@ class Scores:
     seen: EvaluatedObjects
     switches: Switches
     judged: Judged
+    pairs: MatchedPairs
     same_as: Mapping[tuple[str, str], tuple[str, str]]
 
     @property

@@ -11,6 +11,7 @@ from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
+from mast_zenoh.metrics.matched_pairs import Sources
 from mast_zenoh.metrics.ospa import SetDistance
 from mast_zenoh.metrics.record import Record, Series, TruthTable
 from mast_zenoh.metrics.scores import (
@@ -92,8 +93,10 @@ class Scorer:
         all_boxes = Boxes.join([table.boxes, boxes])
         truth_rows, unevaluated, excused, track_rows = ([each[kind] for each in rows] for kind in range(4))
         layout = _Layout.of(tuple(names), frames, all_boxes, (truth_rows, unevaluated, track_rows), excused)
-        score = tracks.score.take(order).take(_concatenate_rows(track_rows) - len(table.boxes))
-        return _compare(self.assigner, self.distance, layout, score, same_as)
+        sources = Sources(
+            table, tracks, _concatenate_rows(truth_rows), order.take(_concatenate_rows(track_rows) - len(table.boxes))
+        )
+        return _compare(self.assigner, self.distance, layout, sources, same_as)
 
     def _truth_masks(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
         """Masks of the truth rows: near an agent, evaluated, and excused.
@@ -192,10 +195,10 @@ def _compare(
     assigner: Assigner,
     distance: SetDistance,
     layout: _Layout,
-    score: Floats,
+    sources: Sources,
     same_as: dict[tuple[str, str], tuple[str, str]],
 ) -> Scores:
-    """Score a layout; score: (n,) of the tracks."""
+    """Score a layout."""
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
     # Floating-point sums depend on the order of their terms, so pairs are sorted by id.
@@ -243,7 +246,10 @@ def _compare(
             before,
             tracks.id[pairs[switched, 1]],
         ),
-        judged=_judged(layout, (truth_outcome, of_truth), (track_outcome, of_track), score),
+        judged=_judged(
+            layout, (truth_outcome, of_truth), (track_outcome, of_track), sources.tracks.score[sources.track_rows]
+        ),
+        pairs=sources.pairs(group, pairs, shape[1]),
         same_as=same_as,
     )
 

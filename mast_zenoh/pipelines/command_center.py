@@ -15,6 +15,7 @@ from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.integrity.soundness import problem_of
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
+from mast_zenoh.tracking.innovations import Innovations
 
 
 class Pipeline(ABC):
@@ -22,6 +23,11 @@ class Pipeline(ABC):
 
     #: columns of the last step's `trust` message; None: the pipeline judges nobody
     trust: Mapping[str, Any] | None = None
+
+    @property
+    def innovations(self) -> Innovations | None:
+        """How far clusters were from what was expected, see `Tracker`; None: it does not tell."""
+        return None
 
     def look(self, views: Mapping[str, SweptView]) -> None:  # noqa: B027 (a hook: most pipelines need no views)
         """Set what the agents' sensors cover, by agent, for the next step.
@@ -67,6 +73,10 @@ class CommandCenterPipeline(Pipeline):
         self._views: Mapping[str, SweptView] = {}
         self._withheld: dict[int, bool] = {}  # by id of the object
         self._suspended: set[str] = set()  # agents that cannot divide the objects of others
+
+    @property
+    def innovations(self) -> Innovations | None:
+        return self._group_tracking.innovations
 
     def look(self, views: Mapping[str, SweptView]) -> None:
         self._views = views

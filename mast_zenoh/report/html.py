@@ -36,6 +36,7 @@ from mast_zenoh.report.page import render
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.achievement import achieved_rows
+from mast_zenoh.report.tables.consistency import estimate_rows, tracker_rows
 from mast_zenoh.report.tables.driving import driving_rows
 from mast_zenoh.report.tables.interposers import BAD, EFFECTS, exit_expected, failures_of, interposers
 from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
@@ -136,8 +137,7 @@ def _view_to_show(run: RunFolder, frame: int | None, common: int | None) -> Fram
 def _scores(runs: Mapping[str, RunFolder], reference: str | None = None) -> ScoreTable:
     ego = next((run.ego for run in runs.values() if run.ego), "ego")
     metrics = {label: run.metrics for label, run in runs.items()}
-    counts = {label: run.counts for label, run in runs.items()}
-    return score_table(metrics, counts=counts, agent=ego, reference=reference)
+    return score_table(metrics, counts={name: run.counts for name, run in runs.items()}, agent=ego, reference=reference)
 
 
 def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict[str, Any], Path]:
@@ -149,7 +149,6 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
     for each in figures.values():
         each.save(run.path / "figures")
     of_users.save(user_figures, run.path / "figures")
-    timings = run.run.get("timings")
     content = {
         "title": f"Run {run.run.get('id', run.label)}",
         "headline": headline(run, reference),
@@ -164,6 +163,7 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
         "figures": figures,
         "user_figures": user_figures,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
+        "confidence": (estimate_rows(run), tracker_rows(run)),
         "interposers": interposers(run),
         "suspensions": suspension_rows(run),
         "conduct": conduct_rows(run),
@@ -184,7 +184,7 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
         "command": _command(run),
         "versions": run.run.get("versions", {}),
         "scenario": json.dumps(run.scenario, indent=2) if run.scenario else None,
-        "timings": json.dumps(timings, indent=2) if timings else None,
+        "timings": json.dumps(run.run["timings"], indent=2) if run.run.get("timings") else None,
     }
     return content, render("run.html.j2", content, run.path)
 

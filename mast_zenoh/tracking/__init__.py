@@ -7,6 +7,7 @@ from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment, Gree
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
 from mast_zenoh.tracking.filterpy_tracker import FilterpyBoxTracker3D
+from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.view import SensorView
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "BipartiteAssignment",
     "FilterpyBoxTracker3D",
     "GreedyAssignment",
+    "Innovations",
     "KalmanBoxTracker3D",
     "SensorView",
     "Tracker",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 from mast_zenoh.arrays.states import Detections, Ints, ObjectStates
+from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.view import SensorView
 
 
@@ -14,6 +15,9 @@ class Tracker(ABC):
     One tracker serves one source: `step` takes the detections of a sensor, `step_states` full states, such as fused
     ones. Both may be called on the same tracker, even for the same time.
     """
+
+    #: how far measurements were from what the tracker expected, since the last `reset`; None: it does not tell
+    innovations: Innovations | None = None
 
     @abstractmethod
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:

@@ -12,8 +12,9 @@ from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
-from mast_zenoh.tracking.gating import Match, near_pairs, pair_gains
+from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
+from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
@@ -110,13 +111,12 @@ class KalmanBoxTracker3D(Tracker):
         self._report_probability = report_probability
         self._log_clutter = float(np.log(clutter_per_m2))
         self._birth_odds = birth_odds
-        self._drop_odds = birth_odds * DROP_FRACTION
         self._lifetime_s = lifetime_s
         self._memory_s = memory_s
-        self._confirm_odds = confirm_probability / (1.0 - confirm_probability)
         self._report_odds = min_probability / (1.0 - min_probability)
-        self._max_coast_s = max_coast_s
-        self._max_variance = max_std_m**2
+        confirm_odds, drop_odds = confirm_probability / (1.0 - confirm_probability), birth_odds * DROP_FRACTION
+        limits = confirm_odds, self._report_odds, drop_odds, max_coast_s, LOST_M**2, MAX_SPEED, max_std_m**2
+        self._status_limits = limits
         self._jump_probability = jump_probability
         self._jump_variance = np.square(jump_std_m * classes.JUMP)
         self._acceleration = acceleration_scale * classes.ACCELERATION
@@ -124,6 +124,7 @@ class KalmanBoxTracker3D(Tracker):
         self.reset()
 
     def reset(self) -> None:
+        self.innovations: Innovations = Innovations()
         self._tracks = tracks.empty(0)
         self._next_id = 0
         self._time_ns: int | None = None
@@ -144,6 +145,7 @@ class KalmanBoxTracker3D(Tracker):
             matched = self._matched_tracks(match, measurements, detected)
             measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
             innovation = measured[:, :2] - matched[:, :2]
+            self.innovations.add(*innovation_sum(matched, measured, R, match.jump), len(matched))
             self.filter.correct(matched, measured, R)
             constrain_lateral_speed(self.filter, matched, innovation)
             t[match.track] = matched
@@ -174,7 +176,10 @@ class KalmanBoxTracker3D(Tracker):
             weight = (measured_variance / (track_variance + measured_variance))[:, None]
             matched[:, COVARIANCE] /= weight
             R /= 1.0 - weight[:, None]
-            self.filter.correct(matched, measurements.state.take(match.measurement, 0), R)
+            state = measurements.state.take(match.measurement, 0)
+            self.innovations.add(*innovation_sum(matched, state, R, match.jump), len(matched))
+            self.innovations.at_most = True
+            self.filter.correct(matched, state, R)
             resolve_heading_direction(matched, FORWARD, TURN_LIMIT)
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
@@ -279,16 +284,7 @@ class KalmanBoxTracker3D(Tracker):
     def _finish(self, match: Match, new_tracks: Floats) -> ObjectStates:
         """Drop tracks, add the new ones and report."""
         t = self._tracks
-        keep, report = existence.track_status(
-            t,
-            self._confirm_odds,
-            self._report_odds,
-            self._drop_odds,
-            self._max_coast_s,
-            LOST_M**2,
-            MAX_SPEED,
-            self._max_variance,
-        )
+        keep, report = existence.track_status(t, *self._status_limits)
         if match.contested:
             # Duplicate tracks of one object share nearby measurements.
             keep &= ~duplicates(t)

@@ -137,6 +137,20 @@ def pair_gains(
     return ratio, ratio + np.log(detected * odds / ((1.0 - detected) * (1.0 + odds)))[i]
 
 
+@kernel
+def innovation_sum(tracks: Floats, measured: Floats, noise: Floats, jump: Floats) -> tuple[float, int]:
+    """Sum of normalised innovations squared of k matched pairs, and how many they are.
+
+    Of the horizontal position; pairs with a sudden displacement are left out.
+    tracks: (k, WIDTH) predicted; measured: (k, >= 2) m; noise: (k, m, m), the first two rows and columns are x and y
+    jump: (k,) m^2, variance added by a sudden displacement, 0: none
+    """
+    offset = measured[:, :2] - tracks[:, :2]
+    a, b, c = tracks[:, XX] + noise[:, 0, 0], tracks[:, XY] + noise[:, 0, 1], tracks[:, YY] + noise[:, 1, 1]
+    steady = jump == 0.0
+    return float(_gaussian(offset[:, 0], offset[:, 1], a, b, c)[1][steady].sum()), int(np.count_nonzero(steady))
+
+
 def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
     """Log densities of zero-mean Gaussians at (dx, dy), and squared distances.
 

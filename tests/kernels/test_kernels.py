@@ -232,6 +232,10 @@ ARGUMENTS = {
     "pairs_within_radius": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
     "gated_pairs": gated_pairs,
     "pair_gains": pair_gains,
+    "innovation_sum": lambda r, n, m: (
+        t := table(r, n), t[:, : (k := r.choice([6, 9]))] + r.normal(size=(n, k)), covariances(r, n, k),
+        r.choice([0.0, 1.5], n),
+    ),
     "useful_pairs": lambda r, n, m: (*(ends := pairs(r, n, m)), r.integers(-4, 3, len(ends[0])).astype(float)),
     "min_cost_matching": lambda r, n, m: (*(ends := pairs(r, n, m)), -r.uniform(0, 4, len(ends[0]))),
     "correct_heading": lambda r, n, m: (table(r, n), r.uniform(-9, 9, n), 0.01),

@@ -1,0 +1,70 @@
+"""The report compares the confidence of every estimate with its accuracy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mast_zenoh.metrics import Consistency
+from mast_zenoh.report.html import write_report
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.tables.consistency import estimate_rows, tracker_rows
+from mast_zenoh.report.tables.scores import DASH
+from mast_zenoh.tracking import Innovations
+
+
+def summary(scale: float, n: int = 400) -> dict[str, Any]:
+    """Of an estimate with `scale` times the expected NEES."""
+    values = scale * np.random.default_rng(0).chisquare(2, n)
+    return Consistency().nees_summary(values, np.arange(n) % 40, 0.1)
+
+
+@pytest.fixture
+def folder(run_folder: Callable[..., Path]) -> Path:
+    path = run_folder("uncoordinated")
+    file = path / "metrics.json"
+    none = Consistency().nees_summary(np.full(3, np.nan), np.zeros(3, int), 0.1)
+    consistency = {
+        "ego": {"picture": {"position": summary(0.9), "velocity": summary(0.1)}},
+        "infra_1": {"received": {"position": summary(9.0), "velocity": summary(9.0)}},
+        "infra_2": {"local": {"position": none, "velocity": none}},
+    }
+    innovations = {"ego": Innovations(190.0, 100, 1).summary(), "infra_1": Innovations().summary()}
+    metrics = json.loads(file.read_text()) | {"consistency": consistency, "innovations": innovations}
+    file.write_text(json.dumps(metrics))
+    return path
+
+
+def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
+    picture, received, unknown = estimate_rows(RunFolder.load(folder))
+    assert [row.estimate for row in (picture, received, unknown)] == ["the picture", "infra_1 as received", "infra_2"]
+    assert picture.verdict == "velocity: overcautious"
+    assert received.verdict == "position: overconfident; velocity: overconfident"
+    assert float(received.factor.split()[0]) == pytest.approx(3.0, rel=0.2)
+    assert set(unknown[1:7]) == {DASH}
+    assert (unknown.pairs, unknown.verdict) == (0, "")
+
+
+def test_each_tracker_has_a_row(folder: Path) -> None:
+    ego, silent = tracker_rows(RunFolder.load(folder))
+    assert ego.nis.startswith("1.90 (")
+    assert (ego.pairs, ego.sudden, ego.verdict) == (100, 1, "")
+    assert (silent.nis, silent.pairs) == (DASH, 0)
+
+
+def test_the_page_has_both_tables_and_says_what_is_left_out(folder: Path) -> None:
+    page = write_report(folder).read_text()
+    section = page.split('id="confidence"')[1].split("<h2")[0]
+    for part in ("infra_1 as received", "overconfident", "tracker of", "false tracks are not in these numbers"):
+        assert part in section
+
+
+def test_runs_of_earlier_versions_have_no_such_section(run_folder: Callable[..., Path]) -> None:
+    run = run_folder()
+    assert (estimate_rows(RunFolder.load(run)), tracker_rows(RunFolder.load(run))) == ([], [])
+    assert 'id="confidence"' not in write_report(run).read_text()
