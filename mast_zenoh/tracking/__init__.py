@@ -7,6 +7,7 @@ from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment, Gree
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
 from mast_zenoh.tracking.filterpy_tracker import FilterpyBoxTracker3D
+from mast_zenoh.tracking.stone_soup_tracker import StoneSoupTracker
 from mast_zenoh.tracking.view import SensorView
 
 __all__ = [
@@ -16,5 +17,6 @@ __all__ = [
     "GreedyAssignment",
     "KalmanBoxTracker3D",
     "SensorView",
+    "StoneSoupTracker",
     "Tracker",
 ]
