@@ -32,7 +32,8 @@ VERTICAL_ACCELERATION, SIZE_DRIFT = 0.2, 4e-4
 class NearbyGNN(GNNWith2DAssignment):
     """Global nearest neighbours, without the pairs that are too far apart in the plane to be within the gate.
 
-    The result is the same: Stone Soup alone computes the distances of all pairs, which takes most of the time.
+    The result is that of `GNNWith2DAssignment` with a Mahalanobis distance. It computes the distances of all pairs, which
+    takes most of the time. The first two components of a detection must be its position, as they are here.
     """
 
     def generate_hypotheses(
@@ -43,12 +44,13 @@ class NearbyGNN(GNNWith2DAssignment):
             return {track: hypothesise(track, near, timestamp, **options) for track in tracks}
         tree = KDTree([detection.state_vector[:2, 0] for detection in near])
         noise = max(np.trace(detection.measurement_model.noise_covar[:2, :2]) for detection in near)
+        xy = list(near[0].measurement_model.mapping[:2])
         hypotheses = {}
         for track in tracks:
             prediction = self.hypothesiser.predictor.predict(track, timestamp=timestamp, **options)
-            variance = noise + prediction.covar[0, 0] + prediction.covar[2, 2]
+            variance = noise + np.trace(prediction.covar[np.ix_(xy, xy)])
             reach = 1.001 * self.hypothesiser.missed_distance * np.sqrt(variance)
-            rows = tree.query_ball_point(np.asarray(prediction.mean, float)[[0, 2], 0], reach, return_sorted=True)
+            rows = tree.query_ball_point(np.asarray(prediction.mean, float)[xy, 0], reach, return_sorted=True)
             hypotheses[track] = hypothesise(track, [near[row] for row in rows], timestamp, **options)
         return hypotheses
 

@@ -29,10 +29,12 @@ from mast_zenoh.tracking import StoneSoupTracker
 from mast_zenoh.tracking.measured import Measured
 
 pytest.importorskip("stonesoup", reason="Stone Soup is not installed")
+from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
 from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.track import Track
 from stonesoup.types.update import GaussianStateUpdate
 
+from mast_zenoh.tracking import stone_soup_default
 from mast_zenoh.tracking.stone_soup_objects import Repeatable, detections_of, matched_rows, object_states, timestamp
 
 FRAMES = 6
@@ -138,6 +140,20 @@ def test_ids_are_never_used_again() -> None:
         ids += tracker.step(nanoseconds(frame), detected([[50.0 * frame, 0.0]])).id.tolist()
     assert ids == list(range(len(ids)))
     assert len(ids) >= 5
+
+
+def test_skipping_distant_pairs_does_not_change_the_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = []
+    for associator in (stone_soup_default.NearbyGNN, GNNWith2DAssignment):
+        monkeypatch.setattr(stone_soup_default, "NearbyGNN", associator)
+        tracker, random = StoneSoupTracker(), np.random.default_rng(2)
+        crowd = np.arange(20)[:, None] * [2.5, 0.5]
+        for frame in range(8):
+            tracks = tracker.step(nanoseconds(frame), detected(crowd + random.normal(0.0, 1.0, crowd.shape)))
+        results.append(tracks)
+    assert len(results[0]) > 5
+    for name, column in results[0].columns().items():
+        assert column.tobytes() == results[1].columns()[name].tobytes(), name
 
 
 def test_random_numbers_are_the_trackers_own() -> None:
