@@ -32,8 +32,8 @@ VERTICAL_ACCELERATION, SIZE_DRIFT = 0.2, 4e-4
 class NearbyGNN(GNNWith2DAssignment):
     """Global nearest neighbours, without the pairs that are too far apart in the plane to be within the gate.
 
-    The result is that of `GNNWith2DAssignment` with a Mahalanobis distance. It computes the distances of all pairs, which
-    takes most of the time. The first two components of a detection must be its position, as they are here.
+    The result is that of `GNNWith2DAssignment` with a Mahalanobis distance, which computes the distances of all pairs:
+    that takes most of the time. The first two components of a detection must be its position, as they are here.
     """
 
     def generate_hypotheses(
@@ -56,7 +56,7 @@ class NearbyGNN(GNNWith2DAssignment):
 
 
 def build(
-    acceleration: float = 3.0, gate: float = 4.0, confirm_detections: int = 3, coast_s: float = 0.5
+    acceleration: float = 3.0, gate: float = 4.0, confirm_detections: int = 3, coast_s: float = 1.0
 ) -> dict[str, Any]:
     """A Kalman filter of constant velocity with global nearest neighbour assignment, from Stone Soup's own parts.
 

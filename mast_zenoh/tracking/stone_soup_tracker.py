@@ -16,6 +16,8 @@ from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.view import SensorView
 
+#: What to do without Stone Soup.
+INSTALL = "Stone Soup is not installed: pip install 'mast-zenoh[stonesoup]'"
 #: Components of a Stone Soup `MultiTargetTracker`.
 _COMPONENTS = ("initiator", "deleter", "data_associator", "updater")
 _KEYS = (*_COMPONENTS, "tracker", "predictor", "state")
@@ -122,7 +124,7 @@ def _objects() -> ModuleType:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "stonesoup":
             raise
-        raise ConfigurationError("Stone Soup is not installed: pip install 'mast-zenoh[stonesoup]'") from None
+        raise ConfigurationError(INSTALL) from None
     return stone_soup_objects
 
 
@@ -161,8 +163,7 @@ def _function(builder: str) -> Callable[..., Any]:
     path = str(Path(file).resolve())
     modules: Sequence[Any] = list(sys.modules.values())
     loaded = [module for module in modules if getattr(module, "__file__", None) == path]
-    function = getattr(loaded[-1], name, None) if loaded else None
+    function: Callable[..., Any] | None = getattr(loaded[-1], name, None) if loaded else None
     if not callable(function):
         raise ValueError(f"builder: found {builder!r}, expected FILE.py:FUNCTION of a file next to the scenario")
-    function_: Callable[..., Any] = function
-    return function_
+    return function

@@ -30,6 +30,8 @@ from mast_zenoh.tracking.measured import Measured
 
 pytest.importorskip("stonesoup", reason="Stone Soup is not installed")
 from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
+from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity, RandomWalk
+from stonesoup.predictor.kalman import KalmanPredictor
 from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.track import Track
 from stonesoup.types.update import GaussianStateUpdate
@@ -109,7 +111,7 @@ def followed(tracker: StoneSoupTracker, frames: int = 15) -> list[ObjectStates]:
 
 def test_objects_are_tracked_with_their_sizes_classes_and_headings() -> None:
     tracker = StoneSoupTracker()
-    results = followed(tracker)
+    results = followed(tracker, 24)
     assert [len(tracks) for tracks in results[:4]] == [0, 0, 2, 2], "three detections confirm"
     first = results[4]
     assert first.id.tolist() == [0, 1]
@@ -140,6 +142,40 @@ def test_ids_are_never_used_again() -> None:
         ids += tracker.step(nanoseconds(frame), detected([[50.0 * frame, 0.0]])).id.tolist()
     assert ids == list(range(len(ids)))
     assert len(ids) >= 5
+
+
+class Lagging:
+    """A tracker that stays at its first detection, at the time of that."""
+
+    def __init__(self) -> None:
+        self.tracks: set[Track] = set()
+
+    def update_tracker(self, time: Any, detections: set[Any]) -> None:
+        if not self.tracks:
+            (detection,) = detections
+            vector = np.zeros((9, 1))
+            vector[list(detection.measurement_model.mapping)] = detection.state_vector
+            vector[1] = 10.0
+            hypothesis = SingleHypothesis(None, detection)
+            self.tracks = {Track([GaussianStateUpdate(vector, np.eye(9), hypothesis, timestamp=time)])}
+
+
+class LaggingTracker(StoneSoupTracker):
+    def build(self) -> Any:
+        models = [ConstantVelocity(1.0), ConstantVelocity(1.0)]
+        state = ("x", "vx", "y", "vy", "z", "l", "w", "h", "vz")
+        model = CombinedLinearGaussianTransitionModel([*models, *[RandomWalk(0.0)] * 5])
+        return dict(tracker=Lagging(), predictor=KalmanPredictor(model), state=state)
+
+
+def test_the_predictor_brings_old_tracks_to_the_time_of_the_frame() -> None:
+    tracker = LaggingTracker()
+    first = tracker.step(nanoseconds(0), detected([0.0, 0.0]))
+    later = tracker.step(nanoseconds(5), Detections.empty())
+    assert tracker.matched.tolist() == [-1]
+    assert later.id.tolist() == first.id.tolist() == [0]
+    assert later.position[0] - first.position[0] == pytest.approx(0.5 * first.velocity[0])
+    assert later.covariance[0, 0, 0] > first.covariance[0, 0, 0]
 
 
 def test_skipping_distant_pairs_does_not_change_the_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,9 +302,13 @@ def test_stone_soup_is_imported_only_when_used() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_run_without_stone_soup_is_refused_with_the_command_that_installs_it(mine: Callable[[str], Path]) -> None:
-    command = [sys.executable, "-c", MISSING, str(mine(""))]
-    process = subprocess.run(command, capture_output=True, text=True, check=False, cwd=mine("").parent)
+@pytest.mark.parametrize("builder", ["", "my_tracker.py:nearest"])
+def test_a_run_without_stone_soup_is_refused_with_the_command_that_installs_it(
+    mine: Callable[[str], Path], builder: str
+) -> None:
+    file = mine(builder)
+    command = [sys.executable, "-c", MISSING, str(file)]
+    process = subprocess.run(command, capture_output=True, text=True, check=False, cwd=file.parent)
     assert process.returncode == ConfigurationError.exit_code
     assert "pip install 'mast-zenoh[stonesoup]'" in " ".join((process.stdout + process.stderr).split())
 
