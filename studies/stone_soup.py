@@ -7,6 +7,7 @@ def study(scene="intersection", trackers="mast,agents,everywhere", frames=150, a
     scene: a short name such as "intersection" or "avstack:PATH";
     trackers: separated by commas: mast, its own trackers; agents, Stone Soup's tracker for the agents; everywhere, for
     the agents and the command centre;
+    frames: of each run; attack_start_s: s of scene time at which the adversaries begin;
     builder: FILE.py:FUNCTION that returns the Stone Soup tracker, in the current folder; "": the default tracker.
     """
     places = dict(
