@@ -13,7 +13,7 @@ import queue
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -200,12 +200,25 @@ def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tupl
         path = Path(file)
         return f"{folders.setdefault(path.parent, f'files/{len(folders)}')}/{path.name}"
 
+    def with_builders(value: Any) -> Any:
+        """A configuration with the relocated files of its builders, FILE.py:FUNCTION."""
+        if isinstance(value, Mapping):
+            return {key: with_builders(item) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [with_builders(item) for item in value]
+        file, colon, function = value.rpartition(":") if isinstance(value, str) else ("", "", "")
+        return f"{relocated(file)}{colon}{function}" if file in resolved.modules else value
+
     sources = [spec.file, *resolved.modules]
     node_scenario = replace(
         resolved,
         modules=tuple(relocated(file) for file in resolved.modules),
         nodes={
-            name: replace(node_spec, file=relocated(node_spec.file) if name == node else "")
+            name: replace(
+                node_spec,
+                file=relocated(node_spec.file) if name == node else "",
+                config=with_builders(node_spec.config),
+            )
             for name, node_spec in resolved.nodes.items()
         },
     )

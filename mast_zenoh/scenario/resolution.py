@@ -18,6 +18,7 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
+from mast_zenoh.scenario.builders import load_builders
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.scenario.nodes import nodes_of, share_faults
 from mast_zenoh.scenario.reading import choose_scene
@@ -45,6 +46,7 @@ def resolve(
     Raises ConfigurationError (scenario), WiringError (key-expression map), SceneError (scene data).
     """
     scenario = registry.own_copy(dict(checked(normalise_keys(scenario, str(path)), str(path))))
+    builders = load_builders(scenario, path)
     overrides = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
     options = RUN_DEFAULTS | dict(scenario.get("run", {})) | overrides
     check_run(options, str(path))
@@ -78,7 +80,7 @@ def resolve(
         nodes=nodes,
         wiring=wiring.to_json(),
         scene=scene_spec,
-        modules=_modules(path, scenario),
+        modules=_modules(path, scenario, builders),
         steps=timeline.plan.steps,
         timeline=timeline.bands,
         network=timeline.network,
@@ -88,8 +90,8 @@ def resolve(
     )
 
 
-def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
-    """The scenario's own file, and the files of the classes in it."""
+def _modules(path: Path, scenario: Mapping[str, Any], builders: Iterable[Path]) -> tuple[str, ...]:
+    """The scenario's own file, and the files of the classes and builders in it."""
     files = [path] if path.suffix and loading.defines_algorithms(loading.module(path)) else []
     names = list(registry.type_names(scenario))
     classes = [name.cls for name in names if isinstance(name, registry.ClassName)]
@@ -98,7 +100,7 @@ def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
         file = loading.file_of_class(cls)
         if file is not None and not cls.__module__.startswith("mast_zenoh.") and not issubclass(cls, Node):
             files.append(file)
-    return tuple(dict.fromkeys(map(str, files)))
+    return tuple(dict.fromkeys(map(str, [*files, *builders])))
 
 
 def _messages(path: Path, nodes: Mapping[str, NodeSpec]) -> tuple[Schema, ...]:

@@ -8,6 +8,7 @@ from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
 from mast_zenoh.tracking.filterpy_tracker import FilterpyBoxTracker3D
 from mast_zenoh.tracking.innovations import Innovations
+from mast_zenoh.tracking.stone_soup_tracker import StoneSoupTracker
 from mast_zenoh.tracking.view import SensorView
 
 __all__ = [
@@ -18,5 +19,6 @@ __all__ = [
     "Innovations",
     "KalmanBoxTracker3D",
     "SensorView",
+    "StoneSoupTracker",
     "Tracker",
 ]

@@ -206,6 +206,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "network.md": [whole_scenario],
     "python.md": [None] * 12,  # test_python_page.py
     "recording.md": [messages_of_a_run],
+    "scene_arrays.md": [None] * 3,  # test_scene_arrays_page.py
     "scenarios.md": [whole_scenario, results_of_a_node],
     "security.md": [expired_credentials],
     "studies.md": [study_of_ones_own],
@@ -213,7 +214,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 }
 
 #: Pages whose files are run by tests of their own.
-WALK_THROUGHS = ("extending.md", "interception.md", "tutorial.md", "tutorial_defence.md")
+WALK_THROUGHS = ("extending.md", "interception.md", "stone_soup.md", "tutorial.md", "tutorial_defence.md")
 
 
 def test_every_python_block_is_run_by_a_test() -> None:
