@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes.recording_arrays import checked_arrays
 from mast_zenoh.sensing.camera import Camera
 from mast_zenoh.sensing.lidar import LidarSensor
 
@@ -21,6 +23,11 @@ from mast_zenoh.sensing.lidar import LidarSensor
 TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")
 
 _FORMAT = 1
+#: What reading a damaged file may raise.
+_DAMAGE = (
+    *(OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError, EOFError),
+    *(MemoryError, RecursionError, NotImplementedError, zipfile.BadZipFile, zlib.error),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +151,7 @@ class Recording:
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise SceneError(f"{self.name}: {name} has shape {getattr(self, name).shape}, expected {shape}")
-        if self.sweeps and [sweep.shape[:1] for sweep in self.sweeps] != [(f,)] * a:
+        if self.sweeps and [(*sweep.shape[:1], sweep.ndim) for sweep in self.sweeps] != [(f, 3)] * a:
             raise SceneError(f"{self.name}: sweeps of {len(self.sweeps)} agents, expected {f} frames of {a} agents")
         if len(set(self.agent_names)) != a:
             raise SceneError(f"{self.name}: agent names repeat: {', '.join(self.agent_names)}")
@@ -209,15 +216,19 @@ class Recording:
                 if unpacked > size:  # `save` compresses nothing
                     raise ValueError(f"unpacks to {unpacked} bytes, more than its own {size}")
                 arrays = {name: file[name] for name in file.files}
-            for array in arrays.values():
-                array.setflags(write=False)  # so that messages need not copy it
             header = json.loads(str(arrays["head"]))
             if header["format"] != _FORMAT:
                 raise SceneError(f"{path}: format {header['format']}, expected {_FORMAT}")
+            agents = tuple(map(_agent_from_json, header["agents"]))
+            arrays |= checked_arrays(path, arrays, len(agents))
+            for array in arrays.values():
+                array.setflags(write=False)  # so that messages need not copy it
             start = arrays["building_start"]
+            if start[0] != 0 or start[-1] != len(arrays["building_corners"]) or np.any(np.diff(start) < 0):
+                raise SceneError(f"{path}: building_start is {start.tolist()[:8]}, expected offsets of the corners")
             recording = cls(
-                name=header["name"],
-                agents=tuple(map(_agent_from_json, header["agents"])),
+                name=str(header["name"]),
+                agents=agents,
                 period_ns=int(header["period_ns"]),
                 truth=truth_states({name: arrays[f"truth.{name}"] for name in TRUTH_COLUMNS}),
                 detections=Detections(*(arrays[f"detections.{name}"] for name in DETECTION_COLUMNS)),
@@ -225,7 +236,7 @@ class Recording:
                 sweeps=tuple(arrays[f"sweeps.{i}"] for i in range(len(header["agents"])) if "sweeps.0" in arrays),
                 **{name: arrays[name] for name in _ARRAYS},
             )
-        except (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+        except _DAMAGE as error:
             raise SceneError(f"{path}: not a prepared scene: {error}") from error
         recording.validate()
         return recording
@@ -266,6 +277,9 @@ def _agent_to_json(agent: SceneAgent) -> dict[str, Any]:
 
 
 def _agent_from_json(data: Mapping[str, Any]) -> SceneAgent:
+    if not isinstance(data["name"], str) or data["kind"] not in ("mobile", "static"):
+        raise ValueError(f"agent {data['name']!r} is {data['kind']!r}, expected a name, and mobile or static")
+
     def arrays(part: Mapping[str, Any]) -> dict[str, Any]:
         return {k: np.array(v, np.float64) if isinstance(v, list) else v for k, v in part.items()}
 

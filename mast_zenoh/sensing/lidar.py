@@ -9,6 +9,9 @@ import numpy as np
 from mast_zenoh.arrays.geometry import to_local
 from mast_zenoh.arrays.states import Bools, Floats
 
+#: Limits on what can be simulated.
+MAX_CHANNELS, MAX_BEAMS, MAX_RANGE_M = 4096, 10_000_000, 10_000.0
+
 
 @dataclass(frozen=True, eq=False)
 class LidarSensor:
@@ -30,6 +33,28 @@ class LidarSensor:
     elevation_max_deg: float = 2.4
     channels: int = 64
     max_range_m: float = 100.0
+
+    def __post_init__(self) -> None:
+        angles = self.azimuth_min_deg, self.azimuth_max_deg, self.elevation_min_deg, self.elevation_max_deg
+        mount = np.concatenate([np.ravel(self.mount_position), np.ravel(self.mount_rotation)])
+        for name, valid, expected in (
+            ("mount_position", np.shape(self.mount_position) == (3,), "3 numbers"),
+            ("mount_rotation", np.shape(self.mount_rotation) == (3, 3), "3 x 3 numbers"),
+            ("mount_position, mount_rotation", bool(np.isfinite(mount).all()), "finite numbers"),
+            ("azimuth_*_deg, elevation_*_deg", bool(np.isfinite(angles).all()), "finite numbers"),
+            ("azimuth_step_deg", 0.0 < self.azimuth_step_deg <= 360.0, "more than 0, at most 360"),
+            ("azimuth_max_deg", 0.0 < self.azimuth_max_deg - self.azimuth_min_deg <= 360.0, "a sector of at most 360"),
+            ("elevation_max_deg", -90.0 <= self.elevation_min_deg <= self.elevation_max_deg <= 90.0, "-90 to 90"),
+            ("channels", 1 <= self.channels <= MAX_CHANNELS, f"1 to {MAX_CHANNELS}"),
+            ("max_range_m", 0.0 < self.max_range_m <= MAX_RANGE_M, f"more than 0, at most {MAX_RANGE_M:.0f}"),
+        ):
+            if not valid:
+                values = [np.ravel(getattr(self, each)).tolist() for each in name.split(", ") if hasattr(self, each)]
+                found = ", ".join(str(each[0] if len(each) == 1 else each) for each in values or [list(angles)])
+                raise ValueError(f"LidarSensor: {name}: found {found}, expected {expected}")
+        beams = self.channels * (self.azimuth_max_deg - self.azimuth_min_deg) / self.azimuth_step_deg
+        if beams > MAX_BEAMS:
+            raise ValueError(f"LidarSensor: azimuth_step_deg: found {beams:.0f} beams, expected at most {MAX_BEAMS}")
 
     @classmethod
     def infrastructure(cls) -> LidarSensor:

@@ -46,6 +46,19 @@ def av2_logs() -> list[Path]:
 
 @pytest.fixture
 def recording() -> Recording:
+    """The small recording below."""
+    return small_recording()
+
+
+@pytest.fixture(scope="session")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same in a file."""
+    path = tmp_path_factory.mktemp("saved") / "scene.npz"
+    small_recording().save(path)
+    return path
+
+
+def small_recording() -> Recording:
     """Two frames, an ego and a pole, objects, three detections and a house."""
     agents = (
         SceneAgent("ego", "mobile", 7, LidarSensor(), Camera()),

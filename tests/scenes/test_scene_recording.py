@@ -1,5 +1,7 @@
 """Prepared scenes: slices, files and refusals."""
 
+import contextlib
+import json
 import tracemalloc
 import zipfile
 from dataclasses import replace
@@ -7,9 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes import Recording, RecordingFile
+from mast_zenoh.scenes.inspection import contents, problems
 
 
 def test_a_frame_is_a_slice(recording: Recording) -> None:
@@ -112,3 +118,38 @@ def test_a_prepared_scene_that_claims_more_rows_than_memory_holds_is_refused(
             huge.writestr(info.filename, array)
     with pytest.raises(SceneError, match=r"huge\.npz: not a prepared scene"):
         Recording.load(tmp_path / "huge.npz")
+
+
+SIMPLE = st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=4)
+ANY_JSON = SIMPLE | st.lists(SIMPLE, max_size=3) | st.just({})
+ANY_ARRAY = npst.arrays(
+    st.sampled_from([np.float64, np.int64, np.uint8, np.bool_, np.dtype("U3"), np.complex64]),
+    npst.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4),
+)
+
+
+@settings(max_examples=300)
+@given(data=st.data())
+def test_any_change_of_a_saved_file_is_read_or_refused(
+    data: st.DataObject, saved: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("scene") / "scene.npz"
+    with np.load(saved) as file:
+        arrays = {name: file[name] for name in file.files}
+    name = data.draw(st.sampled_from(sorted(arrays)))
+    if name == "head":
+        header = json.loads(str(arrays["head"]))
+        parent = data.draw(st.sampled_from([header, header["agents"][0], header["agents"][1]["sensor"]]))
+        parent[data.draw(st.sampled_from(sorted(parent)))] = data.draw(ANY_JSON)
+        arrays["head"] = np.array(json.dumps(header))
+    else:
+        arrays[name] = data.draw(ANY_ARRAY)
+    np.savez(path, **arrays)
+    with contextlib.suppress(SceneError), np.errstate(all="ignore"):
+        played = RecordingFile(path=str(path)).record(0, None)
+        for frame in range(len(played)):
+            played.truth_at(frame)
+            for agent in range(len(played.agents)):
+                played.detections_at(frame, agent)
+        contents(played)
+        problems(played)

@@ -129,3 +129,21 @@ def test_objects_with_returns_are_in_view() -> None:
     # At the edge of the view a box may be partly visible without its centre.
     assert (points[~seen] > 0).sum() <= 0.1 * (points > 0).sum()
     assert (points[seen] > 0).mean() > 0.7
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        (dict(mount_position=np.zeros(2)), "mount_position: found .*, expected 3 numbers"),
+        (dict(mount_rotation=np.full((3, 3), np.nan)), "mount_position, mount_rotation: found .*, expected finite"),
+        (dict(azimuth_step_deg=0.0), "azimuth_step_deg: found 0.0, expected more than 0"),
+        (dict(azimuth_min_deg=-200.0, azimuth_max_deg=200.0), "azimuth_max_deg: found 200.0, expected a sector of at"),
+        (dict(elevation_min_deg=5.0), "elevation_max_deg: found 2.4"),
+        (dict(channels=0), "channels: found 0, expected 1 to 4096"),
+        (dict(max_range_m=np.inf), "max_range_m: found inf"),
+        (dict(azimuth_step_deg=1e-4), "azimuth_step_deg: found .* beams, expected at most 10000000"),
+    ],
+)
+def test_an_impossible_lidar_is_refused(parameters: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=f"LidarSensor: {message}"):
+        LidarSensor(**parameters)
