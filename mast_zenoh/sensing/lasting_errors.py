@@ -6,7 +6,6 @@ import copy
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import expit, ndtr, ndtri
 
 from mast_zenoh.arrays.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError
@@ -93,6 +92,8 @@ class LastingErrors(DetectionModel):
         return mine
 
     def _draws(self, ids: Ints, random: np.random.Generator) -> Draws:
+        from scipy.special import ndtr  # nodes import this module, and this takes 0.3 s
+
         n = len(ids)
         keep = np.exp(-self._period_s / self._constants_s)
         fresh = random.standard_normal((n, len(keep)))
@@ -109,6 +110,8 @@ class LastingErrors(DetectionModel):
         return Draws(detection, flip, wrong, score, noise, classes)
 
     def _scores(self, returns: Floats, draw: Floats) -> Floats:
+        from scipy.special import expit, ndtri
+
         strength = np.clip(np.log(returns / self.points_scale), -_MAX_STRENGTH, _MAX_STRENGTH)
         scores: Floats = expit(self.score_at_scale + strength + self.score_std * ndtri(np.clip(draw, 1e-9, 1 - 1e-9)))
         return scores
@@ -129,7 +132,7 @@ class LastingErrors(DetectionModel):
         count = int(random.poisson(self.clutter_rate * (1.0 - survival)))
         new = self._new_clutter(count, lidar, sensor_position, sensor_rotation, ground, random)
         logit = self.clutter_score_mean + self.score_std * random.standard_normal(len(new))
-        new = replace(new, score=expit(logit))
+        new = replace(new, score=1.0 / (1.0 + np.exp(-logit)))
         parts = [standing.select(lasts), new]
         columns = (np.concatenate([getattr(part, name) for part in parts]) for name in DETECTION_COLUMNS)
         self._standing = Detections(*columns)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import Bools, Floats
@@ -44,6 +43,8 @@ def busiest_vehicle(boxes: Boxes, frames: int, path: Path) -> int:
     one that moves farthest are not chosen. path: of the data, for the message. Raises SceneError if no vehicle is there
     throughout.
     """
+    from scipy.spatial import cKDTree  # takes 0.2 s, and every run imports this module
+
     candidates = vehicles_throughout(boxes, frames)
     if not len(candidates):
         raise SceneError(
@@ -73,6 +74,8 @@ def rows_by_frame(boxes: Boxes, frames: int) -> list[np.ndarray]:
 
 def near_route(boxes: Boxes, route: Floats, radius: float) -> Bools:
     """(N,) whether each box is within `radius` m of any position of a route (F, 2) m."""
+    from scipy.spatial import cKDTree
+
     distance, _ = cKDTree(route).query(boxes.position[:, :2], distance_upper_bound=radius)
     near: Bools = np.isfinite(distance)
     return near

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.special import expit
 
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
@@ -79,7 +78,7 @@ def _confidence(score: Floats) -> Floats:
     """Scores from 0 to 1; NaN stays, and is refused later."""
     if ((score >= 0.0) & (score <= 1.0)).all():
         return score
-    return expit(score)
+    return 1.0 / (1.0 + np.exp(-np.clip(score, -500.0, 500.0)))
 
 
 def _line(file: Path, number: int, line: str) -> tuple[float, ...]:

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow
 from numpy.typing import NDArray
-from pyarrow import parquet
 
 from mast_zenoh.errors import SceneError, nearest
 from mast_zenoh.scenes.files.class_names import class_of
@@ -49,6 +47,9 @@ def read_parquet(path: Path, agents: Sequence[str], first_frame: int) -> Detecti
 
 
 def _open(path: Path) -> Any:
+    import pyarrow  # takes 0.15 s, and every run imports this module
+    from pyarrow import parquet
+
     try:
         file = parquet.ParquetFile(path)
         unpacked = sum(file.metadata.row_group(k).total_byte_size for k in range(file.metadata.num_row_groups))
@@ -64,6 +65,8 @@ def _open(path: Path) -> Any:
 
 
 def _numbers(path: Path, table: Any, name: str) -> NDArray[np.float64]:
+    import pyarrow
+
     column = table[name]
     if column.null_count:
         raise SceneError(f"{path}: column {name} has {column.null_count} empty values")
@@ -82,6 +85,8 @@ def _whole_numbers(path: Path, table: Any, name: str) -> NDArray[np.int64]:
 
 
 def _texts(path: Path, table: Any, name: str) -> list[str]:
+    import pyarrow
+
     column = table[name]
     if column.null_count:
         raise SceneError(f"{path}: column {name} has {column.null_count} empty values")

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.scenes.files.text_elements import TextElement
@@ -28,6 +27,8 @@ def read_buildings(
     A building is a `<poly>` whose type begins with "building". Its height is that of its parameter "height", if it has
     one that is a number, with or without "m"; otherwise the default.
     """
+    from scipy.spatial import cKDTree  # takes 0.2 s, and every run imports this module
+
     near = cKDTree(route)
     outlines, heights = [], []
     for file in files:
