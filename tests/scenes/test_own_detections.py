@@ -235,7 +235,7 @@ def test_any_text_is_read_or_refused(text: str, tmp_path_factory: pytest.TempPat
     try:
         with np.errstate(all="ignore"):
             rows = read_kitti(folder, ["ego"], 0)
-            rows.columns(10**9, 1, folder)
+            rows.columns(1000, 1, folder)
     except MastError:
         return
     assert np.isfinite(rows.position).all()
