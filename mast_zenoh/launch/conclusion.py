@@ -28,7 +28,8 @@ def write(
     run_folder.note_recording(folder, record, handed_in, resolved.nodes)
     collations = results.collations(handed_in, resolved.nodes)
     innovations = confidence_notices.innovations(handed_in, resolved.nodes)
-    measured = {"late": results.late(collations), "innovations": innovations, **measured}
+    record["innovations"] = dict(sorted(innovations.items()))
+    measured = {"late": results.late(collations), **measured}
     refused = run_folder.write_results(folder, handed_in, measured)
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused)
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")

@@ -21,8 +21,8 @@ from mast_zenoh.runtime.replaying import replay
 
 METRICS = "metrics.json"
 
-#: Entries of metrics.json from the wall clock and from nodes' own counters, which no recording has.
-_NOT_RECORDED = ("late", "innovations", "latency_ms", "frames_per_second")
+#: Entries of metrics.json from the wall clock and the broker's counters, which no recording has.
+_NOT_RECORDED = ("late", "latency_ms", "frames_per_second")
 
 
 def can_fill_in(folder: Path) -> bool:

@@ -92,10 +92,12 @@ def test_importing_a_base_makes_all_shipped_subclasses_available(package: str) -
         module = importlib.import_module(f"mast_zenoh.{package}.{info.name}")
         for cls in vars(module).values():
             if inspect.isclass(cls) and cls.__module__ == module.__name__ and inspect.isabstract(cls.__base__):
-                defined[cls.__module__] = cls.__base__.__module__
+                defined[cls.__module__] = cls.__base__
     assert defined
     for module, base in defined.items():
-        code = f"import {base}, sys; sys.exit({module!r} not in sys.modules)"
+        public = hasattr(importlib.import_module(f"mast_zenoh.{package}"), base.__name__)
+        place = f"mast_zenoh.{package}" if public else base.__module__
+        code = f"from {place} import {base.__name__}; import sys; sys.exit({module!r} not in sys.modules)"
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0, module
 
 

@@ -35,8 +35,9 @@ def folder(run_folder: Callable[..., Path]) -> Path:
         "infra_2": {"local": {"position": none, "velocity": none}},
     }
     innovations = {"ego": Innovations(190.0, 100, 1).summary(), "infra_1": Innovations().summary()}
-    metrics = json.loads(file.read_text()) | {"consistency": consistency, "innovations": innovations}
-    file.write_text(json.dumps(metrics))
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"consistency": consistency}))
+    record = path / "run.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"innovations": innovations}))
     return path
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes import bounded_file
+from mast_zenoh.scenes.files import bounded_file
 from mast_zenoh.scenes.files.bounded_file import MAX_LINE, read_lines, read_pieces
 from mast_zenoh.scenes.files.text_elements import TextElement
 from mast_zenoh.scenes.files.xml_elements import read_xml

@@ -68,7 +68,7 @@ def tracker_rows(run: RunFolder) -> list[TrackerRow]:
             each["sudden"],
             each["verdict"] or "",
         )
-        for name, each in run.metrics.get("innovations", {}).items()
+        for name, each in run.run.get("innovations", {}).items()
     ]
 
 
