@@ -1,24 +1,16 @@
-"""Reference data for the tests of scenes, and a small synthetic recording."""
+"""Reference scenes, and a small synthetic recording."""
 
-import os
 import tarfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from reference_data import reference
 
 from mast_zenoh.arrays.states import Detections
 from mast_zenoh.scenes import Recording, SceneAgent
 from mast_zenoh.scenes.recording import truth_states
 from mast_zenoh.sensing import Camera, LidarSensor
-
-
-def reference(name: str) -> Path:
-    """A file or folder of the reference data; skips if it is missing."""
-    root = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
-    if not (root / name).exists():
-        pytest.skip(f"no reference data: {root / name} is missing (set MAST_DATA)")
-    return root / name
 
 
 @pytest.fixture(scope="session")

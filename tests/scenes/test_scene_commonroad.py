@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from commonroad_writer import write_commonroad
-from conftest import reference
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from reference_data import reference
 from scored_run import SCENARIOS, play_scored
 from twin_source import assert_equal_truth, flat_twin_source, returns_of
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import reference
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from reference_data import reference
 from scored_run import SCENARIOS, play_scored
 from sumo_writer import write_sumo
 from twin_source import assert_equal_truth, returns_of, twin_source
