@@ -6,7 +6,7 @@ import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow
@@ -19,13 +19,14 @@ from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.config import registry
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.report.figures.scene import scene_figure
-from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.scenario.shape import RUN_DEFAULTS
 from mast_zenoh.scenes import Recording, inspection
 from mast_zenoh.scenes.names import SHORT_NAMES
 from mast_zenoh.scenes.own_detections import kitti
 from mast_zenoh.scenes.recognition import recognised
+
+if TYPE_CHECKING:
+    from mast_zenoh.report.figures.style import Figure
 
 #: Arguments of `scenes.from_arrays`, and those of them that are needed.
 _ARRAYS = tuple(inspect.signature(scenes.from_arrays).parameters)
@@ -115,6 +116,8 @@ class PreparedScene:
         """
         if not 0 <= frame < len(self):
             raise ConfigurationError(f"{self.name}: frame is {frame}, expected 0 to {len(self) - 1}")
+        from mast_zenoh.report.figures.scene import scene_figure  # Matplotlib takes longer than preparing a scene
+
         return scene_figure(self.recording, frame)
 
     def __len__(self) -> int:

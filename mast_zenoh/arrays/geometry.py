@@ -138,6 +138,12 @@ def to_local(points: Floats, position: Floats, rotation: Floats) -> Floats:
     return (points - position) @ rotation
 
 
+def along_and_across(offset: Floats, yaw: Floats) -> Floats:
+    """(n, 2) m ahead and to the left, in boxes with headings (n,), of offsets (n, >= 2) m from their centres."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], axis=1)
+
+
 def box_corners(position: Floats, size: Floats, yaw: Floats) -> Floats:
     """Corners (n, 8, 3) m of upright boxes.
 

@@ -99,7 +99,7 @@ def __getattr__(name: str) -> Any:
     places = _TYPES | _OTHERS
     if name not in places:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    # Whoever can name a scene can name all of them.
+    # A type can be named in a scenario once it is imported, so the base brings all of them.
     for module in _TYPES.values() if name == "Scene" else ():
         importlib.import_module(f"{__name__}.{module}")
     value = getattr(importlib.import_module(f"{__name__}.{places[name]}"), name)

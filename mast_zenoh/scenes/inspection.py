@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
+from mast_zenoh.arrays.geometry import along_and_across
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats
-from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 
-#: Lidar returns of an object that counts as seen.
-SEEN_RETURNS = 5
 _MAX_SPEED_MPS = 70.0
 _MAX_JUMP_M = 2.0  # of a position against the mean of its velocities before and after
 _UNEVEN = 1.5  # periods between two frames
@@ -112,9 +111,7 @@ def _inside_others(recording: Recording) -> Bools:
         first = int(recording.truth_start[frame])
         for a, b in ((i, j), (j, i)):
             offset = truth.position[a] - truth.position[b]
-            cos, sin = np.cos(truth.yaw[b]), np.sin(truth.yaw[b])
-            along = np.stack([cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]], axis=1)
-            within = (np.abs(along) < truth.size[b, :2] / 2).all(axis=1)
+            within = (np.abs(along_and_across(offset, truth.yaw[b])) < truth.size[b, :2] / 2).all(axis=1)
             within &= np.abs(offset[:, 2]) < truth.size[b, 2] / 2
             inside[first + a[within]] = True
     return inside

@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.recording_arrays import checked_arrays
+from mast_zenoh.scenes.recording_arrays import arrays_of_file, check_shapes, check_times
 from mast_zenoh.sensing.camera import Camera
 from mast_zenoh.sensing.lidar import LidarSensor
 
 #: Truth columns of a recording; covariance and score are constant for truth.
 TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")
+
+#: Lidar returns of an object that counts as seen.
+SEEN_RETURNS = 5
 
 _FORMAT = 1
 #: What reading a damaged file may raise.
@@ -137,27 +140,17 @@ class Recording:
         f, a, n, d = len(self.times_ns), len(self.agents), len(self.truth), len(self.detections)
         if f == 0 or a == 0:
             raise SceneError(f"{self.name}: {f} frames and {a} agents, expected at least one of each")
-        expected: dict[str, tuple[int, ...]] = {
-            "times_ns": (f,),
-            "truth_start": (f + 1,),
-            "points": (n, a),
-            "agent_position": (f, a, 3),
-            "agent_rotation": (f, a, 3, 3),
-            "agent_velocity": (f, a, 3),
-            "detection_start": (f * a + 1,),
-            "detection_truth_id": (d,),
-            "building_height": (len(self.buildings),),
-        }
-        for name, shape in expected.items():
-            if getattr(self, name).shape != shape:
-                raise SceneError(f"{self.name}: {name} has shape {getattr(self, name).shape}, expected {shape}")
+        if self.period_ns <= 0:
+            raise SceneError(f"{self.name}: period_ns is {self.period_ns}, expected a positive number")
+        check_shapes(self.name, self._columns(), a)
+        if len(self.building_height) != len(self.buildings):
+            shape = self.building_height.shape
+            raise SceneError(f"{self.name}: building_height has shape {shape}, expected {(len(self.buildings),)}")
         if self.sweeps and [(*sweep.shape[:1], sweep.ndim) for sweep in self.sweeps] != [(f, 3)] * a:
             raise SceneError(f"{self.name}: sweeps of {len(self.sweeps)} agents, expected {f} frames of {a} agents")
         if len(set(self.agent_names)) != a:
             raise SceneError(f"{self.name}: agent names repeat: {', '.join(self.agent_names)}")
-        late = np.flatnonzero(np.diff(self.times_ns) <= 0)
-        if len(late):
-            raise SceneError(f"{self.name}: frame {late[0] + 1} is not later than frame {late[0]}")
+        check_times(self.name, self.times_ns)
         for name, start, rows in (("truth", self.truth_start, n), ("detections", self.detection_start, d)):
             if start[0] != 0 or start[-1] != rows or np.any(np.diff(start) < 0):
                 raise SceneError(f"{self.name}: the offsets of {name} do not cover its {rows} rows in order")
@@ -186,6 +179,12 @@ class Recording:
                 f"{self.name}: {name}{invalid[0].tolist()} is {values[tuple(invalid[0])]}, expected a finite number"
             )
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """All arrays by their names in a file, but those of buildings' corners and of sweeps."""
+        columns = {f"truth.{name}": getattr(self.truth, name) for name in TRUTH_COLUMNS}
+        columns |= {f"detections.{name}": getattr(self.detections, name) for name in DETECTION_COLUMNS}
+        return columns | {name: getattr(self, name) for name in _ARRAYS}
+
     def save(self, path: Path) -> None:
         """Write everything to one .npz file; no pickle inside."""
         header = {
@@ -195,9 +194,7 @@ class Recording:
             "agents": [_agent_to_json(agent) for agent in self.agents],
         }
         arrays: dict[str, NDArray[Any]] = {"head": np.array(json.dumps(header))}
-        arrays |= {f"truth.{name}": getattr(self.truth, name) for name in TRUTH_COLUMNS}
-        arrays |= {f"detections.{name}": getattr(self.detections, name) for name in DETECTION_COLUMNS}
-        arrays |= {name: getattr(self, name) for name in _ARRAYS}
+        arrays |= self._columns()
         arrays |= {f"sweeps.{index}": sweep for index, sweep in enumerate(self.sweeps)}
         arrays["building_start"] = np.cumsum([0, *map(len, self.buildings)])
         arrays["building_corners"] = np.concatenate([np.zeros((0, 2)), *self.buildings])
@@ -220,7 +217,7 @@ class Recording:
             if header["format"] != _FORMAT:
                 raise SceneError(f"{path}: format {header['format']}, expected {_FORMAT}")
             agents = tuple(map(_agent_from_json, header["agents"]))
-            arrays |= checked_arrays(path, arrays, len(agents))
+            arrays |= arrays_of_file(path, arrays, len(agents))
             for array in arrays.values():
                 array.setflags(write=False)  # so that messages need not copy it
             start = arrays["building_start"]

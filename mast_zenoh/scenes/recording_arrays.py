@@ -48,7 +48,7 @@ _COUNTED = {
 }
 
 
-def checked_arrays(place: object, arrays: Mapping[str, NDArray[Any]], agents: int) -> dict[str, NDArray[Any]]:
+def arrays_of_file(place: object, arrays: Mapping[str, NDArray[Any]], agents: int) -> dict[str, NDArray[Any]]:
     """The arrays of SHAPES with their types. place: of the recording, for messages; agents: A
 
     Raises SceneError for an array that is missing, of another shape, or not of the numbers that it should hold.
@@ -56,17 +56,27 @@ def checked_arrays(place: object, arrays: Mapping[str, NDArray[Any]], agents: in
     for name in SHAPES:
         if name not in arrays:
             raise SceneError(f"{place}: {name} is missing")
+    check_shapes(place, arrays, agents)
+    return {name: _typed(place, name, arrays[name]) for name in SHAPES}
+
+
+def check_shapes(place: object, arrays: Mapping[str, NDArray[Any]], agents: int) -> None:
+    """Raise SceneError for the first of the arrays of SHAPES, as far as they are given, with another shape."""
     counts = {"A": agents, "3": 3, "2": 2}
-    counts |= {letter: arrays[name].shape[0] if arrays[name].ndim else -1 for letter, name in _COUNTED.items()}
+    counts |= {letter: max(arrays[name].shape[:1], default=0) for letter, name in _COUNTED.items() if name in arrays}
     counts |= {"T": counts["F"] + 1, "S": counts["F"] * agents + 1, "U": counts["B"] + 1}
-    checked = {}
-    for name, letters in SHAPES.items():
-        expected = tuple(counts[letter] for letter in letters.split(","))
-        if arrays[name].shape != expected:
-            shown = ", ".join(str(max(length, 0)) for length in expected)
-            raise SceneError(f"{place}: {name} has shape {arrays[name].shape}, expected ({shown})")
-        checked[name] = _typed(place, name, arrays[name])
-    return checked
+    for name in SHAPES:
+        if name in arrays:
+            expected = tuple(counts[letter] for letter in SHAPES[name].split(","))
+            if arrays[name].shape != expected:
+                raise SceneError(f"{place}: {name} has shape {arrays[name].shape}, expected {expected}")
+
+
+def check_times(place: object, times_ns: NDArray[np.int64]) -> None:
+    """Raise SceneError for a frame that is not later than the one before."""
+    late = np.flatnonzero(np.diff(times_ns) <= 0)
+    if len(late):
+        raise SceneError(f"{place}: frame {late[0] + 1} is not later than frame {late[0]}")
 
 
 def _typed(place: object, name: str, array: NDArray[Any]) -> NDArray[Any]:

@@ -67,6 +67,7 @@ def test_a_valid_recording_passes_validation(recording: Recording) -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
+        ({"period_ns": 0}, "period_ns is 0, expected a positive number"),
         ({"times_ns": np.array([100, 100])}, "frame 1 is not later than frame 0"),
         ({"points": np.zeros((3, 1), np.int32)}, r"points has shape \(3, 1\), expected \(3, 2\)"),
         ({"truth_start": np.array([0, 2, 2])}, "offsets of truth"),

@@ -68,25 +68,40 @@ def draw_birdseye(axes: Axes, view: FrameView, estimator: str, window: tuple[flo
             PolyCollection(list(recording.buildings), facecolors=BUILDING, edgecolors=BUILDING_EDGE, zorder=1)
         )
     for order, (outcome, colour) in enumerate(OUTCOME_COLOURS.items()):
-        _draw_boxes(axes, view.boxes[estimator][outcome], outcome, colour, 3 + 0.1 * order)
+        _draw_outcome(axes, view.boxes[estimator][outcome], outcome, colour, 3 + 0.1 * order)
     if estimator not in ("local", "received"):
         _draw_withheld(axes, view)
     _draw_attack(axes, view.marks(estimator))
     _draw_agents(axes, view, window)
 
 
-def _draw_boxes(axes: Axes, boxes: Boxes, outcome: str, colour: str, zorder: float) -> None:
+def _draw_outcome(axes: Axes, boxes: Boxes, outcome: str, colour: str, zorder: float) -> None:
+    filled = outcome in ("truth missed", "track false")
+    width = 1.3 if outcome == "track matched" else 1.6
+    draw_boxes(axes, boxes, colour, zorder, width=width, filled=filled, crossed=outcome == "track false")
+
+
+def draw_boxes(
+    axes: Axes,
+    boxes: Boxes,
+    colour: str,
+    zorder: float,
+    *,
+    width: float,
+    filled: bool = False,
+    crossed: bool = False,
+) -> None:
+    """Outlines with a line ahead. crossed: crossed out as well, for colour-blind readers"""
     if not len(boxes):
         return
     size = np.maximum(boxes.size, _SMALLEST)
     corners = box_corners(boxes.position, size, boxes.yaw)[:, :4, :2]
-    wrong = outcome in ("truth missed", "track false")
     axes.add_collection(
         PolyCollection(
             list(corners),
-            facecolors=to_rgba(colour, 0.35 if wrong else 0.0),
+            facecolors=to_rgba(colour, 0.35 if filled else 0.0),
             edgecolors=colour,
-            linewidths=1.3 if outcome == "track matched" else 1.6,
+            linewidths=width,
             zorder=zorder,
         )
     )
@@ -94,7 +109,7 @@ def _draw_boxes(axes: Axes, boxes: Boxes, outcome: str, colour: str, zorder: flo
     centre = boxes.position[:, :2]
     ticks = np.stack([centre, centre + ahead * (size[:, :1] / 2 + 1.2)], axis=1)
     lines = [ticks]
-    if outcome == "track false":  # crossed out as well, for colour-blind readers
+    if crossed:
         lines += [corners[:, [0, 2]], corners[:, [1, 3]]]
     axes.add_collection(LineCollection(list(np.concatenate(lines)), colors=colour, linewidths=1.1, zorder=zorder))
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Wedge
 
-from mast_zenoh.arrays.geometry import box_corners, heading
+from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.report.figures.birdseye import free_side
+from mast_zenoh.report.figures.birdseye import draw_boxes, free_side
 from mast_zenoh.report.figures.style import (
     AGENT,
     BUILDING,
@@ -24,12 +24,11 @@ from mast_zenoh.report.figures.style import (
     dark_axes,
     plain,
 )
-from mast_zenoh.scenes.inspection import SEEN_RETURNS
-from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.report.figures.view import Boxes
+from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.sensing import sensor_pose, to_world
 
 _SEEN, _UNSEEN, _DETECTION = OUTCOME_COLOURS["truth matched"], OUTCOME_COLOURS["unevaluated"], "#56b4e9"
-_SMALLEST_M = 1.4  # drawn length and width, so that pedestrians are visible
 _MARGIN_M = 12.0
 _FARTHEST_M = 110.0  # objects beyond this distance from all agents do not widen the window
 
@@ -57,7 +56,8 @@ def scene_figure(recording: Recording, frame: int) -> Figure:
     walls = PolyCollection(list(recording.buildings), facecolors=BUILDING, edgecolors=BUILDING_EDGE, zorder=1)
     axes.add_collection(walls)
     for chosen, colour in ((~seen, _UNSEEN), (seen, _SEEN)):
-        _draw_boxes(axes, recording, frame, chosen, colour)
+        boxes = Boxes(truth.position[chosen], truth.size[chosen], truth.yaw[chosen])
+        draw_boxes(axes, boxes, colour, 3, width=1.2)
     occupied: list[tuple[float, float, float, float]] = []
     for column, agent in enumerate(recording.agents):
         _draw_agent(axes, recording, frame, column)
@@ -75,19 +75,6 @@ def scene_figure(recording: Recording, frame: int) -> Figure:
     ]
     figure.legend(handles=handles, loc="lower center", ncols=5, frameon=False, labelcolor=_SEEN, fontsize=9.5)
     return figure
-
-
-def _draw_boxes(axes: Axes, recording: Recording, frame: int, chosen: Bools, colour: str) -> None:
-    """Outlines with a line ahead."""
-    boxes = recording.truth_at(frame).select(np.flatnonzero(chosen))
-    if not len(boxes):
-        return
-    size = np.maximum(boxes.size, _SMALLEST_M)
-    corners = box_corners(boxes.position, size, boxes.yaw)[:, :4, :2]
-    axes.add_collection(PolyCollection(list(corners), facecolors="none", edgecolors=colour, linewidths=1.2, zorder=3))
-    ahead = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1) * (size[:, :1] / 2 + 1.2)
-    lines = np.stack([boxes.position[:, :2], boxes.position[:, :2] + ahead], axis=1)
-    axes.add_collection(LineCollection(list(lines), colors=colour, linewidths=1.0, zorder=3))
 
 
 def _draw_agent(axes: Axes, recording: Recording, frame: int, column: int) -> None:

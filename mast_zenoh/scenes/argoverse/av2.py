@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.scenes.argoverse.files import Annotations, find_log, read_annotations, read_poses
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, assemble
@@ -85,16 +85,16 @@ class AV2Log(Scene):
 
 def _boxes(annotations: Annotations, axle: Floats, rotation: Floats) -> Boxes:
     """The ego's boxes, then those of the traffic, in the world frame."""
-    frames, frame = len(axle), annotations.frame
-    recorded = np.einsum("nij,nj->ni", rotation[frame], annotations.position) + axle[frame]
-    position = np.concatenate([axle + rotation @ _EGO_CENTRE, recorded])
-    ids: Ints = np.concatenate([np.full(frames, _EGO_ID), annotations.track])
-    return Boxes(
-        frame=np.concatenate([np.arange(frames), frame]),
-        id=ids,
+    frame = annotations.frame
+    ego = Boxes.throughout(_EGO_ID, axle + rotation @ _EGO_CENTRE, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"])
+    position = np.einsum("nij,nj->ni", rotation[frame], annotations.position) + axle[frame]
+    traffic = Boxes(
+        frame=frame,
+        id=annotations.track,
         position=position,
-        size=np.concatenate([np.tile(_EGO_SIZE, (frames, 1)), annotations.size]),
-        yaw=np.concatenate([heading(rotation), heading(rotation[frame] @ annotations.rotation)]),
-        class_id=np.concatenate([np.full(frames, CLASS_INDEX["car"], np.uint8), annotations.class_id]),
+        size=annotations.size,
+        yaw=heading(rotation[frame] @ annotations.rotation),
+        class_id=annotations.class_id,
         velocity=np.full_like(position, np.nan),
     )
+    return Boxes.concatenate([ego, traffic])

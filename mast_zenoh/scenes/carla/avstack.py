@@ -19,7 +19,7 @@ from mast_zenoh.scenes.carla.layout import Layout, open_layout
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.velocities import fill_velocity
 from mast_zenoh.scenes.own_detections.json_lines import read_json_lines
-from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
+from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.selection import check_counts
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
@@ -27,7 +27,6 @@ from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 #: separately, both from 0, and its original reader gives the ego this id.
 EGO_ID = 99999
 
-_MIN_SEEN_POINTS = 5  # returns of an object that counts as seen
 _MAX_MOUNT_ERROR_M = 0.05  # between a sensor's position in its calibration and according to the agent's state
 _DETECTOR = DetectionModel()
 #: Converts a camera's optical axes (x right, y down, z forward) to x forward, y left, z up.
@@ -277,7 +276,7 @@ def _points(layout: Layout, world: World, numbers: list[int], agents: list[int])
                 fraction = seen.get(int(truth.id[row]), -1.0)
                 if fraction != -1.0:
                     share = 1.0 if fraction is None else fraction
-                    points[row, column] = max(_MIN_SEEN_POINTS, round(share * int(cast_points[row, column])))
+                    points[row, column] = max(SEEN_RETURNS, round(share * int(cast_points[row, column])))
     # If a data set never lists the agents as objects, their visibility comes from ray casting.
     unlisted = (truth.id >= EGO_ID) & ~np.isin(truth.id, sorted(listed))
     points[unlisted] = cast_points[unlisted]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, to_world
+from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.dair.labels import box, class_of, dimensions, location, read_labels, track_of
@@ -158,15 +158,8 @@ def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
     rest = boxes.select(~own)
     bottom = car.position[:, 2] - _lidar_height(rest, car.position)
     object_id = int(boxes.id.max()) + 1
-    added = Boxes(
-        frame=np.arange(frames),
-        id=np.full(frames, object_id, np.int64),
-        position=np.column_stack([car.position[:, :2], bottom + _CAR_SIZE[2] / 2]),
-        size=np.tile(_CAR_SIZE, (frames, 1)),
-        yaw=np.asarray(heading(car.rotation), np.float64),
-        class_id=np.full(frames, CLASS_INDEX["car"], np.uint8),
-        velocity=np.full((frames, 3), np.nan),
-    )
+    middle = np.column_stack([car.position[:, :2], bottom + _CAR_SIZE[2] / 2])
+    added = Boxes.throughout(object_id, middle, _CAR_SIZE, heading(car.rotation), CLASS_INDEX["car"])
     seen = np.column_stack([np.zeros(frames, bool), seen_by_pole])
     known = np.column_stack([np.ones(frames, bool), np.full(frames, own.any())])
     return (
@@ -182,9 +175,7 @@ def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
 def _enclosing(boxes: Boxes, position: Floats) -> Ints:
     """Ids of the tracks whose boxes enclose a position (F, 3), on the ground, in at least half of their frames."""
     offset = position[boxes.frame, :2] - boxes.position[:, :2]
-    c, s = np.cos(boxes.yaw), np.sin(boxes.yaw)
-    local = np.abs(np.column_stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]]))
-    inside = (local <= boxes.size[:, :2] / 2).all(axis=1)
+    inside = (np.abs(along_and_across(offset, boxes.yaw)) <= boxes.size[:, :2] / 2).all(axis=1)
     ids, index, count = np.unique(boxes.id, return_inverse=True, return_counts=True)
     enclosing: Ints = ids[2 * np.bincount(index, weights=inside, minlength=len(ids)) >= count]
     return enclosing

@@ -128,7 +128,7 @@ def read_pairs(layout: Layout, sequence: str | None) -> list[Pair]:
         if pair.vehicle in members:
             raise SceneError(f"{file}: {entry.place}: found frame {pair.vehicle} of the car twice, expected it once")
         members[pair.vehicle] = pair, pole_group
-    chosen = _chosen(layout.root, list(groups), sequence)
+    chosen = chosen_name(layout.root, "sequence", list(groups), sequence)
     poles = sorted({pole_group for _, pole_group in groups[chosen].values()})
     if len(poles) != 1:
         raise SceneError(
@@ -150,15 +150,16 @@ def frame_number(name: str) -> int:
     return int("0" + "".join(character for character in name if character.isdigit()))
 
 
-def _chosen(root: Path, names: list[str], sequence: str | None) -> str:
+def chosen_name(place: Path, parameter: str, names: list[str], value: str | None) -> str:
+    """One of the names: a parameter's value, or the only one. Raises ConfigurationError; place: for the message"""
     names = sorted(names)
     known = ", ".join(names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
-    if sequence is None and len(names) > 1:
-        raise ConfigurationError(f"{root}: sequence is not given, expected one of {len(names)}: {known}")
-    if sequence is not None and sequence not in names:
-        hint = nearest(sequence, names)
-        raise ConfigurationError(f"{root}: unknown sequence {sequence!r}{hint}, expected one of {len(names)}: {known}")
-    return names[0] if sequence is None else sequence
+    if value is None and len(names) > 1:
+        raise ConfigurationError(f"{place}: {parameter} is not given, expected one of {len(names)}: {known}")
+    if value is not None and value not in names:
+        hint = nearest(value, names)
+        raise ConfigurationError(f"{place}: unknown {parameter} {value!r}{hint}, expected one of {len(names)}: {known}")
+    return names[0] if value is None else value
 
 
 def _side(path: Path) -> dict[str, Element]:

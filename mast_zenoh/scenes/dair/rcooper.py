@@ -11,23 +11,24 @@ from pathlib import Path
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.errors import ConfigurationError, SceneError, nearest
+from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.dair.cooperative import labelled_boxes, positions
 from mast_zenoh.scenes.dair.labels import read_labels, read_transform, track_of
+from mast_zenoh.scenes.dair.layout import chosen_name
 from mast_zenoh.scenes.dair.timing import check_differences, check_limit, check_times
 from mast_zenoh.scenes.dair.tracks import matched, numbered
-from mast_zenoh.scenes.dair.visibility import returns
-from mast_zenoh.scenes.making.assembly import AgentPath, assemble
+from mast_zenoh.scenes.making.assembly import assemble
 from mast_zenoh.scenes.making.boxes import Boxes
-from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.making.virtual_agents import standing
+from mast_zenoh.scenes.making.visibility import listed_returns
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
 _COOPERATIVE = "coop"
 _CALIBRATION = "calib/lidar2world"
 _TIME = re.compile(r"([0-9]{1,10})(?:\.([0-9]{1,9}))?", re.ASCII)
 _MAX_FRAMES = 100_000
-_SHOWN = 10  # names of sites or sequences in a message
 _LIDAR = LidarSensor(
     mount_position=np.zeros(3), elevation_min_deg=-40.0, elevation_max_deg=15.0, channels=80, max_range_m=200.0
 )
@@ -109,12 +110,12 @@ class RCooperScene(Scene):
         boxes = _truth(files, poses[0])
         paths = []
         for column, (agent, pose) in enumerate(zip(agents, poses, strict=True)):
-            path = _path("ego" if column == 0 else f"infra_{column}", pose, len(times))
+            path = standing("ego" if column == 0 else f"infra_{column}", _LIDAR, *pose, len(times))
             seen = np.zeros(len(boxes), bool)
             for frame, file in enumerate(self._frames(folder / agent / sequence, len(times))[1]):
                 rows = boxes.frame == frame
                 seen[rows] = matched(positions(read_labels(file), *pose), boxes.position[rows], self.match_radius_m)
-            paths.append(replace(path, points=returns(boxes, path, times, seen, np.zeros(len(boxes), bool))))
+            paths.append(replace(path, points=listed_returns(boxes, path, seen, frames=frames)))
         return assemble(f"{folder.name} {sequence}", times, boxes, paths, self.detector, seed=seed, frames=frames)
 
     def _folders(self) -> tuple[Path, list[str], str]:
@@ -179,28 +180,12 @@ def _truth(files: list[Path], pose: tuple[Floats, Floats]) -> Boxes:
     return replace(everything, id=numbered(names))
 
 
-def _path(name: str, pose: tuple[Floats, Floats], frames: int) -> AgentPath:
-    """A pole throughout a scene."""
-    return AgentPath(
-        SceneAgent(name, "static", -1, _LIDAR, _CAMERA),
-        np.tile(pose[0], (frames, 1)),
-        np.tile(pose[1], (frames, 1, 1)),
-        velocity=np.zeros((frames, 3)),
-    )
-
-
 def _chosen(folder: Path, parameter: str, value: str | None) -> str:
     """The name of a folder in `folder`: a parameter's value, or the only one."""
     names = [entry.name for entry in _entries(folder) if os.path.isdir(entry)]
-    known = ", ".join(names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
     if not names:
         raise SceneError(f"{folder}: found no folders, expected one for every {parameter}")
-    if value is None and len(names) > 1:
-        raise ConfigurationError(f"{folder}: {parameter} is not given, expected one of {len(names)}: {known}")
-    if value is not None and value not in names:
-        hint = nearest(value, names)
-        raise ConfigurationError(f"{folder}: unknown {parameter} {value!r}{hint}, expected one of {known}")
-    return names[0] if value is None else value
+    return chosen_name(folder, parameter, names, value)
 
 
 def _entries(folder: Path) -> list[Path]:

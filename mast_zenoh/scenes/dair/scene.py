@@ -24,8 +24,8 @@ from mast_zenoh.scenes.dair.layout import (
     split_path,
 )
 from mast_zenoh.scenes.dair.timing import check_differences, check_limit, check_times
-from mast_zenoh.scenes.dair.visibility import returns
 from mast_zenoh.scenes.making.assembly import AgentPath, assemble
+from mast_zenoh.scenes.making.visibility import listed_returns
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
@@ -131,7 +131,9 @@ class DAIRScene(Scene):
             ),
         ]
         seen = [
-            replace(path, points=returns(truth.boxes, path, times, truth.seen[:, column], ~truth.known[:, column]))
+            replace(
+                path, points=listed_returns(truth.boxes, path, truth.seen[:, column], ~truth.known[:, column], frames)
+            )
             for column, path in enumerate(paths[: 1 + self.n_infrastructure])
         ]
         name = f"{layout.root.name} {self.sequence or ''}".strip()

@@ -13,9 +13,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import SceneError, nearest
+from mast_zenoh.scenes.files.bounded_file import MAX_BYTES
 
-#: Limit on the size of one file, bytes.
-MAX_BYTES = 500_000_000
 _MAX_NAMES = 20  # of the members of an object in a message
 _MAX_SHOWN = 80  # characters of a value in a message
 _WHOLE = re.compile("-?[0-9]+")

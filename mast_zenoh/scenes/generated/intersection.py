@@ -13,6 +13,7 @@ from mast_zenoh.scenes.generated.junction import ROAD, Arm, arms_of, plan
 from mast_zenoh.scenes.generated.road_users import road_users
 from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, POLE_HEIGHT_M, POLE_PITCH_DEG, roof_sensors
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 from mast_zenoh.streams import stream
@@ -21,9 +22,7 @@ _DETECTOR = DetectionModel()
 _WARM_UP_S = 60.0  # until queues and gaps have formed
 _SEARCH_S = 45.0  # range of start times, searched for one in which the ego crosses the junction
 _WINDOW_S = 15.0  # duration considered when choosing the ego
-_POLE_HEIGHT_M = 15.0
-_POLE_PITCH_DEG = 30.0
-_POLES, _MAX_POLES, _MAX_MOBILE = 4, 16, 20
+_POLES, _MAX_MOBILE = 4, 20
 
 
 class Intersection(Scene):
@@ -58,7 +57,7 @@ class Intersection(Scene):
         n_mobile = 0 if n_mobile is None else n_mobile
         for name, value, limit in (
             ("scene_index", scene_index, None),
-            ("n_infrastructure", n_infrastructure, _MAX_POLES),
+            ("n_infrastructure", n_infrastructure, MAX_POLES),
             ("n_mobile", n_mobile, _MAX_MOBILE),
             ("n_bicycles", n_bicycles or 0, None),
             ("n_pedestrians", n_pedestrians or 0, None),
@@ -201,12 +200,8 @@ def _world(
     heights = movers.size[:, 2]
     agents = []
     for k, row in enumerate(motorised):
-        # The lidar is on the roof; a bus is higher than a car.
-        mount = np.array([0.0, 0.0, max(1.8, float(heights[row]) + 0.2)])
-        camera = Camera(mount_position=mount - [0.0, 0.0, 0.2])
-        agents.append(
-            SceneAgent("ego" if k == 0 else f"mobile_{k}", "mobile", row, LidarSensor(mount_position=mount), camera)
-        )
+        sensors = roof_sensors(float(heights[row]))
+        agents.append(SceneAgent("ego" if k == 0 else f"mobile_{k}", "mobile", row, *sensors))
     for k in range(len(poles)):
         pole = Camera(mount_position=np.zeros(3))
         agents.append(SceneAgent(f"infra_{k + 1}", "static", -1, LidarSensor.infrastructure(), pole))
@@ -221,8 +216,8 @@ def _world(
         rotation[:, k] = [rotation_from_yaw(float(yaw)) for yaw in motion.yaw[:, row]]
         velocity[:, k] = mover_velocity[:, row]
     for k, (pole_position, yaw) in enumerate(poles, start=len(motorised)):
-        position[:, k] = (*pole_position, _POLE_HEIGHT_M)
-        rotation[:, k] = rotation_from_yaw_pitch(yaw, np.radians(_POLE_PITCH_DEG))
+        position[:, k] = (*pole_position, POLE_HEIGHT_M)
+        rotation[:, k] = rotation_from_yaw_pitch(yaw, np.radians(POLE_PITCH_DEG))
     centre = np.concatenate([motion.position, np.broadcast_to(heights[:, None] / 2, (frames, n, 1))], axis=-1)
     truth: ObjectStates = truth_states(
         {

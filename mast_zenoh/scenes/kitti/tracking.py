@@ -18,8 +18,9 @@ from mast_zenoh.scenes.making.assembly import AgentPath, assemble
 from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.making.recorded_traffic import agent_counts, nearest_vehicles
 from mast_zenoh.scenes.making.virtual_agents import poles
+from mast_zenoh.scenes.making.visibility import listed_returns
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.sensing import Camera, CleanDetector, DetectionModel, Detector, LidarSensor
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
 _DETECTOR = DetectionModel()
 _PERIOD_NS = 100_000_000  # the benchmark has no times; its sensors run at 10 Hz
@@ -100,7 +101,8 @@ class KittiTracking(Scene):
         )
         times_ns = np.arange(count) * _PERIOD_NS
         name = f"kitti-{labels_file.stem}"
-        ego = replace(ego, points=_seen(name, times_ns, boxes, ego, occluded))
+        visible = (occluded >= 0) & (occluded <= _MAX_OCCLUSION)
+        ego = replace(ego, points=listed_returns(boxes, ego, visible, ~visible, frames))
         n_infrastructure, n_mobile = self.counts
         others = nearest_vehicles(boxes, 0, count, n_mobile, labels_file)
         roadside = poles(boxes, position[:, :2], heading(rotation), n_infrastructure)
@@ -150,25 +152,14 @@ def _boxes(
     centre = np.einsum("nij,nj->ni", to_world, middle @ to_imu.T + origin) + position[frame]
     direction = np.einsum("nij,nj->ni", to_world, ahead @ to_imu.T)
     own = np.array([_EGO_AHEAD_M, calibration.lidar[1][1], ground + _EGO_SIZE[2] / 2])
-    everywhere = np.concatenate([position + rotation @ own, centre])
-    boxes = Boxes(
-        frame=np.concatenate([np.arange(frames), frame]),
-        id=np.concatenate([np.zeros(frames, np.int64), labels.track[keep] + 1]),
-        position=everywhere,
-        size=np.concatenate([np.tile(_EGO_SIZE, (frames, 1)), size]),
-        yaw=np.concatenate([heading(rotation), np.arctan2(direction[:, 1], direction[:, 0])]),
-        class_id=np.concatenate([np.full(frames, CLASS_INDEX["car"], np.uint8), labels.class_id[keep]]),
-        velocity=np.full_like(everywhere, np.nan),
+    ego = Boxes.throughout(0, position + rotation @ own, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"])
+    others = Boxes(
+        frame=frame,
+        id=labels.track[keep] + 1,
+        position=centre,
+        size=size,
+        yaw=np.arctan2(direction[:, 1], direction[:, 0]),
+        class_id=labels.class_id[keep],
+        velocity=np.full_like(centre, np.nan),
     )
-    return boxes, np.concatenate([np.full(frames, 3), labels.occluded[keep]])
-
-
-def _seen(
-    name: str, times_ns: NDArray[np.int64], boxes: Boxes, ego: AgentPath, occluded: NDArray[np.int64]
-) -> NDArray[np.int32]:
-    """(N,) lidar returns of each box at the ego: by ray casting, at least 5 if it is labelled as visible."""
-    cast = assemble(name, times_ns, boxes, [ego], CleanDetector(), seed=0).points[:, 0]
-    points = np.zeros(len(boxes), np.int32)
-    points[np.lexsort((boxes.id, boxes.frame))] = cast
-    visible = (occluded >= 0) & (occluded <= _MAX_OCCLUSION)
-    return np.where(visible, np.maximum(points, _MIN_POINTS), points).astype(np.int32)
+    return Boxes.concatenate([ego, others]), np.concatenate([np.full(frames, 3), labels.occluded[keep]])

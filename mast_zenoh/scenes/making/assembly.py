@@ -14,6 +14,7 @@ from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.velocities import fill_velocity
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
+from mast_zenoh.scenes.recording_arrays import check_times
 from mast_zenoh.sensing import Detector
 
 _GROUND_RADIUS_M = 25.0  # the ground's height is estimated from the boxes within this distance,
@@ -97,13 +98,6 @@ def assemble(
     return make_recording(world, points, *detect(world, points, detected, seed, ground))
 
 
-def check_times(name: str, times_ns: Ints) -> None:
-    """Raise SceneError for a frame that is not later than the one before."""
-    late = np.flatnonzero(np.diff(times_ns) <= 0)
-    if len(late):
-        raise SceneError(f"{name}: frame {late[0] + 1} is not later than frame {late[0]}")
-
-
 def _world(name: str, times_ns: Ints, boxes: Boxes, kept: int, order: NDArray[np.intp]) -> World:
     """The kept frames without agents. order: rows of the boxes that are kept, by frame and id."""
     by_time = np.argsort(boxes.frame, kind="stable")
@@ -176,9 +170,8 @@ def _ground(path: AgentPath, boxes: Boxes, frames: int) -> Floats:
     """(frames,) m, z of the ground below an agent."""
     if path.ground is not None:
         return path.ground[:frames]
-    own = np.flatnonzero(boxes.id == path.agent.object_id)
     if path.agent.object_id >= 0:
-        own = own[np.argsort(boxes.frame[own], kind="stable")][:frames]
+        own = boxes.rows_of(path.agent.object_id)[:frames]
         bottom: Floats = boxes.position[own, 2] - boxes.size[own, 2] / 2
         return bottom
     still = bool((path.position == path.position[0]).all())

@@ -40,6 +40,33 @@ class Boxes:
         """The boxes of the given rows, in that order."""
         return Boxes(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    def rows_of(self, number: int) -> NDArray[np.intp]:
+        """The rows of one object, in the order of the frames."""
+        rows = np.flatnonzero(self.id == number)
+        return rows[np.argsort(self.frame[rows], kind="stable")]
+
+    def rows_by_frame(self, frames: int) -> list[NDArray[np.intp]]:
+        """For each frame the rows of its boxes, by id."""
+        order = np.lexsort((self.id, self.frame))
+        return np.split(order, np.searchsorted(self.frame[order], np.arange(1, frames)))
+
+    @classmethod
+    def throughout(cls, number: int, position: Floats, size: Floats, yaw: Floats, class_id: int) -> Boxes:
+        """Boxes of one object in all F frames.
+
+        number: its id; position: (F, 3) m, middle; size: (3,) m l w h; yaw: (F,) rad
+        """
+        frames = len(position)
+        return cls(
+            frame=np.arange(frames),
+            id=np.full(frames, number, np.int64),
+            position=position,
+            size=np.tile(size, (frames, 1)),
+            yaw=yaw,
+            class_id=np.full(frames, class_id, np.uint8),
+            velocity=np.full((frames, 3), np.nan),
+        )
+
     @classmethod
     def concatenate(cls, parts: Sequence[Boxes]) -> Boxes:
         """All boxes of the parts, in order."""

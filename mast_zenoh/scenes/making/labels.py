@@ -31,23 +31,6 @@ def read_size(element: Element) -> Floats:
     return size
 
 
-def boxes_throughout(number: int, position: Floats, size: Floats, yaw: Floats, class_id: int) -> Boxes:
-    """Boxes of one object in all F frames.
-
-    number: its id; position: (F, 3) m, middle; size: (3,) m l w h; yaw: (F,) rad
-    """
-    frames = len(position)
-    return Boxes(
-        frame=np.arange(frames),
-        id=np.full(frames, number, np.int64),
-        position=position,
-        size=np.tile(size, (frames, 1)),
-        yaw=yaw,
-        class_id=np.full(frames, class_id, np.uint8),
-        velocity=np.full((frames, 3), np.nan),
-    )
-
-
 class Labels:
     """Boxes in the world frame, of tracks that the data set names by text.
 

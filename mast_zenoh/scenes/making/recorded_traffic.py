@@ -54,7 +54,7 @@ def busiest_vehicle(boxes: Boxes, frames: int, path: Path) -> int:
     company = np.zeros(len(candidates), np.int64)
     travelled = np.zeros(len(candidates))
     previous: Floats | None = None
-    for rows in rows_by_frame(boxes, frames):
+    for rows in boxes.rows_by_frame(frames):
         tree = cKDTree(boxes.position[rows])
         own = rows[np.searchsorted(boxes.id[rows], candidates)]
         position = boxes.position[own]
@@ -64,12 +64,6 @@ def busiest_vehicle(boxes: Boxes, frames: int, path: Path) -> int:
         previous = position
     company[travelled < _MOVING * travelled.max()] = 0
     return int(candidates[company.argmax()])
-
-
-def rows_by_frame(boxes: Boxes, frames: int) -> list[np.ndarray]:
-    """For each frame the rows of its boxes, by id."""
-    order = np.lexsort((boxes.id, boxes.frame))
-    return np.split(order, np.searchsorted(boxes.frame[order], np.arange(1, frames)))
 
 
 def near_route(boxes: Boxes, route: Floats, radius: float) -> Bools:
@@ -124,13 +118,7 @@ def nearest_vehicles(boxes: Boxes, ego: int, frames: int, count: int, path: Path
             f"{path}: n_mobile is {count}, expected 0 to {len(others)}: {len(others)} vehicles besides the ego "
             f"have a box in all {frames} frames"
         )
-    own = _positions(boxes, ego)
-    distance = [np.linalg.norm(_positions(boxes, int(number)) - own, axis=1).mean() for number in others]
+    own = boxes.position[boxes.rows_of(ego)]
+    distance = [np.linalg.norm(boxes.position[boxes.rows_of(number)] - own, axis=1).mean() for number in others]
     nearest = others[np.argsort(distance, kind="stable")][:count]
     return [vehicle(f"mobile_{k}", boxes, int(number)) for k, number in enumerate(nearest, start=1)]
-
-
-def _positions(boxes: Boxes, number: int) -> Floats:
-    """(F, 3) m of an object with a box in every frame."""
-    own = np.flatnonzero(boxes.id == number)
-    return boxes.position[own[np.argsort(boxes.frame[own], kind="stable")]]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
@@ -12,10 +14,10 @@ from mast_zenoh.scenes.recording import SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
 MAX_POLES = 16
+POLE_HEIGHT_M = 15.0
+POLE_PITCH_DEG = 30.0
 _MIN_LIDAR_HEIGHT_M = 1.8  # above the underside of a vehicle,
 _ABOVE_ROOF_M = 0.2  # or above its roof, whichever is higher
-_POLE_HEIGHT_M = 15.0
-_POLE_PITCH_DEG = 30.0
 _POLE_OFFSET_M = 16.0  # from the route
 _ROUTE_EXTENSION_M = 20.0  # by which the route is extended at both ends
 #: Classes of objects that can be vehicles with a lidar.
@@ -33,8 +35,7 @@ def vehicle(name: str, boxes: Boxes, object_id: int) -> AgentPath:
 
     object_id: with a box in every frame
     """
-    own = np.flatnonzero(boxes.id == object_id)
-    own = own[np.argsort(boxes.frame[own], kind="stable")]
+    own = boxes.rows_of(object_id)
     height = boxes.size[own, 2]
     lidar, camera = roof_sensors(float(height.max()))
     return AgentPath(
@@ -81,14 +82,19 @@ def pole(name: str, boxes: Boxes, position: Floats, yaw: float, frames: int) -> 
     yaw: rad, where it looks
     """
     ground = ground_level(boxes, position)
-    rotation = rotation_from_yaw_pitch(float(yaw), np.radians(_POLE_PITCH_DEG))
-    sensors = LidarSensor.infrastructure(), Camera(mount_position=np.zeros(3))
+    rotation = rotation_from_yaw_pitch(float(yaw), np.radians(POLE_PITCH_DEG))
+    place = np.array([*position, ground + POLE_HEIGHT_M])
+    path = standing(name, LidarSensor.infrastructure(), place, rotation, frames)
+    return replace(path, ground=np.full(frames, ground))
+
+
+def standing(name: str, sensor: LidarSensor, position: Floats, rotation: Floats, frames: int) -> AgentPath:
+    """An agent that never moves, whose origin is its sensor. position: (3,) m; rotation: (3, 3)"""
     return AgentPath(
-        SceneAgent(name, "static", -1, *sensors),
-        np.tile([*position, ground + _POLE_HEIGHT_M], (frames, 1)),
+        SceneAgent(name, "static", -1, sensor, Camera(mount_position=np.zeros(3))),
+        np.tile(position, (frames, 1)),
         np.tile(rotation, (frames, 1, 1)),
         velocity=np.zeros((frames, 3)),
-        ground=np.full(frames, ground),
     )
 
 

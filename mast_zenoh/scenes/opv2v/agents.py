@@ -1,4 +1,4 @@
-"""Agents of a scenario: their paths, their lidars, and the returns of what they list."""
+"""Agents of a scenario: their paths and their lidars."""
 
 from __future__ import annotations
 
@@ -6,20 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath
-from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.opv2v.labels import AgentPose
 from mast_zenoh.scenes.opv2v.layout import AgentFolder
 from mast_zenoh.scenes.opv2v.variants import Variant
 from mast_zenoh.scenes.opv2v.vehicles import OwnCar
 from mast_zenoh.scenes.recording import SceneAgent
-from mast_zenoh.sensing import Camera, lidar_points, sensor_pose
+from mast_zenoh.sensing import Camera
 
-_MIN_SEEN_POINTS = 5  # returns of an object that counts as seen
 _MAX_MOUNT_ERROR_M = 0.5  # between a lidar's place on its car in two frames
 _MAX_POLE_STEP_M = 1.0  # of a pole, which does not move
 _CAMERA_BELOW_LIDAR_M = 0.2
@@ -81,21 +78,3 @@ def agent_path(
     sensor = replace(variant.car, mount_position=mount)
     agent = SceneAgent("ego" if order == 0 else f"mobile_{order}", "mobile", cars[column].object_id, sensor, camera)
     return AgentPath(agent, position, rotation)
-
-
-def listed_returns(boxes: Boxes, path: AgentPath, listed: Bools, frames: int) -> NDArray[np.int32]:
-    """(N,) lidar returns of the boxes: those of ray casting, at least 5, if the agent lists them; else 0.
-
-    listed: (N,) whether the agent lists a box; frames: how many to compute, the first ones
-    """
-    points = np.zeros(len(boxes), np.int32)
-    sensor = path.agent.sensor
-    for frame in range(min(frames, len(path.position))):
-        rows = np.flatnonzero(boxes.frame == frame)
-        own = np.flatnonzero(boxes.id[rows] == path.agent.object_id) if path.agent.object_id >= 0 else rows[:0]
-        pose = sensor_pose(path.position[frame], path.rotation[frame], sensor.mount_position, sensor.mount_rotation)
-        shapes = boxes.position[rows], boxes.size[rows], boxes.yaw[rows]
-        returns = lidar_points(sensor, *pose, *shapes, None, int(own[0]) if len(own) else -1)
-        points[rows] = np.where(listed[rows], np.maximum(_MIN_SEEN_POINTS, returns), 0)
-        points[rows[own]] = 0
-    return points

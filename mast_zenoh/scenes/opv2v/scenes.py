@@ -14,8 +14,9 @@ from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import assemble
 from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.visibility import listed_returns
 from mast_zenoh.scenes.opv2v import variants
-from mast_zenoh.scenes.opv2v.agents import Poses, agent_path, listed_returns
+from mast_zenoh.scenes.opv2v.agents import Poses, agent_path
 from mast_zenoh.scenes.opv2v.labels import Labels, read_labels, read_pose
 from mast_zenoh.scenes.opv2v.layout import AgentFolder, check_frames, choose_frames, find_scenario
 from mast_zenoh.scenes.opv2v.numeric_yaml import read_yaml
@@ -118,8 +119,7 @@ class OPV2VScene(ScenarioFolder):
         paths = []
         for column in playing:
             path = agent_path(agents, column, playing, poses, cars, self._variant(), numbers)
-            points = listed_returns(boxes, path, seen[:, column], len(times) if frames is None else frames)
-            paths.append(replace(path, points=points))
+            paths.append(replace(path, points=listed_returns(boxes, path, seen[:, column], frames=frames)))
         return assemble(folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
 
     def _variant(self) -> Variant:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import SceneError, nearest
+from mast_zenoh.scenes.files.bounded_file import MAX_BYTES
 from mast_zenoh.scenes.files.class_names import class_of
-from mast_zenoh.scenes.files.elements import MAX_BYTES
 from mast_zenoh.scenes.own_detections.rows import DetectionRows
 
 _NEEDED = ("frame", "agent", "x", "y", "z", "l", "w", "h", "yaw")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import heading
+from mast_zenoh.arrays.geometry import along_and_across, heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
 from mast_zenoh.scenes.making.boxes import Boxes
-from mast_zenoh.scenes.making.labels import boxes_throughout
 
 #: Of a car without a label: an assumption, as the data set does not give its size.
 CAR_SIZE = np.array([4.8, 1.9, 1.7])
@@ -30,16 +29,13 @@ def own_object(boxes: Boxes, position: Floats, rotation: Floats) -> tuple[Boxes,
         return boxes, int(throughout[0])
     own = int(boxes.id.max(initial=0)) + 1
     middle = position - [0.0, 0.0, _ABOVE_ROOF_M + CAR_SIZE[2] / 2]
-    added = boxes_throughout(own, middle, CAR_SIZE, heading(rotation), CLASS_INDEX["car"])
+    added = Boxes.throughout(own, middle, CAR_SIZE, heading(rotation), CLASS_INDEX["car"])
     return Boxes.concatenate([boxes.select(~below), added]), own
 
 
 def _below(boxes: Boxes, lidar: Floats) -> Bools:
     """(N,) whether a box is below a lidar. lidar: (N, 3) m, its position in the frame of each box"""
     offset = lidar - boxes.position
-    cosine, sine = np.cos(boxes.yaw), np.sin(boxes.yaw)
-    ahead = cosine * offset[:, 0] + sine * offset[:, 1]
-    left = cosine * offset[:, 1] - sine * offset[:, 0]
     half = boxes.size / 2
-    below: Bools = (np.abs(ahead) <= half[:, 0]) & (np.abs(left) <= half[:, 1])
+    below: Bools = np.asarray((np.abs(along_and_across(offset, boxes.yaw)) <= half[:, :2]).all(axis=1))
     return below & (offset[:, 2] >= -half[:, 2]) & (offset[:, 2] <= half[:, 2] + _MAX_ABOVE_ROOF_M)

@@ -15,6 +15,7 @@ from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, assemble
 from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.making.labels import Labels
+from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.scenes.selection import check_counts
 from mast_zenoh.scenes.tumtraf.openlabel import Frame, find_labels, read_frames
@@ -94,7 +95,9 @@ class TUMTrafV2X(Scene):
         paths = [
             _car("ego" if k == 0 else f"mobile_{k}", boxes, objects[k], *poses[name]) for k, name in enumerate(playing)
         ]
-        paths += [_pole(f"infra_{k}", *poses[name]) for k, name in enumerate(poles, start=1)]
+        for k, name in enumerate(poles, start=1):
+            position, rotation = poses[name]
+            paths.append(standing(f"infra_{k}", _POLE_LIDAR, position[0], rotation[0], len(position)))
         times = np.array([frame.time_ns for frame in sequence], np.int64)
         return assemble(
             f"{self.path.absolute().name}_{number}", times, boxes, paths, self.detector, seed=seed, frames=frames
@@ -204,14 +207,3 @@ def _car(name: str, boxes: Boxes, own: int, position: Floats, rotation: Floats) 
     mount = np.array([0.0, 0.0, position[0, 2] - boxes.position[row, 2] + boxes.size[row, 2] / 2])
     sensor = replace(_CAR_LIDAR, mount_position=mount)
     return AgentPath(SceneAgent(name, "mobile", own, sensor, Camera(mount)), position - rotation @ mount, rotation)
-
-
-def _pole(name: str, position: Floats, rotation: Floats) -> AgentPath:
-    """A pole; its origin is the lidar."""
-    frames = len(position)
-    return AgentPath(
-        SceneAgent(name, "static", -1, _POLE_LIDAR, Camera(np.zeros(3))),
-        np.tile(position[0], (frames, 1)),
-        np.tile(rotation[0], (frames, 1, 1)),
-        velocity=np.zeros((frames, 3)),
-    )

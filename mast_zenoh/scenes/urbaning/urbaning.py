@@ -14,7 +14,8 @@ from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, assemble
 from mast_zenoh.scenes.making.boxes import Boxes
-from mast_zenoh.scenes.making.labels import Labels, boxes_throughout
+from mast_zenoh.scenes.making.labels import Labels
+from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.scenes.selection import check_counts
 from mast_zenoh.scenes.urbaning.files import (
@@ -33,7 +34,7 @@ from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
 #: Models of the lidars, whose channels and angles are not in the files.
 _CAR_LIDAR = LidarSensor(elevation_min_deg=-25.0, elevation_max_deg=15.0)
-_POLE_LIDAR = LidarSensor(elevation_min_deg=-45.0, elevation_max_deg=45.0, channels=128)
+_POLE_LIDAR = LidarSensor(mount_position=np.zeros(3), elevation_min_deg=-45.0, elevation_max_deg=45.0, channels=128)
 #: l w h of a car with neither a label nor an entry in av_vehicle_data.json.
 _CAR_SIZE = np.array([4.8, 1.9, 1.7])
 _MAX_LABEL_ERROR_M = 2.0  # between the label of a car and its own state
@@ -97,7 +98,7 @@ class UrbanIngV2X(Scene):
             paths.append(_car("ego" if k == 0 else f"mobile_{k}", own, position - origin, rotation, height, mount))
         for k, name in enumerate(lidars, start=1):
             position, rotation = read_pole_lidar(calibration, name)
-            paths.append(_pole(f"infra_{k}", position - origin, rotation, len(timesync.times_ms)))
+            paths.append(standing(f"infra_{k}", _POLE_LIDAR, position - origin, rotation, len(timesync.times_ms)))
         times = np.array(timesync.times_ms, np.int64) * 1_000_000
         return assemble(files.folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
 
@@ -130,7 +131,7 @@ def _boxes(
         size = track.size[0] if track is not None and len(track.size) else read_av_size(files, vehicle)
         class_id = CLASS_INDEX["car"] if track is None else track.class_id
         size = _CAR_SIZE if size is None else size
-        parts.append(boxes_throughout(objects[vehicle], position, size, heading(rotation), class_id))
+        parts.append(Boxes.throughout(objects[vehicle], position, size, heading(rotation), class_id))
     return Boxes.concatenate(parts), objects
 
 
@@ -159,14 +160,3 @@ def _car(
     sensor = replace(_CAR_LIDAR, mount_position=mount[0] - underside, mount_rotation=mount[1])
     camera = Camera(mount_position=mount[0] - underside)
     return AgentPath(SceneAgent(name, "mobile", own, sensor, camera), position + rotation @ underside, rotation)
-
-
-def _pole(name: str, position: Floats, rotation: Floats, frames: int) -> AgentPath:
-    """A lidar on a pole, which is the agent's origin."""
-    sensor = replace(_POLE_LIDAR, mount_position=np.zeros(3))
-    return AgentPath(
-        SceneAgent(name, "static", -1, sensor, Camera(mount_position=np.zeros(3))),
-        np.tile(position, (frames, 1)),
-        np.tile(rotation, (frames, 1, 1)),
-        velocity=np.zeros((frames, 3)),
-    )
