@@ -14,8 +14,9 @@ from typing import Generic, TypeVar
 Member = TypeVar("Member", bound=Hashable)
 Item = TypeVar("Item")
 
-#: s, default age up to which the newest message of a publisher is used.
-MAX_AGE_S = 0.25
+#: s, default age up to which the newest message of a publisher is used. A car's position that is predicted for longer
+#: is too uncertain to be reported (a tracker's `max_std_m`).
+MAX_AGE_S = 1.0
 
 #: Limit on each value, in SI units, of a track that the broker collates: propagating a larger one could overflow.
 MAX_TRACK_VALUE = 1e8
@@ -120,11 +121,12 @@ class CollationBuffer(Generic[Item]):
         self._heaps: dict[str, list[tuple[int, Item]]] = {}
         self._recent_frames: dict[str, deque[int]] = {}  # recent frames of each agent
         self._emitted = -1
+        self._newest_emitted: dict[str, int] = {}  # frame of each agent's newest item in a batch
 
     def push(self, agent: str, frame: int, item: Item) -> bool:
-        """Add an item; returns False if it is a duplicate or late.
+        """Add an item; returns False for a duplicate, or if a batch had a newer item of the same agent.
 
-        It is late if the batch of its frame has been emitted.
+        An item counts as late if the batch of its frame has been emitted. A later batch has it all the same.
         """
         recent_frames = self._recent_frames.setdefault(agent, deque(maxlen=_REMEMBERED))
         heap = self._heaps.get(agent, [])
@@ -134,7 +136,8 @@ class CollationBuffer(Generic[Item]):
         recent_frames.append(frame)
         if frame <= self._emitted:
             self.late[agent] = self.late.get(agent, 0) + 1
-            return False
+            if frame <= self._newest_emitted.get(agent, -1):
+                return False
         self._heaps[agent] = heap
         heapq.heappush(heap, (frame, item))  # frames are unique, so items are never compared
         if len(heap) > self.capacity:
@@ -159,7 +162,7 @@ class CollationBuffer(Generic[Item]):
         for agent in sorted(self._heaps):
             heap = self._heaps[agent]
             while heap and heap[0][0] <= frame:
-                _, batch[agent] = heapq.heappop(heap)
+                self._newest_emitted[agent], batch[agent] = heapq.heappop(heap)
             if not heap:
                 del self._heaps[agent]
         self._emitted = max(self._emitted, frame)

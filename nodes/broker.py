@@ -2,7 +2,8 @@
 
 It discovers agents by their presence on the mesh and their first status, and forgets agents that leave. A batch is
 emitted when all agents have sent their tracks, or when the clock of the next frame arrives: a dead or silent agent
-does not stall it. An agent's last tracks stay in later batches, propagated, until they are too old.
+does not stall it. Every batch has the newest tracks of each agent, however late they arrived, predicted to the time of
+the batch, until they are too old.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
-from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
+from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.gather import MAX_AGE_S, MAX_TRACK_VALUE, CollationBuffer
 from mast_zenoh.integrity.views import check_view, collated_columns
 from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.tracking.prediction import predicted
 
 
 class Broker(Node):
@@ -25,7 +27,7 @@ class Broker(Node):
     missing message; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
 
     The header gives the frame of a message and its time: an agent whose clock is wrong still completes its batches,
-    and its tracks are propagated from the time in the header, forward or back, to the batch's time. A time that is
+    and its tracks are predicted from the time in the header, forward or back, to the batch's time. A time that is
     off by more than `max_age_s`, either way, counts as too old.
     """
 
@@ -134,13 +136,13 @@ class Broker(Node):
         return all(buffer.complete(frame, self.agents) for buffer in buffers)
 
     def emit(self, frame: int, how: str, context: Context) -> None:
-        """Publish a frame's batch: every agent's latest tracks, propagated to its time."""
+        """Publish a frame's batch: every agent's newest tracks, predicted to its time."""
         time_ns = self.open_frames.pop(frame)
         self.last |= self.buffer.pop(frame)
         self.last = {a: (t, s) for a, (t, s) in self.last.items() if abs(time_ns - t) <= self.max_age_ns}
         self.batches[how] += 1
         names = sorted(self.last)
-        parts = [propagate(self.last[name][1], (time_ns - self.last[name][0]) * 1e-9) for name in names]
+        parts = [predicted(self.last[name][1], (time_ns - self.last[name][0]) * 1e-9) for name in names]
         context.publish(
             "collated",
             concatenate(parts).columns()

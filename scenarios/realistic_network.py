@@ -14,7 +14,7 @@ def scenario(
     n_adversaries=2,
     infrastructure="wired",
     mobile="wireless_v2x",
-    max_age_s=0.25,
+    max_age_s=1.0,
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,

@@ -85,13 +85,22 @@ def test_a_full_buffer_drops_the_oldest() -> None:
     assert buffer.pop(9) == {"ego": "of 4"}
 
 
-def test_items_after_their_batch_count_as_late() -> None:
+def test_an_item_after_its_batch_counts_as_late_and_is_in_the_next_one() -> None:
     buffer: CollationBuffer[str] = CollationBuffer()
     buffer.push("ego", 10, "in time")
     assert buffer.pop(10) == {"ego": "in time"}
-    assert not buffer.push("infra_1", 10, "late")
-    assert buffer.late == {"infra_1": 1}
-    assert buffer.pop(20) == {}
+    assert buffer.push("infra_1", 9, "late")
+    assert buffer.push("infra_1", 10, "later")
+    assert buffer.late == {"infra_1": 2}
+    assert buffer.pop(20) == {"infra_1": "later"}
+
+
+def test_an_item_older_than_one_in_a_batch_is_refused() -> None:
+    buffer: CollationBuffer[str] = CollationBuffer()
+    buffer.push("ego", 10, "in time")
+    assert buffer.pop(10) == {"ego": "in time"}
+    assert not buffer.push("ego", 9, "overtaken")
+    assert (buffer.late, buffer.pop(20)) == ({"ego": 1}, {})
 
 
 def test_a_duplicate_changes_nothing_and_is_never_late() -> None:
@@ -100,9 +109,9 @@ def test_a_duplicate_changes_nothing_and_is_never_late() -> None:
     assert not buffer.push("ego", 10, "second")
     assert buffer.pop(10) == {"ego": "first"}
     assert not buffer.push("ego", 10, "third")
-    assert not buffer.push("infra_1", 9, "late")
+    assert buffer.push("infra_1", 9, "late")
     assert not buffer.push("infra_1", 9, "late twice")
-    assert (buffer.duplicates, buffer.late, buffer.pop(20)) == (3, {"infra_1": 1}, {})
+    assert (buffer.duplicates, buffer.late, buffer.pop(20)) == (3, {"infra_1": 1}, {"infra_1": "late"})
 
 
 def test_a_duplicate_of_a_waiting_item_is_recognised() -> None:

@@ -18,15 +18,18 @@ from mast_zenoh.effects.message_effects import (
 )
 from mast_zenoh.effects.objects import ChangedMessage, ObjectChanges
 from mast_zenoh.errors import MessageError
+from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.wiring.received import Overheard
 
 #: Changed messages that are compared at once.
 BATCH = 64
 
-#: ns; a message whose time is changed by more is useless for its frame, so its objects count as withheld. This applies
-#: to the message types whose receivers use the time in the header; for the others they use the frame.
+#: ns; a change of a message's time by more counts for its objects, too. This applies to the message types whose
+#: receivers use the time in the header; for the others they use the frame.
 RESTAMPED_NS = 50_000_000
 TIMED = ("tracks", "picture")
+#: ns; the broker predicts tracks whose time differs by less, so that their objects move. Others count as withheld.
+PREDICTED_NS = round(MAX_AGE_S * 1e9)
 
 
 class PassageEffects:
@@ -113,7 +116,7 @@ class PassageEffects:
             shift_ns = changed.time_ns - header.time_ns
             self.note(RESTAMPED, received, time_ns=shift_ns)
             if abs(shift_ns) > RESTAMPED_NS and self._type in TIMED:
-                self._add_whole(received, received=True)
+                self._add_restamped(received, shift_ns)
         self._pending.append(ChangedMessage(header.frame, header.seq, received.step, before, after))
         if len(self._pending) >= BATCH:
             self.settle()
@@ -135,6 +138,18 @@ class PassageEffects:
         if names and self._type == "pose":
             before, after = ([body[name].copy() for name in ("position", "rotation")] for body in change[3:])
             self.spoofs.append(Spoof(change.frame, *before, *after))
+
+    def _add_restamped(self, message: Overheard, shift_ns: int) -> None:
+        """Record what a change of the time in a message's header does to its objects."""
+        if self._type != "tracks" or abs(shift_ns) > PREDICTED_NS:
+            self._add_whole(message, received=True)
+            return
+        header, body = message.header, message.body
+        predicted = {**body, "position": body["position"] - body["velocity"] * (shift_ns * 1e-9)}
+        changes, _ = objects.changed_objects(
+            self._type, [ChangedMessage(header.frame, header.seq, message.step, body, predicted)]
+        )
+        self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
 
     def _add_whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
         """Record the effect on all objects of a message only received, or only sent."""

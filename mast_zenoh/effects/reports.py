@@ -27,7 +27,7 @@ _ACTIONS = ("inserted", "removed", "moved", "altered", REFRAMED)
 #: Messages without objects that adversaries report as changed.
 _WITHOUT_OBJECTS = ("pose", "view")
 #: The effects that correspond to each of `links.FATES`, in that order. A corrupted message may still be readable.
-_FATES = ((DROPPED,), (DELAYED,), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED), KINDS)
+_FATES = ((DROPPED, UNSETTLED), (DELAYED, UNSETTLED), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED), KINDS)
 
 
 @dataclass(frozen=True, slots=True)

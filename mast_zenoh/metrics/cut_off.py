@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
-from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.metrics.lookup import find, occurs
 from mast_zenoh.metrics.record import LOCAL, TruthTable
 from mast_zenoh.metrics.scores import MATCHED, Scores
@@ -51,12 +50,12 @@ class CutOffObjects:
 class CutOff:
     """Conditions under which an agent's tracks are missing from the picture.
 
-    max_age_s:  s, how long the broker uses an agent's newest tracks: its parameter of that name in a scenario
+    max_age_s:  s, older tracks count as missing, even if the broker still uses them: they show where objects were
     recovery_s: s, how long it takes until tracks of an agent that was missing for longer appear in the picture
     Raises ValueError for a value below 0.
     """
 
-    max_age_s: float = MAX_AGE_S
+    max_age_s: float = 0.25
     recovery_s: float = 1.0
 
     def __post_init__(self) -> None:

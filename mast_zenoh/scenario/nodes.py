@@ -70,7 +70,6 @@ def nodes_of(
     evaluator = scenario.get("evaluator", {})
     ages_option = {"picture_ages_s": ages} if ages and "picture_age_s" not in evaluator else {}
     add("evaluator", "evaluator", {"agents": agents, **ages_option, **evaluator})
-    _share_max_age(specs["broker"], specs["evaluator"])
     for name, config in _checked_configs(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:
@@ -83,14 +82,6 @@ def share_faults(evaluator: NodeSpec, faults: Mapping[str, Any]) -> None:
     accepted = inspect.signature(loading.node_class(Path(evaluator.file), evaluator.type)).parameters
     if "faults" in accepted:
         evaluator.config.setdefault("faults", dict(faults))
-
-
-def _share_max_age(broker: NodeSpec, evaluator: NodeSpec) -> None:
-    """Let the evaluator use the broker's maximum age of tracks for cut-off agents."""
-    accepted = inspect.signature(loading.node_class(Path(evaluator.file), evaluator.type)).parameters
-    cut_off = evaluator.config.get("cut_off", {})
-    if "max_age_s" in broker.config and "cut_off" in accepted and isinstance(cut_off, Mapping):
-        evaluator.config["cut_off"] = {"max_age_s": broker.config["max_age_s"], **cut_off}
 
 
 def _checked_configs(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -20,10 +20,6 @@ from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
 from mast_zenoh.tracking.view import SensorView
 
-#: m^2/s^3, spectral density of vertical acceleration: roads are nearly flat.
-VERTICAL_ACCELERATION = 0.2
-#: m^2/s, drift of a size: objects are rigid, but their visible part changes.
-SIZE_DRIFT = 4e-4
 #: rad/sqrt(s), drift of a heading.
 YAW_DRIFT = 0.3
 #: m/s, upper limit for road users; faster tracks are dropped.
@@ -206,7 +202,7 @@ class KalmanBoxTracker3D(Tracker):
         t[:, ROW] = -1.0
         if len(t) and dt > 0.0:
             if dt != self._process_noise[0]:
-                noise = kalman.process_noise(dt, self._acceleration, VERTICAL_ACCELERATION, SIZE_DRIFT)
+                noise = kalman.process_noise(dt, self._acceleration, classes.VERTICAL_ACCELERATION, classes.SIZE_DRIFT)
                 self._process_noise = (dt, noise)
             self.filter.predict(t, dt, self._process_noise[1])
             t[:, YAW_VARIANCE] += YAW_DRIFT**2 * dt

@@ -32,6 +32,11 @@ _SPEED_MEAN, _SPEED_HALF = 0.5 * (_ALONG**2 + _ACROSS**2), 0.5 * (_ALONG**2 - _A
 #: (7,) bool: moves along its length axis, except for slip.
 WHEELED = np.array([name not in ("unknown", "pedestrian") for name in CLASSES])
 
+#: m^2/s^3, spectral density of vertical acceleration: roads are nearly flat.
+VERTICAL_ACCELERATION = 0.2
+#: m^2/s, drift of a size: objects are rigid, but their visible part changes.
+SIZE_DRIFT = 4e-4
+
 #: (7, 7) log-likelihood that an object of class row is detected as class column, up to a constant: detectors mostly
 #: agree, often confuse within a family, rarely beyond.
 CONFUSION = np.where(_FAMILY[:, None] == _FAMILY[None, :], -1.0, -3.0)

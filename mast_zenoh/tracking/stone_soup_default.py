@@ -19,14 +19,12 @@ from stonesoup.types.state import GaussianState
 from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
 
-from mast_zenoh.tracking.classes import SPEED_VERTICAL
+from mast_zenoh.tracking.classes import SIZE_DRIFT, SPEED_VERTICAL, VERTICAL_ACCELERATION
 
 #: The order of the state vector: that of Stone Soup's combined models.
 STATE = ("x", "vx", "y", "vy", "z", "vz", "l", "w", "h")
 #: m/s, standard deviation of a new object's horizontal speed per axis.
 SPEED = 10.0
-#: m^2/s^3 of the height, m^2/s of the sizes: as in `KalmanBoxTracker3D`.
-VERTICAL_ACCELERATION, SIZE_DRIFT = 0.2, 4e-4
 
 
 class NearbyGNN(GNNWith2DAssignment):

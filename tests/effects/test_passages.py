@@ -25,9 +25,10 @@ def meter(message: str = "tracks") -> PassageMeter:
 
 
 def tracks(frame: int, *, seq: int | None = None, x: float = 0.0, time_ns: int | None = None, step: int | None = None):
-    """The tracks of three objects; the first is at `x`."""
+    """The tracks of three objects; the first is at `x`. The second drives at 10 m/s, the others stand."""
     position = np.array([[x, 0.0, 0.0], [20.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
-    body = ObjectStates.of(position, id=np.arange(3)).columns() | WORLD
+    velocity = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    body = ObjectStates.of(position, velocity=velocity, id=np.arange(3)).columns() | WORLD
     header = Header(
         "tracks", "a", frame, frame * PERIOD_NS if time_ns is None else time_ns, frame if seq is None else seq
     )
@@ -107,13 +108,27 @@ def test_an_old_message_sent_again_is_a_repetition() -> None:
     assert changed(metered) == 0
 
 
-def test_a_changed_time_withholds_the_objects_of_tracks() -> None:
+def restamped(by_s: float) -> PassageMeter:
     metered = meter()
     metered.take_received(tracks(1))
-    metered.take_sent(tracks(1, time_ns=PERIOD_NS - 400_000_000))
+    metered.take_sent(tracks(1, time_ns=PERIOD_NS + round(by_s * 1e9)))
     metered.close(100)
     assert effects(metered) == {"restamped": 1}
-    assert changed(metered) == 3
+    return metered
+
+
+def test_a_changed_time_moves_the_objects_of_tracks_that_drive() -> None:
+    (moved,) = [each for each in restamped(-0.4).effects.objects if len(each.frame)]
+    np.testing.assert_allclose(moved.before, [[20.0, 0.0, 0.0]])
+    np.testing.assert_allclose(moved.after, [[24.0, 0.0, 0.0]], err_msg="predicted 0.4 s further")
+
+
+def test_a_time_changed_by_more_than_a_second_withholds_all_objects_of_tracks() -> None:
+    assert changed(restamped(-2.0)) == 3
+
+
+def test_a_time_changed_by_a_few_milliseconds_changes_no_object() -> None:
+    assert changed(restamped(0.02)) == 0
 
 
 def test_a_changed_time_withholds_nothing_if_the_receiver_uses_the_frame() -> None:

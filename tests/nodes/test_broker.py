@@ -104,6 +104,36 @@ def test_the_last_tracks_of_a_silent_agent_are_propagated_until_too_old(resolved
     assert 0.1 < spread[0] < spread[1], "and less certain"
 
 
+def test_late_tracks_are_in_the_next_batch_predicted_and_less_certain(resolved) -> None:
+    broker = bench(resolved)
+    for frame in range(4):
+        broker.clock(frame)
+        for agent in ("ego", "infra_1"):
+            send_track(broker, agent, frame)
+        if frame >= 2:
+            send_track(broker, "infra_2", frame - 2, step=frame, velocity=(10.0, 0.0))
+    broker.clock(4)
+    batches = {message.header.frame: message.body for message in broker.heard(COLLATED)}
+    assert [batches[frame]["age_ns"].tolist() for frame in (1, 2, 3)] == [[0, 0], [0, 0, 2 * 10**8], [0, 0, 2 * 10**8]]
+    late = batches[3]["agent"] == 2
+    assert batches[3]["position"][late, 0] == pytest.approx(2.0), "0.2 s at 10 m/s"
+    punctual = batches[3]["covariance"][0]
+    assert (np.diag(batches[3]["covariance"][late][0]) > np.diag(punctual)).all()
+    assert broker.host.finish()["collation"]["late"] == {"infra_2": 2}
+
+
+def test_tracks_that_newer_ones_overtook_are_left_out(resolved) -> None:
+    broker = bench(resolved)
+    for frame in range(3):
+        broker.clock(frame)
+        for agent in AGENTS:
+            if (agent, frame) != ("infra_2", 0):
+                send_track(broker, agent, frame)
+    send_track(broker, "infra_2", 0, step=2)
+    broker.clock(3)
+    assert [message.body["age_ns"].tolist() for message in broker.heard(COLLATED)] == [[0, 0], [0, 0, 0], [0, 0, 0]]
+
+
 def test_the_broker_does_not_wait_for_an_agent_that_has_left(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)

@@ -578,27 +578,6 @@ def test_pictures_are_scored_for_as_long_as_agents_use_them() -> None:
     ]
 
 
-def test_agents_count_as_disconnected_when_their_tracks_are_too_old_for_the_broker() -> None:
-    def patient(content: dict[str, Any]) -> None:
-        content["broker"] = {**content["broker"], "max_age_s": 1.5}
-
-    def recovers(content: dict[str, Any]) -> None:
-        patient(content)
-        content["evaluator"] = {**content["evaluator"], "cut_off": dict(recovery_s=2.0)}
-
-    def differs(content: dict[str, Any]) -> None:
-        patient(content)
-        content["evaluator"] = {**content["evaluator"], "cut_off": dict(max_age_s=0.5)}
-
-    configs = [tiny(edit=edit).nodes["evaluator"].config for edit in (None, patient, recovers, differs)]
-    assert [config.get("cut_off") for config in configs] == [
-        None,
-        dict(max_age_s=1.5),
-        dict(max_age_s=1.5, recovery_s=2.0),
-        dict(max_age_s=0.5),
-    ]
-
-
 def test_an_agent_gets_its_sensor_and_mobility_from_the_scene() -> None:
     resolved_scenario = tiny()
     ego, pole = (build_node(resolved_scenario.nodes[name], name) for name in ("ego", "infra_1"))
