@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
-from mast_zenoh.arrays.states import Detections, ObjectStates, propagate
+from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import AgentPipeline, Pose
 from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.sensing import LidarSensor
+from mast_zenoh.tracking.prediction import predicted
 
 #: Frame of reference of states in the world frame.
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
@@ -132,7 +133,7 @@ class Agent(Node):
             if "sweep" in items:
                 self.pipeline.mission.look(SweptView(self.pipeline.view(pose, mount, self.lidar), free))
             own = states_to_world(tracks, origin, rotation)
-            mission = self.pipeline.mission.estimate(own, self.picture_at(frame, time_ns))
+            mission = self.pipeline.mission.estimate(time_ns, own, self.picture_at(frame, time_ns))
             context.publish("mission", mission.columns() | WORLD, frame=frame, time_ns=time_ns)
         if frame % self.status_every == 0:
             status = {
@@ -148,7 +149,7 @@ class Agent(Node):
         return {} if innovations is None else {"innovations": innovations.summary()}
 
     def picture_at(self, frame: int, time_ns: int) -> ObjectStates:
-        """The latest picture of an earlier frame, propagated to `time_ns`.
+        """The latest picture of an earlier frame, predicted to `time_ns`.
 
         Earlier by its frame of arrival. Empty if it is too old.
         """
@@ -157,7 +158,7 @@ class Agent(Node):
             return ObjectStates.empty()
         picture_ns, states = latest[1]
         age_ns = time_ns - picture_ns
-        return propagate(states, age_ns * 1e-9) if 0 <= age_ns <= self.picture_age_ns else ObjectStates.empty()
+        return predicted(states, age_ns * 1e-9) if 0 <= age_ns <= self.picture_age_ns else ObjectStates.empty()
 
 
 if __name__ == "__main__":

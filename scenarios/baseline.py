@@ -21,7 +21,7 @@ agent = dict(
     pipeline=dict(
         type="AgentPipeline",
         tracker=dict(type="KalmanBoxTracker3D"),
-        mission=dict(type="PictureFirst", radius=2.0),
+        mission=dict(type="OwnAndPicture", radius=2.0),
     ),
 )
 

@@ -6,7 +6,7 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity.clusters import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import seen_through
-from mast_zenoh.pipelines.agent import MissionEstimator
+from mast_zenoh.pipelines.mission import MissionEstimator
 
 
 class FreeSpaceVeto(MissionEstimator):
@@ -30,9 +30,9 @@ class FreeSpaceVeto(MissionEstimator):
         self._view = view
         self.mission.look(view)
 
-    def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
+    def estimate(self, time_ns: int, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
         """The objects of both, world frame; see `MissionEstimator.estimate`."""
         boxes = ClusterBoxes(picture.position, picture.velocity, picture.size, picture.yaw)
         through = seen_through(boxes, (self._view,))
         self._view = None
-        return self.mission.estimate(own, picture.select(~through[:, 0]))
+        return self.mission.estimate(time_ns, own, picture.select(~through[:, 0]))

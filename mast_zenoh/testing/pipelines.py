@@ -102,22 +102,23 @@ def check_mission_estimator(estimator: MissionEstimator) -> None:
 
     Raises AssertionError.
     """
+    time_ns = 0
     for own_count in samples.COUNTS:
         for count in samples.COUNTS:
             subject = f"{type(estimator).__name__}.estimate with {own_count} tracks and {count} objects of the picture"
             own, picture = samples.states(own_count, source=1), samples.states(count, source=2)
             with unchanged(subject, own=own, picture=picture):
-                result = estimator.estimate(own, picture)
+                result = estimator.estimate(time_ns, own, picture)
             expect_finite(result, subject)
             ids = result.id.tolist()
             expect(len(set(ids)) == len(ids), f"{subject}: ids are not unique")
-            of_picture = result.id % 2 == 0
-            known = np.where(of_picture, np.isin(result.id // 2, picture.id), np.isin(result.id // 2, own.id))
-            expect(known.all(), f"{subject}: an id is neither 2 i of the picture nor 2 i + 1 of the agent's own tracks")
             random = np.random.default_rng(own_count + count)
             rows, others = (random.permutation(n) for n in (own_count, count))
-            again = estimator.estimate(own.select(rows), picture.select(others))
-            expect_same(_by_id(result), _by_id(again), f"{subject}: depends on the order of the rows")
+            again = estimator.estimate(time_ns, own.select(rows), picture.select(others))
+            expect_same(
+                _by_id(result), _by_id(again), f"{subject}: depends on the order of the rows, or ids do not last"
+            )
+            time_ns += samples.PERIOD_NS
 
 
 def _by_id(states: ObjectStates) -> ObjectStates:

@@ -18,21 +18,22 @@ def test_objects_of_the_picture_in_own_free_space_are_left_out() -> None:
     veto = FreeSpaceVeto(mission=PictureFirst())
     picture, own = cars((20.0, 0.0), (0.0, 20.0), (0.0, 90.0)), cars((-20.0, 0.0))
     veto.look(view((0.0, 0.0), (20.0, 0.0, 2.0)))
-    assert veto.estimate(own, picture).id.tolist() == [0, 4, 1], "the second is seen through, the third is far away"
+    kept = veto.estimate(0, own, picture).position[:, :2].tolist()
+    assert kept == [[20, 0], [0, 90], [-20, 0]], "the second is seen through, the third is far away"
 
 
 def test_own_tracks_are_never_left_out() -> None:
     veto = FreeSpaceVeto(mission=PictureFirst())
     veto.look(view((0.0, 0.0)))
-    assert veto.estimate(cars((20.0, 0.0)), cars()).id.tolist() == [1]
+    assert veto.estimate(0, cars((20.0, 0.0)), cars()).position[:, 0].tolist() == [20]
 
 
 def test_a_view_counts_for_one_estimate() -> None:
     veto, picture = FreeSpaceVeto(mission=PictureFirst()), cars((20.0, 0.0))
-    assert len(veto.estimate(cars(), picture)) == 1, "there is no view"
+    assert len(veto.estimate(0, cars(), picture)) == 1, "there is no view"
     veto.look(view((0.0, 0.0)))
-    assert len(veto.estimate(cars(), picture)) == 0
-    assert len(veto.estimate(cars(), picture)) == 1, "the view was of the frame before"
+    assert len(veto.estimate(0, cars(), picture)) == 0
+    assert len(veto.estimate(0, cars(), picture)) == 1, "the view was of the frame before"
 
 
 def test_the_estimator_inside_gets_the_view_too() -> None:

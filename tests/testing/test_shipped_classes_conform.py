@@ -153,11 +153,10 @@ def test_every_shipped_scene_is_checked() -> None:
     assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys() | TWINS.keys()
 
 
-@pytest.mark.parametrize("mission", [dict(type="PictureFirst"), None])
+@pytest.mark.parametrize("mission", [dict(type="PictureFirst"), dict(type="OwnAndPicture")])
 @pytest.mark.parametrize("frame", ["world", "body"])
-def test_an_agents_pipeline_conforms_in_every_frame(frame: str, mission: dict[str, Any] | None) -> None:
-    both = dict(type="OwnAndPicture", clustering=NEEDED["clustering"], fusion=NEEDED["fusion"])
-    spec = dict(type="AgentPipeline", tracker=NEEDED["tracker"], mission=mission or both, frame=frame)
+def test_an_agents_pipeline_conforms_in_every_frame(frame: str, mission: dict[str, Any]) -> None:
+    spec = dict(type="AgentPipeline", tracker=NEEDED["tracker"], mission=mission, frame=frame)
     testing.check_pipeline(registry.build(spec, pipelines.AgentPipeline, "pipeline"))
 
 

@@ -1,0 +1,117 @@
+"""An object of the mission estimate keeps its id while its sources come, go and change theirs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.pipelines import MissionEstimator, OwnAndPicture, PictureFirst
+from mast_zenoh.pipelines.identities import FORGOTTEN_NS
+
+PERIOD_NS = 100_000_000
+ESTIMATORS = pytest.mark.parametrize("estimator_type", [OwnAndPicture, PictureFirst])
+
+
+def cars(*cars: tuple[int, float], speed: float = 0.0) -> ObjectStates:
+    """Cars (id, x) on a line, with a variance of 0.04 m^2."""
+    count = len(cars)
+    covariance = np.tile(0.04 * np.eye(9), (count, 1, 1))
+    position = np.array([[x, 0.0, 0.8] for _, x in cars]).reshape(-1, 3)
+    velocity = np.tile([speed, 0.0, 0.0], (count, 1))
+    return ObjectStates.of(position, velocity=velocity, covariance=covariance, id=np.array([i for i, _ in cars], int))
+
+
+def ids(estimator: MissionEstimator, frame: int, own: ObjectStates, picture: ObjectStates) -> dict[float, int]:
+    """The ids of the estimate by x, rounded."""
+    mission = estimator.estimate(frame * PERIOD_NS, own, picture)
+    return dict(zip(mission.position[:, 0].round().tolist(), mission.id.tolist(), strict=True))
+
+
+@ESTIMATORS
+def test_the_picture_takes_an_object_over_and_returns_it(estimator_type: type) -> None:
+    estimator = estimator_type()
+    sources = [([(7, 0.0)], []), ([(7, 0.0)], [(3, 0.3)]), ([], [(3, 0.3)]), ([(9, 0.1)], [(3, 0.3)]), ([(9, 0.1)], [])]
+    seen = [ids(estimator, k, cars(*own), cars(*picture)) for k, (own, picture) in enumerate(sources)]
+    assert len({each[0.0] for each in seen}) == 1
+
+
+@ESTIMATORS
+def test_an_object_that_the_picture_gets_as_the_own_track_is_lost_keeps_its_id(estimator_type: type) -> None:
+    estimator = estimator_type()
+    (first,) = ids(estimator, 0, cars((7, 0.0), speed=20.0), cars()).values()
+    (then,) = ids(estimator, 1, cars(), cars((3, 2.3), speed=20.0)).values()
+    assert first == then
+
+
+@ESTIMATORS
+def test_an_object_elsewhere_gets_a_new_id(estimator_type: type) -> None:
+    estimator = estimator_type()
+    (first,) = ids(estimator, 0, cars((7, 0.0)), cars()).values()
+    (then,) = ids(estimator, 1, cars(), cars((3, 5.0))).values()
+    assert first != then
+
+
+@ESTIMATORS
+def test_where_both_part_the_id_stays_where_the_object_should_be(estimator_type: type) -> None:
+    """The own track jumps to another object."""
+    estimator = estimator_type()
+    before = ids(estimator, 0, cars((7, 0.0)), cars((3, 0.0)))
+    after = ids(estimator, 1, cars((7, 4.0)), cars((3, 0.0)))
+    assert after[0.0] == before[0.0]
+    assert after[4.0] != before[0.0]
+
+
+@ESTIMATORS
+def test_the_picture_does_not_rename_what_the_agent_sees(estimator_type: type) -> None:
+    estimator = estimator_type()
+    before = ids(estimator, 0, cars((7, 0.0)), cars((3, 10.0)))
+    together = [ids(estimator, k, cars((7, 0.0)), cars((3, 0.4))) for k in range(1, 8)]
+    assert {each[0.0] for each in together} == {before[0.0]}
+    assert ids(estimator, 8, cars(), cars((3, 0.4)))[0.0] == before[0.0], "it continues as the own track did"
+
+
+@ESTIMATORS
+def test_an_object_away_for_long_is_a_new_one(estimator_type: type) -> None:
+    estimator = estimator_type()
+    (first,) = ids(estimator, 0, cars((7, 0.0)), cars()).values()
+    frames = FORGOTTEN_NS // PERIOD_NS + 2
+    (then,) = ids(estimator, frames, cars((8, 0.0)), cars()).values()
+    assert first != then
+
+
+@ESTIMATORS
+def test_an_agent_that_runs_for_long_remembers_little(estimator_type: type) -> None:
+    estimator = estimator_type()
+    for frame in range(300):
+        ids(estimator, frame, cars((frame, 100.0 * frame)), cars((frame, -100.0 * frame)))
+    known = estimator._pairs._identities
+    assert max(map(len, (known._own, known._picture, known._last))) < 80
+
+
+@ESTIMATORS
+@given(st.data())
+def test_ids_are_unique_and_independent_of_the_order_of_the_rows(estimator_type: type, data: st.DataObject) -> None:
+    estimators = estimator_type(), estimator_type()
+    for frame in range(4):
+        both = []
+        for _ in range(2):
+            car = st.tuples(st.integers(0, 5), st.floats(-8.0, 8.0))
+            both.append(data.draw(st.lists(car, unique_by=lambda each: each[0], max_size=5)))
+        orders = [both, [data.draw(st.permutations(one)) for one in both]]
+        results = []
+        for estimator, (own, picture) in zip(estimators, orders, strict=True):
+            mission = estimator.estimate(frame * PERIOD_NS, cars(*own), cars(*picture))
+            assert len(set(mission.id.tolist())) == len(mission)
+            results.append(sorted(zip(mission.id.tolist(), mission.position[:, 0].tolist(), strict=True)))
+        assert results[0] == results[1]
+
+
+def test_a_precise_own_track_outweighs_a_vague_picture() -> None:
+    own, picture = cars((1, 0.0)), cars((1, 1.0))
+    vague = picture.with_(covariance=9.0 * picture.covariance)
+    mission = OwnAndPicture().estimate(0, own, vague)
+    assert mission.position[0, 0] == pytest.approx(0.1)
+    assert np.diag(mission.covariance[0])[0] == pytest.approx(0.9 * 0.04 + 0.1 * 0.36)
