@@ -11,6 +11,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer, GroupTracker
 from mast_zenoh.fusion.believed_first import believed_first
+from mast_zenoh.fusion.contradicted import without_contradicted
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.integrity.soundness import problem_of
@@ -90,6 +91,7 @@ class CommandCenterPipeline(Pipeline):
         agent = np.array([rank[name] for name in agents], np.int64)[agent]
         if self._integrity is None:
             labels = self._clustering.cluster(states, agent)
+            weights = without_contradicted(states, agent, labels, weights)
             return self._group_tracking.step(time_ns, states, agent, labels, weights)
         states = states.with_(covariance=make_positive_definite(states.covariance))  # a stage may invert them
         states, corrected_views = self._integrity.correct(time_ns, states, agent, names, self._views)
@@ -103,7 +105,7 @@ class CommandCenterPipeline(Pipeline):
             raise ValueError(f"{type(self._integrity).__name__}.assess: {problem}")
         states_of = zip(names, assessment.agents.state.tolist(), strict=True)
         self._suspended = {name for name, state in states_of if state == SUSPENDED}
-        weights = combined(weights, assessment.weights)
+        weights = without_contradicted(states, agent, labels, combined(weights, assessment.weights))
         picture, support = self._group_tracking.step(time_ns, states, agent, labels, weights)
         return self._published(picture, support, names, assessment)
 

@@ -13,6 +13,7 @@ from mast_zenoh.fusion import (
     GroupTrackerWrapper,
     SampledAssignmentClusterer,
 )
+from mast_zenoh.fusion.contradicted import without_contradicted
 from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D
 
@@ -124,17 +125,59 @@ def test_invalid_covariances_are_survived(clusterer, covariance):
     assert clusterer.cluster(states, np.arange(3)).max() <= 1
 
 
-def test_the_picture_keeps_vehicles_apart_that_pass_each_other():
-    """Each is seen by two agents that do not see the other, 1.5 m beside it."""
-    centre = CommandCenterPipeline(
+def centre() -> CommandCenterPipeline:
+    return CommandCenterPipeline(
         clustering=SampledAssignmentClusterer(),
         group_tracking=GroupTrackerWrapper(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D()),
     )
+
+
+def test_the_picture_keeps_vehicles_apart_that_pass_each_other():
+    """Each is seen by two agents that do not see the other, 1.5 m beside it."""
+    pipeline = centre()
     for frame in range(60):
         x = 12.0 * (STEP_S * frame - 3.0)
         states = tracks([(x, 0, 0.8, 12), (x + 0.2, 0.1, 0.8, 12), (-x, 1.5, 0.8, -12), (0.2 - x, 1.6, 0.8, -12)])
-        picture, support = centre.step(round(frame * STEP_S * 1e9), states, np.arange(4), ("a", "b", "c", "d"))
+        picture, support = pipeline.step(round(frame * STEP_S * 1e9), states, np.arange(4), ("a", "b", "c", "d"))
         if frame >= 2:
             assert support.tolist() == [2, 2]
             assert picture.id.tolist() == [0, 1]
             assert sorted(np.round(picture.velocity[:, 0]).tolist()) == [-12.0, 12.0]
+
+
+def test_a_track_that_jumps_to_an_oncoming_vehicle_is_neither_fused_nor_in_the_picture():
+    pipeline = centre()
+    for frame in range(40):
+        x = -12.0 * STEP_S * frame
+        states = tracks([(x, 0, 0.8, -12), (x + 0.2, 0.1, 0.8, -12), (x - 0.1, 0.1, 0.8, 12 if frame >= 20 else -12)])
+        picture, support = pipeline.step(round(frame * STEP_S * 1e9), states, np.arange(3), ("a", "b", "c"))
+        if frame >= 2:
+            assert picture.id.tolist() == [0]
+            assert support.tolist() == [2 if frame >= 20 else 3]
+            assert picture.velocity[0, 0] == pytest.approx(-12.0, abs=0.1)
+
+
+WRONG = [(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 0.8, 12)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "agent", "label", "weights"),
+    [
+        (WRONG, [0, 1, 2], [0, 0, 1], [1, 1, 0]),
+        ([WRONG[0], WRONG[2]], [0, 2], [0, 1], None),  # nothing says which is wrong
+        (WRONG, [0, 1, 1], [0, 0, 1], None),  # agent 1 sees both
+        ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 1.6, 0.8, 12)], [0, 1, 2], [0, 0, 1], None),  # in the next lane
+        ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 6.3, -12)], [0, 1, 2], [0, 0, 1], None),  # on the level above
+        ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 0.8, -11)], [0, 1, 2], [0, 0, 1], None),  # no contradiction
+    ],
+)
+def test_a_cluster_is_left_out_where_more_agents_report_another_object_at_its_place(rows, agent, label, weights):
+    result = without_contradicted(tracks(rows), np.array(agent), np.array(label), None)
+    assert result is weights if weights is None else result.tolist() == weights
+
+
+def test_agents_that_are_not_trusted_contradict_nobody():
+    """Two suspended agents against an honest one."""
+    trust = np.array([0.0, 0.0, 1.0])
+    result = without_contradicted(tracks(WRONG), np.arange(3), np.array([0, 0, 1]), trust)
+    assert result.tolist() == [0.0, 0.0, 1.0]
