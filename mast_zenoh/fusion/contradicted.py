@@ -16,6 +16,7 @@ SAME_PLACE_M = 2.0 * 2.0**0.5 * BIAS_M
 #: m, the farthest that the centres of two boxes at the same place are considered.
 _REACH_M = 2.0
 
+_FIRST = np.zeros(1, np.int64)
 _JOINT_GATE = JointGate(GATE, BIAS_M, BIAS_MPS)
 
 
@@ -32,10 +33,13 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
     rows = np.lexsort((agent, labels))  # sums must not depend on the order of the rows
     if weights is not None:
         rows = rows[weights[rows] > 0.0]
+    if len(rows) < 3:  # one cluster of two, and one of one
+        return weights
     label = labels.take(rows)
-    start = np.concatenate([[True], label[1:] != label[:-1]]).nonzero()[0] if len(label) else rows
-    size = np.diff(start, append=len(rows))
-    centre = np.add.reduceat(states.position.take(rows, 0), start) / size[:, None] if len(start) else np.zeros((0, 3))
+    later = (label[1:] != label[:-1]).nonzero()[0] + 1
+    start, end = np.concatenate([_FIRST, later]), np.concatenate([later, [len(rows)]])
+    size = end - start
+    centre = np.add.reduceat(states.position.take(rows, 0), start) / size[:, None]
     i, j, dx, dy = neighbours(centre, centre, np.full(len(centre), _REACH_M))
     pairs = (size.take(i) > size.take(j)).nonzero()[0]
     if not len(pairs):
@@ -46,7 +50,7 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
     same = overlap(offset, states.size[one], states.yaw[one], states.size[other], states.yaw[other], ONE_OBJECT)
     same |= np.hypot(offset[:, 0], offset[:, 1]) <= SAME_PLACE_M
     same &= np.abs(centre[larger, 2] - centre[smaller, 2]) <= gating.GATE.level_m
-    members = np.split(rows, start[1:])
+    members = np.split(rows, later)
     wrong = [
         label[start[b]]
         for a, b in zip(larger[same].tolist(), smaller[same].tolist(), strict=True)

@@ -35,45 +35,45 @@ class Identities:
         self.reset()
 
     def reset(self) -> None:
-        self._last = np.zeros(0, np.int64)  # the tracker's ids in the last picture
-        self._picture, self._time_ns = ObjectStates.empty(), 0  # the last picture, with the ids that it was given
-        self._lost, self._lost_ns = ObjectStates.empty(), np.zeros(0, np.int64)
-        self._id: dict[int, tuple[int, int]] = {}  # by id of the tracker: the given id, and when it was last reported
+        self._last, self._ids = np.zeros(0, np.int64), np.zeros(0, np.int64)  # of the last picture, tracked and given
+        self._picture, self._time_ns = ObjectStates.empty(), 0
+        self._known: dict[int, tuple[int, int]] = {}  # by tracked id: the given one, and when it was last reported
+        self._lost: dict[int, tuple[int, ObjectStates, int]] = {}  # by given id: when, and the row of a picture
 
     def of(self, time_ns: int, picture: ObjectStates) -> Ints:
         """(n,) ids of the objects of the tracker's picture, sorted by the tracker's ids."""
-        if np.array_equal(picture.id, self._last):
-            ids = self._picture.id
-        else:
-            ids = self._renewed(time_ns, picture)
+        if not np.array_equal(picture.id, self._last):
+            self._ids = self._renewed(time_ns, picture)
             self._last = picture.id
-        self._picture, self._time_ns = picture.with_(id=ids), time_ns
-        return ids
+        self._picture, self._time_ns = picture, time_ns
+        return self._ids
 
     def _renewed(self, time_ns: int, picture: ObjectStates) -> Ints:
         """The ids where objects came or went."""
-        tracked = picture.id.tolist()
-        for number, given in zip(self._last.tolist(), self._picture.id.tolist(), strict=True):
-            self._id[number] = given, self._time_ns
-        self._id = {n: entry for n, entry in self._id.items() if time_ns - entry[1] <= _DORMANT_NS}
-        known = np.array([number in self._id for number in tracked], np.bool_)
-        ids = np.array([self._id[n][0] if n in self._id else n for n in tracked], np.int64)
-        gone = np.flatnonzero(~np.isin(self._picture.id, ids[known]))
-        lost = concatenate([self._lost, self._picture.select(gone)]) if len(gone) else self._lost
-        lost_ns = np.concatenate([self._lost_ns, np.full(len(gone), self._time_ns)])
-        remembered = (~np.isin(lost.id, ids[known]) & (time_ns - lost_ns <= self._memory_ns)).nonzero()[0]
-        self._lost, self._lost_ns = lost.select(remembered), lost_ns[remembered]
-        new = np.flatnonzero(~known)
-        if len(new) and len(self._lost):
-            i, j = self._returned(time_ns, picture.select(new))
-            ids[new[j]] = self._lost.id[i]
-            left = np.delete(np.arange(len(self._lost)), i)
-            self._lost, self._lost_ns = self._lost.select(left), self._lost_ns[left]
-        return _distinct(ids, picture.id)
+        tracked, before = picture.id.tolist(), self._ids.tolist()
+        self._known |= {n: (given, self._time_ns) for n, given in zip(self._last.tolist(), before, strict=True)}
+        self._known = {n: entry for n, entry in self._known.items() if time_ns - entry[1] <= _DORMANT_NS}
+        new = [row for row, number in enumerate(tracked) if number not in self._known]
+        ids = [self._known[number][0] if number in self._known else number for number in tracked]
+        kept = {given for number, given in zip(tracked, ids, strict=True) if number in self._known}
+        self._lost |= {given: (self._time_ns, self._picture, row) for row, given in enumerate(before)}
+        self._lost = {
+            given: entry
+            for given, entry in self._lost.items()
+            if given not in kept and time_ns - entry[0] <= self._memory_ns
+        }
+        if new and self._lost:
+            lost = sorted(self._lost)
+            for i, j in zip(*self._returned(time_ns, lost, picture.select(np.array(new))), strict=True):
+                ids[new[j]] = lost[i]
+                del self._lost[lost[i]]
+        return np.array(_distinct(ids, tracked), np.int64)
 
-    def _returned(self, time_ns: int, new: ObjectStates) -> tuple[Ints, Ints]:
-        """Rows of lost objects, and of the new ones that they are."""
-        lost, elapsed_s = self._lost, np.asarray((time_ns - self._lost_ns) * 1e-9, np.float64)
+    def _returned(self, time_ns: int, ids: list[int], new: ObjectStates) -> tuple[list[int], list[int]]:
+        """Rows of `ids` of lost objects, and of the new objects that they are."""
+        entries = [self._lost[given] for given in ids]
+        lost = concatenate([picture.select(slice(row, row + 1)) for _, picture, row in entries])
+        elapsed_s = np.array([(time_ns - lost_ns) * 1e-9 for lost_ns, _, _ in entries])
         motion = np.concatenate([lost.position[:, :2], lost.velocity[:, :2]], axis=1)
         motion[:, :2] += motion[:, 2:] * elapsed_s[:, None]
         spread = _predicted(_motion_covariance(lost), elapsed_s, lost)
@@ -87,7 +87,7 @@ class Identities:
         near = (alike & (distance <= GATE)).nonzero()[0]
         i, j = i[near], j[near]
         chosen = greedy_matching(i, j, distance[near] + np.linalg.slogdet(total[near])[1])
-        return i[chosen], j[chosen]
+        return i[chosen].tolist(), j[chosen].tolist()
 
 
 def _motion_covariance(states: ObjectStates) -> Floats:
@@ -109,14 +109,13 @@ def _predicted(covariance: Floats, elapsed_s: Floats, states: ObjectStates) -> F
     return np.asarray(result)
 
 
-def _distinct(ids: Ints, tracked: Ints) -> Ints:
-    """The ids (n,), or the tracker's where two objects would have one: the tracker has continued one that was lost."""
-    if len(np.unique(ids)) == len(ids):
+def _distinct(ids: list[int], tracked: list[int]) -> list[int]:
+    """The ids, or the tracker's where two objects would have one: the tracker has continued one that was lost."""
+    if len(set(ids)) == len(ids):
         return ids
-    ids = ids.copy()
-    used: set[int] = set()
-    spare = sorted(set(tracked.tolist()) - set(ids.tolist()))
-    for row, number in enumerate(ids.tolist()):
-        ids[row] = spare.pop() if number in used else number
-        used.add(int(ids[row]))
-    return ids
+    spare, used = sorted(set(tracked) - set(ids)), set[int]()
+    result = []
+    for given in ids:
+        result.append(spare.pop() if given in used else given)
+        used.add(result[-1])
+    return result
