@@ -12,6 +12,10 @@ from mast_zenoh.arrays.neighbours import MAX_TABLE, neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 
+#: Pairs of a connected group, and of all groups, up to which pairs that are apart are kept from sharing a cluster. Only
+#: a hostile source puts more tracks in one place; those are merged by distance, without the pairs that are apart.
+MAX_GROUP_PAIRS, MAX_COST_PAIRS = 2_000, 50_000
+
 
 class NearPairs(NamedTuple):
     """p pairs of rows i < j, (p,) each, sorted by i, then j, and their squared distances (p,)."""
@@ -71,8 +75,11 @@ def merge_pairs_apart(
     group = connected_groups(n, i, j)
     divided = np.zeros(n, bool)
     divided[group[i[apart]]] = True
+    divided &= np.bincount(group[i], minlength=n) <= MAX_GROUP_PAIRS
     by_cost = divided[group[i]]
-    label = merge_pairs(position, agent, *pairs.select((~by_cost).nonzero()[0]), radius)
+    if np.count_nonzero(by_cost) > MAX_COST_PAIRS:
+        by_cost[:] = False
+    label = merge_pairs(position, agent, *pairs.select((~by_cost & ~apart).nonzero()[0]), radius)
     root = np.unique(label, return_index=True)[1].take(label)
     chosen = (by_cost & ~apart).nonzero()[0]
     if len(chosen):

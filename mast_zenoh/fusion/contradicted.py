@@ -16,6 +16,8 @@ SAME_PLACE_M = 2.0 * 2.0**0.5 * BIAS_M
 #: m, the farthest that the centres of two boxes at the same place are considered.
 _REACH_M = 2.0
 
+#: Clusters at the place of one, and pairs of them, up to which they are compared: only a hostile source sends more.
+_MAX_LARGER, _MAX_PAIRS = 8, 1_000
 _FIRST = np.zeros(1, np.int64)
 _JOINT_GATE = JointGate(GATE, BIAS_M, BIAS_MPS)
 
@@ -50,6 +52,10 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
     same = overlap(offset, states.size[one], states.yaw[one], states.size[other], states.yaw[other], ONE_OBJECT)
     same |= np.hypot(offset[:, 0], offset[:, 1]) <= SAME_PLACE_M
     same &= np.abs(centre[larger, 2] - centre[smaller, 2]) <= gating.GATE.level_m
+    crowd = np.bincount(smaller[same], minlength=len(size))
+    same &= crowd[smaller] <= _MAX_LARGER
+    if np.count_nonzero(same) > _MAX_PAIRS:
+        return weights
     members = np.split(rows, later)
     wrong = [
         label[start[b]]

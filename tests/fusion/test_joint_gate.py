@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.fusion import (
     Clusterer,
     CovarianceIntersectionFusion,
@@ -123,6 +123,18 @@ def test_invalid_covariances_are_survived(clusterer, covariance):
     states = tracks([(0, 0, 0.8, 12), (0.3, 1.6, 0.8, -12), (0.1, 0.2, 0.8, 12)])
     states.covariance[1] = covariance
     assert clusterer.cluster(states, np.arange(3)).max() <= 1
+
+
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_a_flood_of_tracks_that_contradict_each_other_is_clustered(clusterer):
+    """Far from it, contradicting tracks remain apart."""
+    random, n = np.random.default_rng(0), 3000
+    flood = tracks([(*random.uniform(0, 2, 2), 0.8, v) for v in random.uniform(-30, 30, n)])
+    pair = tracks([(100, 0, 0.8, 12), (100.2, 0, 0.8, -12)])
+    states = concatenate([flood, pair]).with_(id=np.arange(n + 2))
+    label = clusterer.cluster(states, np.append(np.arange(n) % 5, [0, 1]))
+    assert np.bincount(label).max() <= 5
+    assert label[-2] != label[-1]
 
 
 def centre() -> CommandCenterPipeline:
