@@ -38,6 +38,7 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "mission estimators: combine an agent's tracks with the picture": MissionEstimator,
         "pipelines of the command centre": Pipeline,
         "clusterers: group tracks of one object": fusion.Clusterer,
+        "covariance checks: how far reported covariances are believed": fusion.CovarianceCheck,
         "fusions: fuse a cluster into one state": fusion.Fusion,
         "group trackers: clusters over time": fusion.GroupTracker,
     },

@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Container
+from typing import NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.neighbours import MAX_TABLE, neighbours
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 
+#: Pairs of a connected group, and of all groups, up to which pairs that are apart are kept from sharing a cluster. Only
+#: a hostile source puts more tracks in one place; those are merged by distance, without the pairs that are apart.
+MAX_GROUP_PAIRS, MAX_COST_PAIRS = 2_000, 50_000
 
-def pairs_near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
-    """Pairs i < j of (n, 2) positions within `radius`, sorted by i, then j, and their squared distances."""
+
+class NearPairs(NamedTuple):
+    """p pairs of rows i < j, (p,) each, sorted by i, then j, and their squared distances (p,)."""
+
+    i: Ints
+    j: Ints
+    squared: Floats
+
+    def select(self, pairs: Ints) -> NearPairs:
+        """Some of the pairs, by their numbers."""
+        return NearPairs(self.i.take(pairs), self.j.take(pairs), self.squared.take(pairs))
+
+
+def pairs_near(position: Floats, radius: float) -> NearPairs:
+    """Pairs of (n, 2) positions within `radius`."""
     n = len(position)
     i, j, dx, dy = neighbours(position, position, np.full(n, radius))
     squared = dx * dx + dy * dy
@@ -22,7 +40,7 @@ def pairs_near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
         i, j = np.minimum(i, j), np.maximum(i, j)
         upper = np.unique(i * n + j, return_index=True)[1]
         upper = upper[i[upper] < j[upper]]
-    return i[upper], j[upper], squared[upper]
+    return NearPairs(i[upper], j[upper], squared[upper])
 
 
 @kernel
@@ -38,6 +56,50 @@ def merge_pairs(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats
         root = merge_in_order(root, position, agent, i.take(nearest), j.take(nearest), radius)
     label = (root == np.arange(len(root))).cumsum() - 1
     return np.asarray(label[root])
+
+
+def merge_pairs_apart(
+    position: Floats, agent: Ints, pairs: NearPairs, radius: float, apart: Bools, cost: Callable[[Ints], Floats]
+) -> Ints:
+    """As `merge_pairs`, where some pairs (p,) are `apart`: no cluster has both rows of one of them.
+
+    cost: of merging each of some pairs, by their numbers (k,); (k,), called at most once
+
+    Rows that are connected, directly or by way of others, with a pair that is apart are merged in the order of this
+    cost instead of the distance: a row may be near two others that exclude each other.
+    """
+    i, j, squared = pairs
+    if not np.count_nonzero(apart):
+        return merge_pairs(position, agent, i, j, squared, radius)
+    n = len(agent)
+    group = connected_groups(n, i, j)
+    divided = np.zeros(n, bool)
+    divided[group[i[apart]]] = True
+    divided &= np.bincount(group[i], minlength=n) <= MAX_GROUP_PAIRS
+    by_cost = divided[group[i]]
+    if np.count_nonzero(by_cost) > MAX_COST_PAIRS:
+        by_cost[:] = False
+    label = merge_pairs(position, agent, *pairs.select((~by_cost & ~apart).nonzero()[0]), radius)
+    root = np.unique(label, return_index=True)[1].take(label)
+    chosen = (by_cost & ~apart).nonzero()[0]
+    if len(chosen):
+        chosen = chosen.take(np.lexsort((j.take(chosen), i.take(chosen), cost(chosen))))
+        excluded = set((i[apart] * n + j[apart]).tolist())
+        root = merge_in_order(root, position, agent, i.take(chosen), j.take(chosen), radius, excluded)
+    return np.asarray(((root == np.arange(n)).cumsum() - 1)[root])
+
+
+def connected_groups(n: int, i: Ints, j: Ints) -> Ints:
+    """(n,) the first row that each row is connected with by pairs i < j, directly or by way of others."""
+    group = np.arange(n)
+    while True:
+        least = np.minimum(group[i], group[j])
+        before = group.copy()
+        np.minimum.at(group, before[i], least)
+        np.minimum.at(group, before[j], least)
+        group = group[group]
+        if np.array_equal(group, before):
+            return group
 
 
 def split_simple_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
@@ -58,12 +120,21 @@ def split_simple_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
     return root, (~simple[cluster]).nonzero()[0]
 
 
-def merge_in_order(root: Ints, position: Floats, agent: Ints, i: Ints, j: Ints, radius: float) -> Ints:
+def merge_in_order(
+    root: Ints,
+    position: Floats,
+    agent: Ints,
+    i: Ints,
+    j: Ints,
+    radius: float,
+    excluded: Container[int] = (),
+) -> Ints:
     """First row (n,) of each row's cluster after merging the pairs i < j in order.
 
     root: (n,) as for `split_simple_clusters`; unchanged for rows in none of the pairs
+    excluded: pairs p < q of the n rows that are never in one cluster, as numbers p * n + q
     """
-    root = root.copy()
+    root, n_rows = root.copy(), len(root)
     rows = np.unique(np.concatenate([i, j])).tolist()
     members = {row: [row] for row in rows}
     label = {row: row for row in rows}
@@ -75,6 +146,8 @@ def merge_in_order(root: Ints, position: Floats, agent: Ints, i: Ints, j: Ints, 
             continue
         (ax, ay), (bx, by) = centre[a], centre[b]
         if math.sqrt((ax - bx) * (ax - bx) + (ay - by) * (ay - by)) > radius:
+            continue
+        if excluded and any(min(r, s) * n_rows + max(r, s) in excluded for r in members[a] for s in members[b]):
             continue
         for row in members[b]:
             label[row] = a

@@ -5,17 +5,21 @@ See docs/tracking.md.
 
 from mast_zenoh.fusion.base import Clusterer, Fusion, GroupTracker
 from mast_zenoh.fusion.clustering import DBSCANClusterer, SampledAssignmentClusterer
+from mast_zenoh.fusion.covariance_check import CheckedCovariances, CovarianceCheck, ReportedCovariances
 from mast_zenoh.fusion.covariance_intersection import BestMemberFusion, CovarianceIntersectionFusion
 from mast_zenoh.fusion.group_tracking import GroupTrackerWrapper, UnfilteredGroupTracker
 
 __all__ = [
     "BestMemberFusion",
+    "CheckedCovariances",
     "Clusterer",
+    "CovarianceCheck",
     "CovarianceIntersectionFusion",
     "DBSCANClusterer",
     "Fusion",
     "GroupTracker",
     "GroupTrackerWrapper",
+    "ReportedCovariances",
     "SampledAssignmentClusterer",
     "UnfilteredGroupTracker",
 ]

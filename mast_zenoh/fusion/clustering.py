@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.clustering import merge_pairs, pairs_near
+from mast_zenoh.arrays.clustering import merge_pairs_apart, pairs_near
 from mast_zenoh.arrays.ordering import by_agent
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer
+from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, GATE, JointGate
 
 
 class SampledAssignmentClusterer(Clusterer):
@@ -18,22 +19,34 @@ class SampledAssignmentClusterer(Clusterer):
 
     assign_radius: m, in the bird's-eye view, maximum distance between the centres of two clusters to be merged
 
-    Pairs of tracks are merged by distance, unless both clusters have a track of the same agent or their centres are too
-    far apart. The original takes tracks in the order of arrival, so its result depends on that order, and two tracks of
-    one agent may merge.
+    gate, bias_m, bias_mps: see `JointGate`
+
+    Pairs of tracks are merged by distance, unless both clusters have a track of the same agent, their centres are too
+    far apart, or two tracks within the radius differ too much in position, height and velocity to be of one object.
+    Where tracks near each other do so, the likeliest pair is merged first, not the nearest. The original takes tracks
+    in the order of arrival, so its result depends on that order, and two tracks of one agent may merge.
     """
 
-    def __init__(self, *, assign_radius: float = 2.0) -> None:
+    def __init__(
+        self, *, assign_radius: float = 2.0, gate: float = GATE, bias_m: float = BIAS_M, bias_mps: float = BIAS_MPS
+    ) -> None:
         if not assign_radius > 0.0:
             raise ValueError(f"assign_radius: found {assign_radius}, expected more than 0")
         self._radius = assign_radius
+        self._gate = JointGate(gate, bias_m, bias_mps)
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
         order = by_agent(states, agent)
         position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
-        i, j, distance = pairs_near(position, self._radius)
+        pairs = pairs_near(position, self._radius)
+        pairs = pairs.select((agent.take(pairs.i) != agent.take(pairs.j)).nonzero()[0])
+        i, j = order.take(pairs.i), order.take(pairs.j)
+
+        def cost(chosen: Ints) -> Floats:
+            return self._gate.cost(states, i.take(chosen), j.take(chosen))
+
         labels = np.empty(len(order), np.int64)
-        labels[order] = merge_pairs(position, agent, i, j, distance, self._radius)
+        labels[order] = merge_pairs_apart(position, agent, pairs, self._radius, self._gate.apart(states, i, j), cost)
         return labels
 
 
@@ -44,27 +57,50 @@ class DBSCANClusterer(Clusterer):
 
     eps: m, in the bird's-eye view, within which tracks are neighbours
     min_samples: number of tracks within `eps` of a track, including itself, that make it a core of a cluster
+    gate, bias_m, bias_mps: see `JointGate`
 
-    Neighbouring cores share a cluster, other tracks join their nearest core, and a track without one is its own
-    cluster. Where two tracks of one agent would share a cluster, the nearest are merged first, as in
-    `SampledAssignmentClusterer`.
+    Tracks of different agents are neighbours only if they can be of one object by position, height and velocity, and
+    only then share a cluster. Neighbouring cores share a cluster, other tracks join their nearest core, and a track
+    without one is its own cluster. Where two tracks of one agent would share a cluster, the nearest are merged first,
+    as in `SampledAssignmentClusterer`.
     """
 
-    def __init__(self, *, eps: float = 2.0, min_samples: int = 2) -> None:
+    def __init__(
+        self,
+        *,
+        eps: float = 2.0,
+        min_samples: int = 2,
+        gate: float = GATE,
+        bias_m: float = BIAS_M,
+        bias_mps: float = BIAS_MPS,
+    ) -> None:
         if not eps > 0.0 or min_samples < 1:
             raise ValueError(f"eps, min_samples: found {eps}, {min_samples}, expected more than 0, and 1 or more")
         self._eps = eps
         self._min_samples = min_samples
+        self._gate = JointGate(gate, bias_m, bias_mps)
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
         order = by_agent(states, agent)
         position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
-        i, j, distance = pairs_near(position, self._eps)
+        pairs = pairs_near(position, self._eps)
+        apart = agent.take(pairs.i) != agent.take(pairs.j)
+        apart &= self._gate.apart(states, order.take(pairs.i), order.take(pairs.j))
+        near = (~apart).nonzero()[0]
+        i, j, distance = pairs.select(near)
         core = 1 + np.bincount(i, minlength=len(order)) + np.bincount(j, minlength=len(order)) >= self._min_samples
         linked = core[i] & core[j]
         linked[_to_nearest_core(i, j, distance, core)] = True
+        considered = apart.copy()
+        considered[near[linked]] = True
+        kept = considered.nonzero()[0]
+        pairs = pairs.select(kept)
+
+        def cost(chosen: Ints) -> Floats:
+            return self._gate.cost(states, order.take(pairs.i.take(chosen)), order.take(pairs.j.take(chosen)))
+
         labels = np.empty(len(order), np.int64)
-        labels[order] = merge_pairs(position, agent, i[linked], j[linked], distance[linked], np.inf)
+        labels[order] = merge_pairs_apart(position, agent, pairs, np.inf, apart[kept], cost)
         return labels
 
 

@@ -9,11 +9,9 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Fusion
 from mast_zenoh.fusion.members import Members, state_vectors
+from mast_zenoh.fusion.volume_weights import least_volume_weights
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.inversion import inverse
-
-#: Steps of the search for weights: the trace is then within 1 % of the least one.
-_STEPS = 12
 
 
 class CovarianceIntersectionFusion(Fusion):
@@ -23,9 +21,11 @@ class CovarianceIntersectionFusion(Fusion):
 
     Consistent, whatever the correlation of the members' errors, for any weights.
 
-    weights: "uniform", or "optimised": the least trace of the horizontal position's covariance. The optimum is the best
-    bound for unknown correlation and drops members that do not tighten it; where the agents' errors are in fact nearly
-    independent, uniform weights average more of them and err less.
+    weights: "uniform", or "optimised": the least determinant of the fused covariance of the full state, within 1 %. It
+    is the volume of the region of uncertainty, so the optimum does not depend on units; that of a trace, which adds
+    metres and metres per second, would. The optimum is the best bound for unknown correlation and drops members that do
+    not tighten it; where the agents' errors are in fact nearly independent, uniform weights average more of them and
+    err less.
     """
 
     def __init__(self, *, weights: Literal["uniform", "optimised"] = "uniform") -> None:
@@ -36,7 +36,8 @@ class CovarianceIntersectionFusion(Fusion):
         if len(members.start) == 0:
             return ObjectStates.empty()
         if self._optimised:
-            members = members.weighted(members.weight * least_trace_weights(members))
+            best = least_volume_weights(inverse(members.states.covariance), members.start)
+            members = members.weighted(members.weight * best)
         vectors = state_vectors(members.states)
         mean, covariance = covariance_intersection(members.states.covariance, vectors, members.weight, members.start)
         return members.fused(mean, covariance)
@@ -58,30 +59,6 @@ def covariance_intersection(covariance: Floats, state: Floats, weight: Floats, s
     fused = inverse(sums[:, :81].reshape(-1, 9, 9))
     fused = 0.5 * (fused + fused.transpose(0, 2, 1))
     return (fused @ sums[:, 81:, None])[:, :, 0], fused
-
-
-def least_trace_weights(members: Members) -> Floats:
-    """Covariance intersection weights (n,) that minimise the trace.
-
-    Only the trace of the horizontal position's covariance counts.
-
-    Multiplicative ascent for A-optimality (Silvey, Titterington, Torsney, Communications in Statistics, 1978): w_i
-    grows by the root of tr(P A_i P), A_i the member's information. Monotone, and never leaves the simplex.
-    """
-    P = members.states.covariance
-    a, b, c = P[:, 0, 0], P[:, 0, 1], P[:, 1, 1]
-    information = np.stack([c, -b, a], axis=1) / (a * c - b * b)[:, None]
-    uniform = members.weighted(np.ones(len(a)))
-    weight = uniform.weight
-    for _ in range(_STEPS):
-        fused = members.sum(information * weight[:, None])
-        fused /= (fused[:, 0] * fused[:, 2] - fused[:, 1] ** 2)[:, None]
-        p, q, r = fused[members.cluster, 2], -fused[members.cluster, 1], fused[members.cluster, 0]
-        slope = information[:, 0] * (p * p + q * q) + information[:, 2] * (q * q + r * r)
-        slope += 2.0 * information[:, 1] * q * (p + r)
-        weight = weight * np.sqrt(slope)
-        weight /= members.sum(weight)[members.cluster]
-    return weight
 
 
 class BestMemberFusion(Fusion):

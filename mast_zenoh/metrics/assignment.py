@@ -8,12 +8,15 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import greedy_matching, min_cost_matching
 from mast_zenoh.arrays.states import Ints
-from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
+from mast_zenoh.metrics.boxes import Boxes, centre_distance, check_dimensions, pairs_within
 from mast_zenoh.metrics.overlap import iou_3d
 
 
 class Assigner(ABC):
     """Pairs truth objects with tracks."""
+
+    #: of the distance between the centres of a pair, which the RMSE is of: 2 in the bird's-eye view, 3 with the height
+    dimensions: int = 2
 
     def assign(self, truth: Boxes, tracks: Boxes) -> Ints:
         """(m, 2) int64: matched rows of `truth` and of `tracks`, sorted by the former.
@@ -33,23 +36,26 @@ class Assigner(ABC):
 
 
 class CenterDistanceAssigner(Assigner):
-    """Optimal assignment on bird's-eye centre distance.
+    """Optimal assignment on centre distance.
 
     gate_m: maximum distance between the centres of a pair
+    dimensions: of that distance: 2 in the bird's-eye view, 3 with the height, so that an object at a false height is
+        missed, and its track false
 
     Finds the most pairs within `gate_m` and, among these matchings, the least total distance. Equivalent to the
     Hungarian method on the cost matrix of each frame with prohibitive costs beyond the gate, but applied only to
     objects and tracks that compete.
     """
 
-    def __init__(self, *, gate_m: float = 2.0) -> None:
+    def __init__(self, *, gate_m: float = 2.0, dimensions: int = 2) -> None:
         if not gate_m > 0.0:
             raise ValueError(f"gate_m: found {gate_m}, expected more than 0")
         self.gate_m = gate_m
+        self.dimensions = check_dimensions(dimensions)
 
     def _assign(self, truth: Boxes, tracks: Boxes) -> tuple[Ints, Ints]:
         i, j = pairs_within(truth, tracks, self.gate_m)
-        distance = centre_distance(truth.position.take(i, 0), tracks.position.take(j, 0))
+        distance = centre_distance(truth.position.take(i, 0), tracks.position.take(j, 0), self.dimensions)
         near = (distance <= self.gate_m).nonzero()[0]
         i, j, distance = i.take(near), j.take(near), distance.take(near)
         # The bonus of a pair exceeds any possible difference in distance, so that more pairs always win.

@@ -98,6 +98,14 @@ def pairs_in_groups(
     return i[order], j[order]
 
 
-def centre_distance(a: Floats, b: Floats) -> Floats:
-    """Bird's-eye distance (n,) m between positions (n, 3)."""
-    return np.hypot(a[:, 0] - b[:, 0], a[:, 1] - b[:, 1])
+def centre_distance(a: Floats, b: Floats, dimensions: int = 2) -> Floats:
+    """Distance (n,) m between positions (n, 3): 2 in the bird's-eye view, 3 with the height."""
+    ground: Floats = np.hypot(a[:, 0] - b[:, 0], a[:, 1] - b[:, 1])
+    return ground if dimensions == 2 else np.hypot(ground, a[:, 2] - b[:, 2])
+
+
+def check_dimensions(dimensions: int) -> int:
+    """The dimensions of a distance; raises ValueError unless 2 or 3."""
+    if dimensions not in (2, 3):
+        raise ValueError(f"dimensions: found {dimensions}, expected 2 (bird's-eye view) or 3")
+    return dimensions

@@ -225,7 +225,8 @@ def _compare(
         return np.bincount(group, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
 
     group = truth.group[pairs[:, 0]]
-    distance_m = centre_distance(truth.position.take(pairs[:, 0], 0), tracks.position.take(pairs[:, 1], 0))
+    centres = truth.position.take(pairs[:, 0], 0), tracks.position.take(pairs[:, 1], 0)
+    distance_m = centre_distance(*centres, assigner.dimensions)
     squared_error: Floats = np.bincount(group, distance_m**2, minlength=shape[0] * shape[1]).astype(np.float64)
     ospa, gospa = distance.of(truth, evaluated, shape[0] * shape[1])
     switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])

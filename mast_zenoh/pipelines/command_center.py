@@ -11,6 +11,8 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer, GroupTracker
 from mast_zenoh.fusion.believed_first import believed_first
+from mast_zenoh.fusion.contradicted import without_contradicted
+from mast_zenoh.fusion.covariance_check import CheckedCovariances, CovarianceCheck
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.integrity.soundness import problem_of
@@ -60,16 +62,23 @@ class CommandCenterPipeline(Pipeline):
 
     clustering: groups tracks by object; group_tracking: turns clusters into the picture
     integrity: judges agents and objects; None: nobody is judged, and no trust is published
+    covariances: how far the covariances of tracks are believed; None: CheckedCovariances()
 
     An object that is withheld is tracked on, so that it is in the picture as soon as it is trusted.
     """
 
     def __init__(
-        self, *, clustering: Clusterer, group_tracking: GroupTracker, integrity: Integrity | None = None
+        self,
+        *,
+        clustering: Clusterer,
+        group_tracking: GroupTracker,
+        integrity: Integrity | None = None,
+        covariances: CovarianceCheck | None = None,
     ) -> None:
         self._clustering = clustering
         self._group_tracking = group_tracking
         self._integrity = integrity
+        self._covariances = covariances or CheckedCovariances()
         self._views: Mapping[str, SweptView] = {}
         self._withheld: dict[int, bool] = {}  # by id of the object
         self._suspended: set[str] = set()  # agents that cannot divide the objects of others
@@ -88,9 +97,10 @@ class CommandCenterPipeline(Pipeline):
         names = tuple(sorted(agents))
         rank = {name: row for row, name in enumerate(names)}
         agent = np.array([rank[name] for name in agents], np.int64)[agent]
+        states = self._covariances.floored(states)
         if self._integrity is None:
             labels = self._clustering.cluster(states, agent)
-            return self._group_tracking.step(time_ns, states, agent, labels, weights)
+            return self._fused(time_ns, states, agent, names, labels, weights)
         states = states.with_(covariance=make_positive_definite(states.covariance))  # a stage may invert them
         states, corrected_views = self._integrity.correct(time_ns, states, agent, names, self._views)
         self._views = {}
@@ -104,8 +114,22 @@ class CommandCenterPipeline(Pipeline):
         states_of = zip(names, assessment.agents.state.tolist(), strict=True)
         self._suspended = {name for name, state in states_of if state == SUSPENDED}
         weights = combined(weights, assessment.weights)
-        picture, support = self._group_tracking.step(time_ns, states, agent, labels, weights)
+        picture, support = self._fused(time_ns, states, agent, names, labels, weights)
         return self._published(picture, support, names, assessment)
+
+    def _fused(
+        self,
+        time_ns: int,
+        states: ObjectStates,
+        agent: Ints,
+        names: tuple[str, ...],
+        labels: Ints,
+        weights: Floats | None,
+    ) -> tuple[ObjectStates, Ints]:
+        """The picture of clusters, without those that others contradict."""
+        weights = without_contradicted(states, agent, labels, weights)
+        states = self._covariances.inflated(time_ns, states, agent, names, labels, weights)
+        return self._group_tracking.step(time_ns, states, agent, labels, weights)
 
     def _published(
         self, picture: ObjectStates, support: Ints, names: tuple[str, ...], assessment: Assessment
@@ -126,6 +150,7 @@ class CommandCenterPipeline(Pipeline):
 
     def reset(self) -> None:
         self._group_tracking.reset()
+        self._covariances.reset()
         self._withheld = {}
         self._suspended = set()
         self._views = {}

@@ -31,6 +31,7 @@ ATTACKS: dict[str, dict[str, Any]] = {
     "Replay": dict(delay_s=2.0),
     "GhostAhead": {},
     "StatePerturbation": dict(velocity_mps=4.0, covariance_factor=0.5),
+    "Overconfidence": dict(offset_m=1.5, covariance_factor=1e-3),
     "Collusion": {},
 }
 
@@ -143,6 +144,7 @@ def test_an_attack_tells_what_its_name_says_and_no_more_than_its_budget(attack: 
     assert kinds <= {
         "SlowDrift": {"changed"},
         "StatePerturbation": {"changed"},
+        "Overconfidence": {"changed"},
         "Framing": {"hidden"},
         "Replay": {"inserted", "hidden", "changed"},
         "Collusion": {"inserted", "hidden"},
@@ -171,7 +173,7 @@ def test_no_agent_contradicts_its_own_lies(attack: str) -> None:
             hidden += np.count_nonzero(in_view & near)
     # A nearer object, real or invented, may stand in a part of the same directions.
     assert contradicted <= 0.3 * hidden
-    assert invented + hidden > 0 or attack in ("SlowDrift", "StatePerturbation")
+    assert invented + hidden > 0 or attack in ("SlowDrift", "StatePerturbation", "Overconfidence")
 
 
 def test_nobody_honest_looks_at_what_is_invented_in_a_blind_spot() -> None:
@@ -269,6 +271,21 @@ def test_a_perturbed_state_keeps_its_place() -> None:
         assert np.allclose(np.linalg.norm((after.velocity - before.velocity)[rows], axis=1), 4.0)
         told += int(rows.sum())
     assert told > 50
+
+
+def test_an_overconfident_agent_moves_all_objects_alike_and_scales_their_covariances() -> None:
+    offsets: dict[str, set[tuple[float, ...]]] = {}
+    for passage in passages("Overconfidence"):
+        before, after = passage.kept
+        moved = np.abs(after.position - before.position).max(axis=1, initial=0.0) > 1e-6
+        np.testing.assert_allclose(after.covariance[moved], 1e-3 * before.covariance[moved], rtol=1e-6, atol=1e-9)
+        np.testing.assert_array_equal(after.velocity, before.velocity)
+        offset = np.round((after.position - before.position)[moved], 5) + 0.0
+        offsets.setdefault(passage.agent, set()).update(map(tuple, offset.tolist()))
+    assert set(offsets) == set(VICTIMS)
+    for offset in offsets.values():
+        assert len(offset) == 1
+        assert np.linalg.norm(next(iter(offset))) == pytest.approx(1.5, abs=1e-4)
 
 
 def test_colluding_adversaries_insert_the_same_object_and_hide_the_same_ones() -> None:

@@ -15,6 +15,7 @@ from mast_zenoh.attacks import (
     Framing,
     Lies,
     Moment,
+    Overconfidence,
     Replay,
     Sleeper,
     SlowDrift,
@@ -77,11 +78,12 @@ def test_a_budget_is_a_positive_number(rate: float) -> None:
     [
         lambda budget: SlowDrift(budget=budget, start_s=1.0),
         lambda budget: StatePerturbation(budget=budget, start_s=1.0),
+        lambda budget: Overconfidence(budget=budget, start_s=1.0),
         lambda budget: Replay(budget=budget, start_s=1.0, delay_s=0.5),
         lambda budget: BlindSpot(budget=budget, start_s=1.0),
         lambda budget: Sleeper(attack=SlowDrift(budget=budget, start_s=1.0), start_s=1.0, honest_s=1.0, lying_s=1.0),
     ],
-    ids=["SlowDrift", "StatePerturbation", "Replay", "BlindSpot", "Sleeper"],
+    ids=["SlowDrift", "StatePerturbation", "Overconfidence", "Replay", "BlindSpot", "Sleeper"],
 )
 def test_attacks_keep_to_their_budget(make, budget: float) -> None:
     attack = make(budget)

@@ -13,6 +13,7 @@ from played import Played
 from mast_zenoh.launch import measurement
 
 #: One agent reports a 25th of its covariances, one none, and one does not tell its innovations.
+#: The centre believes them.
 SURE = """
 from mast_zenoh.scenario import load
 from mast_zenoh.tracking import KalmanBoxTracker3D, Tracker
@@ -56,6 +57,7 @@ def scenario():
     )
     for agent, tracker in trackers.items():
         base["agents"][agent] = dict(pipeline=pipeline | dict(tracker=tracker))
+    base["command_center"]["pipeline"] |= dict(covariances=dict(type="ReportedCovariances"))
     return base | dict(name="sure")
 """
 
@@ -162,6 +164,11 @@ def test_a_picture_that_is_too_confident_because_of_one_agent_is_named(once: Onc
     assert any(
         text.startswith("the mission estimate of ego is ") for text in confidence_notices(once("sure", sure=SURE))
     )
+
+
+def test_a_centre_that_checks_covariances_is_not_dragged_along(once: Once) -> None:
+    checked = once("checked", checked=SURE.replace("ReportedCovariances", "CheckedCovariances"))
+    assert not any(text.startswith(("the picture is ", "the mission estimate")) for text in confidence_notices(checked))
 
 
 def test_tracks_without_covariance_are_left_out_and_all_numbers_are_finite(once: Once) -> None:

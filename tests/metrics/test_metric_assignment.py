@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from metric_oracles import best_pairs, boxes, iou, outline
 from scipy.optimize import linear_sum_assignment
 
-from mast_zenoh.metrics import Boxes, CenterDistanceAssigner, IoU3DGreedyAssigner, birdseye_intersection, iou_3d
+from mast_zenoh.metrics import (
+    Boxes,
+    CenterDistanceAssigner,
+    IoU3DGreedyAssigner,
+    SetDistance,
+    birdseye_intersection,
+    iou_3d,
+)
 from mast_zenoh.metrics.boxes import pairs_within
 
 
@@ -52,6 +59,20 @@ def test_batched_matching_equals_the_hungarian_method_per_frame(seed):
         r, c = linear_sum_assignment(cost)
         expected = {(i[a], j[b]) for a, b in zip(r, c, strict=True) if cost[a, b] <= gate}
         assert {(a, b) for a, b in pairs.tolist() if truth.group[a] == frame} == expected
+
+
+def test_in_three_dimensions_the_gate_and_the_distance_include_the_height():
+    truth = boxes([[0.0, 0.0, 0.0], [0.5, 0.0, 5.0]])
+    tracks = boxes([[0.5, 0.0, 0.2], [0.0, 0.0, 4.8], [9.0, 0.0, 0.0]])
+    assert CenterDistanceAssigner(dimensions=3).assign(truth, tracks).tolist() == [[0, 0], [1, 1]]
+    assert CenterDistanceAssigner().assign(truth, tracks).tolist() == [[0, 1], [1, 0]]
+    assert len(CenterDistanceAssigner(dimensions=3).assign(truth, tracks.select(slice(2, 3)))) == 0
+
+
+@pytest.mark.parametrize("assigner", [CenterDistanceAssigner, SetDistance])
+def test_other_dimensions_are_refused(assigner):
+    with pytest.raises(ValueError, match="dimensions: found 1, expected 2"):
+        assigner(dimensions=1)
 
 
 def test_the_gate_is_inclusive():

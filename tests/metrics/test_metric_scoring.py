@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from metric_oracles import best_pairs, cars
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.metrics import IoU3DGreedyAssigner, Record, Scorer, Series
+from mast_zenoh.metrics import CenterDistanceAssigner, IoU3DGreedyAssigner, Record, Scorer, Series, SetDistance
 from mast_zenoh.metrics.record import Snapshot
 
 
@@ -50,6 +50,21 @@ def test_scores_of_a_small_frame_computed_by_hand():
         ("track", "matched", 8, 2),
         ("track", "false", 9, -1),
     }
+
+
+def test_errors_of_height_count_in_three_dimensions_only():
+    """A track on the wrong level of a bridge is false, and its object is missed."""
+    truth, tracks = cars((0.0, 0.0), (10.0, 0.0), id=[1, 2]), cars((0.6, 0.0), (10.0, 0.0), id=[7, 8])
+    tracks.position[:, 2] += [0.8, 5.0]
+    run = record([truth], [tracks])
+    flat = Scorer().score(run)
+    assert counts(flat) == [(0, 0, 2)]
+    assert flat.per_frame()["rmse_m"] == pytest.approx([np.sqrt(0.36 / 2)])
+    solid = Scorer(assigner=CenterDistanceAssigner(dimensions=3), distance=SetDistance(dimensions=3)).score(run)
+    assert counts(solid) == [(1, 1, 1)]
+    assert solid.per_frame()["rmse_m"] == pytest.approx([1.0])
+    assert solid.per_frame()["ospa_m"] == pytest.approx([np.sqrt((1.0 + 25.0) / 2)])
+    assert flat.per_frame()["ospa_m"] == pytest.approx([np.sqrt(0.36 / 2)])
 
 
 def test_only_objects_and_tracks_in_range_count():

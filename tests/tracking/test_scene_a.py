@@ -8,10 +8,12 @@ from mast_zenoh.arrays.states import Detections, ObjectStates, concatenate
 from mast_zenoh.fusion import (
     BestMemberFusion,
     Clusterer,
+    CovarianceCheck,
     CovarianceIntersectionFusion,
     DBSCANClusterer,
     Fusion,
     GroupTrackerWrapper,
+    ReportedCovariances,
     SampledAssignmentClusterer,
     UnfilteredGroupTracker,
 )
@@ -28,10 +30,12 @@ def pipeline(
     tracker: type[Tracker] = KalmanBoxTracker3D,
     clustering: Clusterer | None = None,
     fusion: Fusion | None = None,
+    covariances: CovarianceCheck | None = None,
 ) -> CommandCenterPipeline:
     return CommandCenterPipeline(
         clustering=clustering or SampledAssignmentClusterer(assign_radius=2.0),
         group_tracking=GroupTrackerWrapper(fusion=fusion or CovarianceIntersectionFusion(), tracker=tracker()),
+        covariances=covariances,
     )
 
 
@@ -73,6 +77,30 @@ def test_every_alternative_stage_performs_as_well(scene, result, other):
     assert scores.fp <= 0.15
     assert scores.rmse_m <= 0.30
     assert scores.id_switches <= 3
+
+
+def test_an_agent_that_claims_to_be_certain_beside_the_objects_does_not_ruin_the_picture(scene, result):
+    """One of five is 1.9 m off after four seconds, with its covariances scaled by 1e-6."""
+    lying = []
+    for time_ns, own in zip(scene.time_ns, result[0], strict=True):
+        late = time_ns - scene.time_ns[0] >= 4_000_000_000
+        moved = own[2].position + np.array([1.9, 0.0, 0.0])
+        false = own[2].with_(position=moved, covariance=1e-6 * own[2].covariance)
+        lying.append([*own[:2], false if late else own[2], *own[3:]])
+    believed = score(scene, run_again(scene, lying, pipeline(covariances=ReportedCovariances())))
+    checked = score(scene, run_again(scene, lying, pipeline()))
+    assert believed.rmse_m > 0.7
+    assert believed.id_switches > 50
+    assert checked.fn <= 0.65
+    assert checked.fp <= 0.6
+    assert checked.rmse_m <= 0.25
+    assert checked.id_switches <= 3
+
+
+def test_honest_agents_are_believed_to_the_last_bit(scene, result):
+    believed = run_again(scene, result[0], pipeline(covariances=ReportedCovariances()))
+    for one, other in zip(result[1], believed, strict=True):
+        assert_same_bits(one, other)
 
 
 def run_again(scene: Frames, tracks: list[list[ObjectStates]], centre: CommandCenterPipeline) -> list[ObjectStates]:

@@ -14,6 +14,7 @@ from mast_zenoh.attacks.adaptive.collusion import ColludingSelection, Collusion
 from mast_zenoh.attacks.adaptive.framing import Framing
 from mast_zenoh.attacks.adaptive.ghost_ahead import GhostAhead
 from mast_zenoh.attacks.adaptive.mimic import Mimic
+from mast_zenoh.attacks.adaptive.overconfidence import Overconfidence
 from mast_zenoh.attacks.adaptive.pose_drift import PoseDrift
 from mast_zenoh.attacks.adaptive.replay import Replay
 from mast_zenoh.attacks.adaptive.sleeper import Sleeper
@@ -30,6 +31,7 @@ __all__ = [
     "Lies",
     "Mimic",
     "Moment",
+    "Overconfidence",
     "PoseDrift",
     "Replay",
     "Sleeper",

@@ -1,0 +1,234 @@
+"""How far the centre believes the covariances that agents report."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.tracking.covariance_repair import MAX_VARIANCE, symmetrise
+
+#: Kept pairs of a track with later ones of its cluster: limits what a hostile source costs.
+_MAX_PARTNERS = 32
+#: Most agents that are compared with each other.
+_MAX_AGENTS = 1000
+#: Pairs as consistent as expected that each two agents start with.
+_PRIOR_PAIRS = 10.0
+#: Sum of pairs below which two agents have not been compared.
+_FORGOTTEN = 1e-3
+#: s, between two comparisons: consecutive offsets of agents correlate at 0.8, so that most frames show nothing new.
+_PERIOD_S = 0.5
+#: Of the 81 numbers of a covariance: x x, y y, x y, y x of the position, and the same of the velocity.
+_HORIZONTAL = np.array([0, 10, 1, 9, 60, 70, 61, 69])
+#: Variances of position and velocity.
+_VARIANCES = np.array([[0, 10], [60, 70]])
+
+
+class CovarianceCheck(ABC):
+    """Replaces reported covariances by believable ones."""
+
+    @abstractmethod
+    def floored(self, states: ObjectStates) -> ObjectStates:
+        """n tracks with covariances that a sensor can achieve; before they are clustered."""
+
+    @abstractmethod
+    def inflated(
+        self,
+        time_ns: int,
+        states: ObjectStates,
+        agent: Ints,
+        agents: tuple[str, ...],
+        labels: Ints,
+        weights: Floats | None,
+    ) -> ObjectStates:
+        """n clustered tracks, as uncertain as they are inconsistent; before they are fused.
+
+        agent, labels: (n,) rows of `agents`, sorted names, and clusters, with at most one track of an agent
+        weights: (n,) how far each is trusted, 0: it does not count
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Return to the initial state."""
+
+
+class ReportedCovariances(CovarianceCheck):
+    """Believes every covariance as it is reported."""
+
+    def __init__(self) -> None:
+        pass
+
+    def floored(self, states: ObjectStates) -> ObjectStates:
+        return states
+
+    def inflated(
+        self,
+        time_ns: int,
+        states: ObjectStates,
+        agent: Ints,
+        agents: tuple[str, ...],
+        labels: Ints,
+        weights: Floats | None,
+    ) -> ObjectStates:
+        return states
+
+    def reset(self) -> None:
+        pass
+
+
+class CheckedCovariances(CovarianceCheck):
+    """Limits covariances to what sensors achieve, and inflates those of agents that disagree with the others.
+
+    Floor: no eigenvalue of a covariance, in units of the least standard deviations, is below 1. A position in the world
+    depends on the agent's pose: a heading of 0.1 degrees (two antennas and inertial sensors) is 0.09 m at 50 m. Heights
+    and sizes depend on the lidar's ranging, 0.02 to 0.03 m (Velodyne HDL-32E); speeds on the agent's own, 0.05 m/s, and
+    its heading.
+
+    Inflation: normalised innovations squared between the tracks of two agents in one cluster, averaged over `memory_s`.
+    What an agent claims is compared with the half of the others that it agrees with best, so that a minority makes no
+    honest agent suspicious. Above `limit` times the expected value, variances grow by what the differences exceed the
+    covariances (covariance matching: Mehra, IEEE Transactions on Automatic Control 17(5), 1972; Myers and Tapley, same
+    journal 21(4), 1976), position and velocity separately. Of two agents alone, both grow.
+
+    least_position_std_m, least_height_std_m, least_size_std_m: m, per axis; least_speed_std_mps: m/s, per axis
+    limit: ratio of innovations to their expectation above which variances grow; honest agents had up to 1.2
+    memory_s: s, after which a comparison counts 1/e; an agent that is compared with nobody stays as it was
+    """
+
+    def __init__(
+        self,
+        *,
+        least_position_std_m: float = 0.1,
+        least_height_std_m: float = 0.03,
+        least_size_std_m: float = 0.03,
+        least_speed_std_mps: float = 0.1,
+        limit: float = 2.0,
+        memory_s: float = 1.5,
+    ) -> None:
+        parameters = locals()
+        for name in parameters.keys() - {"self", "limit"}:
+            if not parameters[name] > 0.0:
+                raise ValueError(f"{name}: found {parameters[name]}, expected more than 0")
+        if not limit >= 1.0:
+            raise ValueError(f"limit: found {limit}, expected at least 1")
+        position, size, speed = [least_position_std_m] * 2, [least_size_std_m] * 3, [least_speed_std_mps] * 3
+        least = np.array([*position, least_height_std_m, *size, *speed])
+        self._unit = least[:, None] * least
+        self._per_unit = 1.0 / self._unit
+        self._limit = limit
+        self._memory_s = memory_s
+        self.reset()
+
+    def reset(self) -> None:
+        self._agents: tuple[str, ...] = ()
+        self._time_ns: int | None = None
+        self._sums = np.zeros((0, 0, 2, 4))  # by agent and agent, of position and velocity, see `_comparisons`
+        self._excess = np.zeros((0, 2))  # by agent, what its variances of position and velocity grow by
+
+    def floored(self, states: ObjectStates) -> ObjectStates:
+        _, usable = symmetrise(states.covariance * self._per_unit, 2.0, MAX_VARIANCE)
+        if usable:
+            return states
+        limited = np.clip(states.covariance, -MAX_VARIANCE, MAX_VARIANCE)
+        scaled = 0.5 * (limited + limited.transpose(0, 2, 1)) * self._per_unit
+        doubtful = (np.diagonal(scaled, axis1=1, axis2=2) < 1.0).any(axis=1)
+        doubtful |= (limited != states.covariance).any(axis=(1, 2))
+        if not symmetrise(scaled[~doubtful], 2.0, MAX_VARIANCE)[1]:
+            doubtful[:] = True
+        rows = doubtful.nonzero()[0]
+        values, vectors = np.linalg.eigh(scaled[rows])
+        bad = (values[:, 0] < 1.0) | (limited[rows] != states.covariance[rows]).any(axis=(1, 2))
+        vectors = vectors[bad]
+        repaired = (vectors * np.maximum(values[bad], 1.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+        covariance = states.covariance.copy()
+        covariance[rows[bad]] = 0.5 * (repaired + repaired.transpose(0, 2, 1)) * self._unit
+        return states.with_(covariance=covariance)
+
+    def inflated(
+        self,
+        time_ns: int,
+        states: ObjectStates,
+        agent: Ints,
+        agents: tuple[str, ...],
+        labels: Ints,
+        weights: Floats | None,
+    ) -> ObjectStates:
+        self._resume(agents)
+        elapsed_s = math.inf if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
+        if elapsed_s >= _PERIOD_S and len(agents) <= _MAX_AGENTS:
+            self._sums *= math.exp(-elapsed_s / self._memory_s)
+            self._sums += _comparisons(states, agent, len(agents), labels, weights)
+            compared = (self._sums[..., 0] > _FORGOTTEN).any(axis=1)
+            self._excess = np.where(compared, _excess(self._sums, self._limit), self._excess)
+            self._time_ns = time_ns
+        if not self._excess.any():
+            return states
+        covariance = states.covariance.reshape(len(states), 81).copy()
+        for quantity, columns in enumerate(_VARIANCES):
+            covariance[:, columns] += self._excess[agent, quantity, None]
+        return states.with_(covariance=covariance.reshape(-1, 9, 9))
+
+    def _resume(self, agents: tuple[str, ...]) -> None:
+        """Carry the sums over to other agents."""
+        if agents == self._agents:
+            return
+        row = {name: k for k, name in enumerate(self._agents)}
+        known = [(k, row[name]) for k, name in enumerate(agents) if name in row]
+        new, old = (np.array(rows, np.int64) for rows in zip(*known, strict=True)) if known else (np.zeros(0, int),) * 2
+        count = len(agents) if len(agents) <= _MAX_AGENTS else 0
+        sums, excess = np.zeros((count, count, 2, 4)), np.zeros((len(agents), 2))
+        if count and len(self._sums):
+            sums[new[:, None], new] = self._sums[old[:, None], old]
+        excess[new] = self._excess[old]
+        self._agents, self._sums, self._excess = agents, sums, excess
+
+
+def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, weights: Floats | None) -> Floats:
+    """(a, a, 2, 4) sums over the pairs of tracks of two agents in one cluster, of position and of velocity.
+
+    They are the number of pairs, normalised innovations squared, squared differences, and traces of their covariances.
+    """
+    rows = np.lexsort((agent, labels))  # sums must not depend on the order of the rows
+    if weights is not None:
+        rows = rows[weights[rows] > 0.0]
+    label = labels.take(rows)
+    first, second = [], []
+    for shift in range(1, min(_MAX_PARTNERS, len(rows) - 1) + 1):
+        same = (label[shift:] == label[:-shift]).nonzero()[0]
+        if not len(same):
+            break
+        first.append(rows[same])
+        second.append(rows[same + shift])
+    if not first:
+        return np.zeros((agents, agents, 2, 4))
+    i, j = np.concatenate(first), np.concatenate(second)
+    motion = np.concatenate([states.position[:, :2], states.velocity[:, :2]], axis=1)
+    spread = states.covariance.reshape(len(states), 81).take(_HORIZONTAL, 1)
+    x, y = (motion.take(i, 0) - motion.take(j, 0)).reshape(-1, 2, 2).transpose(2, 0, 1)
+    xx, yy, xy, yx = (spread.take(i, 0) + spread.take(j, 0)).reshape(-1, 2, 4).transpose(2, 0, 1)
+    xy = 0.5 * (xy + yx)
+    nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    values = np.stack([np.ones(nis.shape), nis, x * x + y * y, xx + yy], axis=-1).reshape(len(i), 8)
+    codes = (agent[i] * agents + agent[j])[:, None] * 8 + np.arange(8)
+    sums = np.bincount(codes.ravel(), values.ravel(), agents * agents * 8).reshape(agents, agents, 2, 4)
+    return np.asarray(sums + sums.transpose(1, 0, 2, 3))
+
+
+def _excess(sums: Floats, limit: float) -> Floats:
+    """(a, 2) what the variances of position and velocity of each agent grow by, m² and (m/s)², from `_comparisons`."""
+    agents = len(sums)
+    pairs, nis, squared, trace = np.moveaxis(sums, -1, 0)
+    ratio = 0.5 * (nis + 2.0 * _PRIOR_PAIRS) / (pairs + _PRIOR_PAIRS)
+    known = pairs > _FORGOTTEN
+    excess = 0.5 * (squared - trace) / np.where(known, pairs, 1.0)
+    middle = np.maximum(known.sum(axis=1) - 1, 0) // 2  # the lower median of those that it was compared with
+    row, quantity = np.arange(agents)[:, None], np.arange(2)
+
+    def of_best_half(values: Floats) -> Floats:
+        ordered = np.sort(np.where(known, values, np.inf), axis=1)[row, middle, quantity]
+        return np.where(np.isfinite(ordered), ordered, 0.0)
+
+    share = np.maximum(1.0 - limit / np.maximum(of_best_half(ratio), limit), 0.0)
+    return np.asarray(share * np.maximum(of_best_half(excess), 0.0))

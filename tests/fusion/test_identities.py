@@ -1,0 +1,128 @@
+"""Objects keep their ids when they are out of view for seconds, and next to others."""
+
+import numpy as np
+import pytest
+
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, ObjectStates, concatenate
+from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
+from mast_zenoh.fusion.identities import Identities
+from mast_zenoh.pipelines import CommandCenterPipeline
+from mast_zenoh.tracking import KalmanBoxTracker3D
+
+STEP_S = 0.1
+MATURE = np.diag([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.6, 0.6, 0.05])
+LOST_S = 4.0
+
+
+def states(position: Floats, velocity: Floats, ids: list[int], class_name: str = "car") -> ObjectStates:
+    """Objects at (n, 2) m with velocities (n, 2) m/s."""
+    n = len(position)
+    return ObjectStates.of(
+        np.column_stack([position, np.full(n, 0.8)]),
+        id=np.array(ids),
+        velocity=np.column_stack([velocity, np.zeros(n)]),
+        size=np.tile([4.5, 1.8, 1.5], (n, 1)),
+        yaw=np.arctan2(velocity[:, 1], velocity[:, 0]),
+        covariance=np.tile(MATURE, (n, 1, 1)),
+        score=np.full(n, 0.99),
+        class_id=np.full(n, CLASS_INDEX[class_name], np.uint8),
+    )
+
+
+def centre(memory_s: float = 4.0) -> CommandCenterPipeline:
+    tracker = GroupTrackerWrapper(
+        fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D(), memory_s=memory_s
+    )
+    return CommandCenterPipeline(clustering=SampledAssignmentClusterer(), group_tracking=tracker)
+
+
+def pictured_ids(pipeline: CommandCenterPipeline, hidden_s: float, speed: float, turn: float = 0.0) -> set[int]:
+    """The ids of a car that two agents do not see for some time, in which it turns; their own tracks begin anew."""
+    random, place, heading, ids = np.random.default_rng(0), np.zeros(2), 0.0, set()
+    for frame in range(120):
+        elapsed = STEP_S * frame - LOST_S
+        hidden = 0.0 <= elapsed < hidden_s
+        heading += turn * STEP_S * hidden
+        velocity = speed * np.array([np.cos(heading), np.sin(heading)])
+        place = place + STEP_S * velocity
+        seen = [
+            states(place + random.normal(0, 0.1, (1, 2)), velocity + random.normal(0, 0.3, (1, 2)), [int(elapsed >= 0)])
+            for _ in range(2)
+            if not hidden
+        ]
+        picture, _ = pipeline.step(
+            round(frame * STEP_S * 1e9),
+            concatenate(seen) if seen else ObjectStates.empty(),
+            np.arange(len(seen)),
+            ("a", "b"),
+        )
+        ids.update(picture.id.tolist() if seen else [])
+    return ids
+
+
+@pytest.mark.parametrize("hidden_s", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize(("speed", "turn"), [(10.0, 0.0), (0.0, 0.0), (8.0, 0.2)])
+def test_an_object_that_returns_after_three_seconds_keeps_its_id(hidden_s, speed, turn):
+    assert pictured_ids(centre(), hidden_s, speed, turn) == {0}
+
+
+def test_without_memory_or_after_it_an_object_has_a_new_id():
+    assert pictured_ids(centre(memory_s=0.0), 3.0, 10.0) == {0, 1}
+    assert pictured_ids(centre(), 4.5, 10.0) == {0, 1}
+
+
+def test_parked_cars_whose_boxes_nearly_touch_keep_their_ids():
+    """Two metres from centre to centre, boxes 1.8 m wide, seen by three agents with errors of 0.2 m per axis."""
+    random, pipeline = np.random.default_rng(1), centre()
+    place = np.array([[0.0, 0.0], [0.0, 2.0], [0.0, 4.0]])
+    for frame in range(100):
+        seen = [states(place + random.normal(0, 0.2, (3, 2)), np.zeros((3, 2)), [0, 1, 2]) for _ in range(3)]
+        picture, support = pipeline.step(
+            round(frame * STEP_S * 1e9), concatenate(seen), np.repeat(np.arange(3), 3), ("a", "b", "c")
+        )
+        if frame > 1:
+            assert picture.id.tolist() == [0, 1, 2]
+            assert support.min() >= 2
+
+
+def given(identities: Identities, time_s: float, *objects: tuple[int, float, float, float], name: str = "car") -> list:
+    """The ids of the tracker's objects (id, x, y, speed along x)."""
+    values = np.array(objects, float).reshape(-1, 4)
+    velocity = np.column_stack([values[:, 3], np.zeros(len(values))])
+    picture = (
+        states(values[:, 1:3], velocity, values[:, 0].astype(int).tolist(), name) if objects else ObjectStates.empty()
+    )
+    return identities.of(round(time_s * 1e9), picture).tolist()
+
+
+def test_only_an_object_that_can_be_the_lost_one_takes_its_id():
+    for returned, expected in [
+        ((7, 20.0, 0.0, 10.0), 0),  # where and as fast as expected after two seconds
+        ((7, 20.0, 14.0, 10.0), 7),  # too far aside
+        ((7, 20.0, 0.0, -10.0), 7),  # the other way
+    ]:
+        identities = Identities(4.0)
+        assert given(identities, 0.0, (0, 0.0, 0.0, 10.0)) == [0]
+        assert given(identities, 0.1) == []
+        assert given(identities, 2.0, returned) == [expected]
+        assert given(identities, 2.1, returned) == [expected]
+    identities = Identities(4.0)
+    given(identities, 0.0, (0, 0.0, 0.0, 1.0))
+    assert given(identities, 1.0, (7, 1.0, 0.0, 1.0), name="pedestrian") == [7]
+
+
+def test_of_two_lost_objects_each_gets_its_own_id():
+    identities = Identities(4.0)
+    given(identities, 0.0, (3, 0.0, 0.0, 0.0), (5, 0.0, 3.0, 0.0))
+    given(identities, 0.1)
+    assert given(identities, 2.0, (8, 0.0, 3.1, 0.0), (9, 0.0, 0.1, 0.0)) == [5, 3]
+
+
+def test_no_id_is_given_twice_when_the_tracker_continues_a_lost_one():
+    identities = Identities(4.0)
+    given(identities, 0.0, (0, 0.0, 0.0, 0.0))
+    given(identities, 0.1)
+    assert given(identities, 1.0, (1, 0.2, 0.0, 0.0)) == [0]
+    assert sorted(given(identities, 1.1, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0))) == [0, 1]
+    both = given(identities, 1.2, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0))
+    assert given(identities, 1.3, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0)) == both

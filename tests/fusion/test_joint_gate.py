@@ -1,0 +1,195 @@
+"""Clusters have tracks that agree in position, height and velocity, as far as their covariances tell."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.arrays.states import ObjectStates, concatenate
+from mast_zenoh.fusion import (
+    Clusterer,
+    CovarianceIntersectionFusion,
+    DBSCANClusterer,
+    GroupTrackerWrapper,
+    SampledAssignmentClusterer,
+)
+from mast_zenoh.fusion.contradicted import without_contradicted
+from mast_zenoh.pipelines import CommandCenterPipeline
+from mast_zenoh.tracking import KalmanBoxTracker3D
+
+CLUSTERERS = [SampledAssignmentClusterer(), DBSCANClusterer()]
+STEP_S = 0.1
+#: Variances of a track that is a second old, and of one that is three frames old, in the order of the state.
+MATURE = np.diag([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.6, 0.6, 0.05])
+YOUNG = np.diag([0.15, 0.15, 0.04, 0.05, 0.05, 0.05, 30.0, 4.0, 0.2])
+
+
+def tracks(rows: list[tuple[float, float, float, float]], young: tuple[int, ...] = ()) -> ObjectStates:
+    """Tracks of cars at (x, y, z) m with a speed along x, m/s."""
+    values = np.array(rows)
+    covariance = np.tile(MATURE, (len(rows), 1, 1))
+    covariance[list(young)] = YOUNG
+    return ObjectStates.of(
+        values[:, :3],
+        id=np.zeros(len(rows), np.int64),
+        velocity=np.column_stack([values[:, 3], np.zeros((len(rows), 2))]),
+        size=np.tile([4.5, 1.8, 1.5], (len(rows), 1)),
+        covariance=covariance,
+        score=np.full(len(rows), 0.99),
+        class_id=np.ones(len(rows), np.uint8),
+    )
+
+
+def labels(clusterer: Clusterer, rows: list[tuple[float, float, float, float]], young: tuple[int, ...] = ()) -> list:
+    """The clusters of tracks of one agent each."""
+    return clusterer.cluster(tracks(rows, young), np.arange(len(rows))).tolist()
+
+
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_two_levels_of_a_bridge_are_two_objects(clusterer):
+    assert labels(clusterer, [(0, 0, 0.8, 10), (0.3, 0, 6.3, 10), (0.1, 0.2, 0.7, 10)]) == [0, 1, 0]
+
+
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_vehicles_that_pass_in_opposite_directions_are_two_objects(clusterer):
+    assert labels(clusterer, [(0, 0, 0.8, 12), (0.3, 1.6, 0.8, -12), (0.1, 0.2, 0.8, 12)]) == [0, 1, 0]
+
+
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_a_track_that_has_jumped_to_an_oncoming_vehicle_stays_alone_and_divides_nobody(clusterer):
+    """It lies between the good tracks, nearer to each than they are to each other."""
+    assert labels(clusterer, [(0.5, 0, 0.8, 12), (0, 0, 0.8, -12), (1.0, 0, 0.8, -12), (0.2, 0.3, 0.8, -12)]) == [
+        0, 1, 1, 1,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_a_young_track_joins_the_ones_that_it_agrees_with_not_the_nearest(clusterer):
+    """Its velocity is so uncertain that it could be of either object."""
+    rows = [(0, 0, 0.8, 12), (0.1, 0, 0.8, -9), (0.6, 0, 0.8, -12), (0.6, 0.2, 0.8, -12)]
+    assert labels(clusterer, rows, young=(1,)) == [0, 1, 1, 1]
+
+
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_agents_with_a_small_pose_error_still_share_their_objects(clusterer):
+    """A metre to the side, a quarter metre in height, and 3 degrees, which turn 15 m/s into 0.8 m/s across."""
+    honest = tracks([(0, 0, 0.8, 15), (0.1, 0.2, 0.8, 15), (0.3, 1.0, 1.05, 15)])
+    honest.velocity[2, 1] = 0.8
+    assert clusterer.cluster(honest, np.arange(3)).tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_an_uncertain_velocity_divides_nobody(clusterer):
+    assert labels(clusterer, [(0, 0, 0.8, 12), (0.2, 0, 0.8, 0)], young=(1,)) == [0, 0]
+    assert labels(clusterer, [(0, 0, 0.8, 12), (0.2, 0, 0.8, 0)]) == [0, 1]
+
+
+def test_the_gate_is_a_parameter():
+    rows = [(0, 0, 0.8, 12.0), (0.3, 1.6, 0.8, -12.0)]
+    assert labels(SampledAssignmentClusterer(gate=np.inf), rows) == [0, 0]
+    assert labels(DBSCANClusterer(gate=np.inf), rows) == [0, 0]
+    assert labels(SampledAssignmentClusterer(bias_mps=20.0), rows) == [0, 0]
+    with pytest.raises(ValueError, match="bias_m: found 0"):
+        SampledAssignmentClusterer(bias_m=0.0)
+    with pytest.raises(ValueError, match="gate: found -1"):
+        DBSCANClusterer(gate=-1)
+
+
+@settings(max_examples=150)
+@given(
+    st.lists(st.tuples(*[st.integers(0, 4)] * 2, st.integers(0, 1), st.integers(-1, 1)), min_size=1, max_size=12),
+    st.sampled_from(CLUSTERERS),
+    st.randoms(use_true_random=False),
+)
+def test_members_agree_and_the_order_of_tracks_does_not_matter(rows, clusterer, random):
+    states = tracks([(0.7 * x, 0.7 * y, 5.0 * z, 12.0 * v) for x, y, z, v in rows])
+    agent = np.array([random.randrange(5) for _ in rows])
+    states = states.with_(id=np.array([int(np.sum(agent[:k] == agent[k])) for k in range(len(rows))], np.int64))
+    label = clusterer.cluster(states, agent)
+    for one in np.unique(label):
+        members = label == one
+        assert len(set(agent[members].tolist())) == members.sum()
+        place = states.position[members, :2]
+        far = np.hypot(*(place[:, None] - place[None]).T).max()
+        if far <= 2.0:
+            assert np.ptp(states.position[members, 2]) == np.ptp(states.velocity[members, 0]) == 0.0
+    order = np.array(random.sample(range(len(rows)), len(rows)), int)
+    np.testing.assert_array_equal(clusterer.cluster(states.select(order), agent[order]), label[order])
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.triu(np.ones((9, 9)))])
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_invalid_covariances_are_survived(clusterer, covariance):
+    states = tracks([(0, 0, 0.8, 12), (0.3, 1.6, 0.8, -12), (0.1, 0.2, 0.8, 12)])
+    states.covariance[1] = covariance
+    assert clusterer.cluster(states, np.arange(3)).max() <= 1
+
+
+@pytest.mark.parametrize("clusterer", CLUSTERERS)
+def test_a_flood_of_tracks_that_contradict_each_other_is_clustered(clusterer):
+    """Far from it, contradicting tracks remain apart."""
+    random, n = np.random.default_rng(0), 3000
+    flood = tracks([(*random.uniform(0, 2, 2), 0.8, v) for v in random.uniform(-30, 30, n)])
+    pair = tracks([(100, 0, 0.8, 12), (100.2, 0, 0.8, -12)])
+    states = concatenate([flood, pair]).with_(id=np.arange(n + 2))
+    label = clusterer.cluster(states, np.append(np.arange(n) % 5, [0, 1]))
+    assert np.bincount(label).max() <= 5
+    assert label[-2] != label[-1]
+
+
+def centre() -> CommandCenterPipeline:
+    return CommandCenterPipeline(
+        clustering=SampledAssignmentClusterer(),
+        group_tracking=GroupTrackerWrapper(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D()),
+    )
+
+
+def test_the_picture_keeps_vehicles_apart_that_pass_each_other():
+    """Each is seen by two agents that do not see the other, 1.5 m beside it."""
+    pipeline = centre()
+    for frame in range(60):
+        x = 12.0 * (STEP_S * frame - 3.0)
+        states = tracks([(x, 0, 0.8, 12), (x + 0.2, 0.1, 0.8, 12), (-x, 1.5, 0.8, -12), (0.2 - x, 1.6, 0.8, -12)])
+        picture, support = pipeline.step(round(frame * STEP_S * 1e9), states, np.arange(4), ("a", "b", "c", "d"))
+        if frame >= 2:
+            assert support.tolist() == [2, 2]
+            assert picture.id.tolist() == [0, 1]
+            assert sorted(np.round(picture.velocity[:, 0]).tolist()) == [-12.0, 12.0]
+
+
+def test_a_track_that_jumps_to_an_oncoming_vehicle_is_neither_fused_nor_in_the_picture():
+    pipeline = centre()
+    for frame in range(40):
+        x = -12.0 * STEP_S * frame
+        states = tracks([(x, 0, 0.8, -12), (x + 0.2, 0.1, 0.8, -12), (x - 0.1, 0.1, 0.8, 12 if frame >= 20 else -12)])
+        picture, support = pipeline.step(round(frame * STEP_S * 1e9), states, np.arange(3), ("a", "b", "c"))
+        if frame >= 2:
+            assert picture.id.tolist() == [0]
+            assert support.tolist() == [2 if frame >= 20 else 3]
+            assert picture.velocity[0, 0] == pytest.approx(-12.0, abs=0.1)
+
+
+WRONG = [(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 0.8, 12)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "agent", "label", "weights"),
+    [
+        (WRONG, [0, 1, 2], [0, 0, 1], [1, 1, 0]),
+        ([WRONG[0], WRONG[2]], [0, 2], [0, 1], None),  # nothing says which is wrong
+        (WRONG, [0, 1, 1], [0, 0, 1], None),  # agent 1 sees both
+        ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 1.6, 0.8, 12)], [0, 1, 2], [0, 0, 1], None),  # in the next lane
+        ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 6.3, -12)], [0, 1, 2], [0, 0, 1], None),  # on the level above
+        ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 0.8, -11)], [0, 1, 2], [0, 0, 1], None),  # no contradiction
+    ],
+)
+def test_a_cluster_is_left_out_where_more_agents_report_another_object_at_its_place(rows, agent, label, weights):
+    result = without_contradicted(tracks(rows), np.array(agent), np.array(label), None)
+    assert result is weights if weights is None else result.tolist() == weights
+
+
+def test_agents_that_are_not_trusted_contradict_nobody():
+    """Two suspended agents against an honest one."""
+    trust = np.array([0.0, 0.0, 1.0])
+    result = without_contradicted(tracks(WRONG), np.arange(3), np.array([0, 0, 1]), trust)
+    assert result.tolist() == [0.0, 0.0, 1.0]
