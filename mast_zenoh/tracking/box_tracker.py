@@ -11,13 +11,15 @@ from mast_zenoh.tracking import classes, existence, kalman, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
-from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
+from mast_zenoh.tracking.duplicates import duplicated, duplicates
+from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores
 from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
+from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
+from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW_VARIANCE, YY
 from mast_zenoh.tracking.view import SensorView
 
 #: m^2/s^3, spectral density of vertical acceleration: roads are nearly flat.
@@ -113,6 +115,7 @@ class KalmanBoxTracker3D(Tracker):
         self._birth_odds = birth_odds
         self._lifetime_s = lifetime_s
         self._memory_s = memory_s
+        self._min_probability = min_probability
         self._report_odds = min_probability / (1.0 - min_probability)
         confirm_odds, drop_odds = confirm_probability / (1.0 - confirm_probability), birth_odds * DROP_FRACTION
         limits = confirm_odds, self._report_odds, drop_odds, max_coast_s, LOST_M**2, MAX_SPEED, max_std_m**2
@@ -126,6 +129,7 @@ class KalmanBoxTracker3D(Tracker):
     def reset(self) -> None:
         self.innovations: Innovations = Innovations()
         self._tracks = tracks.empty(0)
+        self._evidence = ScoreEvidence()
         self._next_id = 0
         self._time_ns: int | None = None
         self._matched = np.zeros(0, np.int64)
@@ -151,7 +155,7 @@ class KalmanBoxTracker3D(Tracker):
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
-        new_tracks = self._create_tracks(new_rows, measurements)
+        new_tracks = self._created(new_rows, measurements)
         if len(new_rows):
             new_tracks[:, kalman.BOX] = measurements.state[new_rows]
             P = first_covariance(
@@ -159,7 +163,9 @@ class KalmanBoxTracker3D(Tracker):
             )
             new_tracks[:, COVARIANCE] = P.reshape(len(new_rows), 81)
             new_tracks[:, ODDS] = self._birth_odds
-        return self._finish(match, new_tracks)
+        reported = self._finish(match, new_tracks)
+        self._evidence.learn(self._tracks, measurements.score, self._report_odds)
+        return self._states(reported, self._evidence.probability(reported))
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
         measurements = Measured.states(measured)
@@ -184,15 +190,13 @@ class KalmanBoxTracker3D(Tracker):
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
-        new_tracks = self._create_tracks(new_rows, measurements)
+        new_tracks = self._created(new_rows, measurements)
         if len(new_rows):
-            new_tracks[:, MEAN], new_tracks[:, COVARIANCE] = (
-                measurements.state[new_rows],
-                measurements.noise[new_rows].reshape(len(new_rows), 81),
-            )
+            new_tracks[:, MEAN] = measurements.state[new_rows]
+            new_tracks[:, COVARIANCE] = measurements.noise[new_rows].reshape(len(new_rows), 81)
             score = np.clip(FIRST_REPORT * measured.score[measurements.row[new_rows]], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
-        return self._finish(match, new_tracks)
+        return self._states(self._finish(match, new_tracks), None)
 
     def _advance(self, time_ns: int) -> None:
         """Predict the tracks to `time_ns`."""
@@ -237,6 +241,7 @@ class KalmanBoxTracker3D(Tracker):
         correct_heading(updated, measurements.yaw.take(used), self._yaw_noise)
         tracks.update_class(updated, measurements.class_id.take(used))
         existence.update_detected(updated, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
+        add_scores(updated, measurements.score.take(used))
         updated[:, tracks.AGE], updated[:, ROW] = 0.0, measurements.row.take(used)
         return updated
 
@@ -256,33 +261,29 @@ class KalmanBoxTracker3D(Tracker):
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
         if match.contested:
-            t, i, j = self._tracks, match.near.track, match.near.measurement
-            unexplained = (~explained[j] & (t[i, ROW] >= 0.0)).nonzero()[0]
-            if len(unexplained):
-                mean, j = t[i[unexplained]], j[unexplained]
-                state = measurements.state[j]
-                offset = state[:, :2] - mean[:, :2]
-                same = overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], measurements.yaw[j], ONE_OBJECT)
-                explained[j[same]] = True
+            i, j = match.near.track, match.near.measurement
+            explained[j[duplicated(self._tracks, measurements.state, measurements.yaw, i, j, explained)]] = True
         return (~explained).nonzero()[0]
 
-    def _create_tracks(self, rows: Ints, measurements: Measured) -> Floats:
+    def _created(self, rows: Ints, measurements: Measured) -> Floats:
         """New tracks for the measurements in `rows`, without mean, covariance and odds."""
-        new_tracks = tracks.empty(len(rows))
-        if len(rows):
-            new_tracks[:, tracks.ID] = np.arange(self._next_id, self._next_id + len(rows))
-            self._next_id += len(rows)
-            new_tracks[:, YAW], new_tracks[:, YAW_VARIANCE], new_tracks[:, tracks.TURN] = (
-                measurements.yaw[rows],
-                self._yaw_noise,
-                1.0,
-            )
-            new_tracks[:, tracks.HITS], new_tracks[:, ROW] = 1.0, measurements.row[rows]
-            tracks.update_class(new_tracks, measurements.class_id[rows])
-        return new_tracks
+        self._next_id += len(rows)
+        return created(rows, measurements, self._next_id - len(rows), self._yaw_noise)
 
-    def _finish(self, match: Match, new_tracks: Floats) -> ObjectStates:
-        """Drop tracks, add the new ones and report."""
+    def _states(self, reported: Floats, probability: Floats | None) -> ObjectStates:
+        """The tracks to report that are likely to exist; probability: (k,) that they are objects, None: ones."""
+        states = tracks.to_states(reported)
+        if probability is not None:
+            score = states.score
+            score *= probability
+            likely = score > self._min_probability
+            if np.count_nonzero(likely) < len(likely):
+                states, reported = states.select(likely), reported[likely]
+        self._matched = reported[:, ROW].astype(np.int64)
+        return states
+
+    def _finish(self, match: Match, new_tracks: Floats) -> Floats:
+        """Drop tracks and add the new ones; the tracks (k, WIDTH) to report."""
         t = self._tracks
         keep, report = existence.track_status(t, *self._status_limits)
         if match.contested:
@@ -292,5 +293,4 @@ class KalmanBoxTracker3D(Tracker):
         reported = t.take(report.nonzero()[0], 0)
         t = t if np.count_nonzero(keep) == len(t) else t[keep]
         self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
-        self._matched = reported[:, ROW].astype(np.int64)
-        return tracks.to_states(reported)
+        return reported
