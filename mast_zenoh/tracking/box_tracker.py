@@ -12,14 +12,14 @@ from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
-from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores
+from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores, hit_share
 from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
 from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW_VARIANCE, YY
+from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE, XX, YAW_VARIANCE, YY
 from mast_zenoh.tracking.view import SensorView
 
 #: m^2/s^3, spectral density of vertical acceleration: roads are nearly flat.
@@ -165,7 +165,7 @@ class KalmanBoxTracker3D(Tracker):
             new_tracks[:, ODDS] = self._birth_odds
         reported = self._finish(match, new_tracks)
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
-        return self._states(reported, self._evidence.probability(reported))
+        return self._states(reported, self._evidence.probability(reported), None)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
         measurements = Measured.states(measured)
@@ -196,7 +196,8 @@ class KalmanBoxTracker3D(Tracker):
             new_tracks[:, COVARIANCE] = measurements.noise[new_rows].reshape(len(new_rows), 81)
             score = np.clip(FIRST_REPORT * measured.score[measurements.row[new_rows]], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
-        return self._states(self._finish(match, new_tracks), None)
+        reported = self._finish(match, new_tracks)
+        return self._states(reported, None, reported[:, SCORE])
 
     def _advance(self, time_ns: int) -> None:
         """Predict the tracks to `time_ns`."""
@@ -270,15 +271,18 @@ class KalmanBoxTracker3D(Tracker):
         self._next_id += len(rows)
         return created(rows, measurements, self._next_id - len(rows), self._yaw_noise)
 
-    def _states(self, reported: Floats, probability: Floats | None) -> ObjectStates:
-        """The tracks to report that are likely to exist; probability: (k,) that they are objects, None: ones."""
+    def _states(self, reported: Floats, probability: Floats | None, mean: Floats | None) -> ObjectStates:
+        """The tracks to report that are likely to exist, with scores that rank them.
+
+        probability: (k,) that they are objects; mean: (k,) of the scores reported of them; None: ones
+        """
         states = tracks.to_states(reported)
         if probability is not None:
-            score = states.score
-            score *= probability
-            likely = score > self._min_probability
+            states.score[:] *= probability
+            likely = states.score > self._min_probability
             if np.count_nonzero(likely) < len(likely):
                 states, reported = states.select(likely), reported[likely]
+        states.score[:] *= hit_share(reported) if mean is None else hit_share(reported) * np.clip(mean, 0.0, 1.0)
         self._matched = reported[:, ROW].astype(np.int64)
         return states
 

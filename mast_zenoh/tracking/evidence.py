@@ -28,7 +28,8 @@ def add_scores(tracks: Floats, score: Floats) -> None:
 def hit_share(tracks: Floats) -> Floats:
     """(n,) expected share of frames in which objects are detected, by the rule of succession (Laplace).
 
-    It grows with the number of detections, so it tells a new track from one that has been followed for long.
+    It grows with the number of detections up to the memory of the counts, so it ranks tracks whose existence is
+    practically certain: above all, those that have been followed for long.
     """
     hits = tracks[:, HITS]
     return np.asarray((hits + 1.0) / (hits + tracks[:, MISSES] + 2.0))
