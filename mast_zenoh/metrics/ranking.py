@@ -32,7 +32,8 @@ def ranked_accuracy(
         sMOTA_r = max(0, 1 - (FP + FN + IDS - (1 - r) n_objects) / (r n_objects))    samota: mean over the levels
         MOTP_r = mean error of the kept pairs                                        amotp_m: mean over those reached
 
-    In sMOTA_r, r is the recall that is reached, so that the term is (FP + IDS) / pairs and at most 1. A level that is not reached counts as 0 for AMOTA and sAMOTA. Values that are undefined are None.
+    In sMOTA_r, r is the recall that is reached, so that the term is (FP + IDS) / pairs and at most 1. A level that is
+    not reached counts as 0 for AMOTA and sAMOTA. Values that are undefined are None.
     """
     if n_objects == 0:
         return {"amota": None, "samota": None, "amotp_m": None}

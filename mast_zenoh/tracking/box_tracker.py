@@ -7,10 +7,11 @@ from typing import ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectStates
-from mast_zenoh.tracking import classes, existence, kalman, tracks
+from mast_zenoh.tracking import classes, existence, kalman, parameters, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
+from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
 from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores, hit_share
 from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
@@ -38,15 +39,6 @@ LOST_M = 3.0
 PRIOR_FRAMES = 2.0
 #: Factor on the score of a newly reported state, to allow for transient errors of the source.
 FIRST_REPORT = 0.9
-#: Parameters that are probabilities, and others that must be positive.
-_PROBABILITIES = (
-    "detection_probability", "report_probability", "confirm_probability", "min_probability", "jump_probability",
-)  # fmt: skip
-_POSITIVE = (
-    "position_std_m", "vertical_std_m", "size_std_m", "yaw_std_rad", "clutter_per_m2", "birth_odds", "lifetime_s",
-    "memory_s", "max_std_m", "jump_std_m", "acceleration_scale",
-)  # fmt: skip
-
 _BIPARTITE = BipartiteAssignment()
 
 
@@ -56,7 +48,7 @@ class KalmanBoxTracker3D(Tracker):
     See docs/tracking.md for the model and the sources of the numbers.
 
     position_std_m, vertical_std_m: standard deviation of a detection's horizontal position per axis, and of its height,
-        unless it has its own covariance
+        unless it has its own covariance; the former is estimated where none has one, see `detection_noise`
     size_std_m, yaw_std_rad: standard deviation of a detection's sizes, and of its heading modulo half a turn
     detection_probability: probability of detecting an object in full view; a track's own hit rate can only lower it
     report_probability: probability that a source of states (`step_states`) continues to report an existing object
@@ -66,7 +58,8 @@ class KalmanBoxTracker3D(Tracker):
     confirm_probability, min_probability: existence probabilities above which a track is confirmed, and reported
     max_coast_s: s without a measurement after which a track is dropped (earlier if its position uncertainty exceeds
         LOST_M); until then it may be recovered under the same id
-    max_std_m: m, standard deviation of the horizontal position above which a track is not reported
+    max_std_m: m, standard deviation of the horizontal position above which a track is not reported; `innovations`
+        counts the steps in which none is for that reason
     jump_probability, jump_std_m: probability of a sudden displacement in a frame, and its standard deviation per axis
         for a moving car, see `gating`
     acceleration_scale: factor on the accelerations in `classes`
@@ -100,13 +93,7 @@ class KalmanBoxTracker3D(Tracker):
         acceleration_scale: float = 1.0,
         assignment: Assignment = _BIPARTITE,
     ) -> None:
-        parameters = locals()
-        for name in _PROBABILITIES:
-            if not 0.0 < parameters[name] < 1.0:
-                raise ValueError(f"{name}: found {parameters[name]}, expected more than 0 and less than 1")
-        for name in _POSITIVE:
-            if not parameters[name] > 0.0:
-                raise ValueError(f"{name}: found {parameters[name]}, expected more than 0")
+        parameters.check(locals())
         self._variance = np.square([position_std_m] * 2 + [vertical_std_m] + [size_std_m] * 3)
         self._yaw_noise = yaw_std_rad**2
         self._detection_probability = detection_probability
@@ -130,6 +117,7 @@ class KalmanBoxTracker3D(Tracker):
         self.innovations: Innovations = Innovations()
         self._tracks = tracks.empty(0)
         self._evidence = ScoreEvidence()
+        self._noise = DetectionNoise(self._variance)
         self._next_id = 0
         self._time_ns: int | None = None
         self._matched = np.zeros(0, np.int64)
@@ -140,7 +128,7 @@ class KalmanBoxTracker3D(Tracker):
         return self._matched
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
-        measurements = Measured.detections(detections, self._variance)
+        measurements = Measured.detections(detections, self._noise.variance)
         self._advance(time_ns)
         t = self._tracks
         detected = existence.detection_probability(t, self._detection_probability, PRIOR_FRAMES)
@@ -149,6 +137,8 @@ class KalmanBoxTracker3D(Tracker):
             matched = self._matched_tracks(match, measurements, detected)
             measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
             innovation = measured[:, :2] - matched[:, :2]
+            if not detections.covariance.any():
+                self._noise.learn(matched, innovation, match.jump == 0.0)
             self.innovations.add(*innovation_sum(matched, measured, R, match.jump), len(matched))
             self.filter.correct(matched, measured, R)
             constrain_lateral_speed(self.filter, matched, innovation)
@@ -295,6 +285,9 @@ class KalmanBoxTracker3D(Tracker):
             keep &= ~duplicates(t)
         report &= keep
         reported = t.take(report.nonzero()[0], 0)
+        if len(reported) == 0:
+            likely = keep & (t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)
+            self.innovations.silent += bool((t[likely, ROW] >= 0.0).any())
         t = t if np.count_nonzero(keep) == len(t) else t[keep]
         self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
         return reported

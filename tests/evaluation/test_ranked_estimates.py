@@ -30,9 +30,8 @@ def test_scores_differ_between_tracks_and_are_lower_for_false_ones(baseline: Pla
     tracks = (kind == "track") & (name == estimate)
     assert (score[tracks] >= 0.0).all()
     assert (score[tracks] < 0.999).all()
-    assert len(np.unique(score[tracks])) > 0.5 * np.count_nonzero(tracks & (outcome == "matched")) / len(
-        baseline.agents
-    )
+    distinct, matched = len(np.unique(score[tracks])), np.count_nonzero(tracks & (outcome == "matched"))
+    assert distinct > 0.5 * matched / len(baseline.agents)
     assert score[tracks & (outcome == "false")].mean() < score[tracks & (outcome == "matched")].mean() - 0.02
 
 
