@@ -13,7 +13,7 @@ from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
-from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores, hit_share
+from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores, tempered_probability
 from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
 from mast_zenoh.tracking.initiation import created
@@ -187,7 +187,7 @@ class KalmanBoxTracker3D(Tracker):
             score = np.clip(FIRST_REPORT * measured.score[measurements.row[new_rows]], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
         reported = self._finish(match, new_tracks)
-        return self._states(reported, None, reported[:, SCORE])
+        return self._states(reported, None, np.clip(reported[:, SCORE], 0.0, 1.0))
 
     def _advance(self, time_ns: int) -> None:
         """Predict the tracks to `time_ns`."""
@@ -266,13 +266,14 @@ class KalmanBoxTracker3D(Tracker):
 
         probability: (k,) that they are objects; mean: (k,) of the scores reported of them; None: ones
         """
-        states = tracks.to_states(reported)
+        states, weight = tracks.to_states(reported), mean if probability is None else probability
         if probability is not None:
-            states.score[:] *= probability
-            likely = states.score > self._min_probability
+            likely = states.score * probability > self._min_probability
             if np.count_nonzero(likely) < len(likely):
-                states, reported = states.select(likely), reported[likely]
-        states.score[:] *= hit_share(reported) if mean is None else hit_share(reported) * np.clip(mean, 0.0, 1.0)
+                states, reported, weight = states.select(likely), reported[likely], probability[likely]
+        states.score[:] = tempered_probability(reported[:, ODDS])
+        if weight is not None:
+            states.score[:] *= weight
         self._matched = reported[:, ROW].astype(np.int64)
         return states
 

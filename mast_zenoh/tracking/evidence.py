@@ -1,4 +1,4 @@
-"""How much evidence there is for tracks: the scores of their detections, and how often they were detected."""
+"""How much evidence there is for tracks: the scores of their detections, and what their odds are worth."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.tracking.score_calibration import STAGES_S, ScoreCalibration
-from mast_zenoh.tracking.tracks import AGE, CONFIRMED, DUE, HITS, MISSES, ODDS, SCORE, SPAN
+from mast_zenoh.tracking.tracks import AGE, CONFIRMED, DUE, HITS, ODDS, SCORE, SPAN
 
 #: s, span of a new track at which its first stage ends.
 FIRST_DUE = float(STAGES_S[0])
+#: Share of frames that are independent evidence: about one sample per second, ten frames (docs/metrics.md). Three
+#: square roots.
+INDEPENDENT = 0.125
 _NEXT_DUE = np.append(STAGES_S[1:], np.inf)
 
 
@@ -25,14 +28,14 @@ def add_scores(tracks: Floats, score: Floats) -> None:
     tracks[:, SPAN] += tracks[:, AGE]
 
 
-def hit_share(tracks: Floats) -> Floats:
-    """(n,) expected share of frames in which objects are detected, by the rule of succession (Laplace).
+def tempered_probability(odds: Floats) -> Floats:
+    """(n,) probabilities of existence with discounted evidence, which rank tracks whose existence is certain.
 
-    It grows with the number of detections up to the memory of the counts, so it ranks tracks whose existence is
-    practically certain: above all, those that have been followed for long.
+    odds: (n,) of existence, as if detections in successive frames were independent. They are not: errors last. So their
+    likelihoods count with an exponent (a power likelihood: Holmes and Walker, Biometrika 2017), which keeps the order.
     """
-    hits = tracks[:, HITS]
-    return np.asarray((hits + 1.0) / (hits + tracks[:, MISSES] + 2.0))
+    power = np.sqrt(np.sqrt(np.sqrt(odds)))  # to the last bit on any machine, unlike other powers
+    return np.asarray(power / (1.0 + power))
 
 
 class ScoreEvidence:
