@@ -68,6 +68,9 @@ _MEASURES = {
     "completeness": "Share of an object's frames in which it is matched, 0 to 1, mean over objects",
     "ospa_m": "OSPA: distance between the set of objects and the set of tracks, per object, in m",
     "gospa_m": "GOSPA: the same summed over the objects, in m",
+    "amota": "Tracking accuracy averaged over levels of recall, with the tracks ranked by their scores, at most 1",
+    "samota": "The same, with the accuracy at each level relative to the best one possible there, 0 to 1",
+    "amotp_m": "Mean distance of the centres of matched pairs, averaged over levels of recall, in m",
 }
 _HOST_FAULTS = {
     "HostPartition": "Nothing gets through the links of these hosts, either way",

@@ -33,6 +33,7 @@ from mast_zenoh.metrics import (
     consequences,
     user_metrics,
 )
+from mast_zenoh.metrics.ranking import rankings
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import COLUMNS
 from mast_zenoh.metrics.trust import Fault
@@ -216,8 +217,9 @@ class _Results:
         data, scores, labels = self.data, self.scores, self.labels
         summary, per_frame = scores.summary(scored), scores.per_frame()
         causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
+        ranked = rankings(scores, scored)
         for (agent, estimator), row in scores.every_series.items():
-            summary[agent][estimator] |= causes[row]
+            summary[agent][estimator] |= ranked[row] | causes[row]
         counts = np.zeros(len(scores.frames), bool)
         counts[scored] = True
         agents, metrics = data.record.agents, self.settings.metrics

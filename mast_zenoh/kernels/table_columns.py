@@ -28,7 +28,9 @@ AGE = CLASS + 2
 ID = CLASS + 3
 #: Row of the last input; -1: coasting.
 ROW = CLASS + 4
-WIDTH = CLASS + 5
+#: Mean score of the measurements; s from the first one to the last, and at which the next sample of it is due.
+SCORE, SPAN, DUE = CLASS + 5, CLASS + 6, CLASS + 7
+WIDTH = CLASS + 8
 
 # -- objects that an adversary follows (`attacks.following`) ---------------------------------------------------------
 

@@ -18,6 +18,8 @@ _SUBJECTS = {
     "mission": "the mission estimate of {}",
 }
 _MAX_LINES = 20
+#: Number of steps in which a tracker reports none of its tracks, from which on it is worth a notice.
+_SILENT = 10
 _QUANTITIES = {"position": "", "velocity": " in velocity"}
 
 
@@ -40,10 +42,13 @@ def innovations(handed_in: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, 
 
 
 def of_metrics(metrics: Mapping[str, Any], trackers: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A notice for each estimate that is more confident than accurate, as {"kind", "count", "text"}.
+    """Notices of estimates that are more confident than accurate, and of trackers too uncertain to report anything.
+
+    Each is {"kind", "count", "text"}.
 
     metrics:  of metrics.json
-    trackers: summaries by node, as from `innovations`; they count only where nothing could be compared with the truth
+    trackers: summaries by node, as from `innovations`; their confidence counts only where nothing could be compared
+              with the truth
     """
     estimates = [*_estimates(metrics.get("consistency"))]
     texts = [text for text in (_estimate_text(*estimate) for estimate in estimates) if text]
@@ -51,6 +56,7 @@ def of_metrics(metrics: Mapping[str, Any], trackers: Mapping[str, Mapping[str, A
         texts += [_tracker_text(name, each) for name, each in trackers.items() if each["verdict"] == OVERCONFIDENT]
     if len(texts) > _MAX_LINES:
         texts = [*texts[:_MAX_LINES], f"{len(texts) - _MAX_LINES} more estimates are more confident than accurate"]
+    texts += [_silent_text(name, each["silent"]) for name, each in trackers.items() if each["silent"] >= _SILENT]
     return [{"kind": "confidence", "count": 1, "text": text} for text in texts]
 
 
@@ -82,6 +88,13 @@ def _tracker_text(node: str, summary: Mapping[str, Any]) -> str:
     return (
         f"the tracker of {node} is {_number(summary['factor'])} times more confident than its measurements bear out "
         f"(NIS {_number(summary['nis'])}, expected {summary['expected']})"
+    )
+
+
+def _silent_text(node: str, steps: int) -> str:
+    return (
+        f"the tracker of {node} reported none of its tracks in {steps} steps, as the standard deviation of each was "
+        "above max_std_m: raise it if the detections are that noisy"
     )
 
 

@@ -5,6 +5,7 @@
     scoring     counts per agent, estimator and frame
     ospa        distances between sets: OSPA, GOSPA
     matched_pairs, consistency    whether estimates are as accurate as their covariances say
+    ranking     AMOTA: accuracy over recall, for tracks ranked by their scores
     scores      tables, and the summary in metrics.json
     manipulations    manipulated objects, and the estimates that they can influence
     attribution, histories, causes, blame   the cause of every false and every missed object of every estimate

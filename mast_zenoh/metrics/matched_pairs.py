@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.metrics.boxes import centre_distance
 from mast_zenoh.metrics.record import TrackTable, TruthTable
 
 
@@ -39,14 +40,27 @@ class MatchedPairs(NamedTuple):
 
     def errors(self, series: int, frames: slice) -> PairErrors:
         """The errors of one series in a slice of the frames, with a start and a stop."""
-        begin = series * self.n_frames
-        first, last = self.group.searchsorted((begin + frames.start, begin + frames.stop)).tolist()
-        truth_row = self.truth_rows.take(self.truth_box[first:last])
-        track_row = self.track_rows.take(self.track_box[first:last])
+        truth_row, track_row = self._rows(series, frames)
         truth, tracks, spread = self.truth, self.tracks, self.tracks.spread.take(track_row, 0)
         position = tracks.boxes.position.take(track_row, 0) - truth.boxes.position.take(truth_row, 0)
         velocity = tracks.velocity.take(track_row, 0) - truth.velocity.take(truth_row, 0)
         return PairErrors(truth_row, (position[:, :2], spread[:, :3]), (velocity[:, :2], spread[:, 3:]))
+
+    def ranked(self, series: int, frames: slice) -> tuple[Ints, Ints, Floats, Floats]:
+        """Ids of the objects and of the tracks, scores, and horizontal errors (m) of one series' pairs (n,).
+
+        In order of time; frames: a slice with a start and a stop
+        """
+        truth_row, track_row = self._rows(series, frames)
+        truth, tracks = self.truth.boxes, self.tracks.boxes
+        error_m = centre_distance(truth.position.take(truth_row, 0), tracks.position.take(track_row, 0))
+        return truth.id.take(truth_row), tracks.id.take(track_row), self.tracks.score.take(track_row), error_m
+
+    def _rows(self, series: int, frames: slice) -> tuple[Ints, Ints]:
+        """The rows (n,) of the truth and of the tracks of one series' pairs in a slice of the frames."""
+        begin = series * self.n_frames
+        first, last = self.group.searchsorted((begin + frames.start, begin + frames.stop)).tolist()
+        return self.truth_rows.take(self.truth_box[first:last]), self.track_rows.take(self.track_box[first:last])
 
 
 class Sources(NamedTuple):

@@ -7,17 +7,20 @@ from typing import ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectStates
-from mast_zenoh.tracking import classes, existence, kalman, tracks
+from mast_zenoh.tracking import classes, existence, kalman, parameters, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
-from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
+from mast_zenoh.tracking.detection_noise import DetectionNoise
+from mast_zenoh.tracking.duplicates import duplicated, duplicates
+from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores, tempered_probability
 from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
+from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
+from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE, XX, YAW_VARIANCE, YY
 from mast_zenoh.tracking.view import SensorView
 
 #: rad/sqrt(s), drift of a heading.
@@ -32,15 +35,6 @@ LOST_M = 3.0
 PRIOR_FRAMES = 2.0
 #: Factor on the score of a newly reported state, to allow for transient errors of the source.
 FIRST_REPORT = 0.9
-#: Parameters that are probabilities, and others that must be positive.
-_PROBABILITIES = (
-    "detection_probability", "report_probability", "confirm_probability", "min_probability", "jump_probability",
-)  # fmt: skip
-_POSITIVE = (
-    "position_std_m", "vertical_std_m", "size_std_m", "yaw_std_rad", "clutter_per_m2", "birth_odds", "lifetime_s",
-    "memory_s", "max_std_m", "jump_std_m", "acceleration_scale",
-)  # fmt: skip
-
 _BIPARTITE = BipartiteAssignment()
 
 
@@ -50,7 +44,7 @@ class KalmanBoxTracker3D(Tracker):
     See docs/tracking.md for the model and the sources of the numbers.
 
     position_std_m, vertical_std_m: standard deviation of a detection's horizontal position per axis, and of its height,
-        unless it has its own covariance
+        unless it has its own covariance; the former is estimated where none has one, see `detection_noise`
     size_std_m, yaw_std_rad: standard deviation of a detection's sizes, and of its heading modulo half a turn
     detection_probability: probability of detecting an object in full view; a track's own hit rate can only lower it
     report_probability: probability that a source of states (`step_states`) continues to report an existing object
@@ -60,7 +54,8 @@ class KalmanBoxTracker3D(Tracker):
     confirm_probability, min_probability: existence probabilities above which a track is confirmed, and reported
     max_coast_s: s without a measurement after which a track is dropped (earlier if its position uncertainty exceeds
         LOST_M); until then it may be recovered under the same id
-    max_std_m: m, standard deviation of the horizontal position above which a track is not reported
+    max_std_m: m, standard deviation of the horizontal position above which a track is not reported; `innovations`
+        counts the steps in which none is for that reason
     jump_probability, jump_std_m: probability of a sudden displacement in a frame, and its standard deviation per axis
         for a moving car, see `gating`
     acceleration_scale: factor on the accelerations in `classes`
@@ -94,13 +89,7 @@ class KalmanBoxTracker3D(Tracker):
         acceleration_scale: float = 1.0,
         assignment: Assignment = _BIPARTITE,
     ) -> None:
-        parameters = locals()
-        for name in _PROBABILITIES:
-            if not 0.0 < parameters[name] < 1.0:
-                raise ValueError(f"{name}: found {parameters[name]}, expected more than 0 and less than 1")
-        for name in _POSITIVE:
-            if not parameters[name] > 0.0:
-                raise ValueError(f"{name}: found {parameters[name]}, expected more than 0")
+        parameters.check(locals())
         self._variance = np.square([position_std_m] * 2 + [vertical_std_m] + [size_std_m] * 3)
         self._yaw_noise = yaw_std_rad**2
         self._detection_probability = detection_probability
@@ -109,6 +98,7 @@ class KalmanBoxTracker3D(Tracker):
         self._birth_odds = birth_odds
         self._lifetime_s = lifetime_s
         self._memory_s = memory_s
+        self._min_probability = min_probability
         self._report_odds = min_probability / (1.0 - min_probability)
         confirm_odds, drop_odds = confirm_probability / (1.0 - confirm_probability), birth_odds * DROP_FRACTION
         limits = confirm_odds, self._report_odds, drop_odds, max_coast_s, LOST_M**2, MAX_SPEED, max_std_m**2
@@ -122,6 +112,8 @@ class KalmanBoxTracker3D(Tracker):
     def reset(self) -> None:
         self.innovations: Innovations = Innovations()
         self._tracks = tracks.empty(0)
+        self._evidence = ScoreEvidence()
+        self._noise = DetectionNoise(self._variance)
         self._next_id = 0
         self._time_ns: int | None = None
         self._matched = np.zeros(0, np.int64)
@@ -132,7 +124,7 @@ class KalmanBoxTracker3D(Tracker):
         return self._matched
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
-        measurements = Measured.detections(detections, self._variance)
+        measurements = Measured.detections(detections, self._noise.variance)
         self._advance(time_ns)
         t = self._tracks
         detected = existence.detection_probability(t, self._detection_probability, PRIOR_FRAMES)
@@ -141,13 +133,15 @@ class KalmanBoxTracker3D(Tracker):
             matched = self._matched_tracks(match, measurements, detected)
             measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
             innovation = measured[:, :2] - matched[:, :2]
+            if not detections.covariance.any():
+                self._noise.learn(matched, innovation, match.jump == 0.0)
             self.innovations.add(*innovation_sum(matched, measured, R, match.jump), len(matched))
             self.filter.correct(matched, measured, R)
             constrain_lateral_speed(self.filter, matched, innovation)
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
-        new_tracks = self._create_tracks(new_rows, measurements)
+        new_tracks = self._created(new_rows, measurements)
         if len(new_rows):
             new_tracks[:, kalman.BOX] = measurements.state[new_rows]
             P = first_covariance(
@@ -155,7 +149,9 @@ class KalmanBoxTracker3D(Tracker):
             )
             new_tracks[:, COVARIANCE] = P.reshape(len(new_rows), 81)
             new_tracks[:, ODDS] = self._birth_odds
-        return self._finish(match, new_tracks)
+        reported = self._finish(match, new_tracks)
+        self._evidence.learn(self._tracks, measurements.score, self._report_odds)
+        return self._states(reported, self._evidence.probability(reported), None)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
         measurements = Measured.states(measured)
@@ -180,15 +176,14 @@ class KalmanBoxTracker3D(Tracker):
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
-        new_tracks = self._create_tracks(new_rows, measurements)
+        new_tracks = self._created(new_rows, measurements)
         if len(new_rows):
-            new_tracks[:, MEAN], new_tracks[:, COVARIANCE] = (
-                measurements.state[new_rows],
-                measurements.noise[new_rows].reshape(len(new_rows), 81),
-            )
+            new_tracks[:, MEAN] = measurements.state[new_rows]
+            new_tracks[:, COVARIANCE] = measurements.noise[new_rows].reshape(len(new_rows), 81)
             score = np.clip(FIRST_REPORT * measured.score[measurements.row[new_rows]], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
-        return self._finish(match, new_tracks)
+        reported = self._finish(match, new_tracks)
+        return self._states(reported, None, np.clip(reported[:, SCORE], 0.0, 1.0))
 
     def _advance(self, time_ns: int) -> None:
         """Predict the tracks to `time_ns`."""
@@ -233,6 +228,7 @@ class KalmanBoxTracker3D(Tracker):
         correct_heading(updated, measurements.yaw.take(used), self._yaw_noise)
         tracks.update_class(updated, measurements.class_id.take(used))
         existence.update_detected(updated, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
+        add_scores(updated, measurements.score.take(used))
         updated[:, tracks.AGE], updated[:, ROW] = 0.0, measurements.row.take(used)
         return updated
 
@@ -252,33 +248,33 @@ class KalmanBoxTracker3D(Tracker):
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
         if match.contested:
-            t, i, j = self._tracks, match.near.track, match.near.measurement
-            unexplained = (~explained[j] & (t[i, ROW] >= 0.0)).nonzero()[0]
-            if len(unexplained):
-                mean, j = t[i[unexplained]], j[unexplained]
-                state = measurements.state[j]
-                offset = state[:, :2] - mean[:, :2]
-                same = overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], measurements.yaw[j], ONE_OBJECT)
-                explained[j[same]] = True
+            i, j = match.near.track, match.near.measurement
+            explained[j[duplicated(self._tracks, measurements.state, measurements.yaw, i, j, explained)]] = True
         return (~explained).nonzero()[0]
 
-    def _create_tracks(self, rows: Ints, measurements: Measured) -> Floats:
+    def _created(self, rows: Ints, measurements: Measured) -> Floats:
         """New tracks for the measurements in `rows`, without mean, covariance and odds."""
-        new_tracks = tracks.empty(len(rows))
-        if len(rows):
-            new_tracks[:, tracks.ID] = np.arange(self._next_id, self._next_id + len(rows))
-            self._next_id += len(rows)
-            new_tracks[:, YAW], new_tracks[:, YAW_VARIANCE], new_tracks[:, tracks.TURN] = (
-                measurements.yaw[rows],
-                self._yaw_noise,
-                1.0,
-            )
-            new_tracks[:, tracks.HITS], new_tracks[:, ROW] = 1.0, measurements.row[rows]
-            tracks.update_class(new_tracks, measurements.class_id[rows])
-        return new_tracks
+        self._next_id += len(rows)
+        return created(rows, measurements, self._next_id - len(rows), self._yaw_noise)
 
-    def _finish(self, match: Match, new_tracks: Floats) -> ObjectStates:
-        """Drop tracks, add the new ones and report."""
+    def _states(self, reported: Floats, probability: Floats | None, mean: Floats | None) -> ObjectStates:
+        """The tracks to report that are likely to exist, with scores that rank them.
+
+        probability: (k,) that they are objects; mean: (k,) of the scores reported of them; None: ones
+        """
+        states, weight = tracks.to_states(reported), mean if probability is None else probability
+        if probability is not None:
+            likely = states.score * probability > self._min_probability
+            if np.count_nonzero(likely) < len(likely):
+                states, reported, weight = states.select(likely), reported[likely], probability[likely]
+        states.score[:] = tempered_probability(reported[:, ODDS])
+        if weight is not None:
+            states.score[:] *= weight
+        self._matched = reported[:, ROW].astype(np.int64)
+        return states
+
+    def _finish(self, match: Match, new_tracks: Floats) -> Floats:
+        """Drop tracks and add the new ones; the tracks (k, WIDTH) to report."""
         t = self._tracks
         keep, report = existence.track_status(t, *self._status_limits)
         if match.contested:
@@ -286,7 +282,9 @@ class KalmanBoxTracker3D(Tracker):
             keep &= ~duplicates(t)
         report &= keep
         reported = t.take(report.nonzero()[0], 0)
+        if len(reported) == 0:
+            likely = keep & (t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)
+            self.innovations.silent += bool((t[likely, ROW] >= 0.0).any())
         t = t if np.count_nonzero(keep) == len(t) else t[keep]
         self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
-        self._matched = reported[:, ROW].astype(np.int64)
-        return tracks.to_states(reported)
+        return reported

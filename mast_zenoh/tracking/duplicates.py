@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
-from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.tracks import CONFIRMED, ROW, YAW
 
@@ -52,3 +52,18 @@ def duplicates(t: Floats) -> Bools:
     worse = np.where((coasts[i] > coasts[j]) | ((coasts[i] == coasts[j]) & (i > j)), i, j)
     duplicate[rows[worse]] = True
     return duplicate
+
+
+def duplicated(t: Floats, boxes: Floats, yaw: Floats, i: Ints, j: Ints, explained: Bools) -> Ints:
+    """Which of p gated pairs are of a measured track and a measurement of the same object that no track explains.
+
+    boxes: (m, >= 6) measurements x y z l w h, yaw: (m,) rad; i, j: (p,) rows of tracks and of measurements
+    explained: (m,) whether a track explains the measurement
+    """
+    rows = (~explained[j] & (t[i, ROW] >= 0.0)).nonzero()[0]
+    if len(rows) == 0:
+        return np.zeros(0, np.int64)
+    mean, j = t[i[rows]], j[rows]
+    state = boxes[j]
+    offset = state[:, :2] - mean[:, :2]
+    return np.asarray(rows[overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], yaw[j], ONE_OBJECT)])

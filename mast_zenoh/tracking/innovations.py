@@ -27,12 +27,14 @@ class Innovations:
     sudden: number of other pairs, which a sudden displacement explains (`gating`)
     at_most: whether measurements were estimates themselves, with errors correlated with the tracks'. Covariance
             intersection then bounds the covariance of the innovation, so the expected value is at most DOF
+    silent: number of steps in which measured tracks exist, but none is reported, as all are too uncertain
     """
 
     total: float = 0.0
     pairs: int = 0
     sudden: int = 0
     at_most: bool = False
+    silent: int = 0
 
     def add(self, total: float, pairs: int, assigned: int) -> None:
         """Add `assigned` pairs, of which `pairs` without a sudden displacement have the sum `total`."""
@@ -46,6 +48,7 @@ class Innovations:
         nis: mean;  expected;  low, high: two-sided 95 % bounds of the mean of a consistent tracker
         factor, factor_low, factor_high: how many times larger innovations are than expected, with its 95 % interval:
             the estimate of greatest likelihood that takes sudden pairs as beyond the gate. Others beyond it are unknown
+        silent: see the class
         verdict: "overconfident" or "overcautious" if the interval is beyond LIMIT or its inverse, else None
 
         Innovations of a consistent tracker are independent of each other (Bar-Shalom, Li, Kirubarajan 2001, 5.4.2), so
@@ -72,6 +75,7 @@ class Innovations:
             "pairs": self.pairs,
             "sudden": self.sudden,
             "at_most": self.at_most,
+            "silent": self.silent,
             "verdict": verdict,
         }
 
@@ -86,4 +90,6 @@ class Innovations:
         mean = 0.0 if mean is None and pairs == 0 else mean
         if not isinstance(mean, float) or not 0.0 <= mean < math.inf:
             return None
-        return cls(mean * pairs, pairs, sudden, value.get("at_most") is True)
+        silent = value.get("silent")
+        silent = silent if type(silent) is int and silent > 0 else 0
+        return cls(mean * pairs, pairs, sudden, value.get("at_most") is True, silent)

@@ -18,7 +18,7 @@ class Measured(NamedTuple):
 
     row: (m,) int64, row in the input
     state: (m, 6) boxes x y z l w h, or (m, 9) with vx vy vz; noise: (m, k, k) their covariances
-    yaw: (m,) rad; class_id: (m,) int64
+    yaw: (m,) rad; class_id: (m,) int64; score: (m,)
     """
 
     row: Ints
@@ -26,6 +26,7 @@ class Measured(NamedTuple):
     noise: Floats
     yaw: Floats
     class_id: Ints
+    score: Floats
 
     @classmethod
     def detections(cls, d: Detections, variance: Floats) -> Measured:
@@ -33,14 +34,16 @@ class Measured(NamedTuple):
         order = row_order(d.position[:, 0], ties=lambda: (d.score, d.class_id, *d.size.T, d.yaw, *d.position.T[:0:-1]))
         box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
         noise = box_noise(d.covariance, order, variance, MIN_VARIANCE, MAX_VARIANCE)
-        return cls(order, box, noise, d.yaw.take(order), known_class(d.class_id.take(order)))
+        class_id = known_class(d.class_id.take(order))
+        return cls(order, box, noise, d.yaw.take(order), class_id, d.score.take(order))
 
     @classmethod
     def states(cls, s: ObjectStates) -> Measured:
         """Measurements of full states."""
         order = row_order(s.id, s.position[:, 0])
         state = np.concatenate([s.position, s.size, s.velocity], axis=1).take(order, 0)
-        return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), known_class(s.class_id.take(order)))
+        class_id = known_class(s.class_id.take(order))
+        return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), class_id, s.score.take(order))
 
 
 @kernel

@@ -24,6 +24,7 @@ HITS, MISSES, VOTES = columns.HITS, columns.MISSES, slice(columns.VOTES, columns
 RECORD = slice(HITS, VOTES.stop)
 CLASS, CONFIRMED, AGE = columns.CLASS, columns.CONFIRMED, columns.AGE
 ID, ROW, WIDTH = columns.ID, columns.ROW, columns.WIDTH
+SCORE, SPAN, DUE = columns.SCORE, columns.SPAN, columns.DUE
 
 assert len(CLASSES) == columns.N_CLASSES, "each class has a column of votes"
 _ONE_VOTE = np.eye(len(CLASSES))

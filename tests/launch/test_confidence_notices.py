@@ -89,3 +89,11 @@ def test_only_sound_summaries_of_nodes_with_a_tracker_are_taken() -> None:
     }
     found = confidence_notices.innovations(handed_in, resolved.nodes)
     assert found == {"ego": Innovations(3.0, 2).summary()}, "derived values are computed again"
+
+
+def test_a_tracker_that_reports_nothing_because_all_is_uncertain_has_a_line() -> None:
+    lines = texts({}, infra_1=Innovations(silent=9), infra_2=Innovations(silent=40))
+    assert lines == [
+        "the tracker of infra_2 reported none of its tracks in 40 steps, as the standard deviation of each was "
+        "above max_std_m: raise it if the detections are that noisy"
+    ]

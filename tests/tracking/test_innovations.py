@@ -70,8 +70,12 @@ def test_detections_as_noisy_as_assumed_come_out_near_one() -> None:
 @pytest.mark.parametrize(
     ("std_m", "verdict"), [(3.0 * STANDARD_M, "overconfident"), (0.3 * STANDARD_M, "overcautious")]
 )
-def test_detections_with_other_noise_than_assumed_are_found(std_m: float, verdict: str) -> None:
-    assert summary(played(KalmanBoxTracker3D(), std_m))["verdict"] == verdict
+def test_detections_with_other_noise_than_reported_are_found(std_m: float, verdict: str) -> None:
+    assert summary(played(KalmanBoxTracker3D(), std_m, STANDARD_M**2))["verdict"] == verdict
+
+
+def test_a_tracker_adapts_to_noise_that_is_not_reported() -> None:
+    assert summary(played(KalmanBoxTracker3D(), 3.0 * STANDARD_M))["factor"] < 1.6
 
 
 def test_the_filterpy_twin_tells_the_same() -> None:

@@ -52,6 +52,9 @@ MEASURES = (
     Measure("completeness", "completeness", brief=False),
     Measure("ospa_m", "OSPA m", brief=False),
     Measure("gospa_m", "GOSPA m", brief=False),
+    Measure("amota", "AMOTA", brief=False),
+    Measure("samota", "sAMOTA", brief=False),
+    Measure("amotp_m", "AMOTP m", brief=False),
 )
 
 

@@ -1,0 +1,104 @@
+"""What the scores of a detector are worth, from a tracker's own experience.
+
+Scores are no probabilities: 0.3 may mean 90 % in one detector and 20 % in another. Only their order is used here, and
+learnt how often a confirmed track lasts whose detections score like that. False detections last for a moment, objects
+stay until they are out of view.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+
+#: s from a track's first to its last detection, at which it has survived one more stage; after the last it is
+#: established.
+STAGES_S = np.array([0.5, 1.0, 2.0])
+#: Number of stages.
+STAGES = len(STAGES_S)
+#: Number of intervals of scores with equally many samples.
+INTERVALS = 8
+#: Weight of the survival rate of all scores, in samples of each interval.
+PRIOR = 2.0
+#: Number of samples that are remembered.
+MEMORY = 512
+
+
+class ScoreCalibration:
+    """The probability that a confirmed track is an object, by the mean score of its detections and its age.
+
+    A sample is a confirmed track in a stage of its age, with its mean score: it survives the stage, or its existence
+    becomes unlikely before. The product of the remaining stages' survival rates is the probability of becoming
+    established (product-limit estimate: Kaplan and Meier 1958, which also handles tracks that go out of view). The rate
+    of each stage does not decrease with the score (isotonic regression: Zadrozny and Elkan 2002).
+
+    Not every object becomes established. Those with the highest scores are taken to be objects, so that their rate is
+    the one of objects, and the probability of being an object is the rate relative to it (learning from positive and
+    unlabelled examples: Elkan and Noto 2008, sections 2 and 3). Scores that tell nothing thus change nothing.
+
+    A track gives one sample per stage at most, so false detections that last for ever cannot outvote the others.
+    """
+
+    def __init__(self) -> None:
+        self._score, self._stage = np.zeros(MEMORY), np.zeros(MEMORY, np.int64)
+        self._survived = np.zeros(MEMORY, np.bool_)
+        self._count = self._used = 0  # samples in all, and when the table was made
+        self._table: Floats | None = None
+        self._edges = np.zeros(0)
+
+    def add(self, score: Floats, stage: Ints, survived: Bools) -> None:
+        """Add n samples: mean score, stage from 0 and whether it was survived; the oldest ones are forgotten.
+
+        Scores that are not finite are left out.
+        """
+        finite = np.isfinite(score).nonzero()[0][:MEMORY]
+        place = (self._count + np.arange(len(finite))) % MEMORY
+        self._score[place], self._stage[place], self._survived[place] = score[finite], stage[finite], survived[finite]
+        self._count += len(finite)
+        if self._count - self._used >= max(INTERVALS, min(self._count, MEMORY) // 16):
+            self._used = self._count
+            self._tabulate()
+
+    def probability(self, score: Floats, stage: Ints) -> Floats | None:
+        """(n,) probability that tracks of this mean score in this stage are objects; None: nothing is known yet.
+
+        stage: from 0; STAGES for established tracks, which keep the probability of the last stage
+        """
+        if self._table is None:
+            return None
+        return np.asarray(self._table[stage, self._edges.searchsorted(score, "right")])
+
+    def _tabulate(self) -> None:
+        """Make the table (STAGES + 1, intervals) of probabilities and the inner edges of its intervals of scores."""
+        n = min(self._count, MEMORY)
+        ordered = np.sort(self._score[:n])
+        # Equal scores are in one interval.
+        edges = np.unique(ordered[np.arange(1, INTERVALS) * n // INTERVALS])
+        self._edges = edges[edges > ordered[0]]
+        width = len(self._edges) + 1
+        cell = self._stage[:n] * width + self._edges.searchsorted(self._score[:n], "right")
+        shape = STAGES, width
+        samples = np.bincount(cell, minlength=STAGES * width).reshape(shape)
+        survived = np.bincount(cell, self._survived[:n], minlength=STAGES * width).reshape(shape)
+        mean = (survived.sum(1, keepdims=True) + 1.0) / (samples.sum(1, keepdims=True) + 1.0)
+        weight = samples + PRIOR
+        rate = np.array([isotonic(*row) for row in zip((survived + PRIOR * mean) / weight, weight, strict=True)])
+        established = rate[::-1].cumprod(0)[::-1]
+        probability = established / established[:, -1:]
+        self._table = np.concatenate([probability, probability[-1:]])
+
+
+def isotonic(value: Floats, weight: Floats) -> Floats:
+    """The nondecreasing numbers (n,) that are nearest to `value`, in weighted least squares.
+
+    By pooling adjacent violators (Ayer, Brunk, Ewing, Reid and Silverman 1955).
+    """
+    blocks: list[tuple[float, float, int]] = []  # mean, weight and number of values
+    for mean, total in zip(value.tolist(), weight.tolist(), strict=True):
+        size = 1
+        while blocks and blocks[-1][0] >= mean:
+            before, its_weight, its_size = blocks.pop()
+            mean = (before * its_weight + mean * total) / (its_weight + total)
+            total, size = its_weight + total, its_size + size
+        blocks.append((mean, total, size))
+    return np.repeat([mean for mean, _, _ in blocks], [size for _, _, size in blocks])

@@ -1,0 +1,170 @@
+"""Detectors whose false detections last and score lower than objects, on whatever scale."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import isotonic_regression
+from tracking_worlds import detected, joined, matched, nanoseconds
+
+from mast_zenoh.arrays.states import Detections, ObjectStates
+from mast_zenoh.tracking import KalmanBoxTracker3D
+from mast_zenoh.tracking.score_calibration import INTERVALS, MEMORY, STAGES, ScoreCalibration, isotonic
+
+FRAMES, OBJECTS = 200, 12
+Map = Callable[[np.ndarray], np.ndarray]
+MAPS: dict[str, Map] = {
+    "as they are": lambda score: score,
+    "cubed": lambda score: score**3,
+    "square roots": np.sqrt,
+    "0.5 to 1": lambda score: 0.5 + 0.5 * score,
+    "logits": lambda score: np.log(score / (1.0 - score)),
+    "percent": lambda score: 100.0 * score,
+}
+
+
+def logistic(value: np.ndarray) -> np.ndarray:
+    return 1.0 / (1.0 + np.exp(-value))
+
+
+def cars(frame: int) -> np.ndarray:
+    """(OBJECTS, 2) m: half of them parked, half at 6 m/s."""
+    x = np.linspace(-60.0, 60.0, OBJECTS)
+    y = np.where(np.arange(OBJECTS) % 2, 30.0, -30.0)
+    return np.column_stack([x + (np.arange(OBJECTS) % 2) * 0.6 * frame - 30.0 * (np.arange(OBJECTS) % 2), y])
+
+
+def world(seed: int = 0, informative: bool = True) -> list[Detections]:
+    """Detections by frame; false ones last 0.5 s on average and score 0.25, objects 0.65, with a wide spread."""
+    random = np.random.default_rng(seed)
+    offset = random.normal(0.6, 0.5, OBJECTS)
+    place, worth = np.zeros((0, 2)), np.zeros(0)
+    frames = []
+    for frame in range(FRAMES):
+        stays = random.random(len(worth)) < 0.8
+        new = random.poisson(0.8)
+        place = np.concatenate([place[stays], random.uniform(-80.0, 80.0, (new, 2))])
+        worth = np.concatenate([worth[stays], random.normal(-1.2, 0.8, new)])
+        seen = np.flatnonzero(random.random(OBJECTS) < 0.9)
+        real = detected(cars(frame)[seen] + random.normal(0.0, 0.25, (len(seen), 2)))
+        false = detected(place + random.normal(0.0, 0.2, place.shape))
+        logit = np.concatenate([offset[seen] + random.normal(0.0, 0.5, len(seen)), worth])
+        if not informative:
+            logit = random.normal(0.0, 1.0, len(logit))
+        frames.append(replace(joined(real, false), score=logistic(logit)))
+    return frames
+
+
+def errors(frames: list[Detections], scores: Map, tracker: KalmanBoxTracker3D | None = None) -> tuple[float, float]:
+    """Misses and false tracks per frame, after the first 50."""
+    tracker = tracker or KalmanBoxTracker3D()
+    missed = false = 0
+    for frame, detections in enumerate(frames):
+        tracks = tracker.step(nanoseconds(frame), replace(detections, score=scores(detections.score)))
+        if frame >= 50:
+            pairs = len(matched(cars(frame), tracks))
+            missed, false = missed + OBJECTS - pairs, false + len(tracks) - pairs
+    return missed / (FRAMES - 50), false / (FRAMES - 50)
+
+
+def constant(score: np.ndarray) -> np.ndarray:
+    return np.full(len(score), 0.9)
+
+
+@pytest.mark.parametrize("scores", MAPS.values(), ids=MAPS)
+def test_false_detections_that_last_are_told_by_their_scores_on_any_scale(scores: Map) -> None:
+    frames = world()
+    without, with_scores = errors(frames, constant), errors(frames, scores)
+    assert without[1] > 2.0
+    assert with_scores[1] < 0.35 * without[1]
+    assert with_scores[0] < without[0] + 0.3
+
+
+def test_scores_beat_the_best_fixed_limit_of_the_detector() -> None:
+    def below(limit: float) -> float:
+        cut = [each.select(each.score >= limit) for each in frames]
+        return sum(errors(cut, constant))
+
+    frames = world(1)
+    assert sum(errors(frames, MAPS["as they are"])) < min(below(limit) for limit in (0.1, 0.2, 0.3, 0.4))
+
+
+def test_scores_that_tell_nothing_change_almost_nothing() -> None:
+    frames = world(2, informative=False)
+    without, with_scores = errors(frames, constant), errors(frames, MAPS["as they are"])
+    assert with_scores[0] < without[0] + 0.3
+    assert with_scores[1] <= without[1]
+
+
+def states_of(frames: list[Detections], score: float) -> list[ObjectStates]:
+    tracker = KalmanBoxTracker3D()
+    return [
+        tracker.step(nanoseconds(frame), replace(each, score=np.full(len(each), score)))
+        for frame, each in enumerate(frames)
+    ]
+
+
+def test_constant_scores_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = world()[:80]
+    high, low = states_of(frames, 1.0), states_of(frames, 0.1)
+    monkeypatch.setattr(ScoreCalibration, "add", lambda *_: None)
+    unscored = states_of(frames, 0.9)
+    for one, other, third in zip(high, low, unscored, strict=True):
+        for name, column in one.columns().items():
+            assert column.tobytes() == other.columns()[name].tobytes() == third.columns()[name].tobytes(), name
+
+
+def test_a_false_detection_that_never_ends_does_not_make_others_with_its_score_credible() -> None:
+    frames = world(3)
+    bush = [replace(detected([[0.0, 0.0]]), score=np.array([0.15])) for _ in frames]
+    tracker = KalmanBoxTracker3D()
+    _, false = errors([joined(one, two) for one, two in zip(frames, bush, strict=True)], MAPS["as they are"], tracker)
+    probability = tracker._evidence._calibration.probability(np.array([0.15, 0.9]), np.zeros(2, np.int64))
+    assert probability is not None
+    assert probability[0] < 0.25
+    assert probability[1] == 1.0
+    assert false < 0.35 * errors(frames, constant)[1]
+
+
+def filled(random: np.random.Generator, n: int, score: np.ndarray | None = None) -> ScoreCalibration:
+    calibration = ScoreCalibration()
+    score = random.random(n) if score is None else score
+    for begin in range(0, n, 10):
+        part = slice(begin, begin + 10)
+        survived = random.random(len(score[part])) < 0.1 + 0.8 * np.nan_to_num(score[part], posinf=0.0)
+        calibration.add(score[part], random.integers(0, STAGES, len(score[part])), survived)
+    return calibration
+
+
+def test_the_probability_of_an_object_never_decreases_with_the_score_and_is_a_probability() -> None:
+    for seed in range(20):
+        calibration = filled(np.random.default_rng(seed), 40 * (1 + seed))
+        for stage in range(STAGES + 1):
+            probability = calibration.probability(np.linspace(-1.0, 2.0, 99), np.full(99, stage))
+            assert probability is not None
+            assert (np.diff(probability) >= 0.0).all()
+            assert (probability > 0.0).all()
+            assert probability[-1] == 1.0
+
+
+def test_nothing_is_known_before_the_first_samples() -> None:
+    assert ScoreCalibration().probability(np.zeros(2), np.zeros(2, np.int64)) is None
+
+
+def test_any_numbers_are_survived_and_the_memory_is_bounded() -> None:
+    random = np.random.default_rng(0)
+    score = random.choice([np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300, 5e-324], 4000)
+    calibration = filled(random, 4000, score)
+    probability = calibration.probability(score[:50], np.zeros(50, np.int64))
+    assert probability is not None
+    assert np.isfinite(probability).all()
+    assert len(calibration._score) == MEMORY
+    assert len(calibration._edges) < INTERVALS
+
+
+def test_isotonic_regression_equals_that_of_scipy() -> None:
+    random = np.random.default_rng(0)
+    for n in (1, 2, 8, 30):
+        value, weight = random.random(n), random.random(n) + 0.1
+        np.testing.assert_allclose(isotonic(value, weight), isotonic_regression(value, weights=weight).x, atol=1e-12)
