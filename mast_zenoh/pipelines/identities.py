@@ -65,12 +65,13 @@ class Identities:
         self._last: dict[int, tuple[int, _Vector, _Vector]] = {}  # of each id: time, ns, position and velocity
         self._next = 0
         self._newest: _Estimate | None = None  # not yet in the dictionaries
-        self._sorted = [(np.zeros(0, np.int64), np.zeros(0, np.int64))] * 2  # names and ids of both sources
+        self._ids: tuple[dict[int, int], dict[int, int]] = ({}, {})  # of the names of both sources
 
     def same(self, own: Ints, picture: Ints) -> Bools:
         """Whether each of p own tracks last had the same id in the estimate as an object of the picture: (p,)."""
-        of_own, of_picture = (_find(names, *known) for names, known in zip((own, picture), self._sorted, strict=True))
-        return np.asarray((of_own == of_picture) & (of_own != NONE))
+        of_own, of_picture = self._ids
+        pairs = zip(own.tolist(), picture.tolist(), strict=True)
+        return np.array([one in of_own and of_own[one] == of_picture.get(other) for one, other in pairs], bool)
 
     def assign(self, time_ns: int, own: Ints, picture: Ints, position: Floats, velocity: Floats) -> Ints:
         """Ids (n,) of n objects at a time. Independent of their order.
@@ -85,7 +86,10 @@ class Identities:
             ids = self._decided(time_ns, own, picture, position)
             self._newest = _Estimate(time_ns, own, picture, position, velocity, ids)
             self._remember()
-            self._sorted = [_by_name(source) for source in (self._own, self._picture)]
+            of_own, of_picture = (
+                {name: known.id for name, known in source.items()} for source in (self._own, self._picture)
+            )
+            self._ids = of_own, of_picture
             return ids
         if self._newest is not None and not np.array_equal(ids, self._newest.ids):
             self._remember()  # an object may have left
@@ -94,12 +98,17 @@ class Identities:
 
     def _as_before(self, own: Ints, picture: Ints) -> Ints | None:
         """The ids, in the usual case: both sources have known objects only, and agree about them."""
-        of_own, of_picture = (_find(names, *known) for names, known in zip((own, picture), self._sorted, strict=True))
-        ids = np.where(own == NONE, of_picture, of_own)
-        agreed = (picture == NONE) | (of_picture == ids)
-        if (ids == NONE).any() or not agreed.all() or len(np.unique(ids)) < len(ids):
-            return None
-        return ids
+        of_own, of_picture = self._ids
+        names, others = own.tolist(), picture.tolist()
+        ids = [of_own.get(name, NONE) for name in names]
+        for row, other in enumerate(others):
+            if other != NONE:
+                known = of_picture.get(other, NONE)
+                if ids[row] != known:
+                    if names[row] != NONE:
+                        return None
+                    ids[row] = known
+        return None if NONE in ids or len(set(ids)) < len(ids) else np.array(ids, np.int64)
 
     def _decided(self, time_ns: int, own: Ints, picture: Ints, position: Floats) -> Ints:
         """The ids in any case, one by one: first of the objects that are where their id should be."""
@@ -171,17 +180,3 @@ class Identities:
         kept = {known.id for source in (self._own, self._picture) for known in source.values()}
         for id_ in [id_ for id_, (last_ns, _, _) in self._last.items() if last_ns < limit and id_ not in kept]:
             del self._last[id_]
-
-
-def _by_name(source: dict[int, _Known]) -> tuple[Ints, Ints]:
-    """The names of a source in order, and their ids."""
-    names = sorted(source)
-    return np.array(names, np.int64), np.array([source[name].id for name in names], np.int64)
-
-
-def _find(names: Ints, known: Ints, ids: Ints) -> Ints:
-    """The id of each of n names among k `known` ones, in order; NONE: it is not known."""
-    if len(known) == 0:
-        return np.full(len(names), NONE)
-    at = np.minimum(np.searchsorted(known, names), len(known) - 1)
-    return np.where(known[at] == names, ids[at], NONE)

@@ -112,21 +112,22 @@ class _Pairs:
 
 def _averaged(own: ObjectStates, picture: ObjectStates, i: Ints, j: Ints) -> ObjectStates:
     """The picture's objects; where object j is paired with own track i, the weighted average of both."""
-    variance = [np.trace(part.covariance[rows, :2, :2], axis1=1, axis2=2) for part, rows in ((own, i), (picture, j))]
-    total = variance[0] + variance[1]
-    weight = np.divide(variance[1], total, out=np.full(len(i), 0.5), where=total > 0.0)  # of the own track
-    columns = {}
-    for name in ("position", "velocity", "size", "covariance"):
-        column = getattr(picture, name).copy()
-        share = weight.reshape(-1, *[1] * (column.ndim - 1))
-        column[j] += share * (getattr(own, name)[i] - column[j])
-        columns[name] = column
-    columns["yaw"] = picture.yaw.copy()
-    nearer = weight > 0.5
-    columns["yaw"][j[nearer]] = own.yaw[i[nearer]]
+    one, other = own.covariance[i], picture.covariance[j]
+    variance = other[:, 0, 0] + other[:, 1, 1]
+    total = variance + one[:, 0, 0] + one[:, 1, 1]
+    weight = np.divide(variance, total, out=np.full(len(i), 0.5), where=total > 0.0)  # of the own track
+    covariance, yaw = picture.covariance.copy(), picture.yaw.copy()
+    covariance[j] = other + weight[:, None, None] * (one - other)
+    nearer = (weight > 0.5).nonzero()[0]
+    yaw[j[nearer]] = own.yaw[i[nearer]]
+    columns = {"covariance": covariance, "yaw": yaw}
+    for name in ("position", "velocity", "size"):
+        column = columns[name] = getattr(picture, name).copy()
+        theirs = column[j]
+        column[j] = theirs + weight[:, None] * (getattr(own, name)[i] - theirs)
     return picture.with_(**columns)
 
 
 def _by_id(states: ObjectStates) -> ObjectStates:
     """The rows in the order of their ids, so that no choice among equals depends on their order."""
-    return states if (np.diff(states.id) > 0).all() else states.select(np.argsort(states.id))
+    return states if (states.id[1:] > states.id[:-1]).all() else states.select(np.argsort(states.id))
