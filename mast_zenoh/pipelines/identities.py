@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,30 +22,17 @@ SETTLED_AFTER = 5
 #: In place of an id: the object is not in this source.
 NONE = -1
 
-#: x and y, m or m/s, world frame.
-_Vector = tuple[float, float]
-
-
-@dataclass(slots=True)
-class _Known:
-    """The id in the estimate of an object of one source, when it was last there, and its new partner, if any."""
-
-    id: int
-    time_ns: int
-    partner: int = NONE
-    together: int = 0
-
 
 @dataclass(frozen=True, slots=True)
 class _Estimate:
     """The n objects of one estimate: arguments and result of `Identities.assign`."""
 
     time_ns: int
-    own: Ints
-    picture: Ints
+    own: list[int]
+    picture: list[int]
     position: Floats
     velocity: Floats
-    ids: Ints
+    ids: list[int]
 
 
 class Identities:
@@ -60,16 +48,16 @@ class Identities:
 
     def __init__(self, radius: float) -> None:
         self.radius = radius
-        self._own: dict[int, _Known] = {}
-        self._picture: dict[int, _Known] = {}
-        self._last: dict[int, tuple[int, _Vector, _Vector]] = {}  # of each id: time, ns, position and velocity
+        self._own = _Names()
+        self._picture = _Names()
+        self._partners: dict[int, tuple[int, int]] = {}  # of objects of the picture: an own track, and for how long
+        self._lost: dict[int, tuple[int, Floats, Floats]] = {}  # by id: time, ns, position and velocity
+        self._newest = _Estimate(0, [], [], np.zeros((0, 2)), np.zeros((0, 2)), [])
         self._next = 0
-        self._newest: _Estimate | None = None  # not yet in the dictionaries
-        self._ids: tuple[dict[int, int], dict[int, int]] = ({}, {})  # of the names of both sources
 
     def same(self, own: Ints, picture: Ints) -> Bools:
         """Whether each of p own tracks last had the same id in the estimate as an object of the picture: (p,)."""
-        of_own, of_picture = self._ids
+        of_own, of_picture = self._own.ids, self._picture.ids
         pairs = zip(own.tolist(), picture.tolist(), strict=True)
         return np.array([one in of_own and of_own[one] == of_picture.get(other) for one, other in pairs], bool)
 
@@ -79,104 +67,127 @@ class Identities:
         own, picture: (n,) id of each as an own track, and in the picture; NONE: it is not in that source
         position, velocity: (n, 2) m and m/s, world frame
         """
-        ids = self._as_before(own, picture)
-        if ids is None:
-            self._remember()
-            self._forget(time_ns)
-            ids = self._decided(time_ns, own, picture, position)
-            self._newest = _Estimate(time_ns, own, picture, position, velocity, ids)
-            self._remember()
-            of_own, of_picture = (
-                {name: known.id for name, known in source.items()} for source in (self._own, self._picture)
-            )
-            self._ids = of_own, of_picture
-            return ids
-        if self._newest is not None and not np.array_equal(ids, self._newest.ids):
-            self._remember()  # an object may have left
-        self._newest = _Estimate(time_ns, own, picture, position, velocity, ids)
-        return ids
-
-    def _as_before(self, own: Ints, picture: Ints) -> Ints | None:
-        """The ids, in the usual case: both sources have known objects only, and agree about them."""
-        of_own, of_picture = self._ids
-        names, others = own.tolist(), picture.tolist()
-        ids = [of_own.get(name, NONE) for name in names]
-        for row, other in enumerate(others):
-            if other != NONE:
-                known = of_picture.get(other, NONE)
-                if ids[row] != known:
-                    if names[row] != NONE:
-                        return None
-                    ids[row] = known
-        return None if NONE in ids or len(set(ids)) < len(ids) else np.array(ids, np.int64)
-
-    def _decided(self, time_ns: int, own: Ints, picture: Ints, position: Floats) -> Ints:
-        """The ids in any case, one by one: first of the objects that are where their id should be."""
-        names = list(zip(own.tolist(), picture.tolist(), strict=True))
-        places: list[_Vector] = position.tolist()
-        known = [self._known(*each) for each in names]
-        away = [self._away(time_ns, k[0], place) if k else math.inf for k, place in zip(known, places, strict=True)]
-        ids = [NONE] * len(names)
-        taken: set[int] = set()
-        for row in sorted(range(len(names)), key=lambda row: (away[row], names[row])):
-            ids[row] = next((each for each in known[row] if each not in taken), NONE)
-            if ids[row] == NONE:
-                ids[row] = self._lost(time_ns, places[row], taken.union(*known))
-            taken.add(ids[row])
+        names, others, before = own.tolist(), picture.tolist(), self._newest
+        ids, unclear = self._known(names, others)
+        if unclear:
+            self._decide(time_ns, names, others, position, ids, unclear)
+        self._newest = _Estimate(time_ns, names, others, position, velocity, ids)
+        if unclear or names != before.own or others != before.picture:
+            self._note_lost(before)
+            self._own.note_gone(before.time_ns, before.own, names)
+            self._picture.note_gone(before.time_ns, before.picture, others)
+            self._forget(time_ns - FORGOTTEN_NS)
         return np.array(ids, np.int64)
 
-    def _known(self, own: int, picture: int) -> list[int]:
-        """The ids that an object's sources had, the own track's first."""
-        sources = (self._own.get(own), self._picture.get(picture))
-        return list(dict.fromkeys(each.id for each in sources if each is not None))
+    def _known(self, own: list[int], picture: list[int]) -> tuple[list[int], list[int]]:
+        """The ids that the objects had, and the rows that are unclear: new ones, and those with different ids."""
+        of_own, of_picture = self._own.ids, self._picture.ids
+        ids, unclear = [], []
+        for row, (name, other) in enumerate(zip(own, picture, strict=True)):
+            known = of_picture.get(other, NONE)
+            id_ = known if name == NONE else of_own.get(name, NONE)
+            if id_ == NONE or (other != NONE and known != id_):
+                unclear.append(row)
+            ids.append(id_)
+        if len(set(ids)) < len(ids):
+            count = Counter(ids)  # new objects have none in common, but are unclear already
+            unclear = [row for row, id_ in enumerate(ids) if count[id_] > 1 or row in unclear]
+        return ids, unclear
 
-    def _away(self, time_ns: int, id_: int, place: _Vector) -> float:
-        """m, how far a place is from where the object with an id should be."""
-        last_ns, (x, y), (vx, vy) = self._last[id_]
-        elapsed_s = (time_ns - last_ns) * 1e-9
-        return math.hypot(x + vx * elapsed_s - place[0], y + vy * elapsed_s - place[1])
+    def _decide(
+        self, time_ns: int, own: list[int], picture: list[int], position: Floats, ids: list[int], unclear: list[int]
+    ) -> None:
+        """Set the ids of the unclear rows, first of the objects that are where their id should be."""
+        choices = {
+            row: [
+                each for each in (self._own.ids.get(own[row]), self._picture.ids.get(picture[row])) if each is not None
+            ]
+            for row in unclear
+        }
+        away = {row: self._away(time_ns, c[0], position[row]) if c else math.inf for row, c in choices.items()}
+        taken = {id_ for row, id_ in enumerate(ids) if row not in choices}
+        for row in sorted(unclear, key=lambda row: (away[row], own[row], picture[row])):
+            id_ = next((each for each in choices[row] if each not in taken), NONE)
+            if id_ == NONE:
+                id_ = self._resumed(time_ns, position[row], taken.union(*choices.values()))
+            ids[row] = id_
+            taken.add(id_)
+        for row in unclear:
+            if own[row] != NONE:
+                self._own.ids[own[row]] = ids[row]
+            if picture[row] != NONE:
+                self._continue(picture[row], own[row], ids[row])
 
-    def _lost(self, time_ns: int, place: _Vector, others: set[int]) -> int:
+    def _continue(self, picture: int, own: int, id_: int) -> None:
+        """Let an object of the picture, with an own track or without, have an id, at once or after some time."""
+        known = self._picture.ids.get(picture, id_)
+        if own != NONE and known != id_:
+            partner, together = self._partners.get(picture, (NONE, 0))
+            together = together + 1 if partner == own else 1
+            if together < SETTLED_AFTER:
+                self._partners[picture] = own, together
+                return
+        self._partners.pop(picture, None)
+        self._picture.ids[picture] = id_
+
+    def _away(self, time_ns: int, id_: int, position: Floats) -> float:
+        """m, how far a position (2,) is from where the object with an id should be."""
+        newest = self._newest
+        if id_ in self._lost:
+            last_ns, place, velocity = self._lost[id_]
+        elif id_ in newest.ids:
+            row = newest.ids.index(id_)
+            last_ns, place, velocity = newest.time_ns, newest.position[row], newest.velocity[row]
+        else:
+            return math.inf
+        return float(np.hypot(*(place + velocity * ((time_ns - last_ns) * 1e-9) - position)))
+
+    def _resumed(self, time_ns: int, position: Floats, others: set[int]) -> int:
         """The id of the nearest object that has just been lost and should be here, or else a new id."""
-        lost = [
-            (self._away(time_ns, id_, place), id_)
-            for id_, (last_ns, _, _) in self._last.items()
-            if id_ not in others and time_ns - last_ns <= RESUMED_NS
-        ]
-        away, id_ = min(lost, default=(math.inf, NONE))
+        newest = self._newest
+        gone = {id_ for id_, (last_ns, _, _) in self._lost.items() if time_ns - last_ns <= RESUMED_NS}
+        gone |= set(newest.ids) if time_ns - newest.time_ns <= RESUMED_NS else set()
+        away, id_ = min(((self._away(time_ns, id_, position), id_) for id_ in gone - others), default=(math.inf, NONE))
         if away <= self.radius:
             return id_
         self._next += 1
         return self._next - 1
 
-    def _remember(self) -> None:
-        """Take the newest estimate into the dictionaries."""
-        newest, self._newest = self._newest, None
-        if newest is None:
-            return
-        columns = (newest.own, newest.picture, newest.ids, newest.position, newest.velocity)
-        for own, picture, id_, place, speed in zip(*(column.tolist() for column in columns), strict=True):
-            self._last[id_] = (newest.time_ns, place, speed)
-            if own != NONE:
-                self._own[own] = _Known(id_, newest.time_ns)
-            if picture != NONE:
-                self._picture[picture] = self._continued(newest.time_ns, picture, id_, own)
+    def _note_lost(self, before: _Estimate) -> None:
+        """Remember where the objects were that the newest estimate no longer has."""
+        present = set(self._newest.ids)
+        for row, id_ in enumerate(before.ids):
+            if id_ not in present:
+                self._lost[id_] = before.time_ns, before.position[row], before.velocity[row]
+        for id_ in present & self._lost.keys():
+            del self._lost[id_]
 
-    def _continued(self, time_ns: int, picture: int, id_: int, own: int) -> _Known:
-        """What is known of an object of the picture that has an id now, with an own track or without."""
-        known = self._picture.get(picture)
-        if known is None or own == NONE or known.id == id_:
-            return _Known(id_, time_ns)
-        together = known.together + 1 if known.partner == own else 1
-        settled = together >= SETTLED_AFTER
-        return _Known(id_, time_ns) if settled else _Known(known.id, time_ns, own, together)
+    def _forget(self, limit_ns: int) -> None:
+        """Forget what has been gone since before a time."""
+        self._own.forget(limit_ns)
+        for name in self._picture.forget(limit_ns):
+            self._partners.pop(name, None)
+        for id_ in [id_ for id_, (last_ns, _, _) in self._lost.items() if last_ns < limit_ns]:
+            del self._lost[id_]
 
-    def _forget(self, time_ns: int) -> None:
-        """Forget what neither source has had for long."""
-        limit = time_ns - FORGOTTEN_NS
-        for source in (self._own, self._picture):
-            for name in [name for name, known in source.items() if known.time_ns < limit]:
-                del source[name]
-        kept = {known.id for source in (self._own, self._picture) for known in source.values()}
-        for id_ in [id_ for id_, (last_ns, _, _) in self._last.items() if last_ns < limit and id_ not in kept]:
-            del self._last[id_]
+
+class _Names:
+    """The ids in the estimate of the objects of one source, by their ids there, their names."""
+
+    def __init__(self) -> None:
+        self.ids: dict[int, int] = {}
+        self._gone: dict[int, int] = {}  # since when, ns
+
+    def note_gone(self, time_ns: int, before: list[int], now: list[int]) -> None:
+        """Remember which names are gone since a time, and which are back."""
+        present = set(now)
+        self._gone |= dict.fromkeys(set(before) - present - {NONE}, time_ns)
+        for name in present & self._gone.keys():
+            del self._gone[name]
+
+    def forget(self, limit_ns: int) -> list[int]:
+        """Forget the names that have been gone since before a time, and return them."""
+        names = [name for name, since_ns in self._gone.items() if since_ns < limit_ns]
+        for name in names:
+            del self._gone[name], self.ids[name]
+        return names

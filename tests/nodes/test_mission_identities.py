@@ -88,7 +88,7 @@ def test_an_agent_that_runs_for_long_remembers_little(estimator_type: type) -> N
     for frame in range(300):
         ids(estimator, frame, cars((frame, 100.0 * frame)), cars((frame, -100.0 * frame)))
     known = estimator._pairs._identities
-    assert max(map(len, (known._own, known._picture, known._last))) < 80
+    assert max(map(len, (known._own.ids, known._picture.ids, known._lost, known._partners))) < 80
 
 
 @ESTIMATORS
