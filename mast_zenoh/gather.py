@@ -82,11 +82,14 @@ class LatestBefore(Generic[Item]):
     def add(self, frame: int, item: Item, about: int | None = None) -> None:
         """Add an item that arrived in a frame.
 
-        Of two items that arrived in the same frame, the one about the later frame is kept, or else the first.
+        Of two items that arrived in the same frame, the one about the later frame is kept, or else the first. An item
+        about a frame that has not begun is left out, so that it cannot stand before those that are about the present.
 
-        about: the frame that it describes, if different because of a delay
+        about: the frame that it describes, if different because of a delay; in real time, it may be one ahead
         """
         about = frame if about is None else about
+        if about > frame + 1:
+            return
         if frame in self._items and self._items[frame][0] >= about:
             return
         self._items[frame] = about, item

@@ -124,6 +124,16 @@ def test_a_duplicate_of_a_waiting_item_is_recognised() -> None:
     assert buffer.pop(10**9) == {"ego": incomparable}
 
 
+def test_an_item_about_the_future_does_not_stand_before_those_about_the_present() -> None:
+    latest: LatestBefore[str] = LatestBefore()
+    latest.add(5, "of 15, forged", about=15)
+    latest.add(5, "of 5")
+    assert latest.get(6) == (5, "of 5")
+    latest.add(6, "of 16, forged", about=16)
+    latest.add(7, "of 7")
+    assert [latest.get(frame) for frame in (7, 8)] == [(5, "of 5"), (7, "of 7")]
+
+
 def test_the_newest_earlier_item_refers_to_the_latest_frame() -> None:
     latest: LatestBefore[str] = LatestBefore()
     latest.add(5, "of 5")

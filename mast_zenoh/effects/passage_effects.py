@@ -28,7 +28,8 @@ BATCH = 64
 #: receivers use the time in the header; for the others they use the frame.
 RESTAMPED_NS = 50_000_000
 TIMED = ("tracks", "picture")
-#: ns; the broker predicts tracks whose time differs by less, so that their objects move. Others count as withheld.
+#: ns; the broker, by default, predicts tracks whose time differs by less, so that their objects move. Others count as
+#: withheld.
 PREDICTED_NS = round(MAX_AGE_S * 1e9)
 
 

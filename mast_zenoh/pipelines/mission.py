@@ -10,7 +10,12 @@ from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
 from mast_zenoh.integrity.views import SweptView
-from mast_zenoh.pipelines.identities import NONE, Identities
+from mast_zenoh.pipelines.mission_ids import NONE, MissionIds
+from mast_zenoh.tracking.covariance_repair import make_positive_definite
+
+#: m^2, least variance of a horizontal position, both axes together, that a message can claim: 0.1 m per axis, as in
+#: `fusion.CheckedCovariances`.
+LEAST_VARIANCE = 0.02
 
 
 class MissionEstimator(ABC):
@@ -50,15 +55,7 @@ class OwnAndPicture(MissionEstimator):
         i, j, _ = self._pairs.find(own, picture)
         alone = np.ones(len(own), bool)
         alone[i] = False
-        remaining = own.select(alone)
-        of_own = np.full(len(picture), NONE)
-        of_own[j] = own.id[i]
-        return self._pairs.named(
-            time_ns,
-            concatenate([_averaged(own, picture, i, j), remaining]),
-            np.concatenate([of_own, remaining.id]),
-            np.concatenate([picture.id, np.full(len(remaining), NONE)]),
-        )
+        return self._pairs.with_ids(time_ns, own, _average_pairs(own, picture, i, j), i, j, alone)
 
 
 class PictureFirst(MissionEstimator):
@@ -74,15 +71,7 @@ class PictureFirst(MissionEstimator):
         """The objects of both, world frame; see `MissionEstimator.estimate`."""
         own, picture = _by_id(own), _by_id(picture)
         i, j, near = self._pairs.find(own, picture)
-        remaining = own.select(~near)
-        partner = np.full(len(picture), NONE)
-        partner[j] = own.id[i]
-        return self._pairs.named(
-            time_ns,
-            concatenate([picture, remaining]),
-            np.concatenate([partner, remaining.id]),
-            np.concatenate([picture.id, np.full(len(remaining), NONE)]),
-        )
+        return self._pairs.with_ids(time_ns, own, picture, i, j, ~near)
 
 
 class _Pairs:
@@ -93,38 +82,54 @@ class _Pairs:
 
     def __init__(self, radius: float) -> None:
         self.radius = radius
-        self._identities = Identities(radius)
+        self._ids = MissionIds(radius)
 
     def find(self, own: ObjectStates, picture: ObjectStates) -> tuple[Ints, Ints, Bools]:
         """Rows of own tracks (p,), rows of the picture (p,), and which own tracks (n,) have an object nearby."""
         i, j, dx, dy = neighbours(own.position, picture.position, np.full(len(own), self.radius))
         near = np.zeros(len(own), bool)
         near[i] = True
-        together = self._identities.same(own.id[i], picture.id[j])
+        together = self._ids.same(own.id[i], picture.id[j])
         chosen = greedy_matching(i, j, np.hypot(dx, dy) - self.radius * together)
         return i[chosen], j[chosen], near
 
-    def named(self, time_ns: int, objects: ObjectStates, own: Ints, picture: Ints) -> ObjectStates:
-        """The objects with their ids in the estimate; own, picture: (n,) ids in either source, see `Identities`."""
-        ids = self._identities.assign(time_ns, own, picture, objects.position[:, :2], objects.velocity[:, :2])
+    def with_ids(
+        self, time_ns: int, own: ObjectStates, picture: ObjectStates, i: Ints, j: Ints, alone: Bools
+    ) -> ObjectStates:
+        """The objects of the picture, and the own tracks that are `alone` (n,), with their ids in the estimate.
+
+        i, j: (p,) rows of own tracks and of the picture that are pairs
+        """
+        remaining = own.select(alone)
+        objects = concatenate([picture, remaining])
+        own_ids = np.concatenate([np.full(len(picture), NONE), remaining.id])
+        own_ids[j] = own.id[i]
+        picture_ids = np.concatenate([picture.id, np.full(len(remaining), NONE)])
+        ids = self._ids.assign(time_ns, own_ids, picture_ids, objects.position[:, :2], objects.velocity[:, :2])
         return objects.with_(id=ids)
 
 
-def _averaged(own: ObjectStates, picture: ObjectStates, i: Ints, j: Ints) -> ObjectStates:
-    """The picture's objects; where object j is paired with own track i, the weighted average of both."""
-    one, other = own.covariance[i], picture.covariance[j]
-    variance = other[:, 0, 0] + other[:, 1, 1]
-    total = variance + one[:, 0, 0] + one[:, 1, 1]
-    weight = np.divide(variance, total, out=np.full(len(i), 0.5), where=total > 0.0)  # of the own track
+def _average_pairs(own: ObjectStates, picture: ObjectStates, i: Ints, j: Ints) -> ObjectStates:
+    """The picture's objects; where object j is paired with own track i, the weighted average of both.
+
+    Class and score are those of the picture, the heading that of the more certain one.
+    """
+    own_covariance = make_positive_definite(own.covariance[i])
+    picture_covariance = make_positive_definite(picture.covariance[j])
+    variances = [
+        np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], LEAST_VARIANCE)
+        for covariance in (own_covariance, picture_covariance)
+    ]
+    weight = variances[1] / (variances[0] + variances[1])  # of the own track
     covariance, yaw = picture.covariance.copy(), picture.yaw.copy()
-    covariance[j] = other + weight[:, None, None] * (one - other)
+    covariance[j] = picture_covariance + weight[:, None, None] * (own_covariance - picture_covariance)
     nearer = (weight > 0.5).nonzero()[0]
     yaw[j[nearer]] = own.yaw[i[nearer]]
     columns = {"covariance": covariance, "yaw": yaw}
     for name in ("position", "velocity", "size"):
         column = columns[name] = getattr(picture, name).copy()
-        theirs = column[j]
-        column[j] = theirs + weight[:, None] * (getattr(own, name)[i] - theirs)
+        of_picture = column[j]
+        column[j] = of_picture + weight[:, None] * (getattr(own, name)[i] - of_picture)
     return picture.with_(**columns)
 
 

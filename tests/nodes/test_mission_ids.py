@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.pipelines import MissionEstimator, OwnAndPicture, PictureFirst
-from mast_zenoh.pipelines.identities import FORGOTTEN_NS
+from mast_zenoh.pipelines.mission_ids import FORGOTTEN_NS, MAX_LOST
 
 PERIOD_NS = 100_000_000
 ESTIMATORS = pytest.mark.parametrize("estimator_type", [OwnAndPicture, PictureFirst])
@@ -74,6 +74,25 @@ def test_the_picture_does_not_rename_what_the_agent_sees(estimator_type: type) -
 
 
 @ESTIMATORS
+def test_meetings_now_and_then_do_not_settle_who_the_object_is(estimator_type: type) -> None:
+    estimator = estimator_type()
+    before = ids(estimator, 0, cars((7, 0.0)), cars((3, 10.0)))
+    for frame in range(1, 41):
+        ids(estimator, frame, cars((7, 0.0)), cars((3, 0.4 if frame % 4 == 0 else 10.0)))
+    after = ids(estimator, 41, cars((7, 0.0)), cars((3, 10.0)))
+    assert after == before
+
+
+@ESTIMATORS
+def test_thousands_of_new_objects_in_each_frame_take_little_time_and_memory(estimator_type: type) -> None:
+    estimator = estimator_type()
+    for frame in range(4):
+        crowd = cars(*((frame * 3000 + k, 3.0 * k + frame) for k in range(3000)))
+        assert len(ids(estimator, frame, cars((frame, 0.0)), crowd)) >= 3000
+    assert len(estimator._pairs._ids._lost) <= MAX_LOST
+
+
+@ESTIMATORS
 def test_an_object_away_for_long_is_a_new_one(estimator_type: type) -> None:
     estimator = estimator_type()
     (first,) = ids(estimator, 0, cars((7, 0.0)), cars()).values()
@@ -87,7 +106,7 @@ def test_an_agent_that_runs_for_long_remembers_little(estimator_type: type) -> N
     estimator = estimator_type()
     for frame in range(300):
         ids(estimator, frame, cars((frame, 100.0 * frame)), cars((frame, -100.0 * frame)))
-    known = estimator._pairs._identities
+    known = estimator._pairs._ids
     assert max(map(len, (known._own.ids, known._picture.ids, known._lost, known._partners))) < 80
 
 
@@ -115,3 +134,12 @@ def test_a_precise_own_track_outweighs_a_vague_picture() -> None:
     mission = OwnAndPicture().estimate(0, own, vague)
     assert mission.position[0, 0] == pytest.approx(0.1)
     assert np.diag(mission.covariance[0])[0] == pytest.approx(0.9 * 0.04 + 0.1 * 0.36)
+
+
+@pytest.mark.parametrize("claimed", [-0.159, 0.0, 1e-9])
+def test_a_picture_that_claims_to_be_exact_does_not_outweigh_an_own_track(claimed: float) -> None:
+    own, picture = cars((1, 0.0)), cars((1, 1.0))
+    exact = picture.with_(covariance=np.tile(claimed * np.eye(9), (1, 1, 1)))
+    mission = OwnAndPicture().estimate(0, own, exact)
+    assert mission.position[0, 0] == pytest.approx(0.8), "0.04 + 0.04 against 0.01 + 0.01 m^2"
+    assert np.linalg.eigvalsh(mission.covariance[0]).min() > 0.0
