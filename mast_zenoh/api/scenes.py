@@ -216,9 +216,14 @@ def named(
 ) -> PreparedScene:
     """The scene of a short name, or of a file or folder, whose type is recognised.
 
-    settings: `key=value`, parameters of the scene
+    settings: `key=value`, parameters of the scene; `scene.` before a key, as for a run, may be there or not
     """
-    return prepare(recognised(scene), seed=seed, frames=frames, **nested(settings))
+    parameters = nested([setting.removeprefix("scene.") for setting in settings])
+    if "scene" in parameters:
+        raise ConfigurationError(
+            f"scene: found {parameters['scene']!r} in the settings, expected it as the argument only"
+        )
+    return prepare(recognised(scene), seed=seed, frames=frames, **parameters)
 
 
 def _check_arguments(parameters: Mapping[str, Any]) -> None:

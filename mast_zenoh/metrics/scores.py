@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Boxes
+from mast_zenoh.metrics.clear_mot import clear_mot
 from mast_zenoh.metrics.matched_pairs import MatchedPairs
 from mast_zenoh.metrics.record import rank_of
 
@@ -21,7 +22,8 @@ Texts = NDArray[Any]  # of str
 #: The columns of the table per frame, and the other entries of a summary.
 COLUMNS = (
     *("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
-    *("completeness", "amota", "samota", "amotp_m", "causes", "fn_split", "fp_split", "id_switches_split"),
+    *("precision", "recall", "mota", "completeness", "amota", "samota", "amotp_m"),
+    *("causes", "fn_split", "fp_split", "id_switches_split"),
 )
 
 #: Outcomes of boxes, by their code in `scoring`.
@@ -193,8 +195,8 @@ class Scores:
         """Summarise by agent and estimator.
 
         By frame: fn, fp, tp, ospa_m, gospa_m as {"mean", "std"}.
-        Over the run: rmse_m of all pairs, the number of id_switches, and completeness, the mean over truth objects of
-        the fraction of their evaluated frames in which they are matched.
+        Over the run: rmse_m of all pairs, the number of id_switches, precision, recall and mota (see `clear_mot`), and
+        completeness, the mean over truth objects of the fraction of their evaluated frames in which they are matched.
 
         scored: the frames that count, such as all except the first ones. The standard deviation is over the frames
         (divided by their number). Values that are undefined, without frames or pairs, are None (JSON null).
@@ -204,11 +206,14 @@ class Scores:
         names = ("fn", "fp", "tp", "ospa_m", "gospa_m")
         spread = {name: means_and_stds(getattr(self, name)[:, scored]) for name in names}
         for (agent, estimator), k in self.every_series.items():
-            pairs = int(self.tp[k, scored].sum())
+            pairs, false, missed, switches = (
+                int(counts[k, scored].sum()) for counts in (self.tp, self.fp, self.fn, self.id_switches)
+            )
             result.setdefault(agent, {})[estimator] = {
                 **{name: spread[name][k] for name in names},
                 "rmse_m": float(np.sqrt(self.squared_error[k, scored].sum() / pairs)) if pairs else None,
-                "id_switches": int(self.id_switches[k, scored].sum()),
+                "id_switches": switches,
+                **clear_mot(pairs, false, missed, switches),
                 "completeness": complete[k],
             }
         return result

@@ -25,7 +25,7 @@ def value_range(series: Series) -> tuple[float, float]:
     if series.estimator == ACHIEVED or metric.startswith(f"{DRIVING}."):
         share = "share" in metric or metric.endswith("_seen_by_others")
         return 0.0, 1.0 if share else math.inf
-    if metric in ("completeness", "samota"):
+    if metric in ("completeness", "precision", "recall", "samota"):
         return 0.0, 1.0
     is_cause_count = metric.partition(" ")[2] in CAUSES
     return (0.0 if metric in _NOT_NEGATIVE or metric.startswith(_SPLITS) or is_cause_count else -math.inf), math.inf

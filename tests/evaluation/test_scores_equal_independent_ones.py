@@ -29,7 +29,12 @@ def assert_equal(played: Played, scores: dict[Series, list[Row]]) -> None:
             assert summary[name]["std"] == pytest.approx(np.std(values), abs=1e-9)
         squares = [row.rmse_m**2 * row.tp for row in counted if row.tp]
         assert summary["rmse_m"] == pytest.approx(np.sqrt(sum(squares) / sum(row.tp for row in counted)), abs=1e-9)
-        assert summary["id_switches"] == sum(row.id_switches for row in counted)
+        switches = sum(row.id_switches for row in counted)
+        assert summary["id_switches"] == switches
+        fn, fp, tp = (sum(getattr(row, name) for row in counted) for name in ("fn", "fp", "tp"))
+        assert summary["precision"] == (pytest.approx(tp / (tp + fp)) if tp + fp else None)
+        assert summary["recall"] == (pytest.approx(tp / (tp + fn)) if tp + fn else None)
+        assert summary["mota"] == (pytest.approx(1 - (fn + fp + switches) / (tp + fn)) if tp + fn else None)
 
 
 def test_scores_equal_a_plain_loop_and_motmetrics(

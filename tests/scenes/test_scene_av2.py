@@ -122,6 +122,28 @@ def test_the_order_of_the_rows_does_not_matter(log: Path, tmp_path: Path) -> Non
     np.testing.assert_array_equal(one.detections.position, other.detections.position)
 
 
+def test_an_object_that_is_annotated_twice_is_read_once(log: Path, tmp_path: Path) -> None:
+    columns = boxes()
+    bus = np.array(columns["track_uuid"]) == "bus-1"
+
+    def with_twin(offset_m: float, frames: int) -> Recording:
+        rows = np.flatnonzero(bus)[:frames]
+        twin = {name: np.array(values)[rows] for name, values in columns.items()}
+        twin |= {"track_uuid": np.full(frames, "a-twin"), "tx_m": twin["tx_m"] + offset_m}
+        folder = tmp_path / f"{offset_m}-{frames}"
+        write(folder, POSES, poses())
+        write(folder, BOXES, {name: np.concatenate([columns[name], twin[name]]) for name in columns})
+        return read(folder)
+
+    assert len(read(log).truth) == 3 * FRAMES
+    for frames in (2, FRAMES):
+        whole = with_twin(0.03, frames)
+        assert len(whole.truth) == 3 * FRAMES
+        for frame in range(FRAMES):
+            assert len(set(whole.truth_at(0).id) & set(whole.truth_at(frame).id)) == 3
+    assert len(with_twin(0.5, FRAMES).truth) == 4 * FRAMES
+
+
 def test_the_log_is_found_from_the_folder_above(log: Path) -> None:
     assert read(log.parent).name == "7fab"
 

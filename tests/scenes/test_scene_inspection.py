@@ -152,3 +152,16 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "x.txt").touch()
     with pytest.raises(SceneError, match=r"found x\.txt; expected the files of one of"):
         recognised(str(tmp_path / "x.txt"))
+
+
+def test_settings_of_a_scene_may_be_written_as_those_of_a_run(tmp_path: Path) -> None:
+    command = ["scene", "detections", "intersection:0", "--frames", "2", "--set", "n_infrastructure=0"]
+    detector = "detector.type=LastingErrors"
+    for folder, setting in (("own", detector), ("of_a_run", f"scene.{detector}")):
+        result = CliRunner().invoke(app, [*command, str(tmp_path / folder), "--set", setting])
+        assert result.exception is None, result.exception
+    own, of_a_run = ((tmp_path / folder / "ego.txt").read_text() for folder in ("own", "of_a_run"))
+    assert own == of_a_run != ""
+    refused = CliRunner().invoke(app, [*command, str(tmp_path / "none"), "--set", "scene=intersection"]).exception
+    assert isinstance(refused, ConfigurationError)
+    assert "scene: found 'intersection' in the settings" in str(refused)

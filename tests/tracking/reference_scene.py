@@ -42,13 +42,17 @@ class Score:
     id_switches: int
 
 
+def data_folder(name: str) -> Path:
+    """A file or folder of the reference data; skips if it is missing."""
+    root = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
+    if not (root / name).exists():
+        pytest.skip(f"no reference data: {root / name} is missing (set MAST_DATA)")
+    return root / name
+
+
 def unpacked(folder: Path) -> Path:
     """The reference scene unpacked into `folder`; skips if it is missing."""
-    root = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
-    archive = root / "scene_a.tar.gz"
-    if not archive.exists():
-        pytest.skip(f"no reference data: {archive} is missing (set MAST_DATA)")
-    with tarfile.open(archive) as tar:
+    with tarfile.open(data_folder("scene_a.tar.gz")) as tar:
         tar.extractall(folder, filter="data")
     return folder / "scene_a"
 

@@ -51,6 +51,10 @@ LEFT_OUT = (
 )
 
 
+#: m, between two boxes' centres and sizes, up to which they are the same box.
+SAME_BOX_M = 0.1
+
+
 @dataclass(frozen=True, eq=False)
 class Annotations:
     """N annotated boxes in the frame of the recording car, by time and then by track.
@@ -105,7 +109,7 @@ def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
 def read_annotations(path: Path) -> Annotations:
     """The annotated road users of a log, without those `LEFT_OUT`.
 
-    Unknown categories get class 0 (unknown).
+    Unknown categories get class 0 (unknown). An object that is annotated twice, as two tracks, is read once.
     """
     columns = _read(path, _BOX)
     times = np.unique(columns["timestamp_ns"])
@@ -128,7 +132,32 @@ def read_annotations(path: Path) -> Annotations:
         raise SceneError(f"{path}: a size is 0 or less, or num_interior_pts is negative")
     position, rotation = _poses(path, columns)
     class_id = np.array([CLASS_OF_CATEGORY.get(name, 0) for name in columns["category"]], np.uint8)
-    return Annotations(times, frame, track, position, rotation, size, class_id, columns["num_interior_pts"])
+    points = columns["num_interior_pts"]
+    once = ~np.isin(track, _copies(frame, track, position, size, class_id))
+    return Annotations(
+        times, frame[once], track[once], position[once], rotation[once], size[once], class_id[once], points[once]
+    )
+
+
+def _copies(frame: Ints, track: Ints, position: Floats, size: Floats, class_id: NDArray[np.uint8]) -> list[int]:
+    """Tracks that coincide with another one of their class in all their frames.
+
+    That one is longer, or as long and has a lower number. Two objects cannot be in one place: these are one, annotated
+    twice. Columns (N,) as in `Annotations`, by frame.
+    """
+    from scipy.spatial import cKDTree  # takes 0.2 s, and every run imports this module
+
+    # Frames are so far apart in the first coordinate that no two of them have neighbours.
+    place = np.column_stack([frame * 10.0 * SAME_BOX_M, position, size])
+    i, j = cKDTree(place).query_pairs(SAME_BOX_M, output_type="ndarray").T
+    same = class_id[i] == class_id[j]
+    pairs = np.sort(np.column_stack([track[i], track[j]])[same], axis=1)
+    pairs, count = np.unique(pairs, axis=0, return_counts=True)
+    frames = np.bincount(track)
+    longer = frames[pairs[:, 1]] > frames[pairs[:, 0]]
+    shorter = np.where(longer, pairs[:, 0], pairs[:, 1])
+    copies: list[int] = shorter[count == frames[shorter]].tolist()
+    return copies
 
 
 def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
