@@ -161,9 +161,13 @@ def test_an_agent_that_is_too_confident_is_named(once: Once) -> None:
 def test_a_picture_that_is_too_confident_because_of_one_agent_is_named(once: Once) -> None:
     """An agent without covariances counts as exact, and drags the picture along."""
     assert any(text.startswith("the picture is ") for text in confidence_notices(once("sure", sure=SURE)))
-    assert any(
-        text.startswith("the mission estimate of ego is ") for text in confidence_notices(once("sure", sure=SURE))
-    )
+
+
+def test_the_mission_estimate_is_less_confident_than_the_picture_that_it_predicts(once: Once) -> None:
+    estimates = once("sure", sure=SURE).metrics["consistency"]["ego"]
+    factors = {name: estimates[name]["position"]["factor"] for name in ("picture", "mission")}
+    assert factors["picture"] > 2.0
+    assert factors["mission"] < 0.5 * factors["picture"]
 
 
 def test_a_centre_that_checks_covariances_is_not_dragged_along(once: Once) -> None:
