@@ -167,7 +167,7 @@ def test_the_mission_estimate_is_less_confident_than_the_picture_that_it_predict
     estimates = once("sure", sure=SURE).metrics["consistency"]["ego"]
     factors = {name: estimates[name]["position"]["factor"] for name in ("picture", "mission")}
     assert factors["picture"] > 2.0
-    assert factors["mission"] < 0.5 * factors["picture"]
+    assert factors["mission"] < 0.8 * factors["picture"]
 
 
 def test_a_centre_that_checks_covariances_is_not_dragged_along(once: Once) -> None:
