@@ -9,8 +9,9 @@ from scipy.optimize import isotonic_regression
 from tracking_worlds import detected, joined, matched, nanoseconds
 
 from mast_zenoh.arrays.states import Detections, ObjectStates
-from mast_zenoh.tracking import KalmanBoxTracker3D
-from mast_zenoh.tracking.score_calibration import INTERVALS, MEMORY, STAGES, ScoreCalibration, isotonic
+from mast_zenoh.tracking import KalmanBoxTracker3D, tracks
+from mast_zenoh.tracking.evidence import FIRST_DUE, ScoreEvidence
+from mast_zenoh.tracking.score_calibration import INTERVALS, MEMORY, STAGES, STAGES_S, ScoreCalibration, isotonic
 
 FRAMES, OBJECTS = 200, 12
 Map = Callable[[np.ndarray], np.ndarray]
@@ -168,3 +169,32 @@ def test_isotonic_regression_equals_that_of_scipy() -> None:
     for n in (1, 2, 8, 30):
         value, weight = random.random(n), random.random(n) + 0.1
         np.testing.assert_allclose(isotonic(value, weight), isotonic_regression(value, weights=weight).x, atol=1e-12)
+
+
+def test_a_track_that_is_lost_and_found_again_stays_in_its_stage() -> None:
+    def learn(span_s: float, odds: float) -> None:
+        track[:, tracks.SPAN], track[:, tracks.ODDS] = span_s, odds
+        evidence.learn(track, np.array([0.2, 0.9]), 1.0)
+
+    evidence = ScoreEvidence()
+    for stage in range(STAGES):
+        score = np.repeat([0.2, 0.9], 40)
+        evidence._calibration.add(score, np.full(80, stage), np.tile([True, False], 40) | (score > 0.5))
+    track = tracks.empty(1)
+    track[:, tracks.SCORE], track[:, tracks.DUE], track[:, tracks.CONFIRMED] = 0.2, FIRST_DUE, 1.0
+    learn(0.3, 100.0)
+    new = evidence.probability(track)
+    learn(0.3, 0.5)
+    n_samples = evidence._calibration._count
+    for span_s in (1.5, 1.6, STAGES_S[-1] + 1.0):
+        learn(span_s, 100.0)
+        assert evidence.probability(track) == new
+    learn(4.0, 0.5)
+    assert evidence._calibration._count == n_samples, "one failure is one sample"
+
+    survivor = tracks.empty(1)
+    survivor[:, tracks.SCORE], survivor[:, tracks.DUE], survivor[:, tracks.CONFIRMED] = 0.2, np.inf, 1.0
+    established = evidence.probability(survivor)
+    assert new is not None
+    assert established is not None
+    assert new < 0.5 * established
