@@ -43,7 +43,7 @@ class ScoreEvidence:
     Without differences between the scores, there is nothing to learn.
 
     DUE is the span at which a track's stage ends, infinite for established tracks. It is negated once the track has
-    failed: then it gives no more samples and stays in this stage, even if it is found again.
+    failed. Then it gives no more samples, and if it is found again, its stage follows its span alone.
     """
 
     def __init__(self) -> None:
@@ -62,19 +62,18 @@ class ScoreEvidence:
             self._varies = bool(np.count_nonzero(score != self._constant))
         if not self._varies:
             return
-        survived = tracks[:, SPAN] >= tracks[:, DUE]
-        rows = (survived | (tracks[:, ODDS] <= report_odds * tracks[:, CONFIRMED])).nonzero()[0]
-        if len(rows):
-            due = tracks[rows, DUE]
-            rows = rows[(due > 0.0) & (due < np.inf)]
+        due = tracks[:, DUE]
+        survived = tracks[:, SPAN] >= np.abs(due)
+        failed = (tracks[:, ODDS] <= report_odds * tracks[:, CONFIRMED]) & (due > 0.0) & (due < np.inf)
+        rows = (survived | failed).nonzero()[0]
         if len(rows):
             self._add(tracks, rows, survived)
 
     def _add(self, tracks: Floats, rows: Ints, survived: Bools) -> None:
         """Add samples of the tracks in `rows`, whose stage ends; survived: (n,) of all tracks."""
-        stage, lasts = _stage(tracks[rows]), survived[rows]
-        tracks[rows, DUE] = np.where(lasts, _NEXT_DUE[stage], -tracks[rows, DUE])
-        sample = tracks[rows, CONFIRMED] > 0.0
+        stage, lasts, due = _stage(tracks[rows]), survived[rows], tracks[rows, DUE]
+        tracks[rows, DUE] = np.where(lasts, np.copysign(_NEXT_DUE[stage], due), -due)
+        sample = (tracks[rows, CONFIRMED] > 0.0) & (due > 0.0)
         self._calibration.add(tracks[rows[sample], SCORE], stage[sample], lasts[sample])
 
     def probability(self, tracks: Floats) -> Floats | None:
