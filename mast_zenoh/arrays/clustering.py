@@ -25,7 +25,7 @@ class NearPairs(NamedTuple):
     squared: Floats
 
     def select(self, pairs: Ints) -> NearPairs:
-        """Some of the pairs, by their numbers."""
+        """Select pairs by index (k,)."""
         return NearPairs(self.i.take(pairs), self.j.take(pairs), self.squared.take(pairs))
 
 

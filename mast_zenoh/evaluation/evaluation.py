@@ -126,7 +126,7 @@ class Evaluation:
 
     def _undelivered(self, data: RunData, frames: Sequence[int]) -> Bools:
         """Whether an agent's tracks of a frame were too late for the broker: (f, a)."""
-        agents, within = data.record.agents, self.cut_off.max_age_s / data.period_s + 1e-6
+        agents, within = data.record.agents, self.cut_off.useful_age_s / data.period_s + 1e-6
         sent = [
             [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames
         ]

@@ -18,7 +18,7 @@ _SUBJECTS = {
     "mission": "the mission estimate of {}",
 }
 _MAX_LINES = 20
-#: Number of steps in which a tracker reports none of its tracks, from which on it is worth a notice.
+#: Report a tracker that was silent for at least this many steps.
 _SILENT = 10
 _QUANTITIES = {"position": "", "velocity": " in velocity"}
 

@@ -56,7 +56,7 @@ def same_columns(one: Body, other: Body) -> bool:
 
 
 def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tuple[Column, ...]:
-    """Columns of object states; filtered: with covariance and existence probability."""
+    """Columns of object states; filtered: with covariance and score."""
     columns = [
         Column("id", "int64", (size,), "", "identity, unique within one producer"),
         Column("position", "float64", (size, 3), "m", "centre of the box"),
@@ -64,7 +64,7 @@ def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tupl
         Column("size", "float64", (size, 3), "m", "length, width, height"),
         Column("yaw", "float64", (size,), "rad", "heading of the length axis, counter-clockwise from x"),
         Column("covariance", "float64", (size, 9, 9), "m, m/s", "of [x y z l w h vx vy vz]"),
-        Column("score", "float64", (size,), "", "existence probability, 0 to 1"),
+        Column("score", "float64", (size,), "", "evidence that the object exists, 0 to 1, for ranking"),
         Column("class_id", "uint8", (size,), "", "index into mast_zenoh.arrays.states.CLASSES", below=len(CLASSES)),
     ]
     return tuple(

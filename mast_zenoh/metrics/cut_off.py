@@ -50,16 +50,16 @@ class CutOffObjects:
 class CutOff:
     """Conditions under which an agent's tracks are missing from the picture.
 
-    max_age_s:  s, older tracks count as missing, even if the broker still uses them: they show where objects were
-    recovery_s: s, how long it takes until tracks of an agent that was missing for longer appear in the picture
+    useful_age_s: s, older tracks count as missing, even if the broker still uses them: they show where objects were
+    recovery_s:   s, how long it takes until tracks of an agent that was missing for longer appear in the picture
     Raises ValueError for a value below 0.
     """
 
-    max_age_s: float = 0.25
+    useful_age_s: float = 0.25
     recovery_s: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, value in (("max_age_s", self.max_age_s), ("recovery_s", self.recovery_s)):
+        for name, value in (("useful_age_s", self.useful_age_s), ("recovery_s", self.recovery_s)):
             if not 0.0 <= value < np.inf:
                 raise ValueError(f"{name}: found {value}, expected 0 or more")
 
@@ -113,7 +113,7 @@ class CutOff:
 
     def _age_frames(self, period_s: float) -> int:
         """Number of frames for which an agent's last tracks are used."""
-        return int(self.max_age_s / period_s + 1e-6)
+        return int(self.useful_age_s / period_s + 1e-6)
 
     def _extend_through_recovery(self, mask: Bools, period_s: float) -> Bools:
         """Extend long runs of a mask (f, a) by `recovery_s`.

@@ -27,6 +27,7 @@ class MatchedPairs(NamedTuple):
     group: (n,) series · n_frames + frame, rows of `Scores.series` and `Scores.frames`, ascending
     truth_box, track_box: (n,) numbers of the truth objects, and of the tracks, among those of all series
     truth_rows, track_rows: the row of each of these in the tables `truth` and `tracks`
+    dimensions: of the distance of a pair, see `boxes.centre_distance`
     """
 
     group: Ints
@@ -37,6 +38,7 @@ class MatchedPairs(NamedTuple):
     track_rows: Ints
     truth: TruthTable
     tracks: TrackTable
+    dimensions: int
 
     def errors(self, series: int, frames: slice) -> PairErrors:
         """The errors of one series in a slice of the frames, with a start and a stop."""
@@ -47,13 +49,14 @@ class MatchedPairs(NamedTuple):
         return PairErrors(truth_row, (position[:, :2], spread[:, :3]), (velocity[:, :2], spread[:, 3:]))
 
     def ranked(self, series: int, frames: slice) -> tuple[Ints, Ints, Floats, Floats]:
-        """Ids of the objects and of the tracks, scores, and horizontal errors (m) of one series' pairs (n,).
+        """Ids of the objects and of the tracks, scores, and distances (m) of one series' pairs (n,).
 
         In order of time; frames: a slice with a start and a stop
         """
         truth_row, track_row = self._rows(series, frames)
         truth, tracks = self.truth.boxes, self.tracks.boxes
-        error_m = centre_distance(truth.position.take(truth_row, 0), tracks.position.take(track_row, 0))
+        centres = truth.position.take(truth_row, 0), tracks.position.take(track_row, 0)
+        error_m = centre_distance(*centres, self.dimensions)
         return truth.id.take(truth_row), tracks.id.take(track_row), self.tracks.score.take(track_row), error_m
 
     def _rows(self, series: int, frames: slice) -> tuple[Ints, Ints]:
@@ -74,9 +77,9 @@ class Sources(NamedTuple):
     truth_rows: Ints
     track_rows: Ints
 
-    def pairs(self, group: Ints, pairs: Ints, n_frames: int) -> MatchedPairs:
-        """The pairs (n, 2) of a truth object and a track of the layout; group: (n,), see `MatchedPairs`."""
+    def pairs(self, group: Ints, pairs: Ints, n_frames: int, dimensions: int) -> MatchedPairs:
+        """The pairs (n, 2) of a truth object and a track of the layout; group: (n,), dimensions: see `MatchedPairs`."""
         truth_box, track_box = pairs.T
         return MatchedPairs(
-            group, n_frames, truth_box, track_box, self.truth_rows, self.track_rows, self.truth, self.tracks
+            group, n_frames, truth_box, track_box, self.truth_rows, self.track_rows, self.truth, self.tracks, dimensions
         )

@@ -54,10 +54,10 @@ def ranked_accuracy(
         return {"amota": 0.0, "samota": 0.0, "amotp_m": None}
     by_object = np.argsort(object_id[pair], kind="stable")
     switches = _switches(object_id[pair][by_object], track[pair][by_object], rank[pair][by_object], reached)
-    pairs, wrong = true_positives[reached], false_positives[reached] + switches
+    pairs, n_errors = true_positives[reached], false_positives[reached] + switches
     return {
-        "amota": float(((pairs - wrong) / n_objects).sum() / levels),
-        "samota": float(np.maximum(1.0 - wrong / pairs, 0.0).sum() / levels),
+        "amota": float(((pairs - n_errors) / n_objects).sum() / levels),
+        "samota": float(np.maximum(1.0 - n_errors / pairs, 0.0).sum() / levels),
         "amotp_m": float((errors[reached] / pairs).mean()),
     }
 
@@ -77,23 +77,22 @@ def rankings(scores: Scores, scored: slice) -> list[dict[str, Any]]:
 
     scored: rows of `scores.frames`, with a start and a stop
 
-    The matching is that of all tracks. Removing the tracks of low scores leaves it as it is.
+    The matching is that of all tracks. It is not repeated for each level.
     """
-    judged, frames = scores.judged, scores.frames[scored]
-    false = judged.is_track & (judged.outcome == FALSE)
-    false &= (judged.frame >= frames.min(initial=0)) & (judged.frame <= frames.max(initial=-1))
+    judged = scores.judged
+    false = judged.is_track & (judged.outcome == FALSE) & np.isin(judged.frame, scores.frames[scored])
     rows = false.nonzero()[0]
     begin = judged.series[rows].searchsorted(np.arange(len(scores.series) + 1)).tolist()
     result = []
     for series in range(len(scores.series)):
         objects, tracks, score, error_m = scores.pairs.ranked(series, scored)
-        of_false = rows[begin[series] : begin[series + 1]]
+        false_rows = rows[begin[series] : begin[series + 1]]
         result.append(
             ranked_accuracy(
-                np.concatenate([objects, np.full(len(of_false), -1)]),
-                np.concatenate([tracks, judged.id[of_false]]),
-                np.concatenate([score, judged.score[of_false]]),
-                np.concatenate([error_m, np.zeros(len(of_false))]),
+                np.concatenate([objects, np.full(len(false_rows), -1)]),
+                np.concatenate([tracks, judged.id[false_rows]]),
+                np.concatenate([score, judged.score[false_rows]]),
+                np.concatenate([error_m, np.zeros(len(false_rows))]),
                 int((scores.tp + scores.fn)[series, scored].sum()),
             )
         )

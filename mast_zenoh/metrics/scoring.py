@@ -250,7 +250,7 @@ def _compare(
         judged=_judged(
             layout, (truth_outcome, of_truth), (track_outcome, of_track), sources.tracks.score[sources.track_rows]
         ),
-        pairs=sources.pairs(group, pairs, shape[1]),
+        pairs=sources.pairs(group, pairs, shape[1], assigner.dimensions),
         same_as=same_as,
     )
 

@@ -180,6 +180,8 @@ class KalmanBoxTracker3D(Tracker):
         if len(new_rows):
             new_tracks[:, MEAN] = measurements.state[new_rows]
             new_tracks[:, COVARIANCE] = measurements.noise[new_rows].reshape(len(new_rows), 81)
+            # The tempered score is the prior: the source's own odds count successive frames as independent
+            # evidence, although their errors last (`tempered_probability`).
             score = np.clip(FIRST_REPORT * measured.score[measurements.row[new_rows]], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
         reported = self._finish(match, new_tracks)

@@ -27,7 +27,7 @@ class DetectionNoise:
     The default is kept to the bit while the estimate is near or below it: errors that last are in the tracks too, and
     their innovations are too small. Above, the estimate is used, up to a limit.
 
-    variance: (6,) m^2, in use, of x y z l w h
+    variance: (6,) m^2, of x y z l w h, currently used
     """
 
     def __init__(self, default: Floats) -> None:

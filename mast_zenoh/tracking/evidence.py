@@ -10,9 +10,6 @@ from mast_zenoh.tracking.tracks import AGE, CONFIRMED, DUE, HITS, ODDS, SCORE, S
 
 #: s, span of a new track at which its first stage ends.
 FIRST_DUE = float(STAGES_S[0])
-#: Share of frames that are independent evidence: about one sample per second, ten frames (docs/metrics.md). Three
-#: square roots.
-INDEPENDENT = 0.125
 _NEXT_DUE = np.append(STAGES_S[1:], np.inf)
 
 
@@ -33,8 +30,10 @@ def tempered_probability(odds: Floats) -> Floats:
 
     odds: (n,) of existence, as if detections in successive frames were independent. They are not: errors last. So their
     likelihoods count with an exponent (a power likelihood: Holmes and Walker, Biometrika 2017), which keeps the order.
+    The exponent is the share of frames that are independent evidence: about one sample per second, ten frames
+    (docs/metrics.md). 1/8 is three square roots, which are equal to the last bit on any machine.
     """
-    power = np.sqrt(np.sqrt(np.sqrt(odds)))  # to the last bit on any machine, unlike other powers
+    power = np.sqrt(np.sqrt(np.sqrt(odds)))
     return np.asarray(power / (1.0 + power))
 
 
@@ -42,6 +41,9 @@ class ScoreEvidence:
     """What the scores of one source of detections tell about its tracks, by its own `ScoreCalibration`.
 
     Without differences between the scores, there is nothing to learn.
+
+    DUE is the span at which a track's stage ends, infinite for established tracks. It is negated once the track has
+    failed. Then it gives no more samples, and if it is found again, its stage follows its span alone.
     """
 
     def __init__(self) -> None:
@@ -60,19 +62,25 @@ class ScoreEvidence:
             self._varies = bool(np.count_nonzero(score != self._constant))
         if not self._varies:
             return
-        survived = tracks[:, SPAN] >= tracks[:, DUE]
-        rows = (survived | (tracks[:, ODDS] <= report_odds * tracks[:, CONFIRMED])).nonzero()[0]
-        rows = rows[tracks[rows, DUE] < np.inf] if len(rows) else rows
+        due = tracks[:, DUE]
+        survived = tracks[:, SPAN] >= np.abs(due)
+        failed = (tracks[:, ODDS] <= report_odds * tracks[:, CONFIRMED]) & (due > 0.0) & (due < np.inf)
+        rows = (survived | failed).nonzero()[0]
         if len(rows):
             self._add(tracks, rows, survived)
 
     def _add(self, tracks: Floats, rows: Ints, survived: Bools) -> None:
         """Add samples of the tracks in `rows`, whose stage ends; survived: (n,) of all tracks."""
-        stage, lasts = STAGES_S.searchsorted(tracks[rows, DUE]), survived[rows]
-        tracks[rows, DUE] = np.where(lasts, _NEXT_DUE[stage], np.inf)
-        sample = tracks[rows, CONFIRMED] > 0.0
+        stage, lasts, due = _stage(tracks[rows]), survived[rows], tracks[rows, DUE]
+        tracks[rows, DUE] = np.where(lasts, np.copysign(_NEXT_DUE[stage], due), -due)
+        sample = (tracks[rows, CONFIRMED] > 0.0) & (due > 0.0)
         self._calibration.add(tracks[rows[sample], SCORE], stage[sample], lasts[sample])
 
     def probability(self, tracks: Floats) -> Floats | None:
         """(k,) probability that tracks (k, WIDTH) are objects, by their scores; None: the scores tell nothing."""
-        return self._calibration.probability(tracks[:, SCORE], STAGES_S.searchsorted(tracks[:, DUE]))
+        return self._calibration.probability(tracks[:, SCORE], _stage(tracks))
+
+
+def _stage(tracks: Floats) -> Ints:
+    """Stages (n,) of tracks (n, WIDTH), from 0."""
+    return np.asarray(STAGES_S.searchsorted(np.abs(tracks[:, DUE])))

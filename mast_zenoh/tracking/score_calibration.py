@@ -1,4 +1,4 @@
-"""What the scores of a detector are worth, from a tracker's own experience.
+"""Calibrates detection scores from how long tracks last.
 
 Scores are no probabilities: 0.3 may mean 90 % in one detector and 20 % in another. Only their order is used here, and
 learnt how often a confirmed track lasts whose detections score like that. False detections last for a moment, objects
@@ -97,8 +97,8 @@ def isotonic(value: Floats, weight: Floats) -> Floats:
     for mean, total in zip(value.tolist(), weight.tolist(), strict=True):
         size = 1
         while blocks and blocks[-1][0] >= mean:
-            before, its_weight, its_size = blocks.pop()
-            mean = (before * its_weight + mean * total) / (its_weight + total)
-            total, size = its_weight + total, its_size + size
+            block_mean, block_weight, block_size = blocks.pop()
+            mean = (block_mean * block_weight + mean * total) / (block_weight + total)
+            total, size = block_weight + total, block_size + size
         blocks.append((mean, total, size))
     return np.repeat([mean for mean, _, _ in blocks], [size for _, _, size in blocks])

@@ -253,7 +253,7 @@ def test_an_agent_that_misses_a_frame_is_absent_only_then() -> None:
 
 def test_an_agent_absent_for_long_needs_a_second_to_return_to_the_picture() -> None:
     assert missing([10, 11, 12]) == list(range(10, 23))
-    assert missing([10, 11, 12], max_age_s=0.3) == [10, 11, 12]
+    assert missing([10, 11, 12], useful_age_s=0.3) == [10, 11, 12]
     assert missing([10, 11, 12], recovery_s=0.0) == [10, 11, 12]
 
 

@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from metric_oracles import cars
 
-from mast_zenoh.metrics.ranking import LEVELS, ranked_accuracy
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.metrics import CenterDistanceAssigner, Record, Scorer, Series
+from mast_zenoh.metrics.ranking import LEVELS, ranked_accuracy, rankings
+from mast_zenoh.metrics.record import Snapshot
 
 FRAMES = 20
 
@@ -77,3 +81,42 @@ def test_levels_that_are_not_reached_count_as_zero() -> None:
     nothing = (np.zeros(0, int), np.zeros(0, int), np.zeros(0), np.zeros(0))
     assert ranked_accuracy(*nothing, 5) == {"amota": 0.0, "samota": 0.0, "amotp_m": None}
     assert ranked_accuracy(*boxes((-1, 10, 0.9)), 0) == {"amota": None, "samota": None, "amotp_m": None}
+
+
+def test_a_perfect_tracker_has_about_half_in_accuracy_if_its_confidences_differ() -> None:
+    tracks = [(k, 10 + k, 0.9 - 0.01 * k) for k in range(LEVELS)]
+    differing = ranked_accuracy(*boxes(*tracks), LEVELS * FRAMES)
+    tied = ranked_accuracy(*boxes(*[(*track[:2], 0.9) for track in tracks]), LEVELS * FRAMES)
+    assert differing["samota"] == tied["samota"] == 1.0
+    assert differing["amota"] == pytest.approx(0.5125)
+    assert tied["amota"] == 1.0
+
+
+def ranked(picture: list[ObjectStates], scored: slice, dimensions: int = 2) -> dict[str, float | None]:
+    """The picture's ranking; one object stands at the origin in every frame."""
+    record, truth = Record(["ego"]), cars((0.0, 0.0), id=[1])
+    for frame, states in enumerate(picture):
+        record.add_truth(frame, truth, np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
+        record.add(frame, [Series("", "picture")], Snapshot.of(states))
+    scores = Scorer(assigner=CenterDistanceAssigner(dimensions=dimensions)).score(record)
+    return rankings(scores, scored)[scores.every_series["ego", "picture"]]
+
+
+@pytest.mark.parametrize("frame", [0, 5])
+def test_false_tracks_of_frames_that_are_not_scored_do_not_count(frame: int) -> None:
+    one, two = cars((0.0, 0.0), id=[7]), cars((0.0, 0.0), (30.0, 0.0), id=[7, 8])
+    assert ranked([two if k == frame else one for k in range(6)], slice(1, 5))["samota"] == 1.0
+    # Where the frame counts, it is one false box for six pairs with as high a score.
+    assert ranked([two if k == frame else one for k in range(6)], slice(0, 6))["samota"] == pytest.approx(1 - 1 / 6)
+
+
+def test_without_scored_frames_nothing_is_ranked() -> None:
+    picture = [cars((30.0, 0.0), id=[8])] * 3
+    assert ranked(picture, slice(0, 0)) == {"amota": None, "samota": None, "amotp_m": None}
+
+
+@pytest.mark.parametrize(("dimensions", "expected"), [(2, 0.3), (3, 0.5)])
+def test_the_error_of_pairs_has_the_dimensions_of_the_assignment(dimensions: int, expected: float) -> None:
+    car = cars((0.3, 0.0), id=[7])
+    raised = car.with_(position=cars((0.0, 0.0)).position + np.array([0.3, 0.0, 0.4]))
+    assert ranked([raised] * 3, slice(0, 3), dimensions)["amotp_m"] == pytest.approx(expected)

@@ -331,9 +331,9 @@ def test_an_agent_is_disconnected_only_when_its_tracks_are_too_old_for_the_broke
     def unheard(frame: int, agent: str, evaluator: Bench) -> bool:
         return agent != "infra_1" or not 16 <= frame <= 19
 
-    patient = blamed(linked, at=unheard, cut_off=dict(max_age_s=0.5))["causes"]["fn"]
+    patient = blamed(linked, at=unheard, cut_off=dict(useful_age_s=0.5))["causes"]["fn"]
     assert "link or fault" not in patient
-    assert blamed(linked, at=unheard, cut_off=dict(max_age_s=0.3))["causes"]["fn"]["link or fault"] == 4
+    assert blamed(linked, at=unheard, cut_off=dict(useful_age_s=0.3))["causes"]["fn"]["link or fault"] == 4
 
 
 def test_attribution_parameters_change_the_blame(linked) -> None:

@@ -9,8 +9,9 @@ from scipy.optimize import isotonic_regression
 from tracking_worlds import detected, joined, matched, nanoseconds
 
 from mast_zenoh.arrays.states import Detections, ObjectStates
-from mast_zenoh.tracking import KalmanBoxTracker3D
-from mast_zenoh.tracking.score_calibration import INTERVALS, MEMORY, STAGES, ScoreCalibration, isotonic
+from mast_zenoh.tracking import KalmanBoxTracker3D, tracks
+from mast_zenoh.tracking.evidence import FIRST_DUE, ScoreEvidence
+from mast_zenoh.tracking.score_calibration import INTERVALS, MEMORY, STAGES, STAGES_S, ScoreCalibration, isotonic
 
 FRAMES, OBJECTS = 200, 12
 Map = Callable[[np.ndarray], np.ndarray]
@@ -168,3 +169,38 @@ def test_isotonic_regression_equals_that_of_scipy() -> None:
     for n in (1, 2, 8, 30):
         value, weight = random.random(n), random.random(n) + 0.1
         np.testing.assert_allclose(isotonic(value, weight), isotonic_regression(value, weights=weight).x, atol=1e-12)
+
+
+def test_a_track_that_is_lost_and_found_again_is_not_established_by_that() -> None:
+    def learn(span_s: float, odds: float) -> float:
+        """Its probability after a step."""
+        track[:, tracks.SPAN], track[:, tracks.ODDS] = span_s, odds
+        evidence.learn(track, np.array([0.2, 0.9]), 1.0)
+        return expected(track)
+
+    def expected(rows: np.ndarray) -> float:
+        probability = evidence.probability(rows)
+        assert probability is not None
+        return float(probability[0])
+
+    def of_stage(due_s: float) -> float:
+        other = track.copy()
+        other[:, tracks.DUE] = due_s
+        return expected(other)
+
+    evidence = ScoreEvidence()
+    for stage in range(STAGES):
+        score = np.repeat([0.2, 0.9], 40)
+        evidence._calibration.add(score, np.full(80, stage), np.tile([True, False], 40) | (score > 0.5))
+    track = tracks.empty(1)
+    track[:, tracks.SCORE], track[:, tracks.DUE], track[:, tracks.CONFIRMED] = 0.2, FIRST_DUE, 1.0
+    new = learn(0.3, 100.0)
+    assert new < 0.5 * of_stage(np.inf)
+    assert learn(0.3, 0.5) == new, "it fails"
+    n_samples = evidence._calibration._count
+    assert learn(0.4, 100.0) == new, "it is found again"
+    assert learn(0.6, 100.0) == of_stage(STAGES_S[1])
+    assert learn(1.1, 100.0) == of_stage(STAGES_S[2])
+    assert learn(2.1, 100.0) == of_stage(np.inf)
+    assert learn(2.1, 0.5) == of_stage(np.inf)
+    assert evidence._calibration._count == n_samples, "one failure is one sample"

@@ -9,7 +9,6 @@ from tracking_worlds import detected, joined, nanoseconds
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates
 from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, SensorView
-from mast_zenoh.tracking.evidence import INDEPENDENT
 
 NOTHING = Detections.empty()
 
@@ -27,7 +26,7 @@ def settled(tracker: KalmanBoxTracker3D, xy, frames: int = 10, **kinds) -> Objec
 
 def existence(tracks: ObjectStates) -> np.ndarray:
     """Probabilities of existence (n,), from the scores, which are tempered (docs/tracking.md, "Ranking")."""
-    odds = (tracks.score / (1.0 - tracks.score)) ** (1.0 / INDEPENDENT)
+    odds = (tracks.score / (1.0 - tracks.score)) ** 8
     return odds / (1.0 + odds)
 
 
