@@ -13,7 +13,7 @@ from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
-from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores, tempered_probability
+from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores, established, tempered_probability
 from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
 from mast_zenoh.tracking.initiation import created
@@ -260,13 +260,13 @@ class KalmanBoxTracker3D(Tracker):
         return created(rows, measurements, self._next_id - len(rows), self._yaw_noise)
 
     def _states(self, reported: Floats, probability: Floats | None, mean: Floats | None) -> ObjectStates:
-        """The tracks to report that are likely to exist, with scores that rank them.
+        """The tracks to report that are likely to exist or established, with scores that rank them.
 
         probability: (k,) that they are objects; mean: (k,) of the scores reported of them; None: ones
         """
         states, weight = tracks.to_states(reported), mean if probability is None else probability
         if probability is not None:
-            likely = states.score * probability > self._min_probability
+            likely = (states.score * probability > self._min_probability) | established(reported)
             if np.count_nonzero(likely) < len(likely):
                 states, reported, weight = states.select(likely), reported[likely], probability[likely]
         states.score[:] = tempered_probability(reported[:, ODDS])

@@ -81,6 +81,11 @@ class ScoreEvidence:
         return self._calibration.probability(tracks[:, SCORE], _stage(tracks))
 
 
+def established(tracks: Floats) -> Bools:
+    """Whether tracks (n, WIDTH) have survived all stages: (n,)."""
+    return np.isinf(tracks[:, DUE])
+
+
 def _stage(tracks: Floats) -> Ints:
     """Stages (n,) of tracks (n, WIDTH), from 0."""
     return np.asarray(STAGES_S.searchsorted(np.abs(tracks[:, DUE])))
