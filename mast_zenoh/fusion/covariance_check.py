@@ -18,12 +18,14 @@ _MAX_AGENTS = 1000
 _PRIOR_PAIRS = 10.0
 #: Sum of pairs below which two agents have not been compared.
 _FORGOTTEN = 1e-3
-#: s, between two comparisons: consecutive offsets of agents correlate at 0.8, so that most frames show nothing new.
+#: s, after which tracks show something new: offsets of agents in consecutive frames correlate at 0.8. Every frame counts
+#: as a share of it, so that no agent can tell which frames matter; what follows from them is updated once in it.
 _PERIOD_S = 0.5
 #: Of the 81 numbers of a covariance: x x, y y, x y, y x of the position, and the same of the velocity.
 _HORIZONTAL = np.array([0, 10, 1, 9, 60, 70, 61, 69])
 #: Variances of position and velocity.
 _VARIANCES = np.array([[0, 10], [60, 70]])
+_EIGHT = np.arange(8)
 
 
 class CovarianceCheck(ABC):
@@ -86,9 +88,9 @@ class CheckedCovariances(CovarianceCheck):
     and sizes depend on the lidar's ranging, 0.02 to 0.03 m (Velodyne HDL-32E); speeds on the agent's own, 0.05 m/s, and
     its heading.
 
-    Inflation: normalised innovations squared between the tracks of two agents in one cluster, averaged over `memory_s`.
-    What an agent claims is compared with the half of the others that it agrees with best, so that a minority makes no
-    honest agent suspicious. Above `limit` times the expected value, variances grow by what the differences exceed the
+    Inflation: normalised innovations squared between the tracks of two agents in one cluster, averaged over `memory_s`
+    in all frames: an agent that is honest now and then is inflated by its average. What an agent claims is compared
+    with the half of the others that it agrees with best, so that a minority makes no honest agent suspicious. Above `limit` times the expected value, variances grow by what the differences exceed the
     covariances (covariance matching: Mehra, IEEE Transactions on Automatic Control 17(5), 1972; Myers and Tapley, same
     journal 21(4), 1976), position and velocity separately. Of two agents alone, both grow.
 
@@ -123,7 +125,8 @@ class CheckedCovariances(CovarianceCheck):
 
     def reset(self) -> None:
         self._agents: tuple[str, ...] = ()
-        self._time_ns: int | None = None
+        self._time_ns: int | None = None  # of the last frame
+        self._updated_ns: int | None = None  # when `_excess` was updated
         self._sums = np.zeros((0, 0, 2, 4))  # by agent and agent, of position and velocity, see `_comparisons`
         self._excess = np.zeros((0, 2))  # by agent, what its variances of position and velocity grow by
 
@@ -156,13 +159,17 @@ class CheckedCovariances(CovarianceCheck):
         weights: Floats | None,
     ) -> ObjectStates:
         self._resume(agents)
-        elapsed_s = math.inf if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
-        if elapsed_s >= _PERIOD_S and len(agents) <= _MAX_AGENTS:
+        elapsed_s = _seconds(self._time_ns, time_ns)
+        if elapsed_s > 0.0 and len(agents) <= _MAX_AGENTS:
             self._sums *= math.exp(-elapsed_s / self._memory_s)
-            self._sums += _comparisons(states, agent, len(agents), labels, weights)
-            compared = (self._sums[..., 0] > _FORGOTTEN).any(axis=1)
-            self._excess = np.where(compared, _excess(self._sums, self._limit), self._excess)
+            share = min(elapsed_s / _PERIOD_S, 1.0)
+            self._sums += share * _comparisons(states, agent, len(agents), labels, weights)
             self._time_ns = time_ns
+            if _seconds(self._updated_ns, time_ns) >= _PERIOD_S:
+                sums = self._sums + self._sums.transpose(1, 0, 2, 3)
+                compared = (sums[..., 0] > _FORGOTTEN).any(axis=1)
+                self._excess = np.where(compared, _excess(sums, self._limit), self._excess)
+                self._updated_ns = time_ns
         if not self._excess.any():
             return states
         covariance = states.covariance.reshape(len(states), 81).copy()
@@ -185,10 +192,16 @@ class CheckedCovariances(CovarianceCheck):
         self._agents, self._sums, self._excess = agents, sums, excess
 
 
+def _seconds(before_ns: int | None, now_ns: int) -> float:
+    """The time that has passed, s; infinite since None."""
+    return math.inf if before_ns is None else (now_ns - before_ns) * 1e-9
+
+
 def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, weights: Floats | None) -> Floats:
     """(a, a, 2, 4) sums over the pairs of tracks of two agents in one cluster, of position and of velocity.
 
     They are the number of pairs, normalised innovations squared, squared differences, and traces of their covariances.
+    Each pair is counted once, for its first agent and its second.
     """
     rows = np.lexsort((agent, labels))  # sums must not depend on the order of the rows
     if weights is not None:
@@ -209,15 +222,21 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
     x, y = (motion.take(i, 0) - motion.take(j, 0)).reshape(-1, 2, 2).transpose(2, 0, 1)
     xx, yy, xy, yx = (spread.take(i, 0) + spread.take(j, 0)).reshape(-1, 2, 4).transpose(2, 0, 1)
     xy = 0.5 * (xy + yx)
-    nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
-    values = np.stack([np.ones(nis.shape), nis, x * x + y * y, xx + yy], axis=-1).reshape(len(i), 8)
-    codes = (agent[i] * agents + agent[j])[:, None] * 8 + np.arange(8)
-    sums = np.bincount(codes.ravel(), values.ravel(), agents * agents * 8).reshape(agents, agents, 2, 4)
-    return np.asarray(sums + sums.transpose(1, 0, 2, 3))
+    values = np.empty((len(i), 2, 4))
+    values[..., 0] = 1.0
+    values[..., 1] = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    values[..., 2] = x * x + y * y
+    values[..., 3] = xx + yy
+    codes = ((agent.take(i) * agents + agent.take(j)) * 8)[:, None] + _EIGHT
+    sums = np.bincount(codes.ravel(), values.ravel(), agents * agents * 8)
+    return np.asarray(sums.reshape(agents, agents, 2, 4))
 
 
 def _excess(sums: Floats, limit: float) -> Floats:
-    """(a, 2) what the variances of position and velocity of each agent grow by, m² and (m/s)², from `_comparisons`."""
+    """(a, 2) what the variances of position and velocity of each agent grow by, m² and (m/s)².
+
+    sums: (a, a, 2, 4) see `_comparisons`, symmetric
+    """
     agents = len(sums)
     pairs, nis, squared, trace = np.moveaxis(sums, -1, 0)
     ratio = 0.5 * (nis + 2.0 * _PRIOR_PAIRS) / (pairs + _PRIOR_PAIRS)

@@ -117,6 +117,20 @@ def test_of_two_agents_that_disagree_both_become_uncertain():
     assert result[0] - result[1] == pytest.approx(0.04)
 
 
+@pytest.mark.parametrize("honest", range(5))
+def test_an_agent_that_is_honest_in_one_of_five_frames_becomes_as_uncertain_as_it_is_on_average(honest):
+    """Whichever frame that is: no frame matters more than others."""
+    check, grown = CheckedCovariances(), []
+    for frame in range(40):
+        states, agent = reported(5, frame, {} if frame % 5 == honest else {1: 1.5}, {1: 1e-6})
+        labels = np.tile(np.arange(len(CARS)), 5)
+        result = check.inflated(nanoseconds(frame), check.floored(states), agent, NAMES, labels, None)
+        grown.append(variances(result, 5))
+    settled = np.array(grown[20:])
+    assert settled[:, 1] == pytest.approx(0.75, rel=0.2)  # 0.8 of 1.1 m², less what the limit allows
+    assert np.delete(settled, 1, axis=1) == pytest.approx(0.05)
+
+
 def test_agents_that_are_not_trusted_make_nobody_uncertain():
     check = CheckedCovariances()
     for frame in range(FRAMES):
