@@ -8,7 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, GATE, JointGate
+from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, SAME_ORIGIN_GATE, JointGate
 from mast_zenoh.tracking import gating
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 
@@ -22,7 +22,7 @@ _REACH_M = 2.0
 #: hostile sources send more, and whatever they send, a track costs at most the product of the two.
 _MAX_LARGER, _MAX_MEMBERS = 8, 32
 _FIRST = np.zeros(1, np.int64)
-_JOINT_GATE = JointGate(GATE, BIAS_M, BIAS_MPS)
+_JOINT_GATE = JointGate(SAME_ORIGIN_GATE, BIAS_M, BIAS_MPS)
 
 
 def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None) -> Floats | None:
