@@ -21,15 +21,13 @@ _ABSENCES, _MAX_ABSENT = 10.0, 100
 #: Sum of pairs below which two agents have not been compared.
 _FORGOTTEN = 1e-3
 #: s, after which tracks show something new: offsets of agents in consecutive frames correlate at 0.8. Every frame
-#: counts as a share of it, so that no frame matters more than others; what follows from them is updated once in it.
+#: counts as a share of it, so that no frame matters more than others.
 _PERIOD_S = 0.5
 #: Of the 81 numbers of a covariance: x x, y y, x y, y x of the position, and the same of the velocity.
 _HORIZONTAL = np.array([0, 10, 1, 9, 60, 70, 61, 69])
 #: Variances of position and velocity.
 _VARIANCES = np.array([[0, 10], [60, 70]])
 _EIGHT = np.arange(8)
-#: ns, before any time.
-_NEVER = -(1 << 62)
 
 
 class CovarianceCheck(ABC):
@@ -135,7 +133,6 @@ class CheckedCovariances(CovarianceCheck):
         self._time_ns: int | None = None  # of the last frame
         self._sums = np.zeros((0, 0, 2, 4))  # by agent and agent, of position and velocity, see `_comparisons`
         self._excess = np.zeros((0, 2))  # by agent, what its variances of position and velocity grow by
-        self._updated_ns = np.zeros(0, np.int64)  # by agent, when that was updated
 
     def floored(self, states: ObjectStates) -> ObjectStates:
         _, usable = symmetrise(states.covariance * self._per_unit, 2.0, MAX_VARIANCE)
@@ -169,7 +166,7 @@ class CheckedCovariances(CovarianceCheck):
         elapsed_s = math.inf if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         if elapsed_s > 0.0:
             if len(agents) <= _MAX_AGENTS:
-                self._compare(time_ns, elapsed_s, _comparisons(states, agent, len(agents), labels, weights))
+                self._compare(elapsed_s, _comparisons(states, agent, len(agents), labels, weights))
             self._time_ns = time_ns
         if not self._excess.any():
             return states
@@ -178,17 +175,16 @@ class CheckedCovariances(CovarianceCheck):
             covariance[:, columns] += self._excess[agent, quantity, None]
         return states.with_(covariance=covariance.reshape(-1, 9, 9))
 
-    def _compare(self, time_ns: int, elapsed_s: float, comparisons: Floats) -> None:
+    def _compare(self, elapsed_s: float, comparisons: Floats) -> None:
         """Add the comparisons of a frame; those of absent agents do not age."""
         count = len(self._agents)
         sums = self._sums[:count, :count]
         sums *= math.exp(-elapsed_s / self._averaging_s)
         sums += min(elapsed_s / _PERIOD_S, 1.0) * comparisons
-        if time_ns - self._updated_ns[:count].min(initial=time_ns) >= _PERIOD_S * 1e9:  # whichever frames it misses
-            sums = sums + sums.transpose(1, 0, 2, 3)
+        doubtful = sums[..., 1] + 2.0 * _PRIOR_PAIRS > 2.0 * self._limit * (sums[..., 0] + _PRIOR_PAIRS)
+        if doubtful.any() or self._excess[:count].any():  # otherwise it is 0
             compared = (sums[..., 0] > _FORGOTTEN).any(axis=1)
             self._excess[:count] = np.where(compared, _excess(sums, self._limit), self._excess[:count])
-            self._updated_ns[:count] = time_ns
 
     def _resume(self, time_ns: int, agents: tuple[str, ...]) -> None:
         """Carry the sums over to other agents; those of absent ones follow in the last rows."""
@@ -206,9 +202,7 @@ class CheckedCovariances(CovarianceCheck):
         if count and len(self._sums):
             sums[new[:, None], new] = self._sums[old[:, None], old]
         excess[new] = self._excess[old]
-        updated_ns = np.full(len(names), _NEVER)
-        updated_ns[new] = self._updated_ns[old]
-        self._agents, self._sums, self._excess, self._updated_ns = agents, sums, excess, updated_ns
+        self._agents, self._sums, self._excess = agents, sums, excess
         self._absent = {name: last_ns[name] for name in absent}
 
 
@@ -216,7 +210,6 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
     """(a, a, 2, 4) sums over the pairs of tracks of two agents in one cluster, of position and of velocity.
 
     They are the number of pairs, normalised innovations squared, squared differences, and traces of their covariances.
-    Each pair is counted once, for its first agent and its second.
     """
     rows = np.lexsort((agent, labels))  # sums must not depend on the order of the rows
     if weights is not None:
@@ -243,14 +236,14 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
     values[..., 2] = x * x + y * y
     values[..., 3] = xx + yy
     codes = ((agent.take(i) * agents + agent.take(j)) * 8)[:, None] + _EIGHT
-    sums = np.bincount(codes.ravel(), values.ravel(), agents * agents * 8)
-    return np.asarray(sums.reshape(agents, agents, 2, 4))
+    sums = np.bincount(codes.ravel(), values.ravel(), agents * agents * 8).reshape(agents, agents, 2, 4)
+    return np.asarray(sums + sums.transpose(1, 0, 2, 3))
 
 
 def _excess(sums: Floats, limit: float) -> Floats:
     """(a, 2) what the variances of position and velocity of each agent grow by, m² and (m/s)².
 
-    sums: (a, a, 2, 4) see `_comparisons`, symmetric
+    sums: (a, a, 2, 4) see `_comparisons`
     """
     agents = len(sums)
     pairs, nis, squared, trace = np.moveaxis(sums, -1, 0)
