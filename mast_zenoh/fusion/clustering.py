@@ -11,7 +11,7 @@ from mast_zenoh.arrays.clustering import merge_pairs_apart, pairs_near
 from mast_zenoh.arrays.ordering import by_agent
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer
-from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, GATE, JointGate
+from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, SAME_ORIGIN_GATE, JointGate
 
 
 class SampledAssignmentClusterer(Clusterer):
@@ -28,7 +28,12 @@ class SampledAssignmentClusterer(Clusterer):
     """
 
     def __init__(
-        self, *, assign_radius: float = 2.0, gate: float = GATE, bias_m: float = BIAS_M, bias_mps: float = BIAS_MPS
+        self,
+        *,
+        assign_radius: float = 2.0,
+        gate: float = SAME_ORIGIN_GATE,
+        bias_m: float = BIAS_M,
+        bias_mps: float = BIAS_MPS,
     ) -> None:
         if not assign_radius > 0.0:
             raise ValueError(f"assign_radius: found {assign_radius}, expected more than 0")
@@ -70,7 +75,7 @@ class DBSCANClusterer(Clusterer):
         *,
         eps: float = 2.0,
         min_samples: int = 2,
-        gate: float = GATE,
+        gate: float = SAME_ORIGIN_GATE,
         bias_m: float = BIAS_M,
         bias_mps: float = BIAS_MPS,
     ) -> None:

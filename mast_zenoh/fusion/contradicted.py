@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, GATE, JointGate
+from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, SAME_ORIGIN_GATE, JointGate
 from mast_zenoh.tracking import gating
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 
@@ -16,10 +18,11 @@ SAME_PLACE_M = 2.0 * 2.0**0.5 * BIAS_M
 #: m, the farthest that the centres of two boxes at the same place are considered.
 _REACH_M = 2.0
 
-#: Clusters at the place of one, and pairs of them, up to which they are compared: only a hostile source sends more.
-_MAX_LARGER, _MAX_PAIRS = 8, 1_000
+#: A cluster is compared with so many larger ones at its place, the largest, and by so many members of each. Only
+#: hostile sources send more, and whatever they send, a track costs at most the product of the two.
+_MAX_LARGER, _MAX_MEMBERS = 8, 32
 _FIRST = np.zeros(1, np.int64)
-_JOINT_GATE = JointGate(GATE, BIAS_M, BIAS_MPS)
+_JOINT_GATE = JointGate(SAME_ORIGIN_GATE, BIAS_M, BIAS_MPS)
 
 
 def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None) -> Floats | None:
@@ -30,7 +33,10 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
     Two road users are not at the same place. Where clusters of different agents are, because their velocities differ
     too much, one of them is wrong: the one with fewer agents, such as a track that has jumped to an oncoming vehicle.
     An agent that sees both objects is in both clusters, which then are two objects. Of two with equally many agents
-    nothing says which is wrong, and both stay.
+    nothing says which is wrong, and both stay. A cluster that is left out contradicts no other.
+
+    What remains: agents that together put `_MAX_LARGER` clusters around their false one, each larger than it and than
+    the true one, keep it in the picture.
     """
     rows = np.lexsort((agent, labels))  # sums must not depend on the order of the rows
     if weights is not None:
@@ -42,35 +48,63 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
     start, end = np.concatenate([_FIRST, later]), np.concatenate([later, [len(rows)]])
     size = end - start
     centre = np.add.reduceat(states.position.take(rows, 0), start) / size[:, None]
-    i, j, dx, dy = neighbours(centre, centre, np.full(len(centre), _REACH_M))
-    pairs = (size.take(i) > size.take(j)).nonzero()[0]
+    several = (size > 1).nonzero()[0]
+    i, j, dx, dy = neighbours(centre, centre[several], np.full(len(centre), _REACH_M))
+    j = several.take(j)
+    pairs = (size.take(j) > size.take(i)).nonzero()[0]
     if not len(pairs):
         return weights
-    larger, smaller, offset = i[pairs], j[pairs], np.column_stack([dx[pairs], dy[pairs]])
+    larger, smaller, offset = j[pairs], i[pairs], np.column_stack([-dx[pairs], -dy[pairs]])
     first = rows[start]
     one, other = first[larger], first[smaller]
     same = overlap(offset, states.size[one], states.yaw[one], states.size[other], states.yaw[other], ONE_OBJECT)
     same |= np.hypot(offset[:, 0], offset[:, 1]) <= SAME_PLACE_M
     same &= np.abs(centre[larger, 2] - centre[smaller, 2]) <= gating.GATE.level_m
-    crowd = np.bincount(smaller[same], minlength=len(size))
-    same &= crowd[smaller] <= _MAX_LARGER
-    if np.count_nonzero(same) > _MAX_PAIRS:
+    larger, smaller, offset = larger[same], smaller[same], offset[same]
+    if not len(larger):
         return weights
-    members = np.split(rows, later)
-    wrong = [
-        label[start[b]]
-        for a, b in zip(larger[same].tolist(), smaller[same].tolist(), strict=True)
-        if _contradict(states, agent, members[a], members[b])
-    ]
+    largest = np.lexsort((larger, np.vecdot(offset, offset), -size[larger], smaller))
+    rank = np.arange(len(largest)) - np.searchsorted(smaller[largest], smaller[largest])
+    compared = largest[rank < _MAX_LARGER]
+    larger, smaller = larger[compared], smaller[compared]
+    apart = _contradict(states, agent, _Clusters(rows, start, size), larger, smaller)
+    larger, smaller = larger[apart], smaller[apart]
+    wrong = set[int]()  # a larger cluster is judged before those that it contradicts
+    for k in np.lexsort((smaller, larger, -size[larger])).tolist():
+        if larger[k] not in wrong:
+            wrong.add(int(smaller[k]))
     if not wrong:
         return weights
-    kept: Bools = ~np.isin(labels, wrong)
+    kept: Bools = ~np.isin(labels, label[start[list(wrong)]])
     return kept.astype(np.float64) if weights is None else weights * kept
 
 
-def _contradict(states: ObjectStates, agent: Ints, one: Ints, other: Ints) -> bool:
-    """Whether the rows of two clusters have no agent in common, and tracks that cannot be of one object."""
-    if np.isin(agent[other], agent[one]).any():
-        return False
-    i, j = np.repeat(one, len(other)), np.tile(other, len(one))
-    return bool(_JOINT_GATE.apart(states, i, j).any())
+class _Clusters(NamedTuple):
+    """rows: (n,) tracks by cluster and agent; start, size: (c,) of each cluster in `rows`"""
+
+    rows: Ints
+    start: Ints
+    size: Ints
+
+    def members(self, clusters: Ints, most: int | None = None) -> tuple[Ints, Ints]:
+        """For each member of p clusters, at most so many of each: which of the p, and its row."""
+        size = self.size[clusters] if most is None else np.minimum(self.size[clusters], most)
+        which = np.repeat(np.arange(len(clusters)), size)
+        place = np.arange(len(which)) - np.repeat(np.cumsum(size) - size, size)
+        return which, self.rows[self.start[clusters[which]] + place]
+
+
+def _contradict(states: ObjectStates, agent: Ints, clusters: _Clusters, one: Ints, other: Ints) -> Bools:
+    """(p,) whether clusters have no agent in common, and tracks that cannot be of one object; one, other: (p,)"""
+    agents = int(agent.max()) + 1
+    codes = np.repeat(np.arange(len(clusters.size)), clusters.size) * agents + agent[clusters.rows]  # ascending
+    pair, row = clusters.members(other)
+    sought = one[pair] * agents + agent[row]
+    common = codes.take(np.searchsorted(codes, sought), mode="clip") == sought
+    result: Bools = np.bincount(pair[common], minlength=len(one)) == 0
+    apart = np.flatnonzero(result)
+    pair, j = clusters.members(other[apart], _MAX_MEMBERS)
+    which, i = clusters.members(one[apart][pair], _MAX_MEMBERS)
+    contradicting = _JOINT_GATE.apart(states, i, j[which])
+    result[apart] = np.bincount(pair[which[contradicting]], minlength=len(apart)) > 0
+    return result

@@ -16,14 +16,18 @@ _MAX_PARTNERS = 32
 _MAX_AGENTS = 1000
 #: Pairs as consistent as expected that each two agents start with.
 _PRIOR_PAIRS = 10.0
+#: What is known of an agent is kept for so many times the averaging time while it is absent, of at most so many agents.
+_ABSENCES, _MAX_ABSENT = 10.0, 100
 #: Sum of pairs below which two agents have not been compared.
 _FORGOTTEN = 1e-3
-#: s, between two comparisons: consecutive offsets of agents correlate at 0.8, so that most frames show nothing new.
+#: s, after which tracks show something new: offsets of agents in consecutive frames correlate at 0.8. Every frame
+#: counts as a share of it, so that no frame matters more than others.
 _PERIOD_S = 0.5
 #: Of the 81 numbers of a covariance: x x, y y, x y, y x of the position, and the same of the velocity.
 _HORIZONTAL = np.array([0, 10, 1, 9, 60, 70, 61, 69])
 #: Variances of position and velocity.
 _VARIANCES = np.array([[0, 10], [60, 70]])
+_EIGHT = np.arange(8)
 
 
 class CovarianceCheck(ABC):
@@ -86,15 +90,17 @@ class CheckedCovariances(CovarianceCheck):
     and sizes depend on the lidar's ranging, 0.02 to 0.03 m (Velodyne HDL-32E); speeds on the agent's own, 0.05 m/s, and
     its heading.
 
-    Inflation: normalised innovations squared between the tracks of two agents in one cluster, averaged over `memory_s`.
-    What an agent claims is compared with the half of the others that it agrees with best, so that a minority makes no
-    honest agent suspicious. Above `limit` times the expected value, variances grow by what the differences exceed the
-    covariances (covariance matching: Mehra, IEEE Transactions on Automatic Control 17(5), 1972; Myers and Tapley, same
-    journal 21(4), 1976), position and velocity separately. Of two agents alone, both grow.
+    Inflation: normalised innovations squared between the tracks of two agents in one cluster, averaged over
+    `averaging_s` in all frames: an agent that is honest now and then is inflated by its average. What an agent claims
+    is compared with the half of the others that it agrees with best, so that a minority makes no honest agent
+    suspicious. Above `limit` times the expected value, variances grow by the excess of the observed differences
+    (covariance matching: Mehra, IEEE Transactions on Automatic Control 17(5), 1972; Myers and Tapley, same journal
+    21(4), 1976), position and velocity separately. Of two agents alone, both grow. What is known of an agent outlasts
+    its absence, see `_ABSENCES`.
 
     least_position_std_m, least_height_std_m, least_size_std_m: m, per axis; least_speed_std_mps: m/s, per axis
     limit: ratio of innovations to their expectation above which variances grow; honest agents had up to 1.2
-    memory_s: s, after which a comparison counts 1/e; an agent that is compared with nobody stays as it was
+    averaging_s: s, after which a comparison counts 1/e; an agent that is compared with nobody stays as it was
     """
 
     def __init__(
@@ -105,7 +111,7 @@ class CheckedCovariances(CovarianceCheck):
         least_size_std_m: float = 0.03,
         least_speed_std_mps: float = 0.1,
         limit: float = 2.0,
-        memory_s: float = 1.5,
+        averaging_s: float = 1.5,
     ) -> None:
         parameters = locals()
         for name in parameters.keys() - {"self", "limit"}:
@@ -118,12 +124,13 @@ class CheckedCovariances(CovarianceCheck):
         self._unit = least[:, None] * least
         self._per_unit = 1.0 / self._unit
         self._limit = limit
-        self._memory_s = memory_s
+        self._averaging_s = averaging_s
         self.reset()
 
     def reset(self) -> None:
-        self._agents: tuple[str, ...] = ()
-        self._time_ns: int | None = None
+        self._agents: tuple[str, ...] = ()  # those present, the first rows
+        self._absent: dict[str, int] = {}  # ns, when the others were present for the last time, in the order of rows
+        self._time_ns: int | None = None  # of the last frame
         self._sums = np.zeros((0, 0, 2, 4))  # by agent and agent, of position and velocity, see `_comparisons`
         self._excess = np.zeros((0, 2))  # by agent, what its variances of position and velocity grow by
 
@@ -155,13 +162,11 @@ class CheckedCovariances(CovarianceCheck):
         labels: Ints,
         weights: Floats | None,
     ) -> ObjectStates:
-        self._resume(agents)
+        self._resume(time_ns, agents)
         elapsed_s = math.inf if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
-        if elapsed_s >= _PERIOD_S and len(agents) <= _MAX_AGENTS:
-            self._sums *= math.exp(-elapsed_s / self._memory_s)
-            self._sums += _comparisons(states, agent, len(agents), labels, weights)
-            compared = (self._sums[..., 0] > _FORGOTTEN).any(axis=1)
-            self._excess = np.where(compared, _excess(self._sums, self._limit), self._excess)
+        if elapsed_s > 0.0:
+            if len(agents) <= _MAX_AGENTS:
+                self._compare(elapsed_s, _comparisons(states, agent, len(agents), labels, weights))
             self._time_ns = time_ns
         if not self._excess.any():
             return states
@@ -170,19 +175,35 @@ class CheckedCovariances(CovarianceCheck):
             covariance[:, columns] += self._excess[agent, quantity, None]
         return states.with_(covariance=covariance.reshape(-1, 9, 9))
 
-    def _resume(self, agents: tuple[str, ...]) -> None:
-        """Carry the sums over to other agents."""
+    def _compare(self, elapsed_s: float, comparisons: Floats) -> None:
+        """Add the comparisons of a frame; those of absent agents do not age."""
+        count = len(self._agents)
+        sums = self._sums[:count, :count]
+        sums *= math.exp(-elapsed_s / self._averaging_s)
+        sums += min(elapsed_s / _PERIOD_S, 1.0) * comparisons
+        doubtful = sums[..., 1] + 2.0 * _PRIOR_PAIRS > 2.0 * self._limit * (sums[..., 0] + _PRIOR_PAIRS)
+        if doubtful.any() or self._excess[:count].any():  # otherwise it is 0
+            compared = (sums[..., 0] > _FORGOTTEN).any(axis=1)
+            self._excess[:count] = np.where(compared, _excess(sums, self._limit), self._excess[:count])
+
+    def _resume(self, time_ns: int, agents: tuple[str, ...]) -> None:
+        """Carry the sums over to other agents; those of absent ones follow in the last rows."""
         if agents == self._agents:
             return
-        row = {name: k for k, name in enumerate(self._agents)}
-        known = [(k, row[name]) for k, name in enumerate(agents) if name in row]
-        new, old = (np.array(rows, np.int64) for rows in zip(*known, strict=True)) if known else (np.zeros(0, int),) * 2
-        count = len(agents) if len(agents) <= _MAX_AGENTS else 0
-        sums, excess = np.zeros((count, count, 2, 4)), np.zeros((len(agents), 2))
+        last_ns = self._absent | dict.fromkeys(self._agents, time_ns if self._time_ns is None else self._time_ns)
+        oldest_ns = time_ns - round(_ABSENCES * self._averaging_s * 1e9)
+        row = {name: k for k, name in enumerate((*self._agents, *self._absent)) if last_ns[name] >= oldest_ns}
+        absent = sorted(row.keys() - set(agents), key=lambda name: (-last_ns[name], name))[:_MAX_ABSENT]
+        names = (*agents, *absent)
+        new = np.array([k for k, name in enumerate(names) if name in row], np.int64)
+        old = np.array([row[name] for name in names if name in row], np.int64)
+        count = len(names) if len(agents) <= _MAX_AGENTS else 0
+        sums, excess = np.zeros((count, count, 2, 4)), np.zeros((len(names), 2))
         if count and len(self._sums):
             sums[new[:, None], new] = self._sums[old[:, None], old]
         excess[new] = self._excess[old]
         self._agents, self._sums, self._excess = agents, sums, excess
+        self._absent = {name: last_ns[name] for name in absent}
 
 
 def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, weights: Floats | None) -> Floats:
@@ -209,15 +230,21 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
     x, y = (motion.take(i, 0) - motion.take(j, 0)).reshape(-1, 2, 2).transpose(2, 0, 1)
     xx, yy, xy, yx = (spread.take(i, 0) + spread.take(j, 0)).reshape(-1, 2, 4).transpose(2, 0, 1)
     xy = 0.5 * (xy + yx)
-    nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
-    values = np.stack([np.ones(nis.shape), nis, x * x + y * y, xx + yy], axis=-1).reshape(len(i), 8)
-    codes = (agent[i] * agents + agent[j])[:, None] * 8 + np.arange(8)
+    values = np.empty((len(i), 2, 4))
+    values[..., 0] = 1.0
+    values[..., 1] = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    values[..., 2] = x * x + y * y
+    values[..., 3] = xx + yy
+    codes = ((agent.take(i) * agents + agent.take(j)) * 8)[:, None] + _EIGHT
     sums = np.bincount(codes.ravel(), values.ravel(), agents * agents * 8).reshape(agents, agents, 2, 4)
     return np.asarray(sums + sums.transpose(1, 0, 2, 3))
 
 
 def _excess(sums: Floats, limit: float) -> Floats:
-    """(a, 2) what the variances of position and velocity of each agent grow by, m² and (m/s)², from `_comparisons`."""
+    """(a, 2) what the variances of position and velocity of each agent grow by, m² and (m/s)².
+
+    sums: (a, a, 2, 4) see `_comparisons`
+    """
     agents = len(sums)
     pairs, nis, squared, trace = np.moveaxis(sums, -1, 0)
     ratio = 0.5 * (nis + 2.0 * _PRIOR_PAIRS) / (pairs + _PRIOR_PAIRS)

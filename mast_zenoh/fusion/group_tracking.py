@@ -7,7 +7,7 @@ import numpy as np
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.fusion.base import Fusion, GroupTracker
-from mast_zenoh.fusion.identities import Identities
+from mast_zenoh.fusion.returning_objects import ReturningObjects
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.innovations import Innovations
@@ -19,15 +19,16 @@ class GroupTrackerWrapper(GroupTracker):
     """Fuses each cluster and tracks the fused states.
 
     fusion: fuses each cluster; tracker: tracks the results (`step_states`) with the fusion's covariances; not shared
-    memory_s: s for which an object that the tracker has lost may return under its id, see `Identities`; 0: not at all
+    id_memory_s: s for which an object that the tracker has lost may return under its id, see `ReturningObjects`; 0: not
+        at all
     """
 
-    def __init__(self, *, fusion: Fusion, tracker: Tracker, memory_s: float = 4.0) -> None:
-        if not memory_s >= 0.0:
-            raise ValueError(f"memory_s: found {memory_s}, expected 0 or more")
+    def __init__(self, *, fusion: Fusion, tracker: Tracker, id_memory_s: float = 4.0) -> None:
+        if not id_memory_s >= 0.0:
+            raise ValueError(f"id_memory_s: found {id_memory_s}, expected 0 or more")
         self._fusion = fusion
         self._tracker = tracker
-        self._identities = Identities(memory_s)
+        self._returning = ReturningObjects(id_memory_s)
         self._clusters = np.zeros(0, np.int64)
 
     def step(
@@ -36,7 +37,7 @@ class GroupTrackerWrapper(GroupTracker):
         fused = self._fusion.fuse(states, labels, weights)
         picture = self._tracker.step_states(time_ns, fused)
         self._clusters = _clusters(fused.id, self._tracker.matched)
-        ids = self._identities.of(time_ns, picture)
+        ids = self._returning.ids_for(time_ns, picture)
         if not np.array_equal(ids, picture.id):
             order = ids.argsort()
             picture = picture.with_(id=ids).select(order)
@@ -53,7 +54,7 @@ class GroupTrackerWrapper(GroupTracker):
 
     def reset(self) -> None:
         self._tracker.reset()
-        self._identities.reset()
+        self._returning.reset()
         self._clusters = np.zeros(0, np.int64)
 
 

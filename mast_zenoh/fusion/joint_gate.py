@@ -8,7 +8,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
 
 #: Squared Mahalanobis distance that one in 10,000 of a chi-square distribution with six degrees of freedom exceeds.
-GATE = 27.86
+SAME_ORIGIN_GATE = 27.86
 #: m, per axis, and m/s: standard deviations of errors that no covariance contains, such as those of the agent's pose
 #: and of seeing one side of a vehicle only. As measured between honest agents, see `integrity.robust_fusion`.
 BIAS_M, BIAS_MPS = 0.3, 0.5
@@ -56,14 +56,14 @@ class JointGate:
         doubtful = result.nonzero()[0]
         if len(doubtful):
             covariance = self._covariance(states, i.take(doubtful), j.take(doubtful))
-            result[doubtful] = _distance(difference.take(doubtful, 0), covariance) > self._gate
+            result[doubtful] = squared_distance(difference.take(doubtful, 0), covariance) > self._gate
         return result
 
     def cost(self, states: ObjectStates, i: Ints, j: Ints) -> Floats:
         """(p,) -2 ln of the likelihood that the tracks in rows i and j (p,) are of one object, up to a constant."""
         joint = np.concatenate([states.position, states.velocity], axis=1)
         covariance = self._covariance(states, i, j)
-        cost = _distance(joint.take(j, 0) - joint.take(i, 0), covariance)
+        cost = squared_distance(joint.take(j, 0) - joint.take(i, 0), covariance)
         return np.asarray(cost + np.linalg.slogdet(covariance)[1])
 
     def _covariance(self, states: ObjectStates, i: Ints, j: Ints) -> Floats:
@@ -78,6 +78,6 @@ def _joint_covariance(states: ObjectStates, rows: Ints) -> Floats:
     return make_positive_definite(states.covariance.take(rows, 0)[:, _JOINT[:, None], _JOINT])
 
 
-def _distance(difference: Floats, covariance: Floats) -> Floats:
-    """(p,) squared Mahalanobis distances of differences (p, 6)."""
+def squared_distance(difference: Floats, covariance: Floats) -> Floats:
+    """(p,) squared Mahalanobis distances of differences (p, m), with covariances (p, m, m)."""
     return np.asarray(np.vecdot(difference, np.linalg.solve(covariance, difference[:, :, None])[:, :, 0]))

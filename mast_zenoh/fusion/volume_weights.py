@@ -9,7 +9,7 @@ from mast_zenoh.tracking.inversion import inverse
 
 #: Largest ln of the ratio of a determinant to the least one: 1 %.
 TOLERANCE = 0.01
-#: The search ends after so many steps; it needs up to 8.
+#: The search stops after so many steps; it needed at most 8.
 _MAX_STEPS = 30
 #: Clusters are searched together with others of up to as many members; larger ones have equal weights.
 _SIZES = (8, 64)
@@ -18,7 +18,10 @@ _CENTERING, _DAMPING = 0.1, 0.9
 
 
 def least_volume_weights(information: Floats, start: Ints) -> Floats:
-    """Weights (n,) that minimise the determinant of the fused covariance of each of c clusters, within 1 %.
+    """Weights (n,) that minimise the determinant of the fused covariance of each of c clusters.
+
+    Up to 64 members, the determinant is within 1 % of the least one; the search needed at most 8 steps and stops after
+    30. Larger clusters have equal weights.
 
     information: (n, 9, 9) inverse covariances of the members, those of a cluster adjacent; start: (c,) its first row
 

@@ -98,7 +98,7 @@ def test_one_agent_that_claims_to_be_certain_does_not_decide_the_picture():
     assert error_m(picture(CheckedCovariances(), 5, {}, {})) < 0.15
 
 
-def test_variances_grow_by_what_the_differences_exceed_them():
+def test_variances_grow_by_the_excess_of_the_observed_differences():
     """An offset of 1.5 m along x is 1.1 m² per axis."""
     result = variances(inflated(CheckedCovariances(), 5, {1: 1.5}, {1: 1e-6}), 5)
     assert result[1] == pytest.approx(0.5 * 1.5**2, rel=0.2)
@@ -115,6 +115,20 @@ def test_of_two_agents_that_disagree_both_become_uncertain():
     result = variances(inflated(CheckedCovariances(), 2, {1: 1.5}, {1: 1e-6}), 2)
     assert min(result) > 0.5
     assert result[0] - result[1] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("honest", range(5))
+def test_an_agent_that_is_honest_in_one_of_five_frames_becomes_as_uncertain_as_it_is_on_average(honest):
+    """Whichever frame that is: no frame matters more than others."""
+    check, grown = CheckedCovariances(), []
+    for frame in range(40):
+        states, agent = reported(5, frame, {} if frame % 5 == honest else {1: 1.5}, {1: 1e-6})
+        labels = np.tile(np.arange(len(CARS)), 5)
+        result = check.inflated(nanoseconds(frame), check.floored(states), agent, NAMES, labels, None)
+        grown.append(variances(result, 5))
+    settled = np.array(grown[20:])
+    assert settled[:, 1] == pytest.approx(0.75, rel=0.2)  # 0.8 of 1.1 m², less what the limit allows
+    assert np.delete(settled, 1, axis=1) == pytest.approx(0.05)
 
 
 def test_agents_that_are_not_trusted_make_nobody_uncertain():
@@ -134,6 +148,51 @@ def test_what_is_known_of_an_agent_outlasts_that_others_join_and_leave():
     assert result.covariance[0, 0, 0] > 0.5
     check.reset()
     assert check.inflated(nanoseconds(FRAMES), states, alone[0], *alone[1:], None) is states
+
+
+def believed(check: CovarianceCheck, frame: int, present: tuple[int, ...], offset: dict[int, float]) -> list[float]:
+    """The mean variance of x of the agents that are present in a frame."""
+    states, agent = reported(5, frame, offset, {})
+    rows = np.isin(agent, present)
+    labels = np.tile(np.arange(len(CARS)), 5)[rows]
+    names = tuple(NAMES[k] for k in present)
+    arguments = states.select(rows), np.searchsorted(present, agent[rows]), names, labels, None
+    return variances(check.inflated(nanoseconds(frame), *arguments), len(present))
+
+
+def test_an_agent_that_misses_batches_is_known_when_it_returns_unless_it_was_away_for_long():
+    for away, grown in [(1, True), (30, True), (149, True), (200, False)]:
+        check = CheckedCovariances()
+        for frame in range(20):
+            believed(check, frame, (0, 1, 2, 3, 4), {1: 1.5})
+        for frame in range(20, 20 + away):
+            assert believed(check, frame, (0, 2, 3, 4), {}) == pytest.approx([0.05] * 4)
+        assert (believed(check, 20 + away, (0, 1, 2, 3, 4), {})[1] > 0.5) == grown
+
+
+def test_an_agent_that_is_absent_now_and_then_is_compared_over_all_its_frames():
+    check, everybody = CheckedCovariances(), (0, 1, 2, 3, 4)
+    for frame in range(60):
+        present = everybody if frame % 5 else (0, 2, 3, 4)
+        result = believed(check, frame, present, {1: 1.5})
+    assert result[1] > 0.8
+
+
+def test_absent_agents_make_nobody_uncertain():
+    """One agent under three names, each for a second, against two honest ones."""
+    check = CheckedCovariances()
+    for frame in range(45):
+        result = believed(check, frame, (0, 1, 2 + frame // 15), {2: 1.5, 3: 1.5, 4: 1.5})
+        assert result[:2] == pytest.approx([0.05] * 2)
+    assert result[2] > 0.5
+
+
+def test_the_number_of_absent_agents_that_are_known_is_limited():
+    check, states = CheckedCovariances(), reported(1, 0, {}, {})[0]
+    alone = np.zeros(len(states), np.int64), np.arange(len(states))
+    for frame in range(150):
+        check.inflated(frame, states, alone[0], (f"agent{frame}",), alone[1], None)
+    assert len(check._sums) == len(check._excess) == 101
 
 
 covariances = st.sampled_from(

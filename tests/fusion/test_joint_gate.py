@@ -193,3 +193,47 @@ def test_agents_that_are_not_trusted_contradict_nobody():
     trust = np.array([0.0, 0.0, 1.0])
     result = without_contradicted(tracks(WRONG), np.arange(3), np.array([0, 0, 1]), trust)
     assert result.tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_cluster_that_is_left_out_contradicts_no_other():
+    """Three agents contradict two, which contradict one that is too far from the three."""
+    rows = [(0, 0, 0.8, -12)] * 3 + [(0, 0.8, 0.8, 12)] * 2 + [(0, 1.6, 0.8, -12)]
+    result = without_contradicted(tracks(rows), np.arange(6), np.array([5, 5, 5, 2, 2, 0]), None)
+    assert result.tolist() == [1, 1, 1, 0, 0, 1]
+
+
+@pytest.mark.parametrize("doubles", [10, 1020, 3000])
+def test_many_doubles_by_one_agent_protect_neither_themselves_nor_others(doubles):
+    """They are around two objects, each of which three honest agents report; another object has one false double."""
+    objects = [(50.0 * k, 0, 0.8, -12) for k in range(3)]
+    honest = [each for each in objects for _ in range(3)]
+    false = [(50.0 * (k % 2), 0.001 * (k % 300), 0.8, 12) for k in range(doubles)] + [(100.0, 0, 0.8, 12)]
+    agent = np.concatenate([np.tile(np.arange(3), 3), np.full(len(false), 3)])
+    label = np.concatenate([np.repeat(np.arange(3), 3), np.arange(3, 3 + len(false))])
+    result = without_contradicted(tracks(honest + false), agent, label, None)
+    assert result.tolist() == [1.0] * 9 + [0.0] * len(false)
+
+
+def test_of_many_larger_clusters_the_largest_are_compared():
+    """Two agents put ten clusters around the false one of a third; four honest agents report the object."""
+    false = [(0, 0.01 * k, 0.8, 12) for k in range(10) for _ in range(2)] + [(0, 0, 0.8, 12)]
+    states = tracks([(0, 0, 0.8, -12)] * 4 + false)
+    agent = np.array([0, 1, 2, 3, *[4, 5] * 10, 6])
+    label = np.array([0] * 4 + [k for k in range(1, 11) for _ in range(2)] + [11])
+    assert without_contradicted(states, agent, label, None).tolist() == [1.0] * 4 + [0.0] * 21
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(*[st.integers(0, 3)] * 2, st.sampled_from([-1, 1])), min_size=3, max_size=14),
+    st.randoms(use_true_random=False),
+)
+def test_the_order_of_tracks_does_not_matter_for_contradictions(rows, random):
+    states = tracks([(0.7 * x, 0.7 * y, 0.8, 12.0 * v) for x, y, v in rows])
+    agent = np.array([random.randrange(6) for _ in rows])
+    states = states.with_(id=np.array([int(np.sum(agent[:k] == agent[k])) for k in range(len(rows))], np.int64))
+    label = SampledAssignmentClusterer().cluster(states, agent)
+    order = np.array(random.sample(range(len(rows)), len(rows)), int)
+    result = without_contradicted(states, agent, label, np.ones(len(rows)))
+    other = without_contradicted(states.select(order), agent[order], label[order], np.ones(len(rows)))
+    assert other.tolist() == result[order].tolist()

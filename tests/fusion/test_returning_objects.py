@@ -5,9 +5,11 @@ import pytest
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, ObjectStates, concatenate
 from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
-from mast_zenoh.fusion.identities import Identities
+from mast_zenoh.fusion.returning_objects import ReturningObjects, _predicted
 from mast_zenoh.pipelines import CommandCenterPipeline
-from mast_zenoh.tracking import KalmanBoxTracker3D
+from mast_zenoh.tracking import KalmanBoxTracker3D, classes
+from mast_zenoh.tracking.kalman import process_noise
+from mast_zenoh.tracking.tracks import known_class
 
 STEP_S = 0.1
 MATURE = np.diag([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.6, 0.6, 0.05])
@@ -29,9 +31,9 @@ def states(position: Floats, velocity: Floats, ids: list[int], class_name: str =
     )
 
 
-def centre(memory_s: float = 4.0) -> CommandCenterPipeline:
+def centre(id_memory_s: float = 4.0) -> CommandCenterPipeline:
     tracker = GroupTrackerWrapper(
-        fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D(), memory_s=memory_s
+        fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D(), id_memory_s=id_memory_s
     )
     return CommandCenterPipeline(clustering=SampledAssignmentClusterer(), group_tracking=tracker)
 
@@ -67,7 +69,7 @@ def test_an_object_that_returns_after_three_seconds_keeps_its_id(hidden_s, speed
 
 
 def test_without_memory_or_after_it_an_object_has_a_new_id():
-    assert pictured_ids(centre(memory_s=0.0), 3.0, 10.0) == {0, 1}
+    assert pictured_ids(centre(id_memory_s=0.0), 3.0, 10.0) == {0, 1}
     assert pictured_ids(centre(), 4.5, 10.0) == {0, 1}
 
 
@@ -85,14 +87,16 @@ def test_parked_cars_whose_boxes_nearly_touch_keep_their_ids():
             assert support.min() >= 2
 
 
-def given(identities: Identities, time_s: float, *objects: tuple[int, float, float, float], name: str = "car") -> list:
+def given(
+    returning: ReturningObjects, time_s: float, *objects: tuple[int, float, float, float], name: str = "car"
+) -> list:
     """The ids of the tracker's objects (id, x, y, speed along x)."""
     values = np.array(objects, float).reshape(-1, 4)
     velocity = np.column_stack([values[:, 3], np.zeros(len(values))])
     picture = (
         states(values[:, 1:3], velocity, values[:, 0].astype(int).tolist(), name) if objects else ObjectStates.empty()
     )
-    return identities.of(round(time_s * 1e9), picture).tolist()
+    return returning.ids_for(round(time_s * 1e9), picture).tolist()
 
 
 def test_only_an_object_that_can_be_the_lost_one_takes_its_id():
@@ -101,28 +105,47 @@ def test_only_an_object_that_can_be_the_lost_one_takes_its_id():
         ((7, 20.0, 14.0, 10.0), 7),  # too far aside
         ((7, 20.0, 0.0, -10.0), 7),  # the other way
     ]:
-        identities = Identities(4.0)
-        assert given(identities, 0.0, (0, 0.0, 0.0, 10.0)) == [0]
-        assert given(identities, 0.1) == []
-        assert given(identities, 2.0, returned) == [expected]
-        assert given(identities, 2.1, returned) == [expected]
-    identities = Identities(4.0)
-    given(identities, 0.0, (0, 0.0, 0.0, 1.0))
-    assert given(identities, 1.0, (7, 1.0, 0.0, 1.0), name="pedestrian") == [7]
+        returning = ReturningObjects(4.0)
+        assert given(returning, 0.0, (0, 0.0, 0.0, 10.0)) == [0]
+        assert given(returning, 0.1) == []
+        assert given(returning, 2.0, returned) == [expected]
+        assert given(returning, 2.1, returned) == [expected]
+    returning = ReturningObjects(4.0)
+    given(returning, 0.0, (0, 0.0, 0.0, 1.0))
+    assert given(returning, 1.0, (7, 1.0, 0.0, 1.0), name="pedestrian") == [7]
 
 
 def test_of_two_lost_objects_each_gets_its_own_id():
-    identities = Identities(4.0)
-    given(identities, 0.0, (3, 0.0, 0.0, 0.0), (5, 0.0, 3.0, 0.0))
-    given(identities, 0.1)
-    assert given(identities, 2.0, (8, 0.0, 3.1, 0.0), (9, 0.0, 0.1, 0.0)) == [5, 3]
+    returning = ReturningObjects(4.0)
+    given(returning, 0.0, (3, 0.0, 0.0, 0.0), (5, 0.0, 3.0, 0.0))
+    given(returning, 0.1)
+    assert given(returning, 2.0, (8, 0.0, 3.1, 0.0), (9, 0.0, 0.1, 0.0)) == [5, 3]
 
 
 def test_no_id_is_given_twice_when_the_tracker_continues_a_lost_one():
-    identities = Identities(4.0)
-    given(identities, 0.0, (0, 0.0, 0.0, 0.0))
-    given(identities, 0.1)
-    assert given(identities, 1.0, (1, 0.2, 0.0, 0.0)) == [0]
-    assert sorted(given(identities, 1.1, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0))) == [0, 1]
-    both = given(identities, 1.2, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0))
-    assert given(identities, 1.3, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0)) == both
+    returning = ReturningObjects(4.0)
+    given(returning, 0.0, (0, 0.0, 0.0, 0.0))
+    given(returning, 0.1)
+    assert given(returning, 1.0, (1, 0.2, 0.0, 0.0)) == [0]
+    assert sorted(given(returning, 1.1, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0))) == [0, 1]
+    both = given(returning, 1.2, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0))
+    assert given(returning, 1.3, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0)) == both
+
+
+def test_an_object_whose_id_the_tracker_continues_takes_its_own():
+    """Object 9 has returned as 4, so that two of the tracker's ids are free."""
+    returning = ReturningObjects(4.0)
+    given(returning, 0.0, (0, 0.0, 0.0, 0.0), (4, 0.0, 50.0, 0.0))
+    given(returning, 0.1)
+    assert given(returning, 1.0, (1, 0.2, 0.0, 0.0), (9, 0.2, 50.0, 0.0)) == [0, 4]
+    assert given(returning, 1.1, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0), (9, 0.2, 50.0, 0.0)) == [0, 1, 4]
+
+
+def test_lost_objects_are_predicted_with_the_process_noise_of_the_tracker():
+    cars = states(np.zeros((2, 2)), np.zeros((2, 2)), [0, 1])
+    rows = np.array([0, 1, 6, 7])
+    density = classes.ACCELERATION[known_class(cars.class_id)]
+    predicted = _predicted(np.zeros((2, 4, 4)), np.array([0.5, 3.0]), cars)
+    for k, elapsed_s in enumerate([0.5, 3.0]):
+        noise = process_noise(elapsed_s, density[k : k + 1], 1.0, 1.0)[0]
+        assert predicted[k] == pytest.approx(noise[np.ix_(rows, rows)])
