@@ -9,7 +9,6 @@ import numpy as np
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, SAME_ORIGIN_GATE, JointGate
-from mast_zenoh.tracking import gating
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 
 #: m, between the centres of clusters at the same place, whatever their size: two standard deviations of the difference
@@ -18,6 +17,9 @@ SAME_PLACE_M = 2.0 * 2.0**0.5 * BIAS_M
 #: m, the farthest that the centres of two boxes at the same place are considered.
 _REACH_M = 2.0
 
+#: m^2, of a horizontal position, both axes together: what is less certain would not be reported in place of what it
+#: contradicts (a tracker's `max_std_m` of 1.2 m), and has no say.
+_MAX_VARIANCE = 1.2**2
 #: A cluster is compared with so many larger ones at its place, the largest, and by so many members of each. Only
 #: hostile sources send more, and whatever they send, a track costs at most the product of the two.
 _MAX_LARGER, _MAX_MEMBERS = 8, 32
@@ -30,8 +32,9 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
 
     states: n tracks; agent, labels: (n,) of each; weights: (n,) how far each is trusted, 0: it does not count
 
-    Two road users are not at the same place. Where clusters of different agents are, because their velocities differ
-    too much, one of them is wrong: the one with fewer agents, such as a track that has jumped to an oncoming vehicle.
+    Two road users are not at the same place, but one may be above the other. Where clusters of different agents are,
+    because their velocities differ too much, one of them is wrong: the one with fewer agents, such as a track that has
+    jumped to an oncoming vehicle.
     An agent that sees both objects is in both clusters, which then are two objects. Of two with equally many agents
     nothing says which is wrong, and both stay. A cluster that is left out contradicts no other.
 
@@ -41,6 +44,8 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
     rows = np.lexsort((agent, labels))  # sums must not depend on the order of the rows
     if weights is not None:
         rows = rows[weights[rows] > 0.0]
+    variance = states.covariance[:, 0, 0] + states.covariance[:, 1, 1]
+    rows = rows[variance[rows] <= _MAX_VARIANCE]
     if len(rows) < 3:  # one cluster of two, and one of one
         return weights
     label = labels.take(rows)
@@ -59,7 +64,8 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
     one, other = first[larger], first[smaller]
     same = overlap(offset, states.size[one], states.yaw[one], states.size[other], states.yaw[other], ONE_OBJECT)
     same |= np.hypot(offset[:, 0], offset[:, 1]) <= SAME_PLACE_M
-    same &= np.abs(centre[larger, 2] - centre[smaller, 2]) <= gating.GATE.level_m
+    height = 0.5 * (states.size[one, 2] + states.size[other, 2])
+    same &= np.abs(centre[larger, 2] - centre[smaller, 2]) <= height
     larger, smaller, offset = larger[same], smaller[same], offset[same]
     if not len(larger):
         return weights

@@ -23,6 +23,8 @@ _FORGOTTEN = 1e-3
 #: s, after which tracks show something new: offsets of agents in consecutive frames correlate at 0.8. Every frame
 #: counts as a share of it, so that no frame matters more than others.
 _PERIOD_S = 0.5
+#: Number of other agents that one must disagree with to be the one that is wrong.
+_JUDGES = 2
 #: Of the 81 numbers of a covariance: x x, y y, x y, y x of the position, and the same of the velocity.
 _HORIZONTAL = np.array([0, 10, 1, 9, 60, 70, 61, 69])
 #: Variances of position and velocity.
@@ -95,10 +97,13 @@ class CheckedCovariances(CovarianceCheck):
     is compared with the half of the others that it agrees with best, so that a minority makes no honest agent
     suspicious. Above `limit` times the expected value, variances grow by the excess of the observed differences
     (covariance matching: Mehra, IEEE Transactions on Automatic Control 17(5), 1972; Myers and Tapley, same journal
-    21(4), 1976), position and velocity separately. Of two agents alone, both grow. What is known of an agent outlasts
-    its absence, see `_ABSENCES`.
+    21(4), 1976), position and velocity separately. Of two agents alone, both grow. The position of an agent that is
+    compared with one other only grows by at most `most_position_std_m`: nothing says who is wrong, and no disagreement
+    must make the tracks of either too uncertain to be reported. What is known of an agent outlasts its absence, see
+    `_ABSENCES`.
 
     least_position_std_m, least_height_std_m, least_size_std_m: m, per axis; least_speed_std_mps: m/s, per axis
+    most_position_std_m: m, per axis, the most that is added; half of the variance up to which trackers report
     limit: ratio of innovations to their expectation above which variances grow; honest agents had up to 1.2
     averaging_s: s, after which a comparison counts 1/e; an agent that is compared with nobody stays as it was
     """
@@ -110,6 +115,7 @@ class CheckedCovariances(CovarianceCheck):
         least_height_std_m: float = 0.03,
         least_size_std_m: float = 0.03,
         least_speed_std_mps: float = 0.1,
+        most_position_std_m: float = 0.6,
         limit: float = 2.0,
         averaging_s: float = 1.5,
     ) -> None:
@@ -123,6 +129,7 @@ class CheckedCovariances(CovarianceCheck):
         least = np.array([*position, least_height_std_m, *size, *speed])
         self._unit = least[:, None] * least
         self._per_unit = 1.0 / self._unit
+        self._most = most_position_std_m**2
         self._limit = limit
         self._averaging_s = averaging_s
         self.reset()
@@ -184,7 +191,7 @@ class CheckedCovariances(CovarianceCheck):
         doubtful = sums[..., 1] + 2.0 * _PRIOR_PAIRS > 2.0 * self._limit * (sums[..., 0] + _PRIOR_PAIRS)
         if doubtful.any() or self._excess[:count].any():  # otherwise it is 0
             compared = (sums[..., 0] > _FORGOTTEN).any(axis=1)
-            self._excess[:count] = np.where(compared, _excess(sums, self._limit), self._excess[:count])
+            self._excess[:count] = np.where(compared, _excess(sums, self._limit, self._most), self._excess[:count])
 
     def _resume(self, time_ns: int, agents: tuple[str, ...]) -> None:
         """Carry the sums over to other agents; those of absent ones follow in the last rows."""
@@ -240,10 +247,10 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
     return np.asarray(sums + sums.transpose(1, 0, 2, 3))
 
 
-def _excess(sums: Floats, limit: float) -> Floats:
+def _excess(sums: Floats, limit: float, most: float) -> Floats:
     """(a, 2) what the variances of position and velocity of each agent grow by, m² and (m/s)².
 
-    sums: (a, a, 2, 4) see `_comparisons`
+    sums: (a, a, 2, 4) see `_comparisons`; most: m², of a position where it is undecided who is wrong
     """
     agents = len(sums)
     pairs, nis, squared, trace = np.moveaxis(sums, -1, 0)
@@ -258,4 +265,7 @@ def _excess(sums: Floats, limit: float) -> Floats:
         return np.where(np.isfinite(ordered), ordered, 0.0)
 
     share = np.maximum(1.0 - limit / np.maximum(of_best_half(ratio), limit), 0.0)
-    return np.asarray(share * np.maximum(of_best_half(excess), 0.0))
+    result = share * np.maximum(of_best_half(excess), 0.0)
+    undecided = known[..., 0].sum(axis=1) < _JUDGES
+    result[undecided, 0] = np.minimum(result[undecided, 0], most)
+    return np.asarray(result)

@@ -113,8 +113,20 @@ def test_two_of_five_that_agree_with_each_other_are_in_the_minority():
 
 def test_of_two_agents_that_disagree_both_become_uncertain():
     result = variances(inflated(CheckedCovariances(), 2, {1: 1.5}, {1: 1e-6}), 2)
-    assert min(result) > 0.5
+    assert min(result) > 0.3
     assert result[0] - result[1] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("agents", [2, 5])
+def test_one_accuser_makes_no_tracks_too_uncertain_to_be_reported(agents):
+    """Agent 1 is 1.9 m off, and the only one that sees an object that agent 0 sees."""
+    check = CheckedCovariances()
+    for frame in range(FRAMES):
+        states, agent = reported(agents, frame, {1: 1.9}, {1: 1e-6})
+        labels = np.where(agent <= 1, 0, agent)[:, None] * len(CARS) + np.tile(np.arange(len(CARS)), agents)[:, None]
+        result = check.inflated(nanoseconds(frame), states, agent, NAMES[:agents], labels[:, 0], None)
+    horizontal = result.covariance[agent == 0, 0, 0] + result.covariance[agent == 0, 1, 1]
+    assert 0.5 < horizontal.max() < 1.2**2
 
 
 @pytest.mark.parametrize("honest", range(5))

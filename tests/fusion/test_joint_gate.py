@@ -195,6 +195,19 @@ def test_agents_that_are_not_trusted_contradict_nobody():
     assert result.tolist() == [0.0, 0.0, 1.0]
 
 
+def test_tracks_that_would_not_be_reported_contradict_nobody():
+    """Otherwise two agents could remove what one reports, and have nothing reported in its place."""
+    states = tracks(WRONG)
+    vague = states.covariance.copy()
+    vague[:2, :2, :2] = 0.8 * np.eye(2)
+    assert without_contradicted(states.with_(covariance=vague), np.arange(3), np.array([0, 0, 1]), None) is None
+
+
+def test_a_car_on_the_deck_above_contradicts_nobody():
+    rows = [(0, 0, 0.8, 0), (0.1, 0, 0.8, 0), (0, 0.1, 3.4, 0)]
+    assert without_contradicted(tracks(rows), np.arange(3), np.array([0, 0, 1]), None) is None
+
+
 def test_a_cluster_that_is_left_out_contradicts_no_other():
     """Three agents contradict two, which contradict one that is too far from the three."""
     rows = [(0, 0, 0.8, -12)] * 3 + [(0, 0.8, 0.8, 12)] * 2 + [(0, 1.6, 0.8, -12)]
