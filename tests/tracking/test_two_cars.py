@@ -36,10 +36,10 @@ def folder(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the commands of the page were run: detections in `cars`, the run in `two_cars`."""
     folder = tmp_path_factory.mktemp("two_cars")
     section = PAGE.read_text(encoding="utf-8").partition("## Two cars in a recorded log")[2].partition("\n## ")[0]
-    commands = re.findall(r"^    mast ((?:.*\\\n)*.*)$", section, flags=re.MULTILINE)
+    commands = re.findall(r"^    mast (.*)$", section, flags=re.MULTILINE)
     assert [command.split()[0] for command in commands] == ["scene", "run"]
     for command in commands:
-        words = shlex.split(command.replace("\\\n", " ").replace("LOG", str(log)))
+        words = shlex.split(command.replace("LOG", str(log)))
         subprocess.run([sys.executable, "-m", "mast_zenoh", *words], cwd=folder, check=True, timeout=300)
     return folder
 
