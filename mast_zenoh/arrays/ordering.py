@@ -41,6 +41,11 @@ def ascending(*keys: NDArray[Any]) -> bool:
     return bool(later.all())
 
 
+def within_runs(count: Ints) -> Ints:
+    """0 to count - 1 for each of k runs of rows, one run after the other: (sum of count,)."""
+    return np.asarray(np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count))
+
+
 def _any_equal(*keys: NDArray[Any]) -> bool:
     """Whether two neighbouring rows have the same keys (n,)."""
     equal = keys[0][1:] == keys[0][:-1]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.matching import min_cost_matching
+from mast_zenoh.arrays.ordering import within_runs
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Schema
 from mast_zenoh.metrics.lookup import find
@@ -272,7 +273,7 @@ def _pairs(a: Ints, b: Ints) -> tuple[Ints, Ints]:
     first, last = np.searchsorted(b, a, side="left"), np.searchsorted(b, a, side="right")
     count = last - first
     i = np.repeat(np.arange(len(a)), count)
-    return i, np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
+    return i, within_runs(count) + np.repeat(first, count)
 
 
 def _least_distance(i: Ints, j: Ints, distance: Floats) -> Bools:

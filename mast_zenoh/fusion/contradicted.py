@@ -7,8 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.ordering import within_runs
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, SAME_ORIGIN_GATE, JointGate
+from mast_zenoh.fusion.members import trusted_rows
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 
 #: m, between the centres of clusters at the same place, whatever their size: two standard deviations of the difference
@@ -41,9 +43,7 @@ def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weight
     What remains: agents that together put `_MAX_LARGER` clusters around their false one, each larger than it and than
     the true one, keep it in the picture.
     """
-    rows = np.lexsort((agent, labels))  # sums must not depend on the order of the rows
-    if weights is not None:
-        rows = rows[weights[rows] > 0.0]
+    rows = trusted_rows(agent, labels, weights)
     variance = states.covariance[:, 0, 0] + states.covariance[:, 1, 1]
     rows = rows[variance[rows] <= _MAX_VARIANCE]
     if len(rows) < 3:  # one cluster of two, and one of one
@@ -96,8 +96,7 @@ class _Clusters(NamedTuple):
         """For each member of p clusters, at most so many of each: which of the p, and its row."""
         size = self.size[clusters] if most is None else np.minimum(self.size[clusters], most)
         which = np.repeat(np.arange(len(clusters)), size)
-        place = np.arange(len(which)) - np.repeat(np.cumsum(size) - size, size)
-        return which, self.rows[self.start[clusters[which]] + place]
+        return which, self.rows[self.start[clusters[which]] + within_runs(size)]
 
 
 def _contradict(states: ObjectStates, agent: Ints, clusters: _Clusters, one: Ints, other: Ints) -> Bools:

@@ -8,7 +8,9 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.fusion.members import trusted_rows
 from mast_zenoh.tracking.covariance_repair import MAX_VARIANCE, symmetrise
+from mast_zenoh.tracking.parameters import check_positive
 
 #: Kept pairs of a track with later ones of its cluster: limits what a hostile source costs.
 _MAX_PARTNERS = 32
@@ -97,9 +99,9 @@ class CheckedCovariances(CovarianceCheck):
     is compared with the half of the others that it agrees with best, so that a minority makes no honest agent
     suspicious. Above `limit` times the expected value, variances grow by the excess of the observed differences
     (covariance matching: Mehra, IEEE Transactions on Automatic Control 17(5), 1972; Myers and Tapley, same journal
-    21(4), 1976), position and velocity separately. Of two agents alone, both grow. The position of an agent that is
-    compared with one other only grows by at most `most_position_std_m`: nothing says who is wrong, and no disagreement
-    must make the tracks of either too uncertain to be reported. What is known of an agent outlasts its absence, see
+    21(4), 1976), position and velocity separately. Of two agents alone, both grow. If an agent is compared with a
+    single other one, its position grows by `most_position_std_m` at most: either may be wrong, and a dispute must not
+    make the tracks of both too uncertain to be reported. What is known of an agent outlasts its absence, see
     `_ABSENCES`.
 
     least_position_std_m, least_height_std_m, least_size_std_m: m, per axis; least_speed_std_mps: m/s, per axis
@@ -120,9 +122,7 @@ class CheckedCovariances(CovarianceCheck):
         averaging_s: float = 1.5,
     ) -> None:
         parameters = locals()
-        for name in parameters.keys() - {"self", "limit"}:
-            if not parameters[name] > 0.0:
-                raise ValueError(f"{name}: found {parameters[name]}, expected more than 0")
+        check_positive({name: parameters[name] for name in parameters.keys() - {"self", "limit"}})
         if not limit >= 1.0:
             raise ValueError(f"limit: found {limit}, expected at least 1")
         position, size, speed = [least_position_std_m] * 2, [least_size_std_m] * 3, [least_speed_std_mps] * 3
@@ -218,9 +218,7 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
 
     They are the number of pairs, normalised innovations squared, squared differences, and traces of their covariances.
     """
-    rows = np.lexsort((agent, labels))  # sums must not depend on the order of the rows
-    if weights is not None:
-        rows = rows[weights[rows] > 0.0]
+    rows = trusted_rows(agent, labels, weights)
     label = labels.take(rows)
     first, second = [], []
     for shift in range(1, min(_MAX_PARTNERS, len(rows) - 1) + 1):
@@ -250,7 +248,7 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
 def _excess(sums: Floats, limit: float, most: float) -> Floats:
     """(a, 2) what the variances of position and velocity of each agent grow by, m² and (m/s)².
 
-    sums: (a, a, 2, 4) see `_comparisons`; most: m², of a position where it is undecided who is wrong
+    sums: (a, a, 2, 4) see `_comparisons`; most: m², limit for the position of an agent with a single partner
     """
     agents = len(sums)
     pairs, nis, squared, trace = np.moveaxis(sums, -1, 0)

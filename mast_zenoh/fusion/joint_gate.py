@@ -6,6 +6,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
+from mast_zenoh.tracking.parameters import check_positive
 
 #: Squared Mahalanobis distance that one in 10,000 of a chi-square distribution with six degrees of freedom exceeds.
 SAME_ORIGIN_GATE = 27.86
@@ -32,9 +33,7 @@ class JointGate:
     """
 
     def __init__(self, gate: float, bias_m: float, bias_mps: float) -> None:
-        for name, value in (("gate", gate), ("bias_m", bias_m), ("bias_mps", bias_mps)):
-            if not value > 0.0:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
+        check_positive({"gate": gate, "bias_m": bias_m, "bias_mps": bias_mps})
         self._gate = gate
         self._bias = 2.0 * np.array([bias_m**2] * 3 + [bias_mps**2] * 3)
         self._inverse_bias = 1.0 / self._bias

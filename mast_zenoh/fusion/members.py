@@ -101,6 +101,15 @@ def fused_attributes(
     return heading, sums[:, 2:].argmax(axis=1).astype(np.uint8), np.maximum.reduceat(score, start)
 
 
+def trusted_rows(agent: Ints, labels: Ints, weights: Floats | None) -> Ints:
+    """Rows (k,) of the tracks with positive weight, by cluster, then agent: sums then do not depend on their order.
+
+    agent, labels: (n,) of each track, at most one of an agent in a cluster; weights: (n,); None: all positive
+    """
+    rows = np.lexsort((agent, labels))
+    return rows if weights is None else rows[weights[rows] > 0.0]
+
+
 def state_vectors(states: ObjectStates) -> Floats:
     """State vectors (n, 9) [x y z l w h vx vy vz]."""
     return np.concatenate([states.position, states.size, states.velocity], axis=1)

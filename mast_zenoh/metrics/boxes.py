@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.ordering import ascending, row_order
+from mast_zenoh.arrays.ordering import ascending, row_order, within_runs
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 
@@ -89,7 +89,7 @@ def pairs_in_groups(
     first = np.searchsorted(sorted_key, key[0] - limit, side="left")
     count = np.searchsorted(sorted_key, key[0] + limit, side="right") - first
     i = np.repeat(np.arange(len(a_group)), count)
-    j = by_x[np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)]
+    j = by_x[within_runs(count) + np.repeat(first, count)]
     near = np.abs(a_position[i, 1] - b_position[j, 1]) <= limit
     i, j = i[near], j[near]
     near = (a_group[i] == b_group[j]) & (centre_distance(a_position[i], b_position[j]) <= limit)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.ordering import within_runs
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.places import Places
@@ -39,7 +40,7 @@ def claimed_positions(manipulations: Manipulations, period_s: float, coast: int,
     same = (np.diff(manipulations.object) == 0) & (np.diff(manipulations.passage) == 0)
     steps[:-1] = np.where(same, np.minimum(np.diff(manipulations.frame), coast + 1), steps[:-1])
     row = np.repeat(np.arange(len(manipulations)), steps)
-    lead_frames = np.arange(len(row)) - np.repeat(np.cumsum(steps) - steps, steps)
+    lead_frames = within_runs(steps)
     frame = manipulations.frame[row] + lead_frames
     row, frame, lead_frames = row[frame < span], frame[frame < span], lead_frames[frame < span]
     position = manipulations.position[row] + manipulations.velocity[row] * (lead_frames * period_s)[:, None]

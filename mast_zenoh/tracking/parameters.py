@@ -1,4 +1,4 @@
-"""Checks of a tracker's parameters."""
+"""Checks of the parameters of trackers and fusion."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ def check(parameters: Mapping[str, Any]) -> None:
     for name in _PROBABILITIES:
         if not 0.0 < parameters[name] < 1.0:
             raise ValueError(f"{name}: found {parameters[name]}, expected more than 0 and less than 1")
-    for name in _POSITIVE:
-        if not parameters[name] > 0.0:
-            raise ValueError(f"{name}: found {parameters[name]}, expected more than 0")
+    check_positive({name: parameters[name] for name in _POSITIVE})
+
+
+def check_positive(parameters: Mapping[str, float]) -> None:
+    """Raise ValueError for the first number that is not positive."""
+    for name, value in parameters.items():
+        if not value > 0.0:
+            raise ValueError(f"{name}: found {value}, expected more than 0")

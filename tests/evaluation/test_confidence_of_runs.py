@@ -186,14 +186,14 @@ def test_tracks_without_covariance_are_left_out_and_all_numbers_are_finite(once:
 
 
 def test_nodes_tell_their_innovations_unless_their_tracker_does_not(once: Once) -> None:
-    told = record_of(once("sure", sure=SURE))["innovations"]
-    assert set(told) == {"ego", "infra_2", "infra_3", "infra_4", "command_center"}
+    innovations = record_of(once("sure", sure=SURE))["innovations"]
+    assert set(innovations) == {"ego", "infra_2", "infra_3", "infra_4", "command_center"}
     for agent in ("ego", "infra_2", "infra_4"):
-        assert 0.8 < told[agent]["factor"] < 1.2, "scaled output does not change the tracker itself"
-    assert told["command_center"]["at_most"]
+        assert 0.8 < innovations[agent]["factor"] < 1.2, "scaled output does not change the tracker itself"
+    assert innovations["command_center"]["at_most"]
     results = json.loads((once("sure", sure=SURE).folder / "results" / "ego" / "results.json").read_text())
-    assert results["innovations"]["pairs"] == told["ego"]["pairs"]
-    assert results["innovations"]["nis"] == pytest.approx(told["ego"]["nis"])
+    assert results["innovations"]["pairs"] == innovations["ego"]["pairs"]
+    assert results["innovations"]["nis"] == pytest.approx(innovations["ego"]["nis"])
 
 
 def test_without_truth_the_trackers_themselves_are_judged(once: Once) -> None:
