@@ -150,11 +150,15 @@ class _Checked(Region):
         if len(rows) == 0:
             return None
         stop = candidates.speed * FREE_PATH_S + candidates.speed**2 / (2.0 * MAX_ACCELERATION_MPS2)
-        steps = stop * np.arange(1, PATH_SAMPLES + 1) / PATH_SAMPLES
-        yaw = np.repeat(candidates.yaw[rows], PATH_SAMPLES)
+        # First the distance of an object at SLOWEST_MPS, which every accepted pose must have ahead of it.
+        steps = np.append(SLOWEST_MPS * FREE_PATH_S, stop * np.arange(1, PATH_SAMPLES + 1) / PATH_SAMPLES)
+        yaw = np.repeat(candidates.yaw[rows], len(steps))
         offset = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))]) * np.tile(steps, len(rows))[:, None]
-        path = _objects(np.repeat(candidates.position[rows], PATH_SAMPLES, axis=0) + offset, yaw, shape.box)
-        free = self._allowed(path, ObjectStates.empty(), coverage).reshape(len(rows), PATH_SAMPLES)
+        path = _objects(np.repeat(candidates.position[rows], len(steps), axis=0) + offset, yaw, shape.box)
+        free = self._allowed(path, ObjectStates.empty(), coverage).reshape(len(rows), len(steps))
+        rows, free = rows[free[:, 0]], free[free[:, 0], 1:]
+        if len(rows) == 0:
+            return None
         free_distance = np.where(free.all(axis=1), PATH_SAMPLES, np.argmin(free, axis=1)) * (stop / PATH_SAMPLES)
         speed = np.minimum(candidates.speed, max_speed_within(free_distance))
         accepted = (speed >= ACCEPTED_SPEED_FRACTION * candidates.speed).nonzero()[0]
