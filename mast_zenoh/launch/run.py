@@ -154,6 +154,9 @@ def _run_inproc(
         try:
             with stop_signals.second_interrupts(received):
                 outcomes = process.run()
+        except BaseException:  # no recorder has reported how much it recorded
+            run_folder.note_recording(folder, record, {}, resolved.nodes)
+            raise
         finally:
             record["nodes"] = _nodes_inproc(resolved, folder, process, outcomes)
     timing = outcomes.pop("")

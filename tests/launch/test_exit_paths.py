@@ -126,6 +126,9 @@ def test_a_signal_while_the_scene_is_played_keeps_results_and_draws_the_report(o
 @pytest.mark.parametrize("names", [("SIGINT", "SIGINT"), ("SIGHUP", "SIGTERM", "SIGINT")])
 def test_a_second_signal_while_the_scene_is_played(out: Path, names: tuple[str, ...]) -> None:
     FinishedCommand(out, at("playing", *names)).assert_matches(ending("second signal while the scene is played"))
+    assert json.loads((out / "run.json").read_text())["recording"] == {"complete": False, "from_frame": 0}, (
+        "the first chunk of the recording was not yet written"
+    )
 
 
 @pytest.mark.parametrize("names", [("SIGTERM",), ("SIGINT", "SIGTERM")])
