@@ -21,9 +21,11 @@ from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenario.shape import RUN_DEFAULTS
 from mast_zenoh.scenes import Recording, inspection
+from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
 from mast_zenoh.scenes.names import SHORT_NAMES
 from mast_zenoh.scenes.own_detections import kitti
 from mast_zenoh.scenes.recognition import recognised
+from mast_zenoh.sensing import Detector
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.style import Figure
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 #: Arguments of `scenes.from_arrays`, and those of them that are needed.
 _ARRAYS = tuple(inspect.signature(scenes.from_arrays).parameters)
 _OF_ARRAYS = ("times_s", "position")
+#: Those that may be plain dicts, and what they stand for.
+_BUILT: dict[str, Any] = {"sensors": SensorsByAgent | None, "detector": Detector}
 
 
 class PreparedScene:
@@ -190,6 +194,8 @@ def prepare(
     """
     if scene is None and parameters.keys() & _OF_ARRAYS:
         _check_arguments(parameters)
+        for name in parameters.keys() & _BUILT.keys():
+            parameters[name] = registry.built(parameters[name], _BUILT[name], f"scene: {name}")
         return PreparedScene(scenes.from_arrays(**parameters, seed=seed or 0, frames=frames))
     scene = "intersection" if scene is None else scene
     named_so = isinstance(scene, Mapping) or str(scene).partition(":")[0] in SHORT_NAMES
