@@ -46,6 +46,7 @@ class Agent(Node):
     pipeline: its stages; lidar: its sensor; mobile: whether it moves; status_every: frames between two statuses
     picture_age_s: the greatest age of a picture that is used
     sensors: all of its sensors, if they are several, or measure at times of their own; empty: `lidar`, in every frame
+    measurement_times: False: treats measurements as made at the time of their frame; only to show the effect
     """
 
     role = "agent"
@@ -66,6 +67,7 @@ class Agent(Node):
         status_every: int = 10,
         picture_age_s: float = 0.5,
         sensors: tuple[AgentSensor, ...] = (),
+        measurement_times: bool = True,
     ) -> None:
         if status_every < 1:
             raise ValueError(f"status_every: found {status_every}, expected 1 or more")
@@ -73,6 +75,7 @@ class Agent(Node):
             raise ValueError(f"picture_age_s: found {picture_age_s}, expected 0 or more")
         self.pipeline = pipeline
         self.sensors = sensors
+        self.measurement_times = measurement_times
         self.lidars = [sensor.lidar for sensor in sensors] or [lidar]
         self.members = ["detections", *(f"detections/{sensor.name}" for sensor in sensors[1:])]
         self.mobile = mobile
@@ -190,7 +193,10 @@ class Agent(Node):
             if received is not None:
                 body = received.body
                 mounts[row] = mount = Pose(body["mount_position"], body["mount_rotation"])
-                found.append(Measurement(received.time_ns, row, Detections.from_columns(body), mount))
+                if not self.measurement_times:
+                    mount = _mount(self.sensors[row]) if self.sensors else mount
+                measured_ns = received.time_ns if self.measurement_times else time_ns
+                found.append(Measurement(measured_ns, row, Detections.from_columns(body), mount))
             elif mount is not None:
                 found.append(Measurement(time_ns, row, Detections.empty(), mount))
         return found, mounts
