@@ -17,9 +17,11 @@ def scenario(
 ):
     """A baseline run in which no two kinds of sensors measure at the same time.
 
-    car_…, pole_…: measurements per second, and time of the first one; narrow_agent: has a second, narrow sensor with
-    a range of 150 m, and measures narrow_rate_hz times per second; measurement_times: False: agents treat a measurement
-    as made at the time of the frame in which it arrives.
+    car_…, pole_…: measurements per second, and time of the first one;
+    narrow_agent: has a second, narrow sensor with a range of 150 m; narrow_rate_hz: its measurements per second;
+    measurement_times: False: agents treat a measurement as made at the time of the frame in which it arrives;
+    scene_index: number of a generated junction;
+    n_infrastructure, n_mobile: numbers of poles, and of cars besides the ego, with sensors.
     """
     car = dict(type="Lidar", rate_hz=car_rate_hz, phase_s=car_phase_s)
     pole = dict(type="Lidar", rate_hz=pole_rate_hz, phase_s=pole_phase_s)

@@ -51,7 +51,8 @@ class RCooperScene(Scene):
     match_radius_m:        a pole sees a cooperative box if it has a label within this distance
 
     The first pole of the site is "ego", of kind static; the others are "infra_k". The truth are the cooperative labels,
-    in the frame of the first pole's lidar. An agent's frame is that of its lidar; rotations are active.
+    in the frame of the first pole's lidar. Each pole measures at the times of its own files. An agent's frame is that
+    of its lidar; rotations are active.
     """
 
     def __init__(
