@@ -43,7 +43,7 @@ class Measurement(NamedTuple):
 class Agent(Node):
     """Tracks objects from its own sensors, and estimates the mission picture.
 
-    pipeline: its stages; lidar: its sensor; mobile: whether it moves; status_every: frames between two statuses
+    pipeline: its stages; lidar: its first sensor; mobile: whether it moves; status_every: frames between two statuses
     picture_age_s: the greatest age of a picture that is used
     sensors: all of its sensors, if they are several, or measure at times of their own; empty: `lidar`, in every frame
     measurement_times: False: treats measurements as made at the time of their frame; only to show the effect
@@ -76,7 +76,7 @@ class Agent(Node):
         self.pipeline = pipeline
         self.sensors = sensors
         self.measurement_times = measurement_times
-        self.lidars = [sensor.lidar for sensor in sensors] or [lidar]
+        self.lidars = [lidar, *(sensor.lidar for sensor in sensors[1:])]
         self.members = ["detections", *(f"detections/{sensor.name}" for sensor in sensors[1:])]
         self.mobile = mobile
         self.status_every = status_every

@@ -100,6 +100,20 @@ def test_an_attack_on_one_sensor_changes_no_other_sensors_messages(played: Run) 
     assert set(attacked.results["evaluator"]["tables"]["attacks"]["wire"]) == {RADAR}
 
 
+def test_a_fault_of_one_sensor_changes_no_other_sensors_messages(played: Run) -> None:
+    """The radar is blind for some frames; the pole's own lidar is not."""
+    blind = dict(type="BlindSector", node=RADAR, at=0.2, until=0.6, azimuth_min_deg=-180.0, azimuth_max_deg=180.0)
+    faulty = Run(rates(faults=[blind]))
+    assert not faulty.failures
+    assert faulty.messages["agent/infra_1/detections"] == played.messages["agent/infra_1/detections"]
+    assert faulty.messages[f"{RADAR}/@tap/0"] == played.messages[RADAR]
+    rows = {message.header.frame: len(message.body["score"]) for message in faulty.decoded(RADAR, "detections")}
+    assert [rows[frame] for frame in (2, 3, 4, 5)] == [0] * 4
+    assert min(rows[1], rows[6]) > 0
+    with pytest.raises(ConfigurationError, match=r"no wire .* goes through a link; did you mean .*detections/radar"):
+        rates(faults=[blind | dict(node=f"{RADAR}s")])
+
+
 def test_an_adversary_attacks_each_sensor_by_itself_in_any_order_of_delivery() -> None:
     on_both = under_attack("agent/infra_1/detections", RADAR)
     attacked = Run(on_both)
