@@ -143,13 +143,16 @@ def _limits(lidar: LidarSensor) -> dict[str, float]:
 
 def _due(recording: Recording, row: int, sensor: int) -> str:
     """The frames with a new measurement, see `AgentSensor`; empty: all."""
+    if recording.measurements is None:
+        return ""
     ages = [recording.age_ns_at(frame, row, sensor) for frame in range(len(recording))]
     return "" if NO_MEASUREMENT not in ages else "".join(IDLE if age == NO_MEASUREMENT else DUE for age in ages)
 
 
 def _at_frames(recording: Recording, row: int) -> bool:
     """Whether an agent's first sensor measures at the times of the frames."""
-    return not any(recording.age_ns_at(frame, row) for frame in range(len(recording)))
+    measurements = recording.measurements
+    return measurements is None or not measurements.age_ns[:, recording.column(row)].any()
 
 
 def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> NodeSpec:

@@ -65,6 +65,11 @@ def test_of_several_recorded_measurements_before_a_frame_the_newest_is_new() -> 
     schedule = Schedule.recorded(times, np.array([90, 120, 180, 305]), np.array([0, 0, 1, 2]))
     assert schedule.source.tolist() == [-1, 1, -1]
     assert schedule.time_ns[1] == 180
+    early = Schedule.recorded(times, np.array([100, 190, 290]), np.array([0, 1, 2]))
+    assert early.before(2).source.tolist() == [0, 1]
+    ahead = Schedule.recorded(times, np.array([100, 110, 195]), np.array([0, 1, 2]))
+    assert ahead.source.tolist() == [0, 2, -1]
+    assert ahead.before(2).source.tolist() == [0, -1], "frame 2 is not there"
 
 
 @pytest.mark.parametrize(

@@ -48,8 +48,9 @@ class Schedule:
         return cls.recorded(times_ns, np.arange(first, int(times_ns[-1]) + 1, period_ns, dtype=np.int64))
 
     def before(self, frames: int) -> Schedule:
-        """That of the first frames."""
-        return Schedule(self.source[:frames], self.time_ns[:frames])
+        """That of the first frames, without measurements that were recorded with a later one."""
+        source = self.source[:frames]
+        return Schedule(np.where(source < frames, source, _NONE), self.time_ns[:frames])
 
 
 def regular_times(place: str, frame_ns: int, rate_hz: float, phase_s: float) -> tuple[int, int]:
