@@ -88,7 +88,7 @@ class Agent(Node):
         self.tracks = ObjectStates.empty()  # of the tracker's last step, at its time:
         self.tracks_ns = 0
         self.newest_ns = 0  # time of the last frame
-        self.clocks = (-1, -1)  # times of the frame before, and of the newest
+        self.clocks_ns = (-1, -1)  # greatest time of the frames before, and time of the newest
 
     def start(self, context: Context) -> None:
         """Wait for the sensor's sweep in each frame, if there is one."""
@@ -99,8 +99,7 @@ class Agent(Node):
         """Process frames whose pose or detections are missing with whatever has arrived."""
         for frame, items in self.sensed.expired(received.frame):
             self.perceive(frame, items, context)
-        if received.time_ns > self.clocks[1]:
-            self.clocks = (self.clocks[1], received.time_ns)
+        self.clocks_ns = (max(self.clocks_ns), received.time_ns)
         for row, member in enumerate(self.members):
             if not self.due(row, received.frame):
                 self.sensed.add(received.frame, member, received)  # nothing to wait for; never used
@@ -210,12 +209,13 @@ class Agent(Node):
 
         A measurement that is new in a frame was made after the frame before it, and not after the frame.
         """
-        if not self.due(row, received.frame):
-            return f"unexpected: frame {received.frame}: its sensor has no measurement in this frame"
-        before, now = self.clocks
-        time_ns = received.time_ns
-        if received.frame == context.frame and time_ns != context.time_ns and not before < time_ns <= now:
-            return f"measured: frame {received.frame}: time_ns is {time_ns}, expected {before + 1} to {now}"
+        frame, time_ns, (before, now) = received.frame, received.time_ns, self.clocks_ns
+        if frame > context.frame:
+            return f"early: frame {frame} has not begun"
+        if not self.due(row, frame):
+            return f"unexpected: frame {frame}: its sensor has no measurement in this frame"
+        if frame == context.frame and time_ns != now and not before < time_ns < now:
+            return f"measured: frame {frame}: time_ns is {time_ns}, expected {before + 1} to {now}"
         return ""
 
     def finish(self, context: Context) -> dict[str, Any]:

@@ -223,6 +223,20 @@ def test_a_measurement_at_an_impossible_time_costs_one_message(resolved: Resolve
     assert outcomes[0] == outcomes[1], "as if that message had been lost"
 
 
+def test_a_measurement_of_a_frame_that_has_not_begun_costs_one_message(resolved: Resolved) -> None:
+    """Its time could not be judged yet, and would stop the tracker."""
+    agent = bench(resolved, sensor("lidar"))
+    for frame in range(8):
+        begin(agent, frame)
+        if frame == 3:
+            key = agent.key("detections", "infra_1")
+            agent.deliver(key, agent.message(key, oncoming(0.0), 4, time_ns=PERIOD_NS), step=3)
+        measured(agent, frame, oncoming(0.1 * frame))
+    assert [message.header.frame for message in tracks_of(agent)] == list(range(8))
+    assert {kind: n for (_, kind), n in agent.host.rejected.items()} == {"early": 1}
+    assert not agent.host.failures
+
+
 def test_a_measurement_in_a_frame_without_one_is_refused_whenever_it_arrives(resolved: Resolved) -> None:
     agent = bench(resolved, sensor("lidar"), sensor("radar", "10" * 5))
     for frame in range(10):
