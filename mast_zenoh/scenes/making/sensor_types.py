@@ -25,7 +25,8 @@ class Sensor(ABC):
     rate_hz:       measurements per second; None: one in every frame, at the frame's time
     phase_s:       s from the first frame to the first measurement, less than the time between two
     position:      (x, y, z) m, in the agent's frame; None: that of the agent's own lidar
-    yaw_deg, pitch_deg: deg, counter-clockwise and down, where it looks in the agent's frame; None: as that lidar
+    yaw_deg, pitch_deg: deg, counter-clockwise and down, where it looks in the agent's frame; None: as that lidar, or 0
+                   if the other one is given
     azimuth_deg, elevation_deg: deg, (from, to) of its field of view; range_m: m; None: those of its type
     detector:      the model that generates its detections; None: that of its type
     detection_probability: of an object in full view, which trackers assume; None: that of its type
