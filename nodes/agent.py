@@ -84,7 +84,7 @@ class Agent(Node):
         self.sensed: Gather[str, Received] = Gather({"clock", "pose", *self.members})
         self.pictures: LatestBefore[tuple[int, ObjectStates]] = LatestBefore()
         self.last: Pose | None = None
-        self.mounts: list[Pose | None] = [_mount(sensor) for sensor in sensors] or [None]  # latest known
+        self.mount = _mount(sensors[0]) if sensors else None  # of the first sensor; otherwise the latest
         self.tracks = ObjectStates.empty()  # of the tracker's last step, at its time:
         self.tracks_ns = 0
         self.newest_ns = 0  # time of the last frame
@@ -143,11 +143,10 @@ class Agent(Node):
         pose = self.last
         if "pose" in items:
             pose = Pose(items["pose"].body["position"], items["pose"].body["rotation"])
-        measured, mounts = self.measured(frame, time_ns, items)
-        mount = _mount(self.sensors[0]) if self.sensors else mounts[0]
+        measured, mount = self.measured(frame, time_ns, items)
         if pose is None or mount is None:
             return  # its pose or its sensor's mount has never arrived
-        self.last, self.mounts, self.newest_ns = pose, mounts, time_ns
+        self.last, self.mount, self.newest_ns = pose, mount, time_ns
         origin, rotation = self.pipeline.reference(pose)
         for each in sorted(measured, key=lambda each: (each.time_ns, each.sensor)):
             probability = self.sensors[each.sensor].detection_probability if self.sensors else None
@@ -177,28 +176,27 @@ class Agent(Node):
             }
             context.publish("status", status, frame=frame, time_ns=time_ns)
 
-    def measured(
-        self, frame: int, time_ns: int, items: dict[str, Received]
-    ) -> tuple[list[Measurement], list[Pose | None]]:
-        """The measurements that are due in a frame, and the latest mounts.
+    def measured(self, frame: int, time_ns: int, items: dict[str, Received]) -> tuple[list[Measurement], Pose | None]:
+        """The measurements that are due in a frame, and the mount of the first sensor; None: not known yet.
 
         From a sensor whose message is missing, nothing was detected at the frame's time.
         """
-        found, mounts = [], list(self.mounts)
+        found, first = [], self.mount
         for row, member in enumerate(self.members):
             if not self.due(row, frame):
                 continue
-            received, mount = items.get(member), mounts[row]
+            received, mount = items.get(member), _mount(self.sensors[row]) if self.sensors else first
+            detections, measured_ns = Detections.empty(), time_ns
             if received is not None:
                 body = received.body
-                mounts[row] = mount = Pose(body["mount_position"], body["mount_rotation"])
-                if not self.measurement_times:
-                    mount = _mount(self.sensors[row]) if self.sensors else mount
-                measured_ns = received.time_ns if self.measurement_times else time_ns
-                found.append(Measurement(measured_ns, row, Detections.from_columns(body), mount))
-            elif mount is not None:
-                found.append(Measurement(time_ns, row, Detections.empty(), mount))
-        return found, mounts
+                detections = Detections.from_columns(body)
+                if self.measurement_times or not self.sensors:
+                    mount = Pose(body["mount_position"], body["mount_rotation"])
+                    measured_ns = received.time_ns if self.measurement_times else time_ns
+                first = first if self.sensors else mount
+            if mount is not None:
+                found.append(Measurement(measured_ns, row, detections, mount))
+        return found, first
 
     def due(self, row: int, frame: int) -> bool:
         """Whether a sensor sends a measurement in a frame. row: of the sensor"""
