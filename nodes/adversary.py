@@ -36,13 +36,14 @@ from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.wiring.subjects import agent_of, part_of
 
 
 class Adversary(Node):
     """Manipulates the messages of one or more wires.
 
     attack: the manipulation; agent: the compromised agent, whose wires it is on, or several of them (those behind a
-    compromised access point): each is attacked by itself
+    compromised access point): each is attacked by itself, and so is each further sensor whose wire it is on
     surroundings: the attacker's prior knowledge of the scene
     """
 
@@ -85,9 +86,21 @@ class Adversary(Node):
         """Initialise the random streams."""
         ports = {source.port for source in context.subscriptions.values()}
         self.last_wire = next((port for port in ("tracks", "detections") if port in ports), "")
+        self.add_sensors(context)
         for name, victim in self.victims.items():
             victim.attack.inform(self.surroundings)
             victim.attack.bind(context.seed, context.name if len(self.victims) == 1 else f"{context.name}/{name}")
+
+    def add_sensors(self, context: Context) -> None:
+        """Attack each further sensor by itself; an agent of which no other wire is attacked is no victim then."""
+        wires = {(source.port, source.subject) for source in context.subscriptions.values()}
+        subjects = sorted(subject for port, subject in wires if port == "detections" and part_of(subject))
+        self.victims |= {subject: Victim(subject, copy.deepcopy(self.attack)) for subject in subjects}
+        if subjects and not any(port == "picture" for port, _ in wires):
+            for name in {agent_of(subject) for subject in subjects}:
+                attacked = {(port, name) for port in ("detections", "tracks", "view")} & wires
+                if not attacked and not context.connected("pose_out", name):
+                    self.victims.pop(name, None)
 
     def finish(self, context: Context) -> dict[str, int]:
         """The number of chosen targets; logs a warning if fewer were found than wanted."""
@@ -113,12 +126,13 @@ class Adversary(Node):
 
     def on_pose(self, received: Received, context: Context) -> None:
         """Store the victim's pose, forward it if it is on its way, and attack the messages that waited for it."""
-        victim = self.victim_of(received)
         if context.connected("pose_out", received.subject):
-            self.attack_pose(victim, received, context)
-        victim.store_pose(received.frame, received.body)
-        for queue in victim.waiting.values():
-            self.proceed(victim, queue, context)
+            self.attack_pose(self.victim_of(received), received, context)
+        for victim in self.victims.values():
+            if victim.agent == received.subject:
+                victim.store_pose(received.frame, received.body)
+                for queue in victim.waiting.values():
+                    self.proceed(victim, queue, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
         """The victim's detections, in transit to it."""
@@ -170,7 +184,8 @@ class Adversary(Node):
 
     def proceed_views(self, victim: Victim, context: Context) -> None:
         """Forward the first views that wait, up to one of a frame whose lies are not known."""
-        while victim.views and (not self.last_wire or victim.views[0].frame in victim.attacked):
+        # Detections have passed before the agent's view can arrive; its tracks have not.
+        while victim.views and (self.last_wire != "tracks" or victim.views[0].frame in victim.attacked):
             self.attack_view(victim, victim.views.popleft(), context)
 
     def forward(self, victim: Victim, message: Received, context: Context) -> None:

@@ -1,4 +1,4 @@
-"""An agent: tracks its own sensor's detections, and extends its view with the picture.
+"""An agent: tracks the detections of its own sensors, and extends its view with the picture.
 
 It has two estimators. The safety-critical one (`tracks`) uses only the agent's own detections and pose; no message
 from outside reaches it. The mission-critical one (`mission`) also uses the latest picture that arrived in an earlier
@@ -7,7 +7,7 @@ frame: this frame's may arrive before or after it, and the result must not depen
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.pipelines import AgentPipeline, Pose
+from mast_zenoh.pipelines import AgentPipeline, AgentSensor, Pose
 from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.sensing import LidarSensor
 from mast_zenoh.tracking.prediction import predicted
+from mast_zenoh.wiring.subjects import part_of
 
 #: Frame of reference of states in the world frame.
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
@@ -27,11 +28,25 @@ for _part in WORLD.values():
     _part.setflags(write=False)
 
 
-class Agent(Node):
-    """Tracks objects from its own sensor, and estimates the mission picture.
+class Measurement(NamedTuple):
+    """What a sensor detected at a time, or that nothing arrived from it.
 
-    pipeline: its stages; lidar: its sensor; mobile: whether it moves; status_every: frames between two statuses
+    time_ns: of the measurement; sensor: row of the agent's sensors; mount: of the sensor at that time
+    """
+
+    time_ns: int
+    sensor: int
+    detections: Detections
+    mount: Pose
+
+
+class Agent(Node):
+    """Tracks objects from its own sensors, and estimates the mission picture.
+
+    pipeline: its stages; lidar: its first sensor; mobile: whether it moves; status_every: frames between two statuses
     picture_age_s: the greatest age of a picture that is used
+    sensors: all of its sensors, if they are several, or measure at times of their own; empty: `lidar`, in every frame
+    measurement_times: False: treats measurements as made at the time of their frame; only to show the effect
     """
 
     role = "agent"
@@ -51,20 +66,29 @@ class Agent(Node):
         mobile: bool = False,
         status_every: int = 10,
         picture_age_s: float = 0.5,
+        sensors: tuple[AgentSensor, ...] = (),
+        measurement_times: bool = True,
     ) -> None:
         if status_every < 1:
             raise ValueError(f"status_every: found {status_every}, expected 1 or more")
         if picture_age_s < 0.0:
             raise ValueError(f"picture_age_s: found {picture_age_s}, expected 0 or more")
         self.pipeline = pipeline
-        self.lidar = lidar
+        self.sensors = sensors
+        self.measurement_times = measurement_times
+        self.lidars = [lidar, *(sensor.lidar for sensor in sensors[1:])]
+        self.members = ["detections", *(f"detections/{sensor.name}" for sensor in sensors[1:])]
         self.mobile = mobile
         self.status_every = status_every
         self.picture_age_ns = round(picture_age_s * 1e9)
-        self.sensed: Gather[str, Received] = Gather({"clock", "pose", "detections"})
+        self.sensed: Gather[str, Received] = Gather({"clock", "pose", *self.members})
         self.pictures: LatestBefore[tuple[int, ObjectStates]] = LatestBefore()
-        self.last: tuple[Pose, Pose] | None = None  # latest pose and mount
-        self.newest_ns = 0  # time of the tracker's last step
+        self.last: Pose | None = None
+        self.mount = _mount(sensors[0]) if sensors else None  # of the first sensor; otherwise the latest
+        self.tracks = ObjectStates.empty()  # of the tracker's last step, at its time:
+        self.tracks_ns = 0
+        self.newest_ns = 0  # time of the last frame
+        self.clocks_ns = (-1, -1)  # greatest time of the frames before, and time of the newest
 
     def start(self, context: Context) -> None:
         """Wait for the sensor's sweep in each frame, if there is one."""
@@ -75,6 +99,10 @@ class Agent(Node):
         """Process frames whose pose or detections are missing with whatever has arrived."""
         for frame, items in self.sensed.expired(received.frame):
             self.perceive(frame, items, context)
+        self.clocks_ns = (max(self.clocks_ns), received.time_ns)
+        for row, member in enumerate(self.members):
+            if not self.due(row, received.frame):
+                self.sensed.add(received.frame, member, received)  # nothing to wait for; never used
         self.sense("clock", received, context)
 
     def on_pose(self, received: Received, context: Context) -> None:
@@ -82,8 +110,13 @@ class Agent(Node):
         self.sense("pose", received, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
-        """The detections of its sensor."""
-        self.sense("detections", received, context)
+        """The detections of one of its sensors, with the time of the measurement."""
+        part = part_of(received.subject)
+        member = f"detections/{part}" if part else "detections"
+        if reason := self.refusal(self.members.index(member), received, context):
+            context.reject(reason)
+        else:
+            self.sense(member, received, context)
 
     def on_sweep(self, received: Received, context: Context) -> None:
         """How far its sensor sees in each direction."""
@@ -95,7 +128,7 @@ class Agent(Node):
         self.pictures.add(context.frame, picture, received.frame)
 
     def sense(self, port: str, received: Received, context: Context) -> None:
-        """Process a frame once its clock, its pose and all data of its sensor have arrived."""
+        """Process a frame once its clock, its pose and all data of its sensors have arrived."""
         items = self.sensed.add(received.frame, port, received)
         if items is not None:
             self.perceive(received.frame, items, context)
@@ -107,41 +140,81 @@ class Agent(Node):
             least = f"{self.newest_ns}, the time of the previous frame"
             context.reject(f"old: frame {frame}: time_ns is {time_ns}, expected at least {least}")
             return
-        detections = Detections.empty()
-        if "detections" in items:
-            body = items["detections"].body
-            detections = Detections.from_columns(body)
-            mount = Pose(body["mount_position"], body["mount_rotation"])
-        elif self.last:
-            mount = self.last[1]
+        pose = self.last
         if "pose" in items:
             pose = Pose(items["pose"].body["position"], items["pose"].body["rotation"])
-        elif self.last:
-            pose = self.last[0]
-        if self.last is None and not {"pose", "detections"} <= items.keys():
+        measured, mount = self.measured(frame, time_ns, items)
+        if pose is None or mount is None:
             return  # its pose or its sensor's mount has never arrived
-        self.last = (pose, mount)
-        self.newest_ns = time_ns
-        tracks, origin, rotation = self.pipeline.track(time_ns, detections, pose, mount, self.lidar)
+        self.last, self.mount, self.newest_ns = pose, mount, time_ns
+        origin, rotation = self.pipeline.reference(pose)
+        for each in sorted(measured, key=lambda each: (each.time_ns, each.sensor)):
+            probability = self.sensors[each.sensor].detection_probability if self.sensors else None
+            of_sensor = self.lidars[each.sensor], *(() if probability is None else (probability,))
+            self.tracks, origin, rotation = self.pipeline.track(
+                each.time_ns, each.detections, pose, each.mount, *of_sensor
+            )
+            self.tracks_ns = each.time_ns
+        tracks = predicted(self.tracks, (time_ns - self.tracks_ns) * 1e-9)
         reference = {"origin": origin, "rotation": rotation}
         context.publish("tracks", tracks.columns() | reference, frame=frame, time_ns=time_ns)
         free = items["sweep"].body["free"] if "sweep" in items else UNKNOWN_SPACE
         if context.connected("view"):
-            view = self.pipeline.view(pose, mount, self.lidar)
+            view = self.pipeline.view(pose, mount, self.lidars[0])
             context.publish("view", view_columns(view, free), frame=frame, time_ns=time_ns)
         if context.connected("mission"):
             if "sweep" in items:
-                self.pipeline.mission.look(SweptView(self.pipeline.view(pose, mount, self.lidar), free))
+                self.pipeline.mission.look(SweptView(self.pipeline.view(pose, mount, self.lidars[0]), free))
             own = states_to_world(tracks, origin, rotation)
             mission = self.pipeline.mission.estimate(time_ns, own, self.picture_at(frame, time_ns))
             context.publish("mission", mission.columns() | WORLD, frame=frame, time_ns=time_ns)
         if frame % self.status_every == 0:
             status = {
                 "mobile": np.array([self.mobile], np.uint8),
-                "detections": np.array([len(detections)]),
+                "detections": np.array([sum(len(each.detections) for each in measured)]),
                 "tracks": np.array([len(tracks)]),
             }
             context.publish("status", status, frame=frame, time_ns=time_ns)
+
+    def measured(self, frame: int, time_ns: int, items: dict[str, Received]) -> tuple[list[Measurement], Pose | None]:
+        """The measurements that are due in a frame, and the mount of the first sensor; None: not known yet.
+
+        From a sensor whose message is missing, nothing was detected at the frame's time.
+        """
+        found, first = [], self.mount
+        for row, member in enumerate(self.members):
+            if not self.due(row, frame):
+                continue
+            received, mount = items.get(member), _mount(self.sensors[row]) if self.sensors else first
+            detections, measured_ns = Detections.empty(), time_ns
+            if received is not None:
+                body = received.body
+                detections = Detections.from_columns(body)
+                if self.measurement_times or not self.sensors:
+                    mount = Pose(body["mount_position"], body["mount_rotation"])
+                    measured_ns = received.time_ns if self.measurement_times else time_ns
+                first = first if self.sensors else mount
+            if mount is not None:
+                found.append(Measurement(measured_ns, row, detections, mount))
+        return found, first
+
+    def due(self, row: int, frame: int) -> bool:
+        """Whether a sensor sends a measurement in a frame. row: of the sensor"""
+        return not self.sensors or self.sensors[row].due(frame)
+
+    def refusal(self, row: int, received: Received, context: Context) -> str:
+        """The reason why detections cannot be used, or "". row: of the sensor
+
+        A measurement that is new in a frame was made after the frame before it, and not after the frame.
+        """
+        frame, time_ns, (before, now) = received.frame, received.time_ns, self.clocks_ns
+        if frame > context.frame:
+            return f"early: frame {frame} has not begun"
+        if not self.due(row, frame):
+            return f"unexpected: frame {frame}: its sensor has no measurement in this frame"
+        if frame == context.frame and time_ns != now and not before < time_ns < now:
+            return f"measured: frame {frame}: time_ns is {time_ns}, expected {before + 1} to {now}"
+        return ""
 
     def finish(self, context: Context) -> dict[str, Any]:
         """How far its detections were from what its tracker expected, if that tells."""
@@ -159,6 +232,11 @@ class Agent(Node):
         picture_ns, states = latest[1]
         age_ns = time_ns - picture_ns
         return predicted(states, age_ns * 1e-9) if 0 <= age_ns <= self.picture_age_ns else ObjectStates.empty()
+
+
+def _mount(sensor: AgentSensor) -> Pose:
+    """The mount of a sensor, while its agent stands."""
+    return Pose(np.array(sensor.mount_position), np.array(sensor.mount_rotation))
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.wiring.model import ANY, Wiring
+from mast_zenoh.wiring.subjects import agent_of
 
 #: How many recent messages of a wire are kept, to recognise one that is forwarded unchanged.
 REMEMBERED = 32
@@ -218,7 +219,7 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
     series: dict[str, list[Series]] = defaultdict(list)
     takes: dict[str, str] = {}
     shared: dict[str, str] = {}
-    sensed = {wire.subject for wire in wiring.wires if wire.interposers and wire.message == "detections"}
+    sensed = {agent_of(wire.subject) for wire in wiring.wires if wire.interposers and wire.message == "detections"}
     brokers = {wire.legs[0].publisher.node for wire in wiring.wires if wire.message == "collated"}
     for wire in wiring.wires:
         source = wire.legs[0]

@@ -8,6 +8,7 @@ forward, delay, drop, duplicate or change it.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.wiring.subjects import part_of
 
 
 class Event(NamedTuple):
@@ -51,6 +53,7 @@ class Link(Node):
 
     agent: the agent of the link; rules_up, rules_down: rules for messages from the agent, and to the agent
     rules_sensor: rules for the agent's detections, where a map inserts the link there; None: `rules_up`
+    rules_of_sensors: by name, those for the detections of further sensors; for the others, `rules_sensor`
 
     A wire's messages pass through the port of their type, `tracks` to `tracks_out`. A subclass can have more ports:
     handlers that call `carry`.
@@ -69,9 +72,11 @@ class Link(Node):
         rules_up: tuple[Rule, ...] = (),
         rules_down: tuple[Rule, ...] = (),
         rules_sensor: tuple[Rule, ...] | None = None,
+        rules_of_sensors: Mapping[str, tuple[Rule, ...]] | None = None,
     ) -> None:
         self.agent = agent
         self.rules = {"up": rules_up, "down": rules_down, "sensor": rules_up if rules_sensor is None else rules_sensor}
+        self.rules |= {f"sensor/{name}": rules for name, rules in (rules_of_sensors or {}).items()}
         self.chains: dict[tuple[str, str], Chain] = {}
         self.poses: LatestBefore[SenderPose] = LatestBefore()
         self.newest_pose: SenderPose | None = None
@@ -150,6 +155,8 @@ class Link(Node):
     def chain(self, port: str, subject: str, context: Context) -> Chain:
         """The rules of one wire, which has its own random draws and memory."""
         rules = self.rules["down" if port in self.down else "sensor" if port == "detections" else "up"]
+        if port == "detections":
+            rules = self.rules.get(f"sensor/{part_of(subject)}", rules)
         of_sender = {type(rule).__name__ for rule in rules if rule.of_sender} if port == "view" else set()
 
         def rng(kind: str, *more: int) -> np.random.Generator:

@@ -12,7 +12,9 @@ from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Source
 from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.scenes.measurements import NO_MEASUREMENT
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.wiring.subjects import subject_of
 
 
 class Simulator(Source):
@@ -32,9 +34,6 @@ class Simulator(Source):
         agents = recording.agents
         self.names = text([agent.name for agent in agents])
         self.objects = np.array([agent.object_id for agent in agents], np.int64)
-        self.mounts = [
-            (agent.sensor.mount_position, quaternion_from_rotation(agent.sensor.mount_rotation)) for agent in agents
-        ]
         self.rotations = quaternion_from_rotation(recording.agent_rotation)
         self.rotations.setflags(write=False)
 
@@ -56,13 +55,7 @@ class Simulator(Source):
                 },
                 subject=agent.name,
             )
-            mount_position, mount_rotation = self.mounts[index]
-            context.publish(
-                "detections",
-                scene.detections_at(frame, index).columns()
-                | {"mount_position": mount_position, "mount_rotation": mount_rotation},
-                subject=agent.name,
-            )
+            self.publish_detections(frame, index, context)
             if context.connected("sweep", agent.name):
                 context.publish("sweep", {"free": scene.sweep_at(frame, index)}, subject=agent.name)
         truth = scene.truth_at(frame)
@@ -77,6 +70,26 @@ class Simulator(Source):
             },
         )
         return True
+
+    def publish_detections(self, frame: int, index: int, context: Context) -> None:
+        """Publish the new measurements of an agent's sensors, with their times; a sensor without one sends nothing.
+
+        index: row of the agent
+        """
+        scene = self.recording
+        agent = scene.agents[index]
+        for row, sensor in enumerate(agent.sensors):
+            age_ns = scene.age_ns_at(frame, index, row)
+            if age_ns == NO_MEASUREMENT:
+                continue
+            position, rotation = scene.mount_at(frame, index, row)
+            mount = {"mount_position": position, "mount_rotation": quaternion_from_rotation(rotation)}
+            context.publish(
+                "detections",
+                scene.detections_at(frame, index, row).columns() | mount,
+                subject=subject_of(agent.name, sensor.name if row else ""),
+                time_ns=int(scene.times_ns[frame] - scene.times_ns[0]) - age_ns,
+            )
 
 
 if __name__ == "__main__":

@@ -46,6 +46,7 @@ _BASES: Mapping[str, Mapping[str, type]] = {
     "scenes": {
         "scenes: ground truth": scenes.Scene,
         "detectors: detections from lidar visibility": sensing.Detector,
+        "sensors of agents": scenes.Sensor,
     },
     "links": {"rules: effects of a link on messages": links.Rule},
     "faults": {"faults of nodes and of their messages": Fault},

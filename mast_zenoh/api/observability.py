@@ -23,6 +23,7 @@ from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.observability import PlacedSensor, observable
 from mast_zenoh.wiring.model import Wiring
+from mast_zenoh.wiring.subjects import agent_of
 
 #: Lidar returns from which an agent sees an object.
 MIN_RETURNS = 5
@@ -106,7 +107,9 @@ def _changes(run: Run) -> dict[str, NDArray[Any]]:
     """Measured changes to objects that agents report, by interposers other than links."""
     wires = {wire.key: wire for wire in Wiring.from_json(folder.read_json(run.path / "wiring.json")).wires}
     upstream = {
-        key: wire.subject for key, wire in wires.items() if wire.subject and wire.legs[0].publisher.port in UPSTREAM
+        key: agent_of(wire.subject)
+        for key, wire in wires.items()
+        if wire.subject and wire.legs[0].publisher.port in UPSTREAM
     }
     table = from_arrow(run.attacks)
     kinds = ("inserted", "removed", "moved", "altered")

@@ -238,8 +238,15 @@ class Agent:
 
     @property
     def detections(self) -> pyarrow.Table:
-        """Received detections by frame, in the sensor's frame: columns of `tracks`, no id."""
+        """Received detections by frame, in the sensor's frame: columns of `tracks`, no id.
+
+        `time_s` is the time of the measurement. Of several sensors: those of the first.
+        """
         return self._rows("detections", recorded.detections)
+
+    def detections_of(self, sensor: str) -> pyarrow.Table:
+        """As `detections`, of another one of several sensors, by its name."""
+        return self._rows(f"detections/{sensor}", recorded.detections)
 
     @property
     def pose(self) -> pyarrow.Table:

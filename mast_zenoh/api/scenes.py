@@ -21,9 +21,11 @@ from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenario.shape import RUN_DEFAULTS
 from mast_zenoh.scenes import Recording, inspection
+from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
 from mast_zenoh.scenes.names import SHORT_NAMES
 from mast_zenoh.scenes.own_detections import kitti
 from mast_zenoh.scenes.recognition import recognised
+from mast_zenoh.sensing import Detector
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.style import Figure
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 #: Arguments of `scenes.from_arrays`, and those of them that are needed.
 _ARRAYS = tuple(inspect.signature(scenes.from_arrays).parameters)
 _OF_ARRAYS = ("times_s", "position")
+#: Those that may be plain dicts, and what they stand for.
+_BUILT: dict[str, Any] = {"sensors": SensorsByAgent | None, "detector": Detector}
 
 
 class PreparedScene:
@@ -66,13 +70,13 @@ class PreparedScene:
             raise ConfigurationError(f"{self.name}: no agent {name!r} in this scene{nearest(name, self.agents)}")
         return PreparedAgent(self, name)
 
-    def _table(self, rows: Callable[[int], Columns]) -> pyarrow.Table:
-        """A table of the rows that `rows` makes of each frame."""
-        times_s = (self.recording.times_ns - self.recording.times_ns[0]) * 1e-9
+    def _table(self, rows: Callable[[int], Columns], age_ns: Callable[[int], int] = lambda _: 0) -> pyarrow.Table:
+        """A table of the rows that `rows` makes of each frame; age_ns: ns, by which they are older than it"""
+        times_ns = (self.recording.times_ns - self.recording.times_ns[0]).tolist()
 
         def parts() -> Iterator[tuple[int, float, Columns]]:
-            for frame, time_s in enumerate(times_s.tolist()):
-                yield frame, time_s, rows(frame)
+            for frame, time_ns in enumerate(times_ns):
+                yield frame, (time_ns - age_ns(frame)) * 1e-9, rows(frame)
 
         return recorded.table(parts())
 
@@ -157,13 +161,26 @@ class PreparedAgent:
         Columns as `Agent.detections` of a run.
 
         `truth_id`: id of the detected object; -1 for clutter. No agent ever sees it.
+        `time_s` is the time of the measurement. Of several sensors: those of the first.
         """
+        return self._detections(0)
+
+    def detections_of(self, sensor: str) -> pyarrow.Table:
+        """As `detections`, of one of several sensors. Raises ConfigurationError for a name that none has."""
+        names = [each.name for each in self._scene.recording.agents[self._index].sensors]
+        if sensor not in names:
+            raise ConfigurationError(f"{self.name}: no sensor {sensor!r}{nearest(sensor, names)}")
+        return self._detections(names.index(sensor))
+
+    def _detections(self, row: int) -> pyarrow.Table:
+        """The detections of a sensor, by its row among those of the agent."""
         scene, index = self._scene.recording, self._index
         return self._scene._table(
             lambda frame: (
-                recorded.detections(scene.detections_at(frame, index).columns())
-                | {"truth_id": np.asarray(scene.detection_truth_id_at(frame, index))}
-            )
+                recorded.detections(scene.detections_at(frame, index, row).columns())
+                | {"truth_id": np.asarray(scene.detection_truth_id_at(frame, index, row))}
+            ),
+            lambda frame: max(0, scene.age_ns_at(frame, index, row)),
         )
 
     def __repr__(self) -> str:
@@ -190,6 +207,8 @@ def prepare(
     """
     if scene is None and parameters.keys() & _OF_ARRAYS:
         _check_arguments(parameters)
+        for name in parameters.keys() & _BUILT.keys():
+            parameters[name] = registry.built(parameters[name], _BUILT[name], f"scene: {name}")
         return PreparedScene(scenes.from_arrays(**parameters, seed=seed or 0, frames=frames))
     scene = "intersection" if scene is None else scene
     named_so = isinstance(scene, Mapping) or str(scene).partition(":")[0] in SHORT_NAMES

@@ -23,7 +23,7 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
         "mast_zenoh.fusion.GroupTracker",
     ),
     "integrity stage": ("mast_zenoh.integrity.Integrity",),
-    "scene": ("mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector"),
+    "scene": ("mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector", "mast_zenoh.scenes.Sensor"),
     "metric": ("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
     "link rule": ("mast_zenoh.links.Rule",),
     "fault": ("mast_zenoh.faults.Fault",),

@@ -95,7 +95,8 @@ class Surroundings:
 
     scene:           name of the scene; part of the random streams, so that two scenes with the same seed differ
     agents:          by name, {"limits_deg": [azimuth from, to, elevation from, to], "max_range_m", "mount_position",
-                     "mount_rotation", "route": rows [s, x, y, z, w, x, y, z]}; the ego first
+                     "mount_rotation", "route": rows [s, x, y, z, w, x, y, z]}; the ego first. "further", by name:
+                     the first four of each of its other sensors
     victims:         names of the compromised agents
     buildings:       outlines, each (k, 2) m, world frame, closed without repeating the first corner
     building_height: z of each building's top, m
@@ -119,6 +120,11 @@ class Surroundings:
         outlines = tuple(np.asarray(outline, np.float64) for outline in buildings or ())
         if len(outlines) != len(building_height or ()):
             raise ValueError(f"building_height: found {len(building_height or ())} values, expected {len(outlines)}")
+        self._further = {
+            f"{name}/{sensor}": AgentSensor.of_json({**data, **more})
+            for name, data in (agents or {}).items()
+            for sensor, more in data.get("further", {}).items()
+        }
         self.walls = Walls.of_buildings(outlines, np.asarray(building_height or (), np.float64))
         self._first_wall = np.cumsum([0, *map(len, outlines)])[:-1].astype(np.int64)
 
@@ -128,8 +134,8 @@ class Surroundings:
         return next(iter(self.sensors.values()), None)
 
     def view(self, agent: str, position: Floats, rotation: Floats) -> SensorView:
-        """The field of view of an agent with this pose: (3,) m, (3, 3)."""
-        sensor = self.sensors.get(agent)
+        """The field of view of an agent with this pose: (3,) m, (3, 3). agent: its name, or agent/sensor"""
+        sensor = self._further.get(agent) or self.sensors.get(agent)
         return unlimited(position) if sensor is None else sensor.view(position, rotation)
 
     def other_views(self, time_s: float) -> list[SensorView]:

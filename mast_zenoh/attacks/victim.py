@@ -11,18 +11,20 @@ from mast_zenoh.attacks.targets import Changes
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.tracking.view import SensorView
 from mast_zenoh.wiring.received import Received
+from mast_zenoh.wiring.subjects import agent_of
 
 POSES_KEPT = 16  #: frames by which a message may be late and still be attacked
 
 
 class Victim:
-    """One compromised agent: its poses, and the messages that wait for them.
+    """One compromised agent, or one of its sensors: its poses, and the messages that wait for them.
 
-    name: of the agent; attack: on its messages
+    name: of the agent, or agent/sensor; attack: on its messages
     """
 
     def __init__(self, name: str, attack: Attack) -> None:
         self.name = name
+        self.agent = agent_of(name)
         self.attack = attack
         self.poses: dict[int, Body] = {}
         self.last_view: tuple[bytes, SensorView] | None = None  # latest pose, and the view from it

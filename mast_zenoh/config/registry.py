@@ -103,7 +103,7 @@ def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
     missing = [k for k, p in parameters.items() if p.default is p.empty and k not in arguments]
     if missing:
         raise ConfigurationError(f"{path}: {cls.__name__} needs {', '.join(missing)}")
-    values = {key: _value(value, hints.get(key, Any), f"{path}.{key}") for key, value in arguments.items()}
+    values = {key: built(value, hints.get(key, Any), f"{path}.{key}") for key, value in arguments.items()}
     try:
         return cls(**values)
     except ConfigurationError as error:
@@ -125,8 +125,11 @@ def _signature(cls: type) -> _Signature:
     return _SIGNATURES[cls]
 
 
-def _value(value: object, hint: Any, path: str) -> Any:
-    """`value`, converted to the type that the annotation `hint` requires."""
+def built(value: object, hint: Any, path: str) -> Any:
+    """`value`, converted to the type that the annotation `hint` requires.
+
+    path: of the value, for messages. Raises ConfigurationError for a value that is not of that type.
+    """
     if hint is Any or (isinstance(hint, type) and hint not in (float, int) and isinstance(value, hint)):
         return value
     origin = typing.get_origin(hint)
@@ -137,10 +140,10 @@ def _value(value: object, hint: Any, path: str) -> Any:
         options = tuple(option for option in options if option is not type(None))
         for option in options[:-1]:
             try:
-                return _value(value, option, path)
+                return built(value, option, path)
             except ConfigurationError:
                 continue
-        return _value(value, options[-1], path)
+        return built(value, options[-1], path)
     if origin is typing.Literal:
         if value not in typing.get_args(hint):
             known = [str(option) for option in typing.get_args(hint)]
@@ -149,7 +152,11 @@ def _value(value: object, hint: Any, path: str) -> Any:
     if origin in (tuple, list):
         return _sequence(value, hint, path)
     if origin is dict or hint in (dict, Mapping) or origin is Mapping:
-        return _expect(value, Mapping, "a dict", path)
+        items = _expect(value, Mapping, "a dict", path)
+        (*_, of_value) = typing.get_args(hint) or (Any,)
+        if typing.get_origin(of_value) is not tuple:
+            return items
+        return {key: built(item, of_value, f"{path}[{key!r}]") for key, item in items.items()}
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if hint in (int, float, str, bool):
@@ -171,11 +178,10 @@ def _sequence(value: object, hint: Any, path: str) -> Any:
         arguments = (arguments[0],) * len(items)
     if len(arguments) != len(items):
         raise ConfigurationError(f"{path}: found {len(items)} values, expected {len(arguments)}")
-    built = [
-        _value(item, item_hint, f"{path}[{i}]")
-        for i, (item, item_hint) in enumerate(zip(items, arguments, strict=True))
+    converted = [
+        built(item, item_hint, f"{path}[{i}]") for i, (item, item_hint) in enumerate(zip(items, arguments, strict=True))
     ]
-    return built if typing.get_origin(hint) is list else tuple(built)
+    return converted if typing.get_origin(hint) is list else tuple(converted)
 
 
 def _expect(value: object, kind: Any, expected: str, path: str) -> Any:

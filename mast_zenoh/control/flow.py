@@ -168,7 +168,7 @@ def wiring_of(value: object, what: str) -> Wiring:
     for wire in wiring.wires:
         fields.key(wire.key, what)
         if wire.subject:
-            fields.name(wire.subject, what)
+            fields.key(wire.subject, what)
         else:
             fields.text(wire.subject, what)
         if not isinstance(wire.message, str) or wire.message not in SCHEMAS:

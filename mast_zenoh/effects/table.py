@@ -18,6 +18,7 @@ from mast_zenoh.effects.passages import PassageMeter
 from mast_zenoh.effects.rows import UNCHANGED
 from mast_zenoh.metrics.manipulations import KINDS, MOVED
 from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.subjects import agent_of
 
 #: All effects, by their code in `Effects`: on objects, then on whole messages.
 EFFECTS = KINDS + MESSAGE_EFFECTS
@@ -138,9 +139,8 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
     columns = {name: np.concatenate([getattr(part, name) for part in objects]) for name in names}
     references = np.concatenate([part.references for part in objects], axis=1)
     of_agent = objects[0].of_agent
-    transforms = [
-        _world_transforms(references[side], of_agent, columns["frame"], poses, meter.passage.subject) for side in (0, 1)
-    ]
+    agent = agent_of(meter.passage.subject)
+    transforms = [_world_transforms(references[side], of_agent, columns["frame"], poses, agent) for side in (0, 1)]
     for name, (origin, rotation) in zip(("before", "after"), transforms, strict=True):
         columns[name] = _rotate(rotation, columns[name]) + origin
     columns["velocity"] = _rotate(transforms[1][1], columns["velocity"])

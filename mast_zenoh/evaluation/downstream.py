@@ -9,6 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.subjects import agent_of
 
 _FROM_CENTER = (PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
 _FROM_DOWNLINK = (PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
@@ -31,7 +32,7 @@ def influence(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is
 
 
 def _influences(passage: Passage, agent: str, estimator: str, is_link: bool) -> bool:
-    own, port = agent == passage.subject, passage.port
+    own, port = agent == agent_of(passage.subject), passage.port
     if port in ("detections", "pose"):
         return own or estimator in _FROM_CENTER
     if port == "tracks":

@@ -37,6 +37,7 @@ from mast_zenoh.metrics.ranking import rankings
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import COLUMNS
 from mast_zenoh.metrics.trust import Fault
+from mast_zenoh.wiring.subjects import agent_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,8 +256,8 @@ class _Results:
         agents = list(self.data.record.agents)
         victims: dict[str, set[int]] = {}
         for passage in self.effects.passages:
-            if passage.subject in agents:
-                victims.setdefault(passage.node, set()).add(agents.index(passage.subject))
+            if (agent := agent_of(passage.subject)) in agents:
+                victims.setdefault(passage.node, set()).add(agents.index(agent))
         return victims
 
 

@@ -15,6 +15,7 @@ from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.trust import Conduct, Fault, TrustHistory, TrustUpdate, fault_frames, summary
 from mast_zenoh.metrics.trust.history import agent_table, object_table
+from mast_zenoh.wiring.subjects import agent_of
 
 #: Ports of what an agent sends to the command centre, and of what its own tracks depend on.
 UPSTREAM = ("detections", "pose", "sweep", "tracks", "view", "status")
@@ -33,9 +34,10 @@ def lies(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], fram
     counts[effects.rows("unsettled")] = False
     about = np.where(effects.frame >= 0, effects.frame, effects.step)
     for index, passage in enumerate(effects.passages):
-        if roles.get(passage.node) != "link" and passage.port in UPSTREAM and passage.subject in agents:
+        agent = agent_of(passage.subject)
+        if roles.get(passage.node) != "link" and passage.port in UPSTREAM and agent in agents:
             changed = about[counts & (effects.passage == index)]
-            result[:, list(agents).index(passage.subject)] |= np.isin(frames, changed)
+            result[:, list(agents).index(agent)] |= np.isin(frames, changed)
     return result
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,8 @@ _MAX_NAMES = 3
 class Plan:
     """The effects of a run's faults.
 
-    rules: by agent and direction (or SENSOR), the rules of its link with their times, in the order of the faults
+    rules: by agent and direction (or SENSOR, SENSOR/name), the rules of its link with their times, in the order of the
+        faults
     steps: actions on processes, by frame
     bands: a plain dict of label, kind, type, at_s, until_s, nodes and backend for every fault that begins in the run
     missed: places of faults that begin after the last frame
@@ -60,12 +62,14 @@ def plan(
     seed: int,
     *,
     lockstep: bool,
+    sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Plan:
     """Convert a list of faults to a plan.
 
     faults: (place in the scenario, fault), in the order of the scenario
     roles:  role of every node of the run, except the links that the faults themselves require
     times_ns: (frames,) ns since the start of the scene, of the frames that are played
+    sensors: names of agents' sensors besides the first
 
     Raises ConfigurationError for unknown or invalid targets, for impossible actions on a process (killed while it is
     down, two actions in the same frame), and in lock-step for faults that need real time.
@@ -88,7 +92,7 @@ def plan(
         if rules:
             ways = {role: fault.ways(role) for role in roles.values()}
             selectors = nodes or fault.selectors
-            agents = targets.links(selectors, roles, ways, rng, where)
+            agents = targets.links(selectors, roles, ways, rng, where, sensors)
             nodes = nodes or list(agents)
             impaired = [agent for agent, directions in agents.items() if directions != ["down"]]
             for agent, directions in agents.items():

@@ -15,7 +15,8 @@ class SensorFault(Fault):
 
     until: s of scene time at which it ends; None: at the end of the run
 
-    The agent's claimed view is unchanged. Targets may also be keys of wires: agent/infra_1/detections.
+    An agent stands for its first sensor. The agent's claimed view is unchanged. Targets may also be keys of wires:
+    agent/infra_1/detections, agent/infra_1/detections/radar.
     """
 
     until: float | None = None

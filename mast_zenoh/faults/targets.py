@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
+from types import MappingProxyType
 
 import numpy as np
 
@@ -80,19 +81,21 @@ def links(
     ways: Mapping[str, Sequence[str]],
     rng: np.random.Generator,
     place: str,
+    sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> dict[str, list[str]]:
-    """The agents whose links a fault acts on, with DIRECTIONS.
+    """The agents whose links a fault acts on, with DIRECTIONS, or with the sensors: SENSOR, or SENSOR/name.
 
     Raises ConfigurationError for other targets.
 
-    ways: the directions of the fault, by role of its target
+    ways: the directions of the fault, by role of its target; sensors: names of agents' sensors besides the first
 
     The broker and the command centre are at the other end of every agent's link. A key of a wire, or a glob, selects
     the one direction of the links that it passes through.
     """
     agents = [name for name, role in roles.items() if role == "agent"]
     if tuple(ways.get("agent", ())) == (SENSOR,):
-        keys = [f"agent/{name}/detections" for name in agents]
+        parts = {name: ("", *sensors.get(name, ())) for name in agents}
+        keys = [f"agent/{name}/detections{part and f'/{part}'}" for name in agents for part in parts[name]]
     else:
         keys = [f"agent/{name}/{port}" for name in agents for port in ("tracks", "status")] + ["cc/picture"]
     directions: dict[str, set[str]] = {}
@@ -103,8 +106,7 @@ def links(
                 raise ConfigurationError(f"{place}: no wire {selector!r} goes through a link{nearest(selector, keys)}")
             for key in matching:
                 for name in agents if key == "cc/picture" else [key.split("/")[1]]:
-                    way = "down" if key == "cc/picture" else SENSOR if key.endswith("/detections") else "up"
-                    directions.setdefault(name, set()).add(way)
+                    directions.setdefault(name, set()).add(_way(key))
             continue
         for name in resolve_names([selector], roles, rng, place, more=keys):
             role = roles[name]
@@ -117,5 +119,17 @@ def links(
                 raise ConfigurationError(f"{place}: {name!r} ({role}) has no sensor of its own; expected an agent")
             for agent in agents if role in _SERVERS else [name]:
                 directions.setdefault(agent, set()).update(ways[role])
-    every = (*DIRECTIONS, SENSOR)
-    return {name: [way for way in every if way in directions[name]] for name in agents if name in directions}
+    order = [*DIRECTIONS, SENSOR]
+    return {
+        name: [way for way in order if way in directions[name]] + sorted(directions[name].difference(order))
+        for name in agents
+        if name in directions
+    }
+
+
+def _way(key: str) -> str:
+    """The direction of a link, or the sensor, that messages of a key belong to."""
+    if key == "cc/picture":
+        return "down"
+    _, _, port, *part = key.split("/")
+    return "/".join([SENSOR, *part]) if port == "detections" else "up"

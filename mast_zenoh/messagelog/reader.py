@@ -49,7 +49,7 @@ class Recorded:
     message:   message type of the wire
     publisher: name of the node that made it
     frame:     index of the frame that it is about; -1: unknown, as it is malformed
-    time_ns:   time of that frame; of a malformed message, time of the latest clock when it arrived
+    time_ns:   time in its header; of a malformed message, time of the latest clock when it arrived
     seq:       its number among those of its publisher on its wire; of malformed ones, among those of its key
     payload:   the bytes as they were sent
     step:      the run's frame when it was sent: later than `frame` if a link delayed it; -1: unknown

@@ -30,7 +30,7 @@ class Header(NamedTuple):
     schema:  name of the message type
     source:  name of the node that published it (an interposer leaves it unchanged)
     frame:   index of the scene's frame that the message is about
-    time_ns: int, ns, time of that frame in the scene
+    time_ns: int, ns, time of that frame in the scene; of `detections`, when the sensor measured
     seq:     number of the message among those of one publisher on one wire, from 0
     """
 
@@ -123,7 +123,7 @@ BUILT_IN: Mapping[str, Schema] = {
         Schema(
             "detections",
             1,
-            "what an agent's sensor detects, sensor frame",
+            "what an agent's sensor detected at `time_ns`, sensor frame at that time",
             (
                 Column("position", "float64", ("n", 3), "m", "centre of the box"),
                 Column("size", "float64", ("n", 3), "m", "length, width, height"),
@@ -133,7 +133,7 @@ BUILT_IN: Mapping[str, Schema] = {
                     "class_id", "uint8", ("n",), "", "index into mast_zenoh.arrays.states.CLASSES", below=len(CLASSES)
                 ),
                 Column("covariance", "float64", ("n", 3, 3), "m²", "of the position; all zero: not given"),
-                Column("mount_position", "float64", (3,), "m", "of the sensor, in the agent's frame"),
+                Column("mount_position", "float64", (3,), "m", "of the sensor then, in the agent's frame now"),
                 Column(
                     "mount_rotation", "float64", (4,), "", "active quaternion w x y z, sensor to agent", **_ROTATION
                 ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,7 +18,7 @@ _NO_OFFSET = np.zeros(3)
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _NO_OFFSET.setflags(write=False)
 _NO_TURN.setflags(write=False)
-_NOWHERE = SensorView(_NO_OFFSET, np.eye(3), -np.pi, np.pi, -np.pi / 2, np.pi / 2, 0.0)
+_NO_VIEW: tuple[list[bytes], None] = ([], None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,22 +46,35 @@ class AgentPipeline:
         self.tracker = tracker
         self.mission = mission
         self.frame = frame
-        self._view: tuple[list[bytes], SensorView] = ([], _NOWHERE)
+        self._views: dict[LidarSensor, tuple[list[bytes], SensorView]] = {}
 
     def track(
-        self, time_ns: int, detections: Detections, pose: Pose, mount: Pose, lidar: LidarSensor
+        self,
+        time_ns: int,
+        detections: Detections,
+        pose: Pose,
+        mount: Pose,
+        lidar: LidarSensor,
+        detection_probability: float | None = None,
     ) -> tuple[ObjectStates, Floats, Floats]:
         """Safety-critical tracks, from own sensors alone, and their frame of reference.
 
         Returns tracks, origin (3,) m and active quaternion (4,).
 
-        detections: sensor frame; pose: of the agent in the world; mount: of the sensor in the agent's frame
+        time_ns: of the measurement; detections: sensor frame; pose: of the agent in the world
+        mount: of the sensor in the agent's frame; lidar, detection_probability: of the sensor; None: the tracker's
         """
         base = pose if self.frame == "world" else Pose(_NO_OFFSET, _NO_TURN)
         view = self._view_from(base, mount, lidar)
+        if detection_probability is not None:
+            view = replace(view, detection_probability=detection_probability)
         tracks = self.tracker.step(time_ns, to_world(detections, view.position, view.rotation), view)
+        return tracks, *self.reference(pose)
+
+    def reference(self, pose: Pose) -> tuple[Floats, Floats]:
+        """Origin (3,) m and active quaternion (4,) of the tracks' frame of reference. pose: of the agent"""
         reference = Pose(_NO_OFFSET, _NO_TURN) if self.frame == "world" else pose
-        return tracks, reference.position, reference.quaternion
+        return reference.position, reference.quaternion
 
     def view(self, pose: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
         """The field of view of the sensor, world frame."""
@@ -71,10 +84,10 @@ class AgentPipeline:
         """The sensor's field of view; cached, because most agents are stationary."""
         parts = base.position, base.quaternion, mount.position, mount.quaternion
         key = [part.tobytes() for part in parts]
-        if key != self._view[0]:
+        if key != self._views.get(lidar, _NO_VIEW)[0]:
             agent, sensor = (rotation_from_quaternion(pose.quaternion) for pose in (base, mount))
-            self._view = (key, view_of(lidar, *sensor_pose(base.position, agent, mount.position, sensor)))
-        return self._view[1]
+            self._views[lidar] = (key, view_of(lidar, *sensor_pose(base.position, agent, mount.position, sensor)))
+        return self._views[lidar][1]
 
 
 def view_of(lidar: LidarSensor, position: Floats, rotation: Floats) -> SensorView:

@@ -8,13 +8,17 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.metrics.achievement_summary import ALL
+from mast_zenoh.pipelines.agent_sensor import DUE, IDLE
 from mast_zenoh.scenario.reconnaissance import surroundings_of
-from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.measurements import NO_MEASUREMENT
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.sensing import LidarSensor
 
 ON_EXIT = ("fail", "continue", "restart")
 
@@ -39,13 +43,13 @@ def nodes_of(
 
     add("simulator", "simulator", {"recording": recording, "frames": frames})
     patterns = scenario.get("agents", {"*": {}})
-    for agent in recording.agents:
+    for row, agent in enumerate(recording.agents):
         pattern = best_pattern(patterns, agent.name)
         if pattern is None:
             raise ConfigurationError(f"{path}: agents: no entry for {agent.name!r}{nearest(agent.name, patterns)}")
         if not isinstance(config := patterns[pattern], Mapping):
             raise ConfigurationError(f"{path}: agents: {agent.name}: found {config!r}, expected a dict")
-        add(agent.name, "agent", {**_scene_parameters(agent), **config})
+        add(agent.name, "agent", {**_scene_parameters(recording, row), **config})
     for role in ("broker", "command_center"):
         add(role, role, scenario.get(role, {}))
     agents = [agent.name for agent in recording.agents]
@@ -108,11 +112,47 @@ def add_surroundings(specs: Mapping[str, NodeSpec], recording: Recording) -> Non
             spec.config.setdefault("surroundings", surroundings_of(recording, known_victims))
 
 
-def _scene_parameters(agent: SceneAgent) -> dict[str, Any]:
-    """The parameters of an agent's node that the scene provides."""
-    sensor = agent.sensor
+def _scene_parameters(recording: Recording, row: int) -> dict[str, Any]:
+    """The parameters of an agent's node that the scene provides. row: of the agent"""
+    agent = recording.agents[row]
+    parameters = {"lidar": _limits(agent.sensor), "mobile": agent.kind == "mobile"}
+    due = [_due(recording, row, sensor) for sensor in range(len(agent.sensors))]
+    probabilities = [sensor.detection_probability for sensor in agent.sensors]
+    if len(agent.sensors) == 1 and due == [""] and probabilities == [None] and _at_frames(recording, row):
+        return parameters
+    return parameters | {
+        "sensors": [
+            {
+                "name": sensor.name,
+                "lidar": _limits(sensor.lidar),
+                "mount_position": sensor.lidar.mount_position.tolist(),
+                "mount_rotation": quaternion_from_rotation(sensor.lidar.mount_rotation).tolist(),
+                "frames": frames,
+                "detection_probability": sensor.detection_probability,
+            }
+            for sensor, frames in zip(agent.sensors, due, strict=True)
+        ]
+    }
+
+
+def _limits(lidar: LidarSensor) -> dict[str, float]:
+    """Field of view and range of a sensor."""
     names = ("azimuth_min_deg", "azimuth_max_deg", "elevation_min_deg", "elevation_max_deg", "max_range_m")
-    return {"lidar": {name: getattr(sensor, name) for name in names}, "mobile": agent.kind == "mobile"}
+    return {name: getattr(lidar, name) for name in names}
+
+
+def _due(recording: Recording, row: int, sensor: int) -> str:
+    """The frames with a new measurement, see `AgentSensor`; empty: all."""
+    if recording.measurements is None:
+        return ""
+    ages = [recording.age_ns_at(frame, row, sensor) for frame in range(len(recording))]
+    return "" if NO_MEASUREMENT not in ages else "".join(IDLE if age == NO_MEASUREMENT else DUE for age in ages)
+
+
+def _at_frames(recording: Recording, row: int) -> bool:
+    """Whether an agent's first sensor measures at the times of the frames."""
+    measurements = recording.measurements
+    return measurements is None or not measurements.age_ns[:, recording.column(row)].any()
 
 
 def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> NodeSpec:

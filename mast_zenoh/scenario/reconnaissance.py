@@ -10,6 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.sensing import LidarSensor
 
 #: s, between two rows of a route.
 ROUTE_STEP_S = 0.5
@@ -25,17 +26,12 @@ def surroundings_of(recording: Recording, victims: Iterable[str]) -> dict[str, A
     rows = np.unique([*range(0, len(times_s), stride), len(times_s) - 1])
     agents: dict[str, Any] = {}
     for index, agent in enumerate(recording.agents):
-        sensor = agent.sensor
         agents[agent.name] = {
-            "limits_deg": [
-                *(sensor.azimuth_min_deg, sensor.azimuth_max_deg),
-                *(sensor.elevation_min_deg, sensor.elevation_max_deg),
-            ],
-            "max_range_m": sensor.max_range_m,
-            "mount_position": np.asarray(sensor.mount_position).tolist(),
-            "mount_rotation": np.asarray(sensor.mount_rotation).tolist(),
+            **_of_sensor(agent.sensor),
             "route": _route(recording, index, times_s, rows if agent.kind == "mobile" else rows[:1]),
         }
+        if further := agent.sensors[1:]:
+            agents[agent.name]["further"] = {sensor.name: _of_sensor(sensor.lidar) for sensor in further}
     near = _within_range(recording, rows)
     return {
         "scene": recording.name,
@@ -43,6 +39,19 @@ def surroundings_of(recording: Recording, victims: Iterable[str]) -> dict[str, A
         "victims": list(victims),
         "buildings": [recording.buildings[index].round(3).tolist() for index in near],
         "building_height": [float(recording.building_height[index]) for index in near],
+    }
+
+
+def _of_sensor(lidar: LidarSensor) -> dict[str, Any]:
+    """Field of view, range and mount of a sensor."""
+    return {
+        "limits_deg": [
+            *(lidar.azimuth_min_deg, lidar.azimuth_max_deg),
+            *(lidar.elevation_min_deg, lidar.elevation_max_deg),
+        ],
+        "max_range_m": lidar.max_range_m,
+        "mount_position": np.asarray(lidar.mount_position).tolist(),
+        "mount_rotation": np.asarray(lidar.mount_rotation).tolist(),
     }
 
 

@@ -27,6 +27,7 @@ from mast_zenoh.scenario.timeline import rewrites, timeline_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import ANY, Wiring
+from mast_zenoh.wiring.subjects import subject_of
 
 
 def resolve(
@@ -159,8 +160,18 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
         bindings = {key: value for key, value in spec.config.items() if isinstance(value, str)}
         if len(spec.agents) > 1:
             bindings["agent"] = spec.agents
+        if further := _further_sensors(spec):
+            bindings[maps.PART] = further
         node_options[name] = endpoints.NodeOptions(spec.role, bindings, cls.inputs, cls.outputs)
     wiring = maps.resolve(sources, node_options, _shipped_ports())
+    subjects = {wire.subject for wire in wiring.wires if wire.message == "detections"}
+    for name, spec in nodes.items():
+        for part in _further_sensors(spec):
+            if subject_of(name, part) not in subjects:
+                raise WiringError(
+                    f"{path}: no wire for the sensor {part!r} of {name}: expected one with the key "
+                    f"agent/{{agent}}/detections/{{{maps.PART}}} in the map, as in testbed.toml"
+                )
     subscribers = {name for _, _, name in wiring.flows()}
     for name, node in node_options.items():
         if node.inputs and name not in subscribers:
@@ -169,6 +180,12 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
                 f"name them in a map, or subscribe to every key on one port of the type {ANY!r}"
             )
     return wiring
+
+
+def _further_sensors(spec: NodeSpec) -> tuple[str, ...]:
+    """The names of an agent's sensors but the first; each has a wire of its own."""
+    sensors = spec.config.get("sensors", ()) if spec.role == "agent" else ()
+    return tuple(str(sensor["name"]) for sensor in sensors[1:])
 
 
 def _shipped_ports() -> dict[str, set[str]]:

@@ -59,7 +59,8 @@ def timeline_of(
     roles = {name: spec.role for name, spec in nodes.items()}
     times_ns = recording.times_ns[:frames] - recording.times_ns[0]
     node_faults, host_faults = _faults(path, scenario.get("faults", ()))
-    fault_plan = plan(node_faults, roles, times_ns, seed, lockstep=mode == "lockstep")
+    sensors = {agent.name: [sensor.name for sensor in agent.sensors[1:]] for agent in recording.agents}
+    fault_plan = plan(node_faults, roles, times_ns, seed, lockstep=mode == "lockstep", sensors=sensors)
     for place in fault_plan.missed:
         _log.warning("%s: begins after the last frame and is ignored", place)
     profiles, permanent = _profiles(path, scenario.get("links", {}), roles, _gateways(recording))
@@ -79,7 +80,9 @@ def timeline_of(
         }
         if SENSOR in timed_rules:
             rules["rules_sensor"] = timed_rules[SENSOR]
-        specs[name] = node_spec(path, name, "link", {"agent": agent, **rules})
+        further = {way.partition("/")[2]: rules for way, rules in timed_rules.items() if "/" in way}
+        more = {"rules_of_sensors": further} if further else {}
+        specs[name] = node_spec(path, name, "link", {"agent": agent, **rules, **more})
     hosts = network.resolve(
         scenario.get("hosts", {}),
         host_faults,
@@ -104,14 +107,17 @@ def rewrites(links: Mapping[str, NodeSpec]) -> list[str | dict[str, Any]]:
     """What puts links between their agents and the network, and faulty sensors before their agents."""
     sensors = [
         dict(
-            wire=f"agent/{spec.config['agent']}/detections",
+            wire=f"agent/{spec.config['agent']}/detections{part}",
             role="link",
             input="detections",
             output="detections_out",
             node=name,
         )
         for name, spec in links.items()
-        if "rules_sensor" in spec.config
+        for part in [
+            *([""] if "rules_sensor" in spec.config else []),
+            *(f"/{sensor}" for sensor in spec.config.get("rules_of_sensors", ())),
+        ]
     ]
     return [*([REWRITE] if links else []), *([{"insert": sensors}] if sensors else [])]
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mast_zenoh.scenes.from_arrays import from_arrays as from_arrays
     from mast_zenoh.scenes.generated.intersection import Intersection as Intersection
     from mast_zenoh.scenes.kitti.tracking import KittiTracking as KittiTracking
+    from mast_zenoh.scenes.making.sensor_types import Sensor as Sensor
     from mast_zenoh.scenes.names import parse_scene as parse_scene
     from mast_zenoh.scenes.opv2v.multi_v2x import MultiV2XScene as MultiV2XScene
     from mast_zenoh.scenes.opv2v.scenes import OPV2VScene as OPV2VScene
@@ -60,6 +61,7 @@ _OTHERS = {
     "Recording": "recording",
     "SceneAgent": "recording",
     "Scene": "base",
+    "Sensor": "making.sensor_types",
     "cache_folder": "cache",
     "from_arrays": "from_arrays",
     "parse_scene": "names",
@@ -82,6 +84,7 @@ __all__ = [
     "RecordingFile",
     "Scene",
     "SceneAgent",
+    "Sensor",
     "SumoTrace",
     "TUMTrafV2X",
     "UrbanIngV2X",

@@ -10,7 +10,7 @@ import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
@@ -144,9 +144,27 @@ def _code() -> str:
 
 def _defined_in_session(scene: Scene) -> bool:
     """Whether a class of the scene or its parts is defined in a notebook or a prompt."""
-    parts = [scene, *vars(scene).values()]
+    parts = list(_parts(scene))
     file = getattr(sys.modules["__main__"], "__file__", None)  # <stdin> if the code is read from there
     return not (file and Path(file).is_file()) and any(type(part).__module__ == "__main__" for part in parts)
+
+
+def _parts(scene: Scene) -> Iterator[object]:
+    """A scene, and all objects that it consists of: detectors, sensors of agents and their detectors."""
+    waiting: list[object] = [scene]
+    known: set[int] = set()
+    while waiting:
+        part = waiting.pop()
+        if id(part) in known:
+            continue
+        known.add(id(part))
+        yield part
+        if isinstance(part, Mapping):
+            waiting += part.values()
+        elif isinstance(part, (list, tuple)):
+            waiting += part
+        elif hasattr(part, "__dict__"):
+            waiting += vars(part).values()
 
 
 def _own_code(scene: Scene) -> str:
@@ -154,7 +172,7 @@ def _own_code(scene: Scene) -> str:
 
     They may be user code, such as a detector.
     """
-    modules = {type(part).__module__ for part in (scene, *vars(scene).values())}
+    modules = {type(part).__module__ for part in _parts(scene)}
     names = [getattr(sys.modules.get(module), "__file__", None) for module in sorted(modules)]
     return _hash_of([Path(name) for name in names if name])
 

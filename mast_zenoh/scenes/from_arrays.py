@@ -14,6 +14,7 @@ from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError, nearest
 from mast_zenoh.scenes.making.assembly import AgentPath, assemble
 from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
 from mast_zenoh.scenes.making.velocities import direction_of_motion, fill_velocity
 from mast_zenoh.scenes.making.virtual_agents import pole, vehicle
 from mast_zenoh.scenes.recording import Recording
@@ -36,6 +37,7 @@ def from_arrays(
     buildings: Sequence[ArrayLike] = (),
     building_height: float = 12.0,
     detector: Detector = _DETECTOR,
+    sensors: SensorsByAgent | None = None,
     name: str = "arrays",
     seed: int = 0,
     frames: int | None = None,
@@ -53,6 +55,7 @@ def from_arrays(
     points:    (F, M, agents and poles) lidar returns of each object at each agent; None: by ray casting
     buildings: outlines, each (k, 2) m, world frame; building_height: m, of all
     detector:  the model that generates detections from what the agents see
+    sensors:   of agents, by name ("ego", "mobile_1", "infra_1") or pattern; None: a lidar each
     name:      of the scene
     seed:      of the detector; frames: how many to record, the first ones; None: all
 
@@ -87,7 +90,7 @@ def from_arrays(
         paths = [replace(path, points=seen[:, column]) for column, path in enumerate(paths)]
     outlines = tuple(_array(name, f"buildings[{k}]", outline, (None, 2)) for k, outline in enumerate(buildings))
     walls: dict[str, Any] = dict(buildings=outlines, building_height=np.full(len(outlines), float(building_height)))
-    return assemble(name, times_ns, boxes, paths, detector, seed=seed, frames=frames, **walls)
+    return assemble(name, times_ns, boxes, paths, detector, seed=seed, frames=frames, sensors=sensors, **walls)
 
 
 def _array(name: str, argument: str, values: ArrayLike, shape: tuple[int | None, ...], gaps: bool = False) -> Floats:

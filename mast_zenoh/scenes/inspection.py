@@ -7,6 +7,7 @@ from scipy.spatial import KDTree
 
 from mast_zenoh.arrays.geometry import along_and_across
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats
+from mast_zenoh.scenes.measurements import NO_MEASUREMENT
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 
 _MAX_SPEED_MPS = 70.0
@@ -30,6 +31,7 @@ def contents(recording: Recording) -> list[tuple[str, str]]:
     return [
         ("frames", f"{frames} at {1e9 / recording.period_ns:.1f} Hz, {duration:.1f} s"),
         ("agents", f"{agents}: {', '.join(f'{agent.name} ({agent.kind})' for agent in recording.agents)}"),
+        *_sensors(recording),
         ("objects", f"{len(ids)}: {classes}; {per_frame.min()} to {per_frame.max()} in a frame"),
         ("seen", f"objects in a frame with at least {SEEN_RETURNS} lidar returns: {shares}"),
         ("detections", _detections(recording)),
@@ -42,11 +44,32 @@ def _detections(recording: Recording) -> str:
     detections = recording.detections
     if not len(detections):
         return "none"
-    rate = len(detections) / (len(recording) * len(recording.agents))
+    rate = len(detections) / _measured(recording).sum()
     low, high = detections.score.min(), detections.score.max()
     scores = f"all scores {low:.2f}" if low == high else f"scores {low:.2f} to {high:.2f}"
     given = "with" if detections.covariance.any() else "without"
-    return f"{rate:.1f} per agent and frame, {scores}, {given} covariances"
+    of_each = "agent and frame" if recording.measurements is None else "measurement"
+    return f"{rate:.1f} per {of_each}, {scores}, {given} covariances"
+
+
+def _measured(recording: Recording) -> Bools:
+    """(F, S) whether a sensor has a new measurement in a frame."""
+    if recording.measurements is None:
+        return np.ones((len(recording), len(recording.sensor_names)), np.bool_)
+    return np.asarray(recording.measurements.age_ns != NO_MEASUREMENT)
+
+
+def _sensors(recording: Recording) -> list[tuple[str, str]]:
+    """The rates of the sensors, if some measure at times of their own or an agent has several."""
+    if recording.measurements is None:
+        return []
+    ages, rate = recording.measurements.age_ns, _measured(recording).mean(axis=0) * 1e9 / recording.period_ns
+    parts = []
+    for column, name in enumerate(recording.sensor_names):
+        age = ages[:, column]
+        late = age[age != NO_MEASUREMENT] * 1e-6
+        parts.append(f"{name} {rate[column]:.3g} Hz, up to {late.max(initial=0.0):.0f} ms before a frame")
+    return [("sensors", "; ".join(parts))]
 
 
 def problems(recording: Recording) -> list[str]:
@@ -60,13 +83,14 @@ def problems(recording: Recording) -> list[str]:
     found += _at(recording, speed > _MAX_SPEED_MPS, f"faster than {_MAX_SPEED_MPS:.0f} m/s")
     found += _at(recording, _jumps(recording), f"more than {_MAX_JUMP_M:.0f} m from where their velocity leads")
     found += _at(recording, _inside_others(recording), "with their centre inside another object")
+    rows = np.diff(recording.detection_start).reshape(len(recording), -1)
     for column, agent in enumerate(recording.agents):
         seen = recording.points[:, column] >= SEEN_RETURNS
         if not seen.any():
             found.append(f"{agent.name} never sees an object")
-        rows = np.diff(recording.detection_start).reshape(len(recording), -1)[:, column]
-        if not rows.any() and len(recording.detections):
-            found.append(f"{agent.name} has no detections")
+        for row, sensor in enumerate(agent.sensors):
+            if not rows[:, recording.column(column, row)].any() and len(recording.detections):
+                found.append(f"{agent.name}{f', {sensor.name},' if row else ''} has no detections")
     unseen = np.asarray(~(recording.points >= SEEN_RETURNS).any(axis=1))
     if len(unseen) and unseen.mean() > 0.5:
         found.append(f"{unseen.mean():.0%} of the objects in a frame are seen by nobody")

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes.agents import SceneAgent as SceneAgent
+from mast_zenoh.scenes.agents import agent_from_json, agent_to_json
+from mast_zenoh.scenes.measurements import NO_MEASUREMENT, Measurements
 from mast_zenoh.scenes.recording_arrays import arrays_of_file, check_shapes, check_times
-from mast_zenoh.sensing.camera import Camera
-from mast_zenoh.sensing.lidar import LidarSensor
 
 #: Truth columns of a recording; covariance and score are constant for truth.
 TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")
@@ -34,29 +35,11 @@ _DAMAGE = (
 
 
 @dataclass(frozen=True, eq=False)
-class SceneAgent:
-    """One agent of a scene.
-
-    name:      "ego", "mobile_1", …, "infra_1", …
-    kind:      "mobile" or "static"
-    object_id: id of the agent's own object; -1: none (a pole)
-    sensor:    its lidar
-    camera:    its camera, for rendering
-    """
-
-    name: str
-    kind: str
-    object_id: int
-    sensor: LidarSensor
-    camera: Camera
-
-
-@dataclass(frozen=True, eq=False)
 class Recording:
-    """F frames of a scene with A agents, N truth rows, D detections and B buildings.
+    """F frames of a scene with A agents, S sensors, N truth rows, D detections and B buildings.
 
     name:               of the scene
-    agents:             A agents, the ego first
+    agents:             A agents, the ego first; their sensors, agent by agent, are the S sensors
     period_ns:          int, ns, between two frames
     times_ns:           (F,) int64, ns, time of each frame, ascending
     truth:              N rows, world frame, the rows of a frame together; covariance zero, score one
@@ -66,11 +49,13 @@ class Recording:
     agent_rotation:     (F, A, 3, 3) active, agent to world
     agent_velocity:     (F, A, 3) m/s, world frame
     detections:         D rows, each in its sensor's frame (agent pose, then the sensor's mount)
-    detection_start:    (F * A + 1,) int64: agent a in frame f has the rows [f * A + a] to [f * A + a + 1]
+    detection_start:    (F * S + 1,) int64: sensor s in frame f has the rows [f * S + s] to [f * S + s + 1]
     detection_truth_id: (D,) int64, id of the object detected, -1 for clutter; for scoring only, never an input
     buildings:          B outlines, each (k, 2) m, world frame, closed without repeating the first corner
     building_height:    (B,) m, z of each building's top in the world frame
-    sweeps:             for each agent (F, bands, sectors) float32, m, see `sensing.sweep`; (): unknown
+    sweeps:             for each agent (F, bands, sectors) float32, m, of its first sensor, see `sensing.sweep`; ():
+                        unknown
+    measurements:       when the sensors measured; None: in every frame, at its time
     """
 
     name: str
@@ -89,6 +74,7 @@ class Recording:
     buildings: tuple[Floats, ...]
     building_height: Floats
     sweeps: tuple[NDArray[np.float32], ...] = ()
+    measurements: Measurements | None = None
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -110,20 +96,48 @@ class Recording:
         """(n, A) lidar returns of the rows of `truth_at(frame)` at each agent."""
         return self.points[self._rows(frame)]
 
-    def _detection_rows(self, frame: int, agent: int) -> slice:
-        index = frame * len(self.agents) + agent
+    @property
+    def sensor_names(self) -> list[str]:
+        """Name of each of the S sensors, after that of its agent."""
+        return [f"{agent.name}/{sensor.name}" for agent in self.agents for sensor in agent.sensors]
+
+    def column(self, agent: int, sensor: int = 0) -> int:
+        """Which of the S sensors one is. agent: row of `agents`; sensor: row of its sensors"""
+        return sum(len(each.sensors) for each in self.agents[:agent]) + sensor
+
+    def _detection_rows(self, frame: int, column: int) -> slice:
+        index = frame * sum(len(agent.sensors) for agent in self.agents) + column
         return slice(int(self.detection_start[index]), int(self.detection_start[index + 1]))
 
-    def detections_at(self, frame: int, agent: int) -> Detections:
-        """Detections of `agent` in a frame, sensor frame; views, not copies.
+    def detections_at(self, frame: int, agent: int, sensor: int = 0) -> Detections:
+        """New detections of a sensor in a frame, in the sensor's frame when it measured; views, not copies.
 
-        agent: row of `agents`
+        agent: row of `agents`; sensor: row of its sensors
         """
-        return self.detections.select(self._detection_rows(frame, agent))
+        return self.detections.select(self._detection_rows(frame, self.column(agent, sensor)))
 
-    def detection_truth_id_at(self, frame: int, agent: int) -> Ints:
+    def detection_truth_id_at(self, frame: int, agent: int, sensor: int = 0) -> Ints:
         """Truth ids (n,) of `detections_at`, -1 for clutter; for scoring only."""
-        return self.detection_truth_id[self._detection_rows(frame, agent)]
+        return self.detection_truth_id[self._detection_rows(frame, self.column(agent, sensor))]
+
+    def age_ns_at(self, frame: int, agent: int, sensor: int = 0) -> int:
+        """Age, ns, of the new measurement of a sensor in a frame; NO_MEASUREMENT: it has none."""
+        return 0 if self.measurements is None else int(self.measurements.age_ns[frame, self.column(agent, sensor)])
+
+    def mount_at(self, frame: int, agent: int, sensor: int = 0) -> tuple[Floats, Floats]:
+        """Position (3,) m and rotation (3, 3) of a sensor when it measured, in its agent's frame at the frame's time.
+
+        They differ from the sensor's mount by the motion of the agent since the measurement.
+        """
+        lidar = self.agents[agent].sensors[sensor].lidar
+        if self.age_ns_at(frame, agent, sensor) in (0, NO_MEASUREMENT) or self.measurements is None:
+            return lidar.mount_position, lidar.mount_rotation
+        column = self.column(agent, sensor)
+        then, turn = self.measurements.position[frame, column], self.measurements.rotation[frame, column]
+        now, to_agent = self.agent_position[frame, agent], self.agent_rotation[frame, agent].T
+        if np.array_equal(then, now) and np.array_equal(turn, to_agent.T):  # exactly, for agents that stand
+            return lidar.mount_position, lidar.mount_rotation
+        return to_agent @ (then + turn @ lidar.mount_position - now), to_agent @ turn @ lidar.mount_rotation
 
     def sweep_at(self, frame: int, agent: int) -> Floats:
         """(bands, sectors) m that each direction of a sensor is free; (0, 0): unknown.
@@ -142,7 +156,7 @@ class Recording:
             raise SceneError(f"{self.name}: {f} frames and {a} agents, expected at least one of each")
         if self.period_ns <= 0:
             raise SceneError(f"{self.name}: period_ns is {self.period_ns}, expected a positive number")
-        check_shapes(self.name, self._columns(), a)
+        check_shapes(self.name, self._columns(), a, len(self.sensor_names))
         if len(self.building_height) != len(self.buildings):
             shape = self.building_height.shape
             raise SceneError(f"{self.name}: building_height has shape {shape}, expected {(len(self.buildings),)}")
@@ -151,6 +165,8 @@ class Recording:
         if len(set(self.agent_names)) != a:
             raise SceneError(f"{self.name}: agent names repeat: {', '.join(self.agent_names)}")
         check_times(self.name, self.times_ns)
+        if self.measurements is not None:
+            self.measurements.check(self.name, self.times_ns, self.sensor_names)
         for name, start, rows in (("truth", self.truth_start, n), ("detections", self.detection_start, d)):
             if start[0] != 0 or start[-1] != rows or np.any(np.diff(start) < 0):
                 raise SceneError(f"{self.name}: the offsets of {name} do not cover its {rows} rows in order")
@@ -191,11 +207,13 @@ class Recording:
             "format": _FORMAT,
             "name": self.name,
             "period_ns": self.period_ns,
-            "agents": [_agent_to_json(agent) for agent in self.agents],
+            "agents": [agent_to_json(agent) for agent in self.agents],
         }
         arrays: dict[str, NDArray[Any]] = {"head": np.array(json.dumps(header))}
         arrays |= self._columns()
         arrays |= {f"sweeps.{index}": sweep for index, sweep in enumerate(self.sweeps)}
+        if self.measurements is not None:
+            arrays |= {f"measurements.{name}": values for name, values in self.measurements.arrays().items()}
         arrays["building_start"] = np.cumsum([0, *map(len, self.buildings)])
         arrays["building_corners"] = np.concatenate([np.zeros((0, 2)), *self.buildings])
         with path.open("wb") as file:
@@ -216,8 +234,8 @@ class Recording:
             header = json.loads(str(arrays["head"]))
             if header["format"] != _FORMAT:
                 raise SceneError(f"{path}: format {header['format']}, expected {_FORMAT}")
-            agents = tuple(map(_agent_from_json, header["agents"]))
-            arrays |= arrays_of_file(path, arrays, len(agents))
+            agents = tuple(map(agent_from_json, header["agents"]))
+            arrays |= arrays_of_file(path, arrays, len(agents), sum(len(agent.sensors) for agent in agents))
             for array in arrays.values():
                 array.setflags(write=False)  # so that messages need not copy it
             start = arrays["building_start"]
@@ -231,6 +249,9 @@ class Recording:
                 detections=Detections(*(arrays[f"detections.{name}"] for name in DETECTION_COLUMNS)),
                 buildings=tuple(np.split(arrays["building_corners"], start[1:-1])) if len(start) > 1 else (),
                 sweeps=tuple(arrays[f"sweeps.{i}"] for i in range(len(header["agents"])) if "sweeps.0" in arrays),
+                measurements=Measurements(*(arrays[f"measurements.{name}"] for name in _MEASUREMENTS))
+                if "measurements.age_ns" in arrays
+                else None,
                 **{name: arrays[name] for name in _ARRAYS},
             )
         except _DAMAGE as error:
@@ -242,8 +263,9 @@ class Recording:
 _ARRAYS = tuple(
     field.name
     for field in fields(Recording)
-    if field.name not in ("name", "agents", "period_ns", "truth", "detections", "buildings", "sweeps")
+    if field.name not in ("name", "agents", "period_ns", "truth", "detections", "buildings", "sweeps", "measurements")
 )
+_MEASUREMENTS = tuple(field.name for field in fields(Measurements))
 
 
 def truth_states(columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
@@ -256,34 +278,4 @@ def truth_states(columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
         **{name: columns[name] for name in TRUTH_COLUMNS},
         covariance=np.broadcast_to(np.zeros((9, 9)), (n, 9, 9)),
         score=np.ones(n),
-    )
-
-
-def _agent_to_json(agent: SceneAgent) -> dict[str, Any]:
-    def to_json(part: LidarSensor | Camera) -> dict[str, Any]:
-        values = {field.name: getattr(part, field.name) for field in fields(part)}
-        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
-
-    return {
-        "name": agent.name,
-        "kind": agent.kind,
-        "object_id": agent.object_id,
-        "sensor": to_json(agent.sensor),
-        "camera": to_json(agent.camera),
-    }
-
-
-def _agent_from_json(data: Mapping[str, Any]) -> SceneAgent:
-    if not isinstance(data["name"], str) or data["kind"] not in ("mobile", "static"):
-        raise ValueError(f"agent {data['name']!r} is {data['kind']!r}, expected a name, and mobile or static")
-
-    def arrays(part: Mapping[str, Any]) -> dict[str, Any]:
-        return {k: np.array(v, np.float64) if isinstance(v, list) else v for k, v in part.items()}
-
-    return SceneAgent(
-        data["name"],
-        data["kind"],
-        int(data["object_id"]),
-        LidarSensor(**arrays(data["sensor"])),
-        Camera(**arrays(data["camera"])),
     )

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from mast_zenoh.errors import SceneError
 
 _BOX = {"position": "N,3", "size": "N,3", "yaw": "N", "class_id": "N"}
-#: Shape of each array: F frames, A agents, N truth rows, D detections, B buildings, C corners of them, S = F * A + 1,
-#: T = F + 1, U = B + 1.
+#: Shape of each array: F frames, A agents, N truth rows, D detections, B buildings, C corners of them,
+#: S = F * sensors + 1, T = F + 1, U = B + 1.
 SHAPES: dict[str, str] = {
     "times_ns": "F",
     "truth_start": "T",
@@ -32,9 +32,12 @@ SHAPES: dict[str, str] = {
     "detections.score": "D",
     "detections.covariance": "D,3,3",
 }
+#: Arrays that only some recordings have; their shapes are checked in `measurements`.
+_OPTIONAL = ("measurements.age_ns", "measurements.position", "measurements.rotation")
 #: Types other than float64.
 _TYPES: dict[str, Any] = {
     "points": np.int32,
+    "measurements.age_ns": np.int64,
     **{name: np.uint8 for name in SHAPES if name.endswith("class_id")},
     **{name: np.int64 for name in SHAPES if name.endswith(("_ns", "_start", "id")) and not name.endswith("class_id")},
 }
@@ -48,23 +51,25 @@ _COUNTED = {
 }
 
 
-def arrays_of_file(place: object, arrays: Mapping[str, NDArray[Any]], agents: int) -> dict[str, NDArray[Any]]:
-    """The arrays of SHAPES with their types. place: of the recording, for messages; agents: A
+def arrays_of_file(
+    place: object, arrays: Mapping[str, NDArray[Any]], agents: int, sensors: int
+) -> dict[str, NDArray[Any]]:
+    """The arrays of SHAPES with their types. place: of the recording, for messages; agents: A; sensors: of all agents
 
     Raises SceneError for an array that is missing, of another shape, or not of the numbers that it should hold.
     """
     for name in SHAPES:
         if name not in arrays:
             raise SceneError(f"{place}: {name} is missing")
-    check_shapes(place, arrays, agents)
-    return {name: _typed(place, name, arrays[name]) for name in SHAPES}
+    check_shapes(place, arrays, agents, sensors)
+    return {name: _typed(place, name, values) for name, values in arrays.items() if name in (*SHAPES, *_OPTIONAL)}
 
 
-def check_shapes(place: object, arrays: Mapping[str, NDArray[Any]], agents: int) -> None:
+def check_shapes(place: object, arrays: Mapping[str, NDArray[Any]], agents: int, sensors: int) -> None:
     """Raise SceneError for the first of the arrays of SHAPES, as far as they are given, with another shape."""
     counts = {"A": agents, "3": 3, "2": 2}
     counts |= {letter: max(arrays[name].shape[:1], default=0) for letter, name in _COUNTED.items() if name in arrays}
-    counts |= {"T": counts["F"] + 1, "S": counts["F"] * agents + 1, "U": counts["B"] + 1}
+    counts |= {"T": counts["F"] + 1, "S": counts["F"] * sensors + 1, "U": counts["B"] + 1}
     for name in SHAPES:
         if name in arrays:
             expected = tuple(counts[letter] for letter in SHAPES[name].split(","))

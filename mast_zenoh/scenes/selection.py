@@ -18,7 +18,8 @@ def first_frames(recording: Recording, frames: int | None) -> Recording:
     if not 1 <= frames < len(recording):
         raise ConfigurationError(f"{recording.name}: {frames} frames requested, the scene has {len(recording)}")
     truth = slice(int(recording.truth_start[frames]))
-    detections = slice(int(recording.detection_start[frames * len(recording.agents)]))
+    sensors = len(recording.sensor_names)
+    detections = slice(int(recording.detection_start[frames * sensors]))
     return replace(
         recording,
         times_ns=recording.times_ns[:frames],
@@ -29,9 +30,10 @@ def first_frames(recording: Recording, frames: int | None) -> Recording:
         agent_rotation=recording.agent_rotation[:frames],
         agent_velocity=recording.agent_velocity[:frames],
         detections=recording.detections.select(detections),
-        detection_start=recording.detection_start[: frames * len(recording.agents) + 1],
+        detection_start=recording.detection_start[: frames * sensors + 1],
         detection_truth_id=recording.detection_truth_id[detections],
         sweeps=tuple(sweep[:frames] for sweep in recording.sweeps),
+        measurements=recording.measurements and recording.measurements.select(slice(frames), slice(None)),
     )
 
 
@@ -71,10 +73,11 @@ def fewer_agents(recording: Recording, n_mobile: int | None, n_infrastructure: i
 
 def _with_agents(recording: Recording, rows: Ints) -> Recording:
     """A recording with the agents of some rows, ascending."""
-    frames, agents = len(recording), len(recording.agents)
-    counts = np.diff(recording.detection_start).reshape(frames, agents)
-    owner = np.repeat(np.tile(np.arange(agents), frames), counts.ravel())
-    kept = np.flatnonzero(np.isin(owner, rows))
+    frames, sensors = len(recording), len(recording.sensor_names)
+    columns = np.array([recording.column(row, k) for row in rows for k in range(len(recording.agents[row].sensors))])
+    counts = np.diff(recording.detection_start).reshape(frames, sensors)
+    owner = np.repeat(np.tile(np.arange(sensors), frames), counts.ravel())
+    kept = np.flatnonzero(np.isin(owner, columns))
     return replace(
         recording,
         agents=tuple(recording.agents[row] for row in rows),
@@ -83,7 +86,8 @@ def _with_agents(recording: Recording, rows: Ints) -> Recording:
         agent_rotation=recording.agent_rotation[:, rows],
         agent_velocity=recording.agent_velocity[:, rows],
         detections=recording.detections.select(kept),
-        detection_start=np.concatenate([[0], np.cumsum(counts[:, rows])]),
+        detection_start=np.concatenate([[0], np.cumsum(counts[:, columns])]),
         detection_truth_id=recording.detection_truth_id[kept],
         sweeps=tuple(recording.sweeps[row] for row in rows) if recording.sweeps else (),
+        measurements=recording.measurements and recording.measurements.select(slice(None), columns),
     )

@@ -16,11 +16,11 @@ class Detector(ABC):
     """Generates detections from the objects that a lidar sees."""
 
     def begin(self, agent: str, sensor: str, period_s: float) -> Detector:
-        """The detector for one sensor of an agent, from the first frame on.
+        """The detector for one sensor of an agent, from its first measurement on.
 
-        Its `detect` is called for every frame in order. A detector whose errors last returns a new object here, with a
-        memory of its own; by default, all sensors share one without.
-        period_s: s, between two frames
+        Its `detect` is called for every measurement in order. A detector whose errors last returns a new object here,
+        with a memory of its own; by default, all sensors share one without.
+        period_s: s, between two measurements
         """
         return self
 

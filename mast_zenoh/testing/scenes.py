@@ -54,12 +54,15 @@ def _check_recording(subject: str, recording: Recording) -> None:
     expect((recording.truth.class_id < len(CLASSES)).all(), f"{subject}: truth.class_id: expected below {len(CLASSES)}")
     expect((recording.points >= 0).all(), f"{subject}: points has negative numbers")
     known: set[int] = set()
+    before: list[int] = []  # an object may have left since a sensor measured
     for frame in range(len(recording)):
         ids = recording.truth_at(frame).id.tolist()
         known.update(ids)
+        recent, before = (ids if recording.measurements is None else [*ids, *before]), ids
         for column, agent in enumerate(recording.agents):
-            detected = recording.detection_truth_id_at(frame, column)
-            unknown = set(detected.tolist()) - {-1, *ids}
+            rows = range(len(agent.sensors))
+            detected = np.concatenate([recording.detection_truth_id_at(frame, column, row) for row in rows])
+            unknown = set(detected.tolist()) - {-1, *recent}
             place = f"{subject}: detection_truth_id of {agent.name} in frame {frame}"
             expect(not unknown, f"{place}: no object {min(unknown, default=0)} in this frame")
     for agent in recording.agents:

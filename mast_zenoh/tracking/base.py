@@ -12,8 +12,8 @@ from mast_zenoh.tracking.view import SensorView
 class Tracker(ABC):
     """Turns measurements at successive times into tracks with persistent ids.
 
-    One tracker serves one source: `step` takes the detections of a sensor, `step_states` full states, such as fused
-    ones. Both may be called on the same tracker, even for the same time.
+    One tracker serves one agent, or the centre: `step` takes the detections of one sensor, `step_states` full states,
+    such as fused ones. Both may be called on the same tracker, even for the same time.
     """
 
     #: how far measurements were from what the tracker expected, since the last `reset`; None: it does not tell
@@ -25,7 +25,7 @@ class Tracker(ABC):
 
         time_ns:    ns, not earlier than in the previous call (ValueError)
         detections: n detections in the tracker's frame of reference, a fixed one (the world frame)
-        view:       the sensor's field of view; without it, every object counts as in view
+        view:       of the sensor that measured, see `SensorView`; without it, every object counts as in view
 
         Ids are unique and never reused. The result does not depend on the order of the detections.
         """

@@ -46,7 +46,8 @@ class KalmanBoxTracker3D(Tracker):
     position_std_m, vertical_std_m: standard deviation of a detection's horizontal position per axis, and of its height,
         unless it has its own covariance; the former is estimated where none has one, see `detection_noise`
     size_std_m, yaw_std_rad: standard deviation of a detection's sizes, and of its heading modulo half a turn
-    detection_probability: probability of detecting an object in full view; a track's own hit rate can only lower it
+    detection_probability: probability of detecting an object in full view, unless the sensor's view has its own; a
+        track's own hit rate can only lower it
     report_probability: probability that a source of states (`step_states`) continues to report an existing object
     clutter_per_m2: false detections per square metre and frame
     birth_odds: odds that a detection without a matching track is a new object
@@ -127,7 +128,9 @@ class KalmanBoxTracker3D(Tracker):
         measurements = Measured.detections(detections, self._noise.variance)
         self._advance(time_ns)
         t = self._tracks
-        detected = existence.detection_probability(t, self._detection_probability, PRIOR_FRAMES)
+        of_sensor = None if view is None else view.detection_probability
+        prior = self._detection_probability if of_sensor is None else of_sensor
+        detected = existence.detection_probability(t, prior, PRIOR_FRAMES)
         match = self._associate(measurements, detected)
         if len(match.track):
             matched = self._matched_tracks(match, measurements, detected)

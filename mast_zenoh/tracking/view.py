@@ -26,6 +26,7 @@ class SensorView:
     azimuth_min, azimuth_max:     rad, in the sensor frame, counter-clockwise from x; a full turn is -pi to pi
     elevation_min, elevation_max: rad, in the sensor frame, up from its x-y plane
     max_range: m
+    detection_probability: of an object in full view; None: that of the tracker
     """
 
     position: Floats
@@ -35,6 +36,7 @@ class SensorView:
     elevation_min: float
     elevation_max: float
     max_range: float
+    detection_probability: float | None = None
 
     def visible_fraction(self, boxes: Floats, occluders: Floats) -> Floats:
         """Visible fraction (k,) in [0, 1] of boxes (k, >= 6).

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from mast_zenoh.errors import WiringError, nearest
 from mast_zenoh.wiring.model import Endpoint
+from mast_zenoh.wiring.subjects import agent_of
 
 #: Roles that a map may name even where a scenario has no such node.
 ROLES = (
@@ -54,6 +55,7 @@ def members(
 
     Raises WiringError for an unknown role, and for a name that no node of the role has.
     """
+    subject = agent_of(subject)
     roles = {*ROLES, *(other.role for other in nodes.values())}
     if role not in roles:
         raise WiringError(f"{place}: no role {role!r}{nearest(role, roles)}")

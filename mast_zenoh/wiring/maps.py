@@ -5,7 +5,7 @@ Also nodes that are inserted into wires. Pure functions.
 A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inserts nodes, or adds subscribers.
 
     [[wire]]
-    key = "agent/{agent}/detections"      # at most one placeholder, named after a role
+    key = "agent/{agent}/detections"      # a placeholder is named after a role
     message = "detections"
     from = "simulator.detections"         # role.port
     to = ["agent.detections"]
@@ -28,6 +28,7 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
 `{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means the node that the
 placeholder names, if it has that role; else the nodes of the role whose option with the placeholder's name has its
 value (`adversary` with `agent="infra_1"`); else, if none has such an option, all nodes of the role.
+`{sensor}`, after `{agent}`, stands for each sensor of the agent but the first: `agent/infra_1/detections/radar`.
 
 A chain on a wire K turns `publisher -> K -> subscribers` into `publisher -> K/@tap/0 -> node -> K/@tap/1 -> node -> K`:
 the subscribers' key does not change, and wildcards do not match the verbatim chunk of the tap legs.
@@ -63,6 +64,7 @@ from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring import rewrites
 from mast_zenoh.wiring.endpoints import NodeOptions, members, ports
 from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Listener, Wire, Wiring
+from mast_zenoh.wiring.subjects import agent_of, part_of, subject_of
 
 _CHUNK = re.compile(r"[A-Za-z0-9_.\-]+")
 _PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
@@ -74,6 +76,9 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "insert": (("wire", "role", "input", "output"), ("to", "node", "optional")),
     "listen": (("wire", "role", "input"), ("leg", "node")),
 }
+
+#: The second placeholder of a key.
+PART = "sensor"
 
 #: Rewrites of earlier versions, and their replacements.
 RENAMED = {
@@ -168,11 +173,8 @@ def _instances(
     template, message = entry["key"], entry["message"]
     if message not in SCHEMAS:
         raise WiringError(f"{place}: no message type {message!r}{nearest(message, SCHEMAS)}")
-    placeholders = _PLACEHOLDER.findall(template)
-    if len(placeholders) > 1:
-        raise WiringError(f"{place}: {template!r} has {len(placeholders)} placeholders, at most one is allowed")
     placeholder = _placeholder(template)
-    for subject in [name for name, node in nodes.items() if node.role == placeholder] if placeholder else [""]:
+    for subject in _subjects(template, nodes, place):
 
         def endpoints(reference: object, output: bool = False, subject: str = subject) -> list[Endpoint]:
             match = _ENDPOINT.fullmatch(str(reference))
@@ -182,7 +184,7 @@ def _instances(
             referenced = members(role, nodes, place, placeholder=placeholder, subject=subject)
             return ports(referenced, port, message, place, output=output, optional=optional.get(role, ()))
 
-        key = template.replace(f"{{{placeholder}}}", subject)
+        key = template.replace(f"{{{placeholder}}}", agent_of(subject)).replace(f"{{{PART}}}", part_of(subject))
         for chunk in key.split("/"):
             if not _CHUNK.fullmatch(chunk):
                 raise WiringError(f"{place}: {key!r} is not a valid key expression: chunk {chunk!r}")
@@ -196,6 +198,19 @@ def _instances(
         if any(end.node == publishers[0].node for end in subscribers):
             raise WiringError(f"{place}: {publishers[0].node} would receive its own messages on {key!r}")
         yield Wire(key, subject, message, (Leg(key, publishers[0], tuple(subscribers)),))
+
+
+def _subjects(template: str, nodes: Mapping[str, NodeOptions], place: str) -> list[str]:
+    """The subjects of a template's wires; without a placeholder, one empty subject."""
+    placeholders = _PLACEHOLDER.findall(template)
+    if not placeholders:
+        return [""]
+    if placeholders[1:] not in ([], [PART]):
+        raise WiringError(f"{place}: {template!r} has {len(placeholders)} placeholders, expected a role, then {PART!r}")
+    of_role = [name for name, node in nodes.items() if node.role == placeholders[0]]
+    if len(placeholders) == 1:
+        return of_role
+    return [subject_of(name, part) for name in of_role for part in nodes[name].names(PART)]
 
 
 def _template_of(wire: object, templates: Mapping[str, list[str]], place: str, *, every: bool = False) -> str:
@@ -252,8 +267,8 @@ def _overhearers(nodes: Mapping[str, NodeOptions]) -> tuple[Endpoint, ...]:
 
 
 def _placeholder(template: str) -> str:
-    """The role in the braces of a template; "" if it has none."""
-    return "".join(_PLACEHOLDER.findall(template))
+    """The role in the first braces of a template; "" if it has none."""
+    return next(iter(_PLACEHOLDER.findall(template)), "")
 
 
 def _listed(to: object) -> list[object]:

@@ -56,7 +56,7 @@ class Listener:
 class Wire:
     """A logical connection.
 
-    subject: the name in its key (the agent of agent/{agent}/pose), or empty
+    subject: the names in its key (the agent of agent/{agent}/pose), see `subjects`, or empty
     legs:      the trunk, common to all subscribers; its last leg has the wire's key, and leads to the subscribers
                without a branch and to the entrances of the branches
     listeners: other subscribers, which are not subscribers of its legs

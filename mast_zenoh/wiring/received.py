@@ -15,7 +15,8 @@ class Received(NamedTuple):
     """A message as a node receives it.
 
     message: header and columns (read-only arrays)
-    subject: the name in the wire's key: "infra_1" on agent/infra_1/tracks, "" on cc/picture
+    subject: the name in the wire's key: "infra_1" on agent/infra_1/tracks, "" on cc/picture, "infra_1/radar" on
+             agent/infra_1/detections/radar
     payload: the bytes received; None in a single process, where messages are not encoded
     step:    the run's frame when it was sent; later than the message's own frame if it was delayed
     """
@@ -32,7 +33,7 @@ class Received(NamedTuple):
 
     @property
     def time_ns(self) -> int:
-        """The time of that frame, ns since the scene began."""
+        """The time of that frame, or of the measurement in `detections`, ns since the scene began."""
         return self.message.header.time_ns
 
     @property

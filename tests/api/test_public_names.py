@@ -31,6 +31,7 @@ BASES = {
         "mast_zenoh.fusion.GroupTracker",
         "mast_zenoh.integrity.Integrity",
         "mast_zenoh.scenes.Scene",
+        "mast_zenoh.scenes.Sensor",
         "mast_zenoh.sensing.Detector",
     ),
     *("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),

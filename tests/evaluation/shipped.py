@@ -54,4 +54,4 @@ def label(variant: Any) -> str:
 
 
 #: Scenarios in which no interposer changes anything.
-HARMLESS = ("baseline", "passthrough", "sybil", "two_hosts")
+HARMLESS = ("baseline", "passthrough", "rates", "sybil", "two_hosts")

@@ -582,7 +582,7 @@ def test_an_agent_gets_its_sensor_and_mobility_from_the_scene() -> None:
     resolved_scenario = tiny()
     ego, pole = (build_node(resolved_scenario.nodes[name], name) for name in ("ego", "infra_1"))
     assert (ego.mobile, pole.mobile) == (True, False)
-    assert (ego.lidar.azimuth_min_deg, pole.lidar.azimuth_min_deg) == (-180.0, -45.0)
+    assert (ego.lidars[0].azimuth_min_deg, pole.lidars[0].azimuth_min_deg) == (-180.0, -45.0)
 
 
 # -- round trip -------------------------------------------------------------------------------------------------------

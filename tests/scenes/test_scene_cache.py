@@ -1,5 +1,6 @@
 """The disk cache of prepared scenes."""
 
+import importlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.scenes import Recording, Scene, cache, cache_folder, prepare
+from mast_zenoh.scenes.making.sensor_types import Radar
 
 
 class Counted(Scene):
@@ -109,3 +111,20 @@ def test_the_cache_removes_least_recently_used_files(
 def test_a_relative_cache_home_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "somewhere")
     assert cache_folder() == Path.home() / ".cache" / "mast-zenoh" / "scenes"
+
+
+def test_changed_code_of_a_sensors_detector_invalidates_a_prepared_scene(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is a part of a part of the scene."""
+    file = tmp_path / "my_detector.py"
+    file.write_text("from mast_zenoh.sensing import CleanDetector\n\n\nclass Mine(CleanDetector): ...\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    scene = Counted(recording)
+    scene.sensors = {"ego": (Radar(detector=importlib.import_module("my_detector").Mine()),)}
+    prepare(scene, 0, None, "counted")
+    prepare(scene, 0, None, "counted")
+    assert scene.made == 1
+    file.write_text(file.read_text() + "# changed\n")
+    prepare(scene, 0, None, "counted")
+    assert scene.made == 2

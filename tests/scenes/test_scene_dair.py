@@ -20,7 +20,8 @@ from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import DAIRScene, Intersection, RCooperScene, Recording
 from mast_zenoh.scenes.dair.labels import CLASS_OF_TYPE, LEFT_OUT
 from mast_zenoh.scenes.dair.tracks import linked, matched, numbered
-from mast_zenoh.sensing import CleanDetector
+from mast_zenoh.scenes.measurements import NO_MEASUREMENT
+from mast_zenoh.sensing import CleanDetector, sensor_pose, to_world
 from mast_zenoh.testing.scenes import check_scene
 
 FRAMES, FEW = 16, 4
@@ -194,6 +195,24 @@ def test_the_time_between_car_and_pole_is_exposed_and_limited(short: Path) -> No
     np.testing.assert_allclose(poles.time_differences_s()["120"], np.full(FEW, 0.026))
     with pytest.raises(SceneError, match=r"seq-4: frame 1692685344.026000.json: the frame of agent 120 is \+0.026 s"):
         RCooperScene(path=str(short / "rcooper"), max_time_difference_s=0.02).record(0, 1)
+
+
+def test_poles_measure_at_the_times_of_their_own_clocks(short: Path) -> None:
+    """A measurement 20 ms after a frame is new in the next one, of objects where they were at its time."""
+    recording = read_spd(short / "spd")
+    ages_ms = [[recording.age_ns_at(frame, agent) / 1e6 for frame in range(FEW)] for agent in (0, 1)]
+    assert ages_ms == [[0.0] * FEW, [NO_MEASUREMENT / 1e6, 80.0, 80.0, 80.0]]
+    for frame in range(1, FEW):
+        before, ids = recording.truth_at(frame - 1), recording.detection_truth_id_at(frame, 1)
+        assert set(ids) == set(before.id[recording.points_at(frame - 1)[:, 1] >= SEEN])
+        pose = recording.agent_position[frame, 1], recording.agent_rotation[frame, 1]
+        found = to_world(recording.detections_at(frame, 1), *sensor_pose(*pose, *recording.mount_at(frame, 1)))
+        row = [before.id.tolist().index(number) for number in ids]
+        expected = before.position[row] + 0.02 * before.velocity[row]
+        np.testing.assert_allclose(found.position, expected, atol=0.02)
+        assert np.abs(expected - before.position[row]).max() > 0.1, "something moves"
+    poles = read_rcooper(short / "rcooper")
+    assert [poles.age_ns_at(2, agent) / 1e6 for agent in range(3)] == pytest.approx([0.0, 87.0, 74.0])
 
 
 def test_a_sequence_is_chosen_by_parameter_or_path(short: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Every port of every node gets its key; invalid maps are refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,26 @@ def test_a_placeholder_creates_one_wire_per_node_of_its_role() -> None:
     assert wiring.ports("infra_1").inputs["agent/infra_1/detections"].source == "simulator"
     assert wiring.ports("simulator").outputs["detections", "ego"] == "agent/ego/detections"
     assert set(wiring.ports("broker").inputs) == {"agent/ego/tracks", "agent/infra_1/tracks"}
+
+
+def test_each_further_sensor_of_an_agent_has_a_wire_for_interposers_of_its_agent() -> None:
+    of_sensors = {**MAP["wire"][0], "key": "agent/{agent}/detections/{sensor}"}
+    pole = replace(AGENT, options={"sensor": ("radar", "camera")})
+    nodes = {"simulator": SIMULATOR, "ego": AGENT, "infra_1": pole, "adversary_1": interposer(agent="infra_1")}
+    on_radar = {"insert": [{**insertion()["insert"][0], "wire": "agent/infra_1/detections/radar"}]}
+    wiring = resolve(nodes, {"wire": [of_sensors]}, on_radar)
+    outputs = wiring.ports("simulator").outputs
+    assert {subject: key for (_, subject), key in outputs.items()} == {
+        "ego": "agent/ego/detections",
+        "infra_1": "agent/infra_1/detections",
+        "infra_1/radar": "agent/infra_1/detections/radar/@tap/0",
+        "infra_1/camera": "agent/infra_1/detections/camera",
+    }
+    assert wiring.ports("infra_1").inputs["agent/infra_1/detections/radar"].subject == "infra_1/radar"
+    assert wiring.ports("adversary_1").outputs["said", "infra_1/radar"] == "agent/infra_1/detections/radar"
+    assert Wiring.from_json(wiring.to_json()) == wiring
+    with pytest.raises(WiringError, match="no adversary belongs to 'agent/ego/detections'"):
+        resolve(nodes, {"insert": [{**insertion()["insert"][0], "wire": "agent/ego/detections"}]})
 
 
 def test_an_inserted_node_subscribes_to_the_tap_and_publishes_on_the_old_key() -> None:

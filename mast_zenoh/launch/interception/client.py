@@ -31,6 +31,7 @@ from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.insertion import Place, insert
 from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring.subjects import agent_of
 
 _TIMEOUT_S = 180.0
 _CONNECT_TIMEOUT_S = 2.0
@@ -113,11 +114,11 @@ def plan(
         name = next(free for i in count(1) if (free := f"{path.stem}_{i}") not in resolved.nodes)
     elif name in resolved.nodes:
         raise ConfigurationError(f"node {name!r} already exists: give another --name")
-    if "agent" in signature(cls).parameters and target.subject in resolved.nodes:
-        config.setdefault("agent", target.subject)
+    if "agent" in signature(cls).parameters and agent_of(target.subject) in resolved.nodes:
+        config.setdefault("agent", agent_of(target.subject))
     spec = replace(node_spec(path, name, cls.role, config | {"file": str(path)}), on_exit="continue")
     build_node(spec, name, str(path))
-    subject = str(spec.config.get("agent", target.subject))
+    subject = str(spec.config.get("agent", agent_of(target.subject)))
     place = _place(cls, path, name, target, subject, wiring, resolved, input, output)
     insert(wiring, name, place)
     return name, spec, place

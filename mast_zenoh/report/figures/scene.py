@@ -63,9 +63,10 @@ def scene_figure(recording: Recording, frame: int) -> Figure:
         _draw_agent(axes, recording, frame, column)
         _write_name(axes, recording, frame, column, half, occupied)
         pose = recording.agent_position[frame, column], recording.agent_rotation[frame, column]
-        sensor = sensor_pose(*pose, agent.sensor.mount_position, agent.sensor.mount_rotation)
-        found = to_world(recording.detections_at(frame, column), *sensor)
-        axes.plot(*found.position[:, :2].T, "+", color=_DETECTION, ms=6, mew=1.1, zorder=4)
+        for row in range(len(agent.sensors)):
+            sensor = sensor_pose(*pose, *recording.mount_at(frame, column, row))
+            found = to_world(recording.detections_at(frame, column, row), *sensor)
+            axes.plot(*found.position[:, :2].T, "+", color=_DETECTION, ms=6, mew=1.1, zorder=4)
     handles = [
         Patch(facecolor="none", edgecolor=_SEEN, label=f"seen ({SEEN_RETURNS} lidar returns)"),
         Patch(facecolor="none", edgecolor=_UNSEEN, label="not seen"),

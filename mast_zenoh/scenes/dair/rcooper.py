@@ -51,7 +51,8 @@ class RCooperScene(Scene):
     match_radius_m:        a pole sees a cooperative box if it has a label within this distance
 
     The first pole of the site is "ego", of kind static; the others are "infra_k". The truth are the cooperative labels,
-    in the frame of the first pole's lidar. An agent's frame is that of its lidar; rotations are active.
+    in the frame of the first pole's lidar. Each pole measures at the times of its own files. An agent's frame is that
+    of its lidar; rotations are active.
     """
 
     def __init__(
@@ -112,10 +113,12 @@ class RCooperScene(Scene):
         for column, (agent, pose) in enumerate(zip(agents, poses, strict=True)):
             path = standing("ego" if column == 0 else f"infra_{column}", _LIDAR, *pose, len(times))
             seen = np.zeros(len(boxes), bool)
-            for frame, file in enumerate(self._frames(folder / agent / sequence, len(times))[1]):
+            measured, own_files = self._frames(folder / agent / sequence, len(times))
+            for frame, file in enumerate(own_files):
                 rows = boxes.frame == frame
                 seen[rows] = matched(positions(read_labels(file), *pose), boxes.position[rows], self.match_radius_m)
-            paths.append(replace(path, points=listed_returns(boxes, path, seen, frames=frames)))
+            returns = listed_returns(boxes, path, seen, frames=frames)
+            paths.append(replace(path, points=returns, measured_ns=measured))
         return assemble(f"{folder.name} {sequence}", times, boxes, paths, self.detector, seed=seed, frames=frames)
 
     def _folders(self) -> tuple[Path, list[str], str]:

@@ -64,9 +64,9 @@ class DAIRScene(Scene):
     link_radius_m:         give labels without track ids the id of the nearest box in the frame before, within this
                            distance of where it leads; None: refuse labels without track ids
 
-    The truth are the cooperative labels. Times and frames are those of the car; the pole's poses and visibility come
-    from the frame that is paired with it, see docs/scenes_dair.md. An agent's frame is that of its lidar: x forward, y
-    left, z up; positions are middles of boxes, and rotations are active.
+    The truth are the cooperative labels. Frames are those of the car; the pole measures at the times of its own clock,
+    and its poses and visibility come from the frame that is paired with the car's, see docs/scenes_dair.md. An agent's
+    frame is that of its lidar: x forward, y left, z up; positions are middles of boxes, and rotations are active.
     """
 
     def __init__(
@@ -128,6 +128,7 @@ class DAIRScene(Scene):
                 pole.position,
                 pole.rotation,
                 velocity=np.zeros_like(pole.position),
+                measured_ns=np.array([pair.infrastructure_time_ns for pair in pairs], np.int64),
             ),
         ]
         seen = [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
@@ -13,6 +15,7 @@ from mast_zenoh.scenes.generated.junction import ROAD, Arm, arms_of, plan
 from mast_zenoh.scenes.generated.road_users import road_users
 from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
 from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, POLE_HEIGHT_M, POLE_PITCH_DEG, roof_sensors
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
@@ -36,6 +39,7 @@ class Intersection(Scene):
     n_bicycles, n_pedestrians: None: depends on the junction
     rate_hz:          frames per second
     detector:         the model that generates detections from lidar visibility
+    sensors:          lists of dict(type=…) by agent or pattern, see `Sensor`; None: a lidar each
 
     `record` makes 150 frames by default at 10 Hz. The seed determines the traffic and the detections, never the
     junction; the number of agents affects neither.
@@ -52,6 +56,7 @@ class Intersection(Scene):
         n_pedestrians: int | None = None,
         rate_hz: float = 10.0,
         detector: Detector = _DETECTOR,
+        sensors: SensorsByAgent | None = None,
     ) -> None:
         n_infrastructure = _POLES if n_infrastructure is None else n_infrastructure
         n_mobile = 0 if n_mobile is None else n_mobile
@@ -79,6 +84,7 @@ class Intersection(Scene):
         self.n_pedestrians = n_pedestrians
         self.rate_hz = rate_hz
         self.detector = detector
+        self.sensors = sensors or {}
 
     def record(self, seed: int, frames: int | None) -> Recording:
         frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
@@ -111,6 +117,8 @@ class Intersection(Scene):
             _poles(arms, self.n_infrastructure),
             (buildings, heights),
         )
+        agents, rigs = equip(world.name, world.agents, self.sensors, world.times_ns, world.period_ns)
+        world = replace(world, agents=agents, rigs=rigs)
         points = lidar_visibility(world)
         return make_recording(world, points, *detect(world, points, self.detector, seed))
 

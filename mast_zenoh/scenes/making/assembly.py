@@ -12,6 +12,8 @@ from mast_zenoh.arrays.states import Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.schedules import Schedule
+from mast_zenoh.scenes.making.sensor_types import Rig, SensorsByAgent, equip
 from mast_zenoh.scenes.making.velocities import fill_velocity
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.recording_arrays import check_times
@@ -32,6 +34,8 @@ class AgentPath:
     velocity: (F, 3) m/s, world frame; None: that of its object, otherwise computed from the positions
     points:   (N,) lidar returns of each box, in the order of the boxes; None: by ray casting
     ground:   (F,) m, z of the ground below the agent; None: the bottom of its own box, otherwise of boxes around it
+    measured_ns: (F,) ns, when its sensor measured what the data has in each frame, on the clock of the frames' times;
+              None: at the frames' times
     """
 
     agent: SceneAgent
@@ -40,6 +44,7 @@ class AgentPath:
     velocity: Floats | None = None
     points: NDArray[np.int32] | None = None
     ground: Floats | None = None
+    measured_ns: Ints | None = None
 
 
 #: Detections of a recording: its columns `detections`, `detection_start` and `detection_truth_id`.
@@ -57,6 +62,7 @@ def assemble(
     frames: int | None = None,
     buildings: tuple[Floats, ...] = (),
     building_height: Floats | None = None,
+    sensors: SensorsByAgent | None = None,
 ) -> Recording:
     """The recording of a scene.
 
@@ -65,6 +71,7 @@ def assemble(
     detected: the model that generates detections, or detections of the first `frames` frames
     frames:   how many frames to keep, the first ones; None: all. Velocities are computed from all.
     buildings, building_height: as in `Recording`
+    sensors: of agents, by name or pattern; the others have those of their paths; detections of a model only
 
     Raises SceneError for boxes or paths that cannot be, and ConfigurationError for more frames than there are.
     """
@@ -78,9 +85,13 @@ def assemble(
     order = order[boxes.frame[order] < kept]
     _check(name, times_ns, boxes, paths)
     world = _world(name, times_ns, boxes, kept, order)
+    agents, rigs = tuple(path.agent for path in paths), _rigs(times_ns, paths, kept)
+    if sensors:
+        agents, rigs = equip(name, agents, sensors, world.times_ns, world.period_ns)
     world = replace(
         world,
-        agents=tuple(path.agent for path in paths),
+        agents=agents,
+        rigs=rigs,
         agent_position=np.stack([path.position[:kept] for path in paths], axis=1),
         agent_rotation=np.stack([path.rotation[:kept] for path in paths], axis=1),
         agent_velocity=np.stack([_velocity(path, world, times_ns) for path in paths], axis=1),
@@ -95,7 +106,21 @@ def assemble(
     if not isinstance(detected, Detector):
         return make_recording(world, points, *detected)
     ground = np.stack([_ground(path, boxes, kept) for path in paths], axis=1)
-    return make_recording(world, points, *detect(world, points, detected, seed, ground))
+    recorded = [column for column, path in enumerate(paths) if path.points is not None]
+    return make_recording(world, points, *detect(world, points, detected, seed, ground, recorded))
+
+
+def _rigs(times_ns: Ints, paths: Sequence[AgentPath], kept: int) -> tuple[Rig, ...]:
+    """What the sensors of the paths do: those with times of their own have measured at these."""
+    start, rigs = times_ns[0], []
+    for path in paths:
+        of_frames = None if path.measured_ns is None else path.measured_ns - start
+        if of_frames is None:
+            rigs.append(Rig())
+            continue
+        schedule = Schedule.recorded(times_ns - start, of_frames, np.arange(len(times_ns)))
+        rigs.append(Rig(schedule.before(kept)))
+    return tuple(rigs)
 
 
 def _world(name: str, times_ns: Ints, boxes: Boxes, kept: int, order: NDArray[np.intp]) -> World:

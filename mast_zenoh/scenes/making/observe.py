@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.scenes.making.motion import hermite, objects_between, rotation_between
+from mast_zenoh.scenes.making.sensor_types import Rig
+from mast_zenoh.scenes.measurements import NO_MEASUREMENT, Measurements
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.sensing import Detector, Walls, lidar_points, sensor_pose
+from mast_zenoh.sensing import Detector, LidarSensor, Walls, lidar_points, sensor_pose
 from mast_zenoh.streams import stream
 
 
@@ -19,6 +22,7 @@ class World:
     """A scene without visibility and detections; the fields are the same as in `Recording`.
 
     The rows of each frame are in the order of their ids.
+    rigs: of each of the S sensors; empty: each measures in every frame, at its time
     """
 
     name: str
@@ -32,74 +36,133 @@ class World:
     agent_velocity: Floats
     buildings: tuple[Floats, ...] = ()
     building_height: Floats = field(default_factory=lambda: np.zeros(0))
+    rigs: tuple[Rig, ...] = ()
 
     def rows(self, frame: int) -> slice:
         """The truth rows of a frame."""
         return slice(int(self.truth_start[frame]), int(self.truth_start[frame + 1]))
 
-    def sensor_pose(self, frame: int, agent: int) -> tuple[Floats, Floats]:
-        """Position (3,) m and rotation (3, 3) of an agent's lidar in the world.
+    def sensors(self) -> Iterator[tuple[int, int, Rig]]:
+        """(row of its agent, row among the agent's sensors, rig) of each of the S sensors."""
+        rigs = iter(self.rigs)
+        for agent, described in enumerate(self.agents):
+            for sensor in range(len(described.sensors)):
+                yield agent, sensor, next(rigs, Rig())
 
-        agent: row of `agents`
-        """
-        mount = self.agents[agent].sensor
-        return sensor_pose(
-            self.agent_position[frame, agent],
-            self.agent_rotation[frame, agent],
-            mount.mount_position,
-            mount.mount_rotation,
-        )
+    def moment(self, agent: int, rig: Rig, frame: int) -> Moment | None:
+        """What the sensor of a rig measures that is new in a frame; None: nothing is."""
+        schedule = rig.schedule
+        if schedule is None:
+            truth = self.truth.select(self.rows(frame))
+            return Moment(frame, 0, truth, self.agent_position[frame, agent], self.agent_rotation[frame, agent])
+        source = int(schedule.source[frame])
+        if source < 0:
+            return None
+        age_ns = int(self.times_ns[frame] - schedule.time_ns[frame])
+        since_ns = int(schedule.time_ns[frame] - self.times_ns[source])
+        truth, other = self.truth.select(self.rows(source)), source + (1 if since_ns > 0 else -1)
+        position, rotation = self.agent_position[source, agent], self.agent_rotation[source, agent]
+        if since_ns == 0:
+            return Moment(source, age_ns, truth, position, rotation)
+        known = 0 <= other < len(self.times_ns)
+        span_ns = int(self.times_ns[other] - self.times_ns[source]) if known else since_ns
+        span_s, share = span_ns * 1e-9, since_ns / span_ns
+        neighbours = self.truth.select(self.rows(other)) if known else None
+        truth = objects_between(truth, neighbours, span_s, share)
+        if known and self.agents[agent].kind == "mobile":  # the pose of a pole is the one recorded with its measurement
+            ends = position, self.agent_position[other, agent]
+            speeds = self.agent_velocity[source, agent], self.agent_velocity[other, agent]
+            position = hermite(ends, speeds, span_s, share)
+            rotation = rotation_between(rotation, self.agent_rotation[other, agent], share)
+        return Moment(source, age_ns, truth, position, rotation)
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """The world when a sensor measured.
+
+    source: frame that it was recorded with; age_ns: ns, before the time of the frame in which it is new
+    truth: objects of that frame at the time of the measurement
+    position: (3,) m, rotation: (3, 3) active: of the agent at that time
+    """
+
+    source: int
+    age_ns: int
+    truth: ObjectStates
+    position: Floats
+    rotation: Floats
 
 
 def lidar_visibility(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]:
-    """Lidar returns (N, A) of each truth row at each agent, by ray casting.
+    """Lidar returns (N, A) of each truth row at each agent's first sensor, by ray casting.
 
     columns: the agents to compute; None: all
     """
     points = np.zeros((len(world.truth), len(world.agents)), np.int32)
     walls = Walls.of_buildings(world.buildings, world.building_height)
     for frame in range(len(world.times_ns)):
-        rows = world.rows(frame)
-        truth = world.truth.select(rows)
         for column in range(len(world.agents)) if columns is None else columns:
-            agent = world.agents[column]
-            own = np.flatnonzero((truth.id == agent.object_id) & (truth.id >= 0))
-            points[rows, column] = lidar_points(
-                agent.sensor,
-                *world.sensor_pose(frame, column),
-                truth.position,
-                truth.size,
-                truth.yaw,
-                walls,
-                int(own[0]) if len(own) else -1,
-            )
+            moment = world.moment(column, Rig(), frame)
+            assert moment is not None
+            points[world.rows(frame), column] = _returns(world, column, world.agents[column].sensor, moment, walls)
     return points
 
 
+def _returns(world: World, agent: int, lidar: LidarSensor, moment: Moment, walls: Walls) -> NDArray[np.int32]:
+    """(n,) lidar returns of the objects of a moment at a sensor of an agent."""
+    truth = moment.truth
+    own = np.flatnonzero((truth.id == world.agents[agent].object_id) & (truth.id >= 0))
+    pose = sensor_pose(moment.position, moment.rotation, lidar.mount_position, lidar.mount_rotation)
+    boxes = truth.position, truth.size, truth.yaw
+    return lidar_points(lidar, *pose, *boxes, walls, int(own[0]) if len(own) else -1)
+
+
 def detect(
-    world: World, points: NDArray[np.int32], detector: Detector, seed: int, ground: Floats | None = None
+    world: World,
+    points: NDArray[np.int32],
+    detector: Detector,
+    seed: int,
+    ground: Floats | None = None,
+    recorded: Sequence[int] = (),
 ) -> tuple[Detections, Ints, Ints]:
     """Detect objects in every frame.
 
     The result is `detections`, `detection_start` and `detection_truth_id`.
-    Each (agent, frame) has its own random stream, so adding an agent does not affect the others.
+    Each (sensor, frame) has its own random stream, so adding an agent does not affect the others.
+    points: (N, A) lidar returns at the agents' first sensors, in all frames
     ground: (F, A) m, z of the ground at each agent; None: 0.
+    recorded: agents whose lidar returns the data gives: they count for measurements between frames, too
     """
-    period_s = world.period_ns * 1e-9
-    detectors = [detector.begin(agent.name, "lidar", period_s) for agent in world.agents]
+    walls = Walls.of_buildings(world.buildings, world.building_height)
+    sensors = [
+        (agent, sensor, rig, (rig.detector or detector).begin(world.agents[agent].name, described.name, period_s))
+        for agent, sensor, rig in world.sensors()
+        for described in [world.agents[agent].sensors[sensor]]
+        for period_s in [_period_s(world, rig)]
+    ]
     batches: list[Detections] = []
     ids: list[Ints] = []
     for frame in range(len(world.times_ns)):
-        rows = world.rows(frame)
-        truth = world.truth.select(rows)
-        for column, agent in enumerate(world.agents):
-            detections, truth_id = detectors[column].detect(
-                truth,
-                points[rows, column],
-                agent.sensor,
-                *world.sensor_pose(frame, column),
-                0.0 if ground is None else float(ground[frame, column]),
-                stream(seed, "detector", agent.name, frame),
+        for agent, sensor, rig, own_detector in sensors:
+            moment = world.moment(agent, rig, frame)
+            if moment is None:
+                batches.append(Detections.empty())
+                ids.append(np.zeros(0, np.int64))
+                continue
+            described = world.agents[agent]
+            lidar = described.sensors[sensor].lidar
+            at_frame = moment.age_ns == 0 and moment.source == frame
+            if sensor == 0 and (at_frame or agent in recorded):
+                returns = points[world.rows(moment.source), agent]
+            else:
+                returns = _returns(world, agent, lidar, moment, walls)
+            detections, truth_id = own_detector.detect(
+                moment.truth,
+                returns,
+                lidar,
+                *sensor_pose(moment.position, moment.rotation, lidar.mount_position, lidar.mount_rotation),
+                0.0 if ground is None else float(ground[frame, agent]),
+                stream(seed, "detector", described.name, frame, *([described.sensors[sensor].name] if sensor else [])),
             )
             batches.append(detections)
             ids.append(truth_id)
@@ -107,10 +170,47 @@ def detect(
     return flat, np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
 
 
+def _period_s(world: World, rig: Rig) -> float:
+    """s, between two measurements of a sensor, usually."""
+    measured = world.times_ns if rig.schedule is None else rig.schedule.time_ns[rig.schedule.source >= 0]
+    if rig.schedule is None or len(measured) < 2:
+        return world.period_ns * 1e-9
+    return float(np.median(np.diff(measured))) * 1e-9
+
+
+def _measurements(world: World) -> Measurements | None:
+    """When the sensors measured; None: all in every frame, at its time."""
+    sensors = list(world.sensors())
+    if all(rig.schedule is None for _, _, rig in sensors):
+        return None
+    frames = range(len(world.times_ns))
+    moments = [[world.moment(agent, rig, frame) for agent, _, rig in sensors] for frame in frames]
+    agents = np.array([agent for agent, _, _ in sensors])
+    age = np.array([[NO_MEASUREMENT if each is None else each.age_ns for each in row] for row in moments], np.int64)
+    position, rotation = world.agent_position[:, agents].copy(), world.agent_rotation[:, agents].copy()
+    for frame, row in enumerate(moments):
+        for column, moment in enumerate(row):
+            if moment is not None:
+                position[frame, column], rotation[frame, column] = moment.position, moment.rotation
+    return Measurements(age, position, rotation)
+
+
+def _seen(world: World, points: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Lidar returns (N, A) at the agents: the most that one of their sensors has at the times of the frames."""
+    walls = Walls.of_buildings(world.buildings, world.building_height)
+    for agent, sensor, _ in world.sensors():
+        for frame in range(len(world.times_ns)) if sensor else ():
+            moment = world.moment(agent, Rig(), frame)
+            assert moment is not None
+            lidar, rows = world.agents[agent].sensors[sensor].lidar, world.rows(frame)
+            points[rows, agent] = np.maximum(points[rows, agent], _returns(world, agent, lidar, moment, walls))
+    return points
+
+
 def make_recording(
     world: World, points: NDArray[np.int32], detections: Detections, detection_start: Ints, detection_truth_id: Ints
 ) -> Recording:
-    """The finished, validated recording."""
+    """The finished, validated recording. points: (N, A) lidar returns at the agents' first sensors"""
     recording = Recording(
         name=world.name,
         agents=world.agents,
@@ -118,7 +218,7 @@ def make_recording(
         times_ns=world.times_ns,
         truth=world.truth,
         truth_start=world.truth_start,
-        points=points,
+        points=_seen(world, points),
         agent_position=world.agent_position,
         agent_rotation=world.agent_rotation,
         agent_velocity=world.agent_velocity,
@@ -127,6 +227,7 @@ def make_recording(
         detection_truth_id=detection_truth_id,
         buildings=world.buildings,
         building_height=world.building_height,
+        measurements=_measurements(world),
     )
     recording.validate()
     return recording

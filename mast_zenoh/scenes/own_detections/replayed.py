@@ -24,6 +24,7 @@ class OwnDetections(Scene):
     path:        a .jsonl or .parquet file, or a folder with a text file for each agent (KITTI, AB3DMOT)
     first_frame: number of the scene's first frame in the files
 
+    Each agent has one sensor, its first, which measures at the times of the frames.
     In a scenario, `detections` of any scene makes one: dict(type="AV2Log", path=…, detections=PATH).
     """
 
@@ -39,7 +40,15 @@ class OwnDetections(Scene):
     def record(self, seed: int, frames: int | None) -> Recording:
         recording = self.scene.record(seed, frames)
         detections, start, truth_id = self._read(recording, shortened=frames is not None)
-        complete = replace(recording, detections=detections, detection_start=start, detection_truth_id=truth_id)
+        agents = tuple(replace(agent, sensors=()) for agent in recording.agents)
+        complete = replace(
+            recording,
+            agents=agents,
+            detections=detections,
+            detection_start=start,
+            detection_truth_id=truth_id,
+            measurements=None,
+        )
         complete.validate()
         return complete
 

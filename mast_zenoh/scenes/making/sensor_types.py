@@ -1,0 +1,203 @@
+"""Types of sensors that agents of made scenes can carry: `dict(type="Radar", rate_hz=5.0)`."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
+from mast_zenoh.arrays.states import Ints
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.scenes.agents import SceneAgent, SceneSensor
+from mast_zenoh.scenes.making.schedules import Schedule, regular_times
+from mast_zenoh.sensing import DetectionModel, Detector, LidarSensor
+
+
+class Sensor(ABC):
+    """Base of the types of sensors.
+
+    name:          in the key of its wire, unless it is the first sensor of its agent; None: that of its kind
+    rate_hz:       measurements per second; None: one in every frame, at the frame's time
+    phase_s:       s from the first frame to the first measurement, less than the time between two
+    position:      (x, y, z) m, in the agent's frame; None: that of the agent's own lidar
+    yaw_deg, pitch_deg: deg, counter-clockwise and down, where it looks in the agent's frame; None: as that lidar, or 0
+                   if the other one is given
+    azimuth_deg, elevation_deg: deg, (from, to) of its field of view; range_m: m; None: those of its type
+    detector:      the model that generates its detections; None: that of its type
+    detection_probability: of an object in full view, which trackers assume; None: that of its type
+
+    What it sees is decided by casting rays, whatever its kind.
+    """
+
+    kind: ClassVar[str]
+    assumed_probability: ClassVar[float | None] = None
+
+    def __init__(
+        self,
+        *,
+        name: str | None = None,
+        rate_hz: float | None = None,
+        phase_s: float = 0.0,
+        position: tuple[float, float, float] | None = None,
+        yaw_deg: float | None = None,
+        pitch_deg: float | None = None,
+        azimuth_deg: tuple[float, float] | None = None,
+        elevation_deg: tuple[float, float] | None = None,
+        range_m: float | None = None,
+        detector: Detector | None = None,
+        detection_probability: float | None = None,
+    ) -> None:
+        if rate_hz is None and phase_s != 0.0:
+            raise ValueError(f"phase_s: found {phase_s}, expected 0 for a sensor without rate_hz")
+        self.name = self.kind if name is None else name
+        self.rate_hz, self.phase_s = rate_hz, phase_s
+        self.position, self.yaw_deg, self.pitch_deg = position, yaw_deg, pitch_deg
+        self.azimuth_deg, self.elevation_deg, self.range_m = azimuth_deg, elevation_deg, range_m
+        self.detector = self.usual_detector() if detector is None else detector
+        given = detection_probability
+        self.detection_probability = self.assumed_probability if given is None else given
+
+    @abstractmethod
+    def geometry(self, own: LidarSensor) -> LidarSensor:
+        """Field of view, range and rays of the type. own: the agent's own lidar, for its mount"""
+
+    def usual_detector(self) -> Detector | None:
+        """The detector of the type; None: that of the scene."""
+        return None
+
+    def fitted(self, own: LidarSensor) -> SceneSensor:
+        """This sensor on an agent. own: the agent's own lidar
+
+        Raises ValueError for a field of view or a mount that cannot be.
+        """
+        lidar = self.geometry(own)
+        changes: dict[str, object] = {}
+        if self.position is not None:
+            changes["mount_position"] = np.array(self.position)
+        if self.yaw_deg is not None or self.pitch_deg is not None:
+            turn = np.radians(self.yaw_deg or 0.0), np.radians(self.pitch_deg or 0.0)
+            changes["mount_rotation"] = rotation_from_yaw_pitch(float(turn[0]), float(turn[1]))
+        for name, limits in (("azimuth", self.azimuth_deg), ("elevation", self.elevation_deg)):
+            if limits is not None:
+                changes |= {f"{name}_min_deg": limits[0], f"{name}_max_deg": limits[1]}
+        if self.range_m is not None:
+            changes["max_range_m"] = self.range_m
+        return SceneSensor(self.name, self.kind, replace(lidar, **changes), self.detection_probability)  # type: ignore[arg-type]  # by name
+
+
+#: Sensors by agent: a name or a pattern ("infra_*") to the sensors of each of these agents.
+SensorsByAgent = Mapping[str, tuple[Sensor, ...]]
+
+
+class Lidar(Sensor):
+    """A lidar: by default the agent's own, with the detector of the scene."""
+
+    kind = "lidar"
+
+    def geometry(self, own: LidarSensor) -> LidarSensor:
+        return own
+
+
+class Radar(Sensor):
+    """A radar: 90 degrees wide and 30 high, 120 m; far and coarse, with few false detections.
+
+    The numbers are typical, and not fitted to a product.
+    """
+
+    kind = "radar"
+    assumed_probability = 0.7
+
+    def geometry(self, own: LidarSensor) -> LidarSensor:
+        return LidarSensor(own.mount_position, own.mount_rotation, -45.0, 45.0, 1.0, -15.0, 15.0, 16, 120.0)
+
+    def usual_detector(self) -> Detector:
+        return DetectionModel(
+            min_points=1,
+            points_scale=2.0,
+            position_noise_m=0.5,
+            vertical_noise_m=1.0,
+            size_noise_m=0.5,
+            yaw_noise_deg=10.0,
+            few_points=2.0,
+            clutter_rate=1.0,
+            clutter_range_m=120.0,
+        )
+
+
+class ObjectCamera(Sensor):
+    """A camera with a detector of 3D boxes: 90 degrees wide, 80 m; its errors grow quickly with range.
+
+    The numbers are typical, and not fitted to a product.
+    """
+
+    kind = "camera"
+    assumed_probability = 0.85
+
+    def geometry(self, own: LidarSensor) -> LidarSensor:
+        return LidarSensor(own.mount_position, own.mount_rotation, -45.0, 45.0, 0.5, -30.0, 15.0, 64, 80.0)
+
+    def usual_detector(self) -> Detector:
+        return DetectionModel(
+            points_scale=15.0, position_noise_m=0.5, range_scale_m=25.0, yaw_noise_deg=6.0, clutter_rate=1.0
+        )
+
+
+class Rig(NamedTuple):
+    """What a sensor does: when it measures, and the detector of its detections.
+
+    schedule: None: it measures in every frame, at its time; detector: None: that of the scene
+    """
+
+    schedule: Schedule | None = None
+    detector: Detector | None = None
+
+
+def equip(
+    place: str, agents: Sequence[SceneAgent], sensors: SensorsByAgent, times_ns: Ints, period_ns: int
+) -> tuple[tuple[SceneAgent, ...], tuple[Rig, ...]]:
+    """The agents with their sensors, and what each of the sensors does, agent by agent.
+
+    place: of the scene, for messages; sensors: others keep their own lidar; times_ns: (F,); period_ns: of the frames
+
+    The most specific pattern counts: a plain name, else the longest. Raises ConfigurationError for a pattern that no
+    agent matches, two sensors of an agent with one name, and a sensor that cannot be.
+    """
+    names = [agent.name for agent in agents]
+    for pattern in sensors:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise ConfigurationError(f"{place}: sensors: no agent {pattern!r} in this scene{nearest(pattern, names)}")
+    equipped, rigs = [], []
+    for agent in agents:
+        matching = [pattern for pattern in sensors if fnmatchcase(agent.name, pattern)]
+        if not matching:
+            equipped.append(agent)
+            rigs.append(Rig())
+            continue
+        pattern = max(matching, key=lambda each: (each == agent.name, len(each)))
+        chosen, where = sensors[pattern], f"{place}: sensors[{pattern!r}]"
+        if not chosen:
+            raise ConfigurationError(f"{where}: found no sensor, expected at least one")
+        fitted = []
+        for row, sensor in enumerate(chosen):
+            schedule = None
+            if sensor.rate_hz is not None:
+                times = regular_times(f"{where}[{row}]", period_ns, sensor.rate_hz, sensor.phase_s)
+                if times != (period_ns, 0):
+                    schedule = Schedule.regular(times_ns, *times)
+            try:
+                fitted.append(sensor.fitted(agent.sensor))
+            except ValueError as error:
+                raise ConfigurationError(f"{where}[{row}]: {error}") from None
+            rigs.append(Rig(schedule, sensor.detector))
+        if len({each.name for each in fitted}) < len(fitted):
+            found = ", ".join(each.name for each in fitted)
+            raise ConfigurationError(
+                f"{where}: found sensors named {found}, expected different names: give each a name"
+            )
+        equipped.append(replace(agent, sensor=fitted[0].lidar, sensors=tuple(fitted)))
+    return tuple(equipped), tuple(rigs)
