@@ -57,6 +57,7 @@ MEMBERS = {
             "agent",
             "plot",
             "report",
+            "export",
         ),
     },
     "Comparison": {"table", "headline", "plot", "markdown"},
