@@ -40,15 +40,15 @@ def test_the_command_offers_every_format() -> None:
 def test_the_command_names_what_it_wrote_and_what_is_missing(cli: Mast, recorded: mast.Run, tmp_path: Path) -> None:
     folder = shutil.copytree(recorded.path, tmp_path / "copy")
     (folder / "objects.parquet").unlink()
-    code, out, err = cli("export", str(folder), "--to", "csv", "-o", str(tmp_path / "table"))
+    code, out, err = cli("export", str(folder), "--to", "mot", "-o", str(tmp_path / "mot"))
     assert code == 0
-    assert f"exported: {tmp_path / 'table'}" in out
+    assert f"exported: {tmp_path / 'mot'}" in out
     assert "warning: objects.parquet is absent: no object is marked as matched, missed or false" in err
-    assert (tmp_path / "table").is_file()
+    assert (tmp_path / "mot" / "seqmap.txt").is_file()
 
 
 def test_the_python_api_returns_paths_and_what_is_missing(recorded: mast.Run, out: Path) -> None:
-    assert recorded.export("csv", out) == ((out,), ())
+    assert recorded.export("mot", out) == ((out,), ())
 
 
 @pytest.mark.parametrize("name", FORMATS)

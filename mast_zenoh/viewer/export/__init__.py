@@ -29,6 +29,9 @@ class Format(NamedTuple):
 FORMATS: dict[str, Format] = {
     "csv": Format("tables.write_csv"),
     "parquet": Format("tables.write_parquet"),
+    "kitti": Format("kitti.write"),
+    "mot": Format("mot.write"),
+    "openlabel": Format("openlabel.write"),
 }
 
 
