@@ -32,6 +32,7 @@ FORMATS: dict[str, Format] = {
     "kitti": Format("kitti.write"),
     "mot": Format("mot.write"),
     "openlabel": Format("openlabel.write"),
+    "foxglove": Format("foxglove.write", "foxglove"),
 }
 
 
