@@ -185,7 +185,7 @@ class Run:
     def export(self, to: str, out: str | Path) -> Exported:
         """Write the finished run in another format.
 
-        to: csv, parquet, kitti, mot, openlabel or foxglove;  out: a new file or folder
+        to: csv, parquet, kitti, mot, openlabel, foxglove or rosbag2;  out: a new file or folder
 
         Returns the paths that were written, and what the run's record lacks. Raises ExportError for a package that is
         not installed or a path that exists, RunFolderError for a run in progress or a damaged recording.

@@ -33,6 +33,7 @@ FORMATS: dict[str, Format] = {
     "mot": Format("mot.write"),
     "openlabel": Format("openlabel.write"),
     "foxglove": Format("foxglove.write", "foxglove"),
+    "rosbag2": Format("rosbag2.write", "rosbag2"),
 }
 
 
