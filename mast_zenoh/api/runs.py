@@ -183,9 +183,9 @@ class Run:
         return page.write_report(self.path, frame, None if against is None else against.path)
 
     def export(self, to: str, out: str | Path) -> Exported:
-        """Write the finished run in another format.
+        """Write the finished run in another format (docs/exports.md).
 
-        to: csv, parquet, kitti, mot, openlabel, foxglove or rosbag2;  out: a new file or folder
+        to: csv, parquet, kitti, mot, openlabel, foxglove, rosbag2 or rrd;  out: a new file or folder
 
         Returns the paths that were written, and what the run's record lacks. Raises ExportError for a package that is
         not installed or a path that exists, RunFolderError for a run in progress or a damaged recording.

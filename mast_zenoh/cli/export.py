@@ -14,8 +14,8 @@ from mast_zenoh.cli.options import out as _out
 def export(
     run_folder: Annotated[Path, typer.Argument(help="The folder of a finished run.")],
     to: Annotated[
-        Literal["csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2"],
-        typer.Option(help="The format."),
+        Literal["csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2", "rrd"],
+        typer.Option(help="The format, see docs/exports.md."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="The new file or folder.")],
 ) -> None:

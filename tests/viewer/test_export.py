@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 import typing
 from collections.abc import Callable
 from pathlib import Path
@@ -81,11 +82,32 @@ def test_nothing_is_overwritten(cli: Mast, recorded: mast.Run, tmp_path: Path) -
     code, _, err = cli("export", str(recorded.path), "--to", "csv", "-o", str(kept))
     assert code == ExportError.exit_code
     assert "exists already: expected a new file or folder" in err
+    (tmp_path / "new.layout.json").write_text("mine")
+    with pytest.raises(ExportError, match=r"new\.layout\.json: exists already"):
+        export(recorded.path, "foxglove", tmp_path / "new.mcap")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new.layout.json", "run.mcap"]
     assert kept.read_text() == "mine"
 
 
 def test_a_folder_that_does_not_exist_and_an_unknown_format_are_named(recorded: mast.Run, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match=r"found no folder .*nothing', expected it to exist"):
         export(recorded.path, "csv", tmp_path / "nothing" / "run.csv")
-    with pytest.raises(ExportError, match=r"unknown format 'cvs': .*did you mean 'csv'"):
-        export(recorded.path, "cvs", tmp_path / "run.mcap")
+    with pytest.raises(ExportError, match=r"unknown format 'foxgove': .*did you mean 'foxglove'"):
+        export(recorded.path, "foxgove", tmp_path / "run.mcap")
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "extra"),
+    [("foxglove", "foxglove", "foxglove"), ("rosbag2", "rosbags", "rosbag2"), ("rrd", "rerun", "rerun")],
+)
+def test_a_package_that_is_not_installed_is_named_with_its_extra(
+    cli: Mast, recorded: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str, extra: str
+) -> None:
+    monkeypatch.delitem(sys.modules, f"mast_zenoh.viewer.export.{name}", raising=False)
+    for module in [module for module in sys.modules if module.split(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    code, _, err = cli("export", str(recorded.path), "--to", name, "-o", str(out))
+    assert code == ExportError.exit_code
+    assert f"{package} is not installed: pip install 'mast-zenoh[{extra}]'" in " ".join(err.split())
+    assert not out.exists()

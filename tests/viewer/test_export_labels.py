@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +153,22 @@ def test_trackeval_reads_the_boxes_of_mot_from_above(mot: Path, record: PlainRec
         clear = trackeval.metrics.CLEAR({"PRINT_CONFIG": False, "THRESHOLD": 0.1}).eval_sequence(scored)
         assert clear["CLR_TP"] + clear["CLR_FP"] == record.count(name)
         assert clear["CLR_TP"] > 0.5 * record.count(name)
+
+
+def test_the_example_of_the_page_evaluates_the_folder(
+    mot: Path, record: PlainRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", page, flags=re.S | re.M)
+    shutil.copytree(mot, tmp_path / "mine_mot")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(block, names)
+    (results,) = names["results"].values()
+    assert set(results) == set(record.boxes) - {"truth"}
+    combined = results["picture"]["COMBINED_SEQ"]["pedestrian"]
+    assert 0.3 < combined["CLEAR"]["MOTA"] <= 1.0
+    assert combined["Count"]["Dets"] == record.count("picture")
 
 
 # -- OpenLABEL ---------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Writes a finished run as files of other programs."""
+"""Writes a finished run as files of other programs (docs/exports.md)."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ FORMATS: dict[str, Format] = {
     "openlabel": Format("openlabel.write"),
     "foxglove": Format("foxglove.write", "foxglove"),
     "rosbag2": Format("rosbag2.write", "rosbag2"),
+    "rrd": Format("rrd.write", "rerun"),
 }
 
 
