@@ -108,7 +108,7 @@ class RunFrames:
         for _, wiring in wirings:
             topics |= routes.topics(wiring, agents)
         read = _Reader(path, missing).read
-        metrics = read("metrics.json", _json_object, "equal estimates are not known", {})
+        metrics = read("metrics.json", _json_object, "estimates that equal others may lack outcomes", {})
         same_as = metrics.get("same_as") or {}
         no_outcomes = "no object is marked as matched, missed or false"
         return cls(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from PIL import Image
 from plain_record import PlainRecord, assert_same_boxes
 
 import mast_zenoh as mast
@@ -127,6 +129,8 @@ def test_the_camera_projects_as_mast_does(messages: Any, recorded: mast.Run, rec
     expected, _ = agent.camera.project(point[None], position, rotation)
     np.testing.assert_allclose(pixel[:2] / pixel[2], expected[0], atol=1e-6)
     assert (calibration.width, calibration.height) == (agent.camera.width, agent.camera.height)
+    for _, _, image in messages["/agent/ego/camera/image"]:
+        assert Image.open(io.BytesIO(image.data)).size == (calibration.width, calibration.height)
 
 
 def test_inserted_objects_are_marked_and_logged(messages: Any, recorded: mast.Run) -> None:
@@ -164,7 +168,7 @@ def test_the_layout_shows_topics_of_the_file(exported: Path, messages: Any) -> N
     for name, config in configs.items():
         topics = [*config.get("topics", {}), *(path["value"].split(".")[0] for path in config.get("paths", ()))]
         topics += [config[key] for key in ("topicToRender",) if key in config]
-        topics += [config["imageMode"]["calibrationTopic"]] if "imageMode" in config else []
+        topics += config.get("imageMode", {}).values()
         assert topics, name
         assert set(topics) <= set(messages), name
     visible = {topic for topic, settings in configs["3D!objects"]["topics"].items() if settings["visible"]}

@@ -19,6 +19,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.viewer import frames
+from mast_zenoh.viewer.evaluated import Outcomes
 from mast_zenoh.viewer.export.columns import stem
 from mast_zenoh.viewer.frames import RunFrames
 from mast_zenoh.viewer.routes import TRUTH, routes
@@ -58,28 +59,25 @@ def test_estimates_as_received_are_there_only_for_intercepted_wires(run: RunFram
 
 
 def test_outcomes_are_those_of_the_evaluator(recorded: mast.Run, run: RunFrames) -> None:
-    table = recorded.objects.to_pylist()
+    judged: dict[tuple[int, str, str, str], dict[int, tuple[str, int]]] = {}
+    for row in recorded.objects.to_pylist():
+        place = row["frame"], row["agent"], row["estimator"], row["kind"]
+        judged.setdefault(place, {})[row["id"]] = row["outcome"], row["match_id"]
     for frame in run:
         for series in run.topics:
             agent, estimator = series.agent or "ego", "picture" if series == TRUTH else series.estimator
-            rows = [
-                row
-                for row in table
-                if row["frame"] == frame.index and row["agent"] == agent
-                if row["estimator"]
-                == (estimator if estimator != "received" or agent in ("infra_1", "infra_2") else "local")
-            ]
-            for kind, ids, outcomes in (
-                ("track", frame.objects[series].id, frame.outcomes[series]),
-                ("truth", frame.objects[TRUTH].id, frame.truth_outcomes[series]),
-            ):
-                if series == TRUTH and kind == "track":
-                    continue
-                expected = {row["id"]: (row["outcome"], row["match_id"]) for row in rows if row["kind"] == kind}
-                found = dict(
-                    zip(ids.tolist(), zip(outcomes.names, outcomes.match_id.tolist(), strict=True), strict=True)
-                )
+            kinds = {"truth": (frame.objects[TRUTH], frame.truth_outcomes[series])}
+            if series != TRUTH:
+                kinds["track"] = frame.objects[series], frame.outcomes[series]
+            for kind, (states, outcomes) in kinds.items():
+                found = dict(zip(states.id.tolist(), zip(*outcomes_of(outcomes), strict=True), strict=True))
+                expected = judged.get((frame.index, agent, estimator, kind), {})
                 assert found == dict.fromkeys(found, ("unevaluated", -1)) | expected
+        assert frame.outcomes[TRUTH].names == frame.truth_outcomes[Series("", "picture")].names
+
+
+def outcomes_of(outcomes: Outcomes) -> tuple[list[str], list[int]]:
+    return outcomes.names, outcomes.match_id.tolist()
 
 
 def test_scores_and_poses_are_those_of_the_run(recorded: mast.Run, run: RunFrames, record: PlainRecord) -> None:
@@ -93,14 +91,21 @@ def test_scores_and_poses_are_those_of_the_run(recorded: mast.Run, run: RunFrame
     assert run.ego == run.agents[0] == "ego"
 
 
-def test_a_wire_that_is_intercepted_later_has_the_estimate_as_received_from_then_on(recorded: mast.Run) -> None:
-    attacked = Wiring.from_json(json.loads((recorded.path / "wiring.json").read_text()))
-    before = Wiring(tuple(wire for wire in attacked.wires if not wire.interposers), attacked.overhearers)
-    key, tap = "agent/infra_1/tracks", "agent/infra_1/tracks/@tap/0"
-    agents = ("ego", "infra_1")
-    assert key not in routes(before, agents)
-    assert routes(attacked, agents)[tap] == [Series("infra_1", "local")]
-    assert routes(attacked, agents)[key] == [Series("infra_1", "received")]
+def test_a_wire_that_is_intercepted_later_has_the_estimate_as_received_from_then_on(
+    recorded: mast.Run, record: PlainRecord, run: RunFrames
+) -> None:
+    """The same recording, as if the adversaries had come after frame 14, and sent their own tracks before."""
+    wiring = json.loads((recorded.path / "wiring.json").read_text())
+    attacked = routes(Wiring.from_json(wiring), run.agents)
+    before = {key: series for key, series in attacked.items() if "@tap" not in key} | {
+        f"agent/{agent}/tracks": [Series(agent, "local")] for agent in run.agents
+    }
+    later = replace(run, _wirings=[(-1, before), (14, attacked)])
+    local, received = Series("infra_1", "local"), Series("infra_1", "received")
+    for frame in later:
+        sent = record.boxes["infra_1.received" if frame.index <= 14 else "infra_1.local"][frame.index]
+        assert sorted(frame.objects[local].id.tolist()) == sent.number.tolist()
+        assert (received in frame.objects) == (frame.index > 14)
 
 
 @pytest.mark.parametrize(

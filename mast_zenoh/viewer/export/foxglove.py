@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from foxglove import channels
 from foxglove.messages import (
     CameraCalibration,
     Color,
+    CompressedImage,
     CubePrimitive,
     FrameTransform,
     FrameTransforms,
@@ -31,10 +33,12 @@ from foxglove.messages import (
     Vector3,
 )
 from foxglove.messages import Pose as PoseMessage
+from PIL import Image
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.sensing import Camera
 from mast_zenoh.viewer.evaluated import Score
 from mast_zenoh.viewer.export.cameras import AXES, cameras
 from mast_zenoh.viewer.export.columns import class_names, colours, missed, quaternions, wall_lines
@@ -82,6 +86,8 @@ class _Writer:
         self.calibrations = {
             agent: channels.CameraCalibrationChannel(f"/agent/{agent}/camera", context=context) for agent in run.agents
         }
+        self.image = channels.CompressedImageChannel(f"/agent/{run.ego}/camera/image", context=context)
+        self.blank = _blank(self.cameras[run.ego])
         self.scores = {
             series: foxglove.Channel(
                 f"{SCORES}/{'/'.join(series)}", message_encoding="json", schema=_SCORE, context=context
@@ -133,7 +139,7 @@ class _Writer:
         self._update(BUILDINGS, time_ns, [SceneEntity(timestamp=_time(time_ns), frame_id=WORLD, id="0", lines=[lines])])
 
     def _poses(self, frame: Frame) -> None:
-        """The poses of the agents and of their cameras, in one message; and the calibrations."""
+        """The poses of the agents and of their cameras, in one message; the calibrations, and the blank image."""
         time, transforms = _time(frame.time_ns), []
         for agent, pose in frame.poses.items():
             camera = self.cameras[agent]
@@ -159,6 +165,9 @@ class _Writer:
                 P=[*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0],
             )
             self.calibrations[agent].log(calibration, log_time=frame.time_ns)
+            if agent == self.run.ego:
+                image = CompressedImage(timestamp=time, frame_id=f"{agent}/camera", data=self.blank, format="png")
+                self.image.log(image, log_time=frame.time_ns)
         self.transforms.log(FrameTransforms(transforms=transforms), log_time=frame.time_ns)
 
     def _changes(self, frame: Frame) -> None:
@@ -226,6 +235,13 @@ def _entities(frame: Frame, states: ObjectStates, colour: Ints, outcomes: Sequen
             )
         )
     return entities
+
+
+def _blank(camera: Camera) -> bytes:
+    """An empty image, because image panels draw boxes only on an image."""
+    buffer = io.BytesIO()
+    Image.new("P", (camera.width, camera.height)).save(buffer, format="png", optimize=True)
+    return buffer.getvalue()
 
 
 def _time(time_ns: int) -> Timestamp:

@@ -38,7 +38,7 @@ def layout(run: RunFrames) -> dict[str, Any]:
         "transforms": {},
         "scene": {"backgroundColor": "#10141b"},
     }
-    calibration = f"/agent/{run.ego}/camera"
+    camera = f"/agent/{run.ego}/camera"
     panels: dict[str, Any] = {
         _FROM_ABOVE: scene
         | {
@@ -57,7 +57,7 @@ def layout(run: RunFrames) -> dict[str, Any]:
                 "targetOffset": [*centre, 0],
             },
         },
-        _CAMERA: scene | {"imageMode": {"calibrationTopic": calibration}, "followMode": "follow-pose"},
+        _CAMERA: scene | {"imageMode": {"calibrationTopic": camera, "imageTopic": f"{camera}/image"}},
         _FALSE: _plot(run, "false objects", "fp"),
         _MISSED: _plot(run, "missed objects", "fn"),
         _LOG: {"topicToRender": "/log", "minLogLevel": 1},
