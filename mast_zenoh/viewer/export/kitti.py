@@ -6,6 +6,7 @@ Geiger, Lenz, Urtasun: Are we ready for autonomous driving? The KITTI vision ben
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TextIO
 
@@ -45,8 +46,8 @@ def write(run: RunFrames, path: Path) -> None:
     (path / "calib" / f"{SEQUENCE}.txt").write_text(_calibration(camera, _lidar(run)), encoding="ascii")
     poses: dict[int, Pose] = {}
     without_pose = 0
-    opened = {series: file.open("w", encoding="ascii") for series, file in files.items()}
-    try:
+    with ExitStack() as stack:
+        opened = {series: stack.enter_context(file.open("w", encoding="ascii")) for series, file in files.items()}
         for frame in run:
             if run.ego not in frame.poses:
                 without_pose += 1
@@ -54,9 +55,6 @@ def write(run: RunFrames, path: Path) -> None:
             poses[frame.index] = frame.poses[run.ego]
             for series, states in frame.objects.items():
                 _write_objects(opened[series], run, frame, series, states, camera)
-    finally:
-        for file_ in opened.values():
-            file_.close()
     if without_pose:
         run.missing.append(f"messages.mcap: {without_pose} frames have no pose of {run.ego}, and therefore no labels")
     (path / "oxts" / f"{SEQUENCE}.txt").write_text("".join(_positions(poses)), encoding="ascii")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -23,17 +24,14 @@ def write(run: RunFrames, path: Path) -> None:
     files[TRUTH] = sequence / "gt" / "gt.txt"
     for file in files.values():
         file.parent.mkdir(parents=True)
-    opened = {series: file.open("w", encoding="ascii") for series, file in files.items()}
     length, times = 0, []
-    try:
+    with ExitStack() as stack:
+        opened = {series: stack.enter_context(file.open("w", encoding="ascii")) for series, file in files.items()}
         for frame in run:
             length = frame.index + 1
             times.append(frame.time_ns)
             for series, states in frame.objects.items():
                 opened[series].writelines(_truth(frame) if series == TRUTH else _tracks(frame, states))
-    finally:
-        for file_ in opened.values():
-            file_.close()
     rate = 1e9 / np.median(np.diff(times)) if len(times) > 1 else 10.0
     ini = {"name": name, "frameRate": f"{rate:g}", "seqLength": length}
     lines = "".join(f"{key}={value}\n" for key, value in ini.items())

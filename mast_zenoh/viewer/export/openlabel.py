@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -21,49 +22,64 @@ CUBOID = "box"
 
 
 def write(run: RunFrames, path: Path) -> None:
-    """Write the files into a folder."""
+    """Write the files into a folder, frame by frame."""
     path.mkdir()
-    frames: dict[Series, dict[str, Any]] = {series: {} for series in run.topics}
-    for frame in run:
-        for series in run.topics:
-            if series in frame.objects:
-                frames[series][str(frame.index)] = _frame(frame, series)
-    for series, content in frames.items():
-        (path / f"{stem(series)}.json").write_text(json.dumps({"openlabel": _openlabel(run, series, content)}), "utf-8")
-
-
-def _openlabel(run: RunFrames, series: Series, frames: dict[str, Any]) -> dict[str, Any]:
-    """The content of a file."""
-    numbers: defaultdict[str, list[int]] = defaultdict(list)
-    kinds: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for number, content in frames.items():
-        for track, element in content["objects"].items():
-            numbers[track].append(int(number))
-            kinds[track][element["object_data"]["cuboid"][0]["attributes"]["text"][0]["val"]] += 1
-    objects = {
-        track: {
-            "name": f"{stem(series)} {track}",
-            "type": kinds[track].most_common(1)[0][0],
-            "coordinate_system": "world",
-            "frame_intervals": _intervals(present),
-            "object_data_pointers": {CUBOID: {"type": "cuboid", "frame_intervals": _intervals(present)}},
+    with ExitStack() as stack:
+        files = {
+            series: _File(stack.enter_context((path / f"{stem(series)}.json").open("w", encoding="utf-8")))
+            for series in run.topics
         }
-        for track, present in numbers.items()
-    }
-    systems = {"world": {"type": "local", "parent": "", "children": list(run.agents)}}
-    systems |= {agent: {"type": "local", "parent": "world", "children": []} for agent in run.agents}
-    return {
-        "metadata": {
-            "schema_version": "1.0.0",
-            "name": f"{run.name}: {stem(series)}",
-            "annotator": "mast-zenoh",
-            "comment": "x east, y north, z up, m; sizes are length, width, height",
-        },
-        "coordinate_systems": systems,
-        "frame_intervals": _intervals([int(number) for number in frames]),
-        "frames": frames,
-        "objects": objects,
-    }
+        for frame in run:
+            for series in frame.objects:
+                files[series].add(frame.index, _frame(frame, series))
+        for series, file in files.items():
+            file.end(run, series)
+
+
+class _File:
+    """Writes a file: first its frames, then what is known only after them."""
+
+    def __init__(self, file: TextIO) -> None:
+        self.file = file
+        self.numbers: list[int] = []
+        self.present: defaultdict[str, list[int]] = defaultdict(list)
+        self.kinds: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        file.write('{"openlabel": {"frames": {')
+
+    def add(self, number: int, content: dict[str, Any]) -> None:
+        """Write a frame."""
+        self.file.write(f'{", " if self.numbers else ""}"{number}": {json.dumps(content)}')
+        self.numbers.append(number)
+        for track, element in content["objects"].items():
+            self.present[track].append(number)
+            self.kinds[track][element["object_data"]["cuboid"][0]["attributes"]["text"][0]["val"]] += 1
+
+    def end(self, run: RunFrames, series: Series) -> None:
+        """Write the objects, the coordinate systems and the metadata."""
+        objects = {
+            track: {
+                "name": f"{stem(series)} {track}",
+                "type": self.kinds[track].most_common(1)[0][0],
+                "coordinate_system": "world",
+                "frame_intervals": _intervals(present),
+                "object_data_pointers": {CUBOID: {"type": "cuboid", "frame_intervals": _intervals(present)}},
+            }
+            for track, present in self.present.items()
+        }
+        systems = {"world": {"type": "local", "parent": "", "children": list(run.agents)}}
+        systems |= {agent: {"type": "local", "parent": "world", "children": []} for agent in run.agents}
+        content = {
+            "metadata": {
+                "schema_version": "1.0.0",
+                "name": f"{run.name}: {stem(series)}",
+                "annotator": "mast-zenoh",
+                "comment": "x east, y north, z up, m; sizes are length, width, height",
+            },
+            "coordinate_systems": systems,
+            "frame_intervals": _intervals(self.numbers),
+            "objects": objects,
+        }
+        self.file.write(f"}}, {json.dumps(content)[1:]}}}\n")
 
 
 def _frame(frame: Frame, series: Series) -> dict[str, Any]:
