@@ -72,7 +72,7 @@ class RunFrames:
     path:    its folder;  run: run.json
     agents:  their names, the main agent first;  topics: by series of objects, its key expression
     scene:   buildings, sensors and cameras; None: not known
-    missing: a sentence for everything that the record lacks. `frames` adds to it
+    missing: a sentence for everything that the record lacks; complete when all frames have been read
     """
 
     path: Path
@@ -158,9 +158,14 @@ class RunFrames:
         if not count:
             raise RunFolderError(f"{file_of(self.path)}: found no whole frame, expected one at least")
         if dropped:
-            self.missing.append(f"messages.mcap: {dropped} messages are invalid, so that receivers refuse them")
+            self.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {dropped}")
         if without_truth:
-            self.missing.append(f"messages.mcap: {without_truth} frames have no truth")
+            self.note(f"messages.mcap: frames without truth: {without_truth}")
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence about something that the record lacks, once."""
+        if sentence not in self.missing:
+            self.missing.append(sentence)
 
     def _choose(self, messages: Sequence[Recorded]) -> tuple[dict[Series, Body], int]:
         """The first valid message of each series, and how many invalid ones there are."""

@@ -174,4 +174,4 @@ def test_an_invalid_message_is_left_out_and_counted(copy: Path, monkeypatch: pyt
     monkeypatch.setattr(frames, "read", spoilt)
     run = RunFrames.load(copy)
     assert [frame.index for frame in run if Series("", "picture") not in frame.objects] == [7]
-    assert run.missing == ["messages.mcap: 1 messages are invalid, so that receivers refuse them"]
+    assert run.missing == ["messages.mcap: invalid messages, which receivers refuse, are left out: 1"]

@@ -56,7 +56,7 @@ def write(run: RunFrames, path: Path) -> None:
             for series, states in frame.objects.items():
                 _write_objects(opened[series], run, frame, series, states, camera)
     if without_pose:
-        run.missing.append(f"messages.mcap: {without_pose} frames have no pose of {run.ego}, and therefore no labels")
+        run.note(f"messages.mcap: frames without a pose of {run.ego}, and therefore without labels: {without_pose}")
     (path / "oxts" / f"{SEQUENCE}.txt").write_text("".join(_positions(poses)), encoding="ascii")
     last = max(poses, default=-1)
     (path / "evaluate_tracking.seqmap.training").write_text(f"{SEQUENCE} empty 000000 {last + 1:06d}\n", "ascii")
