@@ -11,6 +11,7 @@ Each error that can end a command has its own exit code (docs/exit_codes.md).
     ├── RunFolderError           15   a run folder is missing, incomplete or already in use
     │   └── NotComparable        17   two runs cannot be compared
     ├── CredentialsError         16   a certificate or key is missing, expired or refused
+    ├── ExportError              18   a run cannot be written in another format
     └── RunError                 20   a run failed
         ├── StartError           21   a node did not start in time
         ├── NodeDied             22   a node whose `on_exit` policy is `fail` ended before the run
@@ -104,6 +105,15 @@ class CredentialsError(MastError):
     """
 
     exit_code = 16
+
+
+class ExportError(MastError):
+    """A run cannot be written in another format.
+
+    Names the missing package, or the file that is in the way.
+    """
+
+    exit_code = 18
 
 
 class RunError(MastError):

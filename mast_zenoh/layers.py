@@ -14,6 +14,7 @@ LAYERS: dict[str, str] = {
     "testing": "checks for user-written classes, and fixtures for pytest",
     "api": "runs as Python objects, and listings of classes, for notebooks and scripts",
     "report": "pages of runs and studies; figures/ tables/ narrative/ templates/",
+    "viewer": "the record of a run frame by frame; export/: files for other viewers and tools",
     "deploy": "nodes in containers and on other hosts; engines in compose/, swarm/ and ssh/",
     "launch": "starts, watches and ends the processes of a run; writes the run folder; interception/ netns/",
     "checks": "invariants of finished runs",

@@ -20,6 +20,7 @@ from mast_zenoh.launch.tables import read_arrow
 if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.api.plots import Plots
     from mast_zenoh.report.runfolder import RunFolder
+    from mast_zenoh.viewer.export import Exported
 
 
 class Run:
@@ -180,6 +181,18 @@ class Run:
         from mast_zenoh.report import html as page
 
         return page.write_report(self.path, frame, None if against is None else against.path)
+
+    def export(self, to: str, out: str | Path) -> Exported:
+        """Write the finished run in another format (docs/exports.md).
+
+        to: csv, parquet, kitti, mot, openlabel, foxglove, rosbag2 or rrd;  out: a new file or folder
+
+        Returns the paths that were written, and what the run's record lacks. Raises ExportError for a package that is
+        not installed or a path that exists, RunFolderError for a run in progress or a damaged recording.
+        """
+        from mast_zenoh.viewer.export import export
+
+        return export(self.path, to, Path(out))
 
     def _folder(self) -> RunFolder:
         """The folder as the report reads it; reloaded while the run is in progress."""

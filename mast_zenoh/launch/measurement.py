@@ -48,7 +48,7 @@ def measure(folder: Path) -> list[str]:
         loading.module(Path(module))
     evaluator = _with_local_file(resolved.nodes[EVALUATOR], folder)
     previous = run_folder.json_or_empty(folder / METRICS)
-    incomplete = _incomplete(folder)
+    incomplete = incomplete_recording(folder)
     if incomplete and previous:
         _refuse_worse(folder, previous, incomplete)
     results = replay(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
@@ -59,7 +59,7 @@ def measure(folder: Path) -> list[str]:
     return [*run_folder.write_results(folder, {EVALUATOR: results}, kept), *recorder_notices]
 
 
-class _Incomplete(NamedTuple):
+class Incomplete(NamedTuple):
     """Extent of a recording that ends before its run did.
 
     frames:        number of frames that it covers, from the run's first
@@ -74,7 +74,7 @@ class _Incomplete(NamedTuple):
         return f"the recording ends {last}"
 
 
-def _incomplete(folder: Path) -> _Incomplete | None:
+def incomplete_recording(folder: Path) -> Incomplete | None:
     """Extent of the recording in a run folder; None: it covers the whole run."""
     extent = reader.extent(folder)
     run = run_folder.json_or_empty(folder / "run.json")
@@ -86,10 +86,10 @@ def _incomplete(folder: Path) -> _Incomplete | None:
     if extent.whole and extent.last_frame >= last_frames.get("recorder", -1):
         return None
     played = max(last_frames.values()) + 1 if last_frames else int(run.get("frames") or 0)
-    return _Incomplete(extent.last_frame + 1, max(played, extent.last_frame + 1))
+    return Incomplete(extent.last_frame + 1, max(played, extent.last_frame + 1))
 
 
-def _refuse_worse(folder: Path, metrics: dict[str, Any], incomplete: _Incomplete) -> None:
+def _refuse_worse(folder: Path, metrics: dict[str, Any], incomplete: Incomplete) -> None:
     """Raise RunFolderError if existing metrics cover more frames than the recording."""
     covered = metrics.get("recording")
     if isinstance(covered, dict) and isinstance(covered.get("frames"), int) and covered["frames"] <= incomplete.frames:

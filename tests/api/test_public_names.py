@@ -58,6 +58,7 @@ MEMBERS = {
             "agent",
             "plot",
             "report",
+            "export",
         ),
     },
     "Comparison": {"table", "headline", "plot", "markdown"},

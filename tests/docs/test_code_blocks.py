@@ -200,11 +200,12 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
 
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
+    "exports.md": [None],  # test_export_labels.py
     "faults.md": [part_of_a_scenario, part_of_a_scenario, random_faults, fault_of_ones_own],
     "links.md": [part_of_a_scenario, None],  # test_links_page.py
     "metrics.md": [None],  # test_measurement_pages.py
     "network.md": [whole_scenario],
-    "python.md": [None] * 12,  # test_python_page.py
+    "python.md": [None] * 13,  # test_python_page.py
     "recording.md": [messages_of_a_run],
     "scene_arrays.md": [None] * 3,  # test_scene_arrays_page.py
     "scenarios.md": [whole_scenario, results_of_a_node],

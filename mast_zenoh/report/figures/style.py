@@ -15,14 +15,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from PIL import Image
 
-#: The paper's colour key for boxes (its figures 4 to 6), made bright enough for a dark ground. In drawing order.
-OUTCOME_COLOURS = {
-    "unevaluated": "#3fd45f",
-    "truth matched": "#ffffff",
-    "track matched": "#3f8cff",
-    "truth missed": "#ffd60a",
-    "track false": "#ff3b3b",
-}
+from mast_zenoh.viewer.palette import ADVERSARY as ADVERSARY
+from mast_zenoh.viewer.palette import AGENT as AGENT
+from mast_zenoh.viewer.palette import BUILDING_EDGE as BUILDING_EDGE
+from mast_zenoh.viewer.palette import OUTCOME_COLOURS as OUTCOME_COLOURS
+
 OUTCOME_LABELS = {
     "truth matched": "truth, matched",
     "track matched": "track, matched",
@@ -31,8 +28,6 @@ OUTCOME_LABELS = {
     "unevaluated": "not evaluated",
 }
 
-#: Adversaries, their wires and their effects, in every figure.
-ADVERSARY = "#ff4fd8"
 ADVERSARY_ON_LIGHT = "#b5128f"
 #: States of agents at the command centre: on dark panels, and those that light charts mark.
 STATES = {"unknown": "#9aa7b8", "trusted": "#7fe3ff", "faulty": "#ffb347", "suspended": "#ff7a59"}
@@ -43,7 +38,7 @@ WITHHELD = "#c9d2de"
 FAULT_ON_LIGHT = "#8a6100"
 
 #: Dark panels.
-GROUND, BUILDING, BUILDING_EDGE, GRID, FAINT, AGENT = "#10141b", "#2a313d", "#465062", "#222934", "#9aa7b8", "#7fe3ff"
+GROUND, BUILDING, GRID, FAINT = "#10141b", "#2a313d", "#222934", "#9aa7b8"
 
 #: Light figures. The line colours are Okabe and Ito's, distinguishable under every colour-vision deficiency.
 INK, PALE = "#1b1f24", "#d5dae1"

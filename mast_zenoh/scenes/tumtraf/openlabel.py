@@ -100,7 +100,7 @@ def _frames(file: Path) -> Iterator[Frame]:
             round(properties["timestamp"].number(0, _MAX_TIME_S) * 1e6) * 1000,
             properties,
             Coordinates(openlabel, properties),
-            [_cuboid(track, element) for track, element in objects.members()] if objects else [],
+            [_cuboid(track, element, openlabel) for track, element in objects.members()] if objects else [],
         )
 
 
@@ -108,8 +108,12 @@ def _members(openlabel: Element) -> Iterator[tuple[str, Element]]:
     return openlabel["frames"].members()
 
 
-def _cuboid(track: str, element: Element) -> Cuboid:
+def _cuboid(track: str, element: Element, openlabel: Element) -> Cuboid:
+    """An object of a frame; its type is with it, as in TUMTraf, or in the file's objects, as in the standard."""
     data = element["object_data"]
+    objects = openlabel.get("objects")
+    described = objects.get(track) if objects else None
+    kind = data["type"] if described is None or data.get("type") is not None else described["type"]
     cuboid = data["cuboid"]
     if isinstance(cuboid.value, list):
         (cuboid,) = cuboid.elements(1)
@@ -121,7 +125,7 @@ def _cuboid(track: str, element: Element) -> Cuboid:
     named = next((place for place in (cuboid, data, element) if place.get("coordinate_system") is not None), None)
     return Cuboid(
         track,
-        CLASS_OF_TYPE.get(data["type"].text().lower(), CLASS_INDEX["unknown"]),
+        CLASS_OF_TYPE.get(kind.text().lower(), CLASS_INDEX["unknown"]),
         named["coordinate_system"].text() if named else None,
         read_point(position),
         _rotation(quaternion),

@@ -1,0 +1,69 @@
+"""Names and numbers that several formats share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import CLASSES, Floats, ObjectStates
+from mast_zenoh.metrics.record import Series
+from mast_zenoh.metrics.scores import OUTCOMES
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.viewer.frames import Frame
+from mast_zenoh.viewer.palette import OUTCOME_COLOURS, rgb
+from mast_zenoh.viewer.routes import TRUTH
+
+#: Colours (4, 3), 0 to 255, of the outcomes of objects of the truth, and of tracks.
+_TRUTH_COLOURS = np.array(
+    [rgb(OUTCOME_COLOURS.get(f"truth {name}", OUTCOME_COLOURS["unevaluated"])) for name in OUTCOMES]
+)
+_TRACK_COLOURS = np.array(
+    [rgb(OUTCOME_COLOURS.get(f"track {name}", OUTCOME_COLOURS["unevaluated"])) for name in OUTCOMES]
+)
+
+
+def stem(series: Series) -> str:
+    """A name for files about a series: truth, picture, ego.local."""
+    return ".".join(filter(None, series))
+
+
+def class_names(states: ObjectStates) -> list[str]:
+    """The classes of objects."""
+    return [CLASSES[index] for index in states.class_id.tolist()]
+
+
+def standard_deviations(states: ObjectStates) -> Floats:
+    """(n, 9) of x y z l w h, m, and vx vy vz, m/s; NaN where the variance is negative."""
+    variances = np.diagonal(states.covariance, axis1=1, axis2=2)
+    return np.sqrt(np.where(variances >= 0.0, variances, np.nan))
+
+
+def colours(frame: Frame, series: Series) -> NDArray[np.int64]:
+    """(n, 3) red, green and blue, 0 to 255, of the objects of a series, by their outcomes."""
+    table = _TRUTH_COLOURS if series == TRUTH else _TRACK_COLOURS
+    return np.asarray(table[frame.outcomes[series].code], np.int64)
+
+
+def missed(frame: Frame, series: Series) -> ObjectStates:
+    """The objects of the truth that an estimate misses."""
+    if TRUTH not in frame.objects:
+        return ObjectStates.empty()
+    return frame.objects[TRUTH].select(frame.truth_outcomes[series].code == OUTCOMES.index("missed"))
+
+
+def quaternions(yaw: Floats) -> Floats:
+    """(n, 4) x y z w of rotations about the vertical by yaw (n,)."""
+    zero = np.zeros_like(yaw)
+    return np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)
+
+
+def wall_lines(scene: Recording) -> Floats:
+    """(n, 2, 3) m: the upper edge of every wall of the buildings, the lower one at z = 0, and the corners."""
+    segments = [np.zeros((0, 2, 3))]
+    for outline, top in zip(scene.buildings, scene.building_height, strict=True):
+        low = np.column_stack([outline, np.zeros(len(outline))])
+        high = np.column_stack([outline, np.full(len(outline), top)])
+        segments += [
+            np.stack(ends, axis=1) for ends in ((low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), (low, high))
+        ]
+    return np.concatenate(segments)

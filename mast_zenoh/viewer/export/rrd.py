@@ -1,0 +1,142 @@
+"""A recording for the Rerun viewer, with a blueprint.
+
+It is written to a file only: Rerun's `log` may block, so that no process that a run depends on may call it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rerun
+import rerun.blueprint as views
+
+from mast_zenoh.arrays.states import Ints, ObjectStates
+from mast_zenoh.metrics.record import PICTURE, Series
+from mast_zenoh.viewer.export.cameras import cameras
+from mast_zenoh.viewer.export.columns import class_names, colours, missed, quaternions, wall_lines
+from mast_zenoh.viewer.frames import Frame, RunFrames
+from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS, rgb
+from mast_zenoh.viewer.routes import TRUTH
+
+APPLICATION = "mast-zenoh"
+#: Timelines: number of the frame, and time of the scene.
+FRAME, TIME = "frame", "scene_time"
+BUILDINGS, CHANGES, LOG, SCORES, MISSED = "scene/buildings", "changes", "log", "scores", "missed"
+
+
+def write(run: RunFrames, path: Path) -> None:
+    """Write the file: an entity for each estimate, named by its key expression, with a batch of boxes a frame."""
+    stream = rerun.RecordingStream(APPLICATION, recording_id=run.name)
+    stream.set_log_time_enabled(False)  # the time of the export
+    stream.save(path, default_blueprint=_blueprint(run))
+    try:
+        _write_static(run, stream)
+        for frame in run:
+            stream.set_time(FRAME, sequence=frame.index)
+            stream.set_time(TIME, duration=np.timedelta64(frame.time_ns, "ns"))
+            _write_frame(run, frame, stream)
+    finally:
+        stream.disconnect()
+
+
+def pose_entity(agent: str) -> str:
+    """The entity with an agent's pose; nothing but its camera is below it, as everything else is in the world frame."""
+    return f"agent/{agent}/pose"
+
+
+def _write_static(run: RunFrames, stream: rerun.RecordingStream) -> None:
+    """What does not change: axes, cameras, buildings, names of series."""
+    stream.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for agent, camera in cameras(run).items():
+        entity = f"{pose_entity(agent)}/camera"
+        mount = rerun.Transform3D(translation=camera.mount_position, mat3x3=camera.mount_rotation)
+        size = (camera.width, camera.height)
+        stream.log(entity, mount, static=True)
+        # x ahead, y left, z up, as the agent
+        pinhole = rerun.Pinhole(focal_length=camera.focal, resolution=size, camera_xyz=rerun.ViewCoordinates.FLU)
+        stream.log(entity, pinhole, static=True)
+    if run.scene is not None:
+        walls = rerun.LineStrips3D(list(wall_lines(run.scene)), colors=[rgb(BUILDING_EDGE)])
+        stream.log(BUILDINGS, walls, static=True)
+    for series in run.scored:
+        for name in ("fn", "fp", "rmse_m"):
+            label = f"{series.agent} {series.estimator} {name}"
+            stream.log(_score(series, name), rerun.SeriesLines(names=[label]), static=True)
+
+
+def _write_frame(run: RunFrames, frame: Frame, stream: rerun.RecordingStream) -> None:
+    for agent, pose in frame.poses.items():
+        stream.log(pose_entity(agent), rerun.Transform3D(translation=pose.position, mat3x3=pose.rotation))
+    for series in run.topics:
+        if series not in frame.objects:
+            stream.log(run.topics[series], rerun.Clear(recursive=False))
+            continue
+        states = frame.objects[series]
+        outcomes = frame.outcomes[series].names
+        labels = [f"{kind} {number}, {outcome}" for kind, number, outcome in _named(states, outcomes)]
+        stream.log(run.topics[series], _boxes(states, colours(frame, series), labels))
+        if series != TRUTH:
+            lost = missed(frame, series)
+            labels = [f"{kind} {number}, {outcome}" for kind, number, outcome in _named(lost, [MISSED] * len(lost))]
+            colour = np.tile(rgb(OUTCOME_COLOURS["truth missed"]), (len(lost), 1))
+            stream.log(f"{run.topics[series]}/{MISSED}", _boxes(lost, colour, labels))
+    changes = frame.changes
+    places = np.where(np.isfinite(changes.after), changes.after, changes.before)
+    shown = np.isfinite(places).all(axis=1) & (changes.role != "link")
+    labels = [
+        f"{effect} by {node}" for effect, node in zip(changes.effect[shown], changes.interposer[shown], strict=True)
+    ]
+    marks = rerun.Points3D(places[shown], colors=[rgb(ADVERSARY)], radii=[0.5], labels=labels, show_labels=False)
+    stream.log(CHANGES, marks)
+    for sentence in changes.sentences():
+        stream.log(LOG, rerun.TextLog(sentence, level=rerun.TextLogLevel.WARN))
+    for series, score in frame.scores.items():
+        for name in ("fn", "fp", "rmse_m"):
+            value = getattr(score, name)
+            if not np.isnan(value):
+                stream.log(_score(series, name), rerun.Scalars(value))
+
+
+def _named(states: ObjectStates, outcomes: list[str]) -> list[tuple[str, int, str]]:
+    return list(zip(class_names(states), states.id.tolist(), outcomes, strict=True))
+
+
+def _boxes(states: ObjectStates, colour: Ints, labels: list[str]) -> rerun.Boxes3D:
+    return rerun.Boxes3D(
+        centers=states.position,
+        half_sizes=states.size / 2,
+        quaternions=quaternions(states.yaw),
+        colors=colour.astype(np.uint8),
+        labels=labels,
+        show_labels=False,
+    )
+
+
+def _score(series: Series, name: str) -> str:
+    return f"{SCORES}/{series.agent}/{series.estimator}/{name}"
+
+
+def _blueprint(run: RunFrames) -> views.Blueprint:
+    """3D view and the main agent's camera with the truth, the picture and what it misses; two charts; the log."""
+    shown = [topic for series, topic in run.topics.items() if series.estimator in (PICTURE, TRUTH.estimator)]
+    shown += [f"{topic}/{MISSED}" for series, topic in run.topics.items() if series.estimator == PICTURE]
+    contents = [f"+ /{entity}" for entity in (*shown, BUILDINGS, CHANGES)]
+    contents += [f"+ /{pose_entity(agent)}/**" for agent in run.agents]
+    charts = [
+        views.TimeSeriesView(
+            name=title,
+            origin="/",
+            contents=[f"+ /{_score(series, name)}" for series in run.scored if series.agent == run.ego],
+        )
+        for title, name in (("false objects", "fp"), ("missed objects", "fn"))
+    ]
+    camera = views.Spatial2DView(name=run.ego, origin=f"/{pose_entity(run.ego)}/camera", contents=contents)
+    return views.Blueprint(
+        views.Horizontal(
+            views.Spatial3DView(name="scene", origin="/", contents=contents),
+            views.Vertical(camera, *charts, views.TextLogView(name="changes", origin=f"/{LOG}")),
+            column_shares=[3, 2],
+        ),
+        collapse_panels=True,
+    )

@@ -1,0 +1,77 @@
+"""The estimate that is on each key of a wiring."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Series
+from mast_zenoh.wiring.model import Wire, Wiring
+
+#: The objects of the scene, as a series like the estimates; and what else frames are made of.
+TRUTH, CLOCK = Series("", "truth"), Series("", "clock")
+#: Name of the series of an agent's poses.
+POSE = "pose"
+
+
+def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, list[Series]]:
+    """The series of each key; keys without one are left out.
+
+    Estimates as received (`received`, `picture_received`) are series of their own only where a node sits on the wire.
+    Wires are identified by the ports of their publishers, whatever keys a map gives them.
+    """
+    result: dict[str, list[Series]] = {}
+    for _, key, series in _keys(wiring, agents):
+        result.setdefault(key, []).append(series)
+    return result
+
+
+def topics(wiring: Wiring, agents: Sequence[str]) -> dict[Series, str]:
+    """A key expression for each series of objects: that of its wire, with `/received` for those as received."""
+    names: dict[Series, str] = {}
+    for wire, _, series in _keys(wiring, agents):
+        if series.estimator not in (CLOCK.estimator, POSE):
+            ending = {RECEIVED: "/received", PICTURE_RECEIVED: f"/received/{series.agent}"}.get(series.estimator, "")
+            names[series] = wire.key + ending
+    return names
+
+
+def in_order(series: Mapping[Series, str], agents: Sequence[str]) -> dict[Series, str]:
+    """Series with the truth first, then the pictures, then the estimates of each agent."""
+    rank = [TRUTH.estimator, PICTURE, PICTURE_RECEIVED, LOCAL, RECEIVED, MISSION].index
+    place = ["", *agents].index
+
+    def key(each: Series) -> tuple[bool, int, int]:
+        pictures = each.estimator in (TRUTH.estimator, PICTURE, PICTURE_RECEIVED)
+        return not pictures, rank(each.estimator) if pictures else place(each.agent), rank(each.estimator)
+
+    return {each: series[each] for each in sorted(series, key=key)}
+
+
+def _keys(wiring: Wiring, agents: Sequence[str]) -> Iterator[tuple[Wire, str, Series]]:
+    """Every wire with a key of it and the series on that key."""
+    brokers = {wire.legs[0].publisher.node for wire in wiring.wires if wire.message == "collated"}
+    for wire in wiring.wires:
+        for key, series in _of_wire(wire, agents, brokers):
+            yield wire, key, series
+
+
+def _of_wire(wire: Wire, agents: Sequence[str], brokers: set[str]) -> list[tuple[str, Series]]:
+    """The keys of a wire with the series on them."""
+    source = wire.legs[0]
+    publisher, port = source.publisher.node, source.publisher.port
+    ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
+    if wire.message == "clock":
+        return [(source.key, CLOCK)]
+    if wire.message == "truth":
+        return [(source.key, TRUTH)]
+    if wire.message == "pose" and wire.subject in agents:
+        return [(source.key, Series(wire.subject, POSE))]
+    if wire.message == "picture":
+        received = [(key, Series(node, PICTURE_RECEIVED)) for node, key in ends.items() if node in agents]
+        return [(source.key, Series("", PICTURE)), *(each for each in received if each[0] != source.key)]
+    if wire.message == "tracks" and publisher in agents and port == "mission":
+        return [(source.key, Series(publisher, MISSION))]
+    if wire.message == "tracks" and publisher in agents and port == "tracks":
+        received = [(ends[broker], Series(publisher, RECEIVED)) for broker in sorted(brokers) if broker in ends]
+        return [(source.key, Series(publisher, LOCAL)), *(each for each in received if each[0] != source.key)]
+    return []

@@ -1,0 +1,31 @@
+"""One attacked run of five agents, read message by message with nothing but mcap and msgpack."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from plain_record import PlainRecord
+
+import mast_zenoh as mast
+
+FRAMES = 30  # more than a chunk of the recording
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """A run whose adversaries insert tracks on the wires of two agents."""
+    out = tmp_path_factory.mktemp("exported") / "run"
+    return mast.run("coordinated", frames=FRAMES, seed=3, attack_start_s=0.5, out=out)
+
+
+@pytest.fixture(scope="session")
+def record(recorded: mast.Run) -> PlainRecord:
+    """What the recording of that run holds."""
+    return PlainRecord(recorded.path)
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """A path for an export."""
+    return tmp_path / "exported"

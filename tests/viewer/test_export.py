@@ -1,0 +1,113 @@
+"""An export is complete or not there at all, and says what it lacks."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import typing
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh.cli import app
+from mast_zenoh.cli import export as command
+from mast_zenoh.errors import ExportError, RunFolderError
+from mast_zenoh.viewer.export import FORMATS, export
+
+Mast = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Mast:
+    """Run a command; returns exit code, stdout and stderr."""
+
+    def run(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["mast", *words])
+        with pytest.raises(SystemExit) as raised:
+            app.main()
+        printed = capsys.readouterr()
+        return int(raised.value.code or 0), printed.out, printed.err
+
+    return run
+
+
+def test_the_command_offers_every_format() -> None:
+    hint = typing.get_type_hints(command.export, include_extras=True)["to"]
+    assert set(typing.get_args(typing.get_args(hint)[0])) == set(FORMATS)
+
+
+def test_the_command_names_what_it_wrote_and_what_is_missing(cli: Mast, recorded: mast.Run, tmp_path: Path) -> None:
+    folder = shutil.copytree(recorded.path, tmp_path / "copy")
+    (folder / "objects.parquet").unlink()
+    code, out, err = cli("export", str(folder), "--to", "mot", "-o", str(tmp_path / "mot"))
+    assert code == 0
+    assert f"exported: {tmp_path / 'mot'}" in out
+    assert "warning: objects.parquet is absent: no object is marked as matched, missed or false" in err
+    assert (tmp_path / "mot" / "seqmap.txt").is_file()
+
+
+def test_the_python_api_returns_paths_and_what_is_missing(recorded: mast.Run, out: Path) -> None:
+    assert recorded.export("mot", out) == ((out,), ())
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_damaged_recording_leaves_nothing_behind(recorded: mast.Run, tmp_path: Path, name: str) -> None:
+    folder = shutil.copytree(recorded.path, tmp_path / "copy")
+    content = bytearray((folder / "messages.mcap").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (folder / "messages.mcap").write_bytes(content)
+    with pytest.raises(RunFolderError, match="a damaged chunk"):
+        export(folder, name, tmp_path / "exported")
+    assert [path.name for path in tmp_path.iterdir()] == ["copy"]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_write_error_leaves_nothing_behind(
+    recorded: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def fail(self: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("mast_zenoh.viewer.frames.RunFrames.__iter__", fail)
+    with pytest.raises(mast.MastError, match="No space left on device"):
+        export(recorded.path, name, tmp_path / "exported")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_overwritten(cli: Mast, recorded: mast.Run, tmp_path: Path) -> None:
+    kept = tmp_path / "run.mcap"
+    kept.write_text("mine")
+    code, _, err = cli("export", str(recorded.path), "--to", "csv", "-o", str(kept))
+    assert code == ExportError.exit_code
+    assert "exists already: expected a new file or folder" in err
+    (tmp_path / "new.layout.json").write_text("mine")
+    with pytest.raises(ExportError, match=r"new\.layout\.json: exists already"):
+        export(recorded.path, "foxglove", tmp_path / "new.mcap")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new.layout.json", "run.mcap"]
+    assert kept.read_text() == "mine"
+
+
+def test_a_folder_that_does_not_exist_and_an_unknown_format_are_named(recorded: mast.Run, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match=r"found no folder .*nothing', expected it to exist"):
+        export(recorded.path, "csv", tmp_path / "nothing" / "run.csv")
+    with pytest.raises(ExportError, match=r"unknown format 'foxgove': .*did you mean 'foxglove'"):
+        export(recorded.path, "foxgove", tmp_path / "run.mcap")
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "extra"),
+    [("foxglove", "foxglove", "foxglove"), ("rosbag2", "rosbags", "rosbag2"), ("rrd", "rerun", "rerun")],
+)
+def test_a_package_that_is_not_installed_is_named_with_its_extra(
+    cli: Mast, recorded: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str, extra: str
+) -> None:
+    monkeypatch.delitem(sys.modules, f"mast_zenoh.viewer.export.{name}", raising=False)
+    for module in [module for module in sys.modules if module.split(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    code, _, err = cli("export", str(recorded.path), "--to", name, "-o", str(out))
+    assert code == ExportError.exit_code
+    assert f"{package} is not installed: pip install 'mast-zenoh[{extra}]'" in " ".join(err.split())
+    assert not out.exists()

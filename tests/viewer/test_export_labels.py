@@ -1,0 +1,239 @@
+"""KITTI, MOTChallenge and OpenLABEL, read back by mast's readers, TrackEval and VCD."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trackeval
+from plain_record import CLASSES, PlainRecord, assert_same_boxes
+from vcd import core as vcd
+
+import mast_zenoh as mast
+from mast_zenoh.scenes.kitti.files import read_calibration, read_labels, read_poses
+from mast_zenoh.scenes.kitti.tracking import KittiTracking
+from mast_zenoh.scenes.tumtraf.openlabel import read_frames
+from mast_zenoh.viewer.export import export
+
+SEEN = 5  # lidar returns
+
+
+@pytest.fixture(scope="module")
+def kitti(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("labels") / "kitti"
+    export(recorded.path, "kitti", out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def mot(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("labels") / "mot"
+    export(recorded.path, "mot", out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def openlabel(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("labels") / "openlabel"
+    export(recorded.path, "openlabel", out)
+    return out
+
+
+def own_object(record: PlainRecord) -> int:
+    """The id of the ego's own object."""
+    columns = record.boxes["truth"][0]
+    (number,) = [
+        n
+        for n, box in zip(columns.number, columns.box, strict=True)
+        if np.hypot(*(box[:2] - record.poses["ego"][0][0][:2])) < 1
+    ]
+    return int(number)
+
+
+# -- KITTI -------------------------------------------------------------------------------------------------------------
+
+
+def boxes_of_kitti(kitti: Path, file: Path, record: PlainRecord) -> dict[int, tuple[Any, Any]]:
+    """Ids and boxes in the world frame, by the readers of the KITTI scene."""
+    frames = len(record.frames)
+    labels = read_labels(file, frames)
+    to_imu, origin = read_calibration(kitti / "calib" / "0000.txt").camera
+    position, rotation = read_poses(kitti / "oxts" / "0000.txt")
+    position = position + record.poses["ego"][0][0]  # the reader's origin is the first position
+    ahead = np.stack([np.cos(labels.rotation_y), 0 * labels.rotation_y, -np.sin(labels.rotation_y)], axis=1)
+    middle = labels.bottom - np.stack([0 * labels.rotation_y, labels.size[:, 2] / 2, 0 * labels.rotation_y], axis=1)
+    centre = np.einsum("nij,nj->ni", rotation[labels.frame], middle @ to_imu.T + origin) + position[labels.frame]
+    heading = np.einsum("nij,nj->ni", rotation[labels.frame], ahead @ to_imu.T)
+    box = np.column_stack([centre, labels.size, np.arctan2(heading[:, 1], heading[:, 0])])
+    return {frame: (labels.track[labels.frame == frame], box[labels.frame == frame]) for frame in range(frames)}
+
+
+def test_kitti_labels_and_tracks_are_read_back_at_the_recorded_places(kitti: Path, record: PlainRecord) -> None:
+    own = own_object(record)
+    for name, frames in record.boxes.items():
+        expected = frames
+        file = kitti / "trackers" / name / "data" / "0000.txt"
+        if name == "truth":
+            file = kitti / "label_02" / "0000.txt"
+            kept = {frame: boxes.number != own for frame, boxes in frames.items()}
+            expected = {
+                frame: boxes._replace(number=boxes.number[kept[frame]], box=boxes.box[kept[frame]])
+                for frame, boxes in frames.items()
+            }
+        assert_same_boxes(boxes_of_kitti(kitti, file, record), expected, 2e-6)
+
+
+def test_a_kitti_export_can_be_played_as_a_scene(kitti: Path, record: PlainRecord) -> None:
+    scene = KittiTracking(path=str(kitti), n_infrastructure=0).record(0, 3)
+    assert len(scene) == 3
+    for frame in range(3):
+        labelled = scene.truth_at(frame).id[1:] - 1  # the ego is the first, as object 0
+        assert sorted(labelled.tolist()) == sorted(
+            set(record.boxes["truth"][frame].number.tolist()) - {own_object(record)}
+        )
+
+
+def test_trackeval_counts_the_labels_and_tracks_of_kitti(kitti: Path, record: PlainRecord) -> None:
+    config = trackeval.datasets.Kitti2DBox.get_default_dataset_config()
+    config |= {"GT_FOLDER": str(kitti), "TRACKERS_FOLDER": str(kitti / "trackers"), "SPLIT_TO_EVAL": "training"}
+    data = trackeval.datasets.Kitti2DBox(config | {"PRINT_CONFIG": False})
+    assert set(data.tracker_list) == set(record.boxes) - {"truth"}
+    for name in data.tracker_list:
+        raw = data.get_raw_seq_data(name, "0000")
+        assert sum(map(len, raw["gt_ids"])) == record.count("truth") - len(record.frames)  # without the ego's own
+        assert [sorted(ids.tolist()) for ids in raw["tracker_ids"]] == [
+            record.boxes[name][frame].number.tolist() for frame in record.frames
+        ]
+
+
+def test_rectangles_in_the_image_contain_the_projected_centre(kitti: Path) -> None:
+    lines = [line.split() for line in (kitti / "label_02" / "0000.txt").read_text().splitlines()]
+    seen = [line for line in lines if float(line[6]) >= 0]
+    assert len(seen) > 50
+    for line in seen:
+        left, top, right, bottom, height, _, _, x, y, z = map(float, line[6:16])
+        u, v = 400 + 400 * x / z, 300 + 400 * (y - height / 2) / z
+        assert left <= max(min(u, 799), 0) <= right
+        assert top <= max(min(v, 599), 0) <= bottom
+
+
+# -- MOTChallenge ------------------------------------------------------------------------------------------------------
+
+
+def test_trackeval_reads_the_boxes_of_mot_from_above(mot: Path, record: PlainRecord) -> None:
+    sequence = (mot / "seqmap.txt").read_text().split()[1]
+    config = trackeval.datasets.MotChallenge2DBox.get_default_dataset_config()
+    config |= {"GT_FOLDER": str(mot / "gt"), "TRACKERS_FOLDER": str(mot / "trackers"), "SKIP_SPLIT_FOL": True}
+    config |= {"SEQMAP_FILE": str(mot / "seqmap.txt"), "DO_PREPROC": False, "BENCHMARK": "MOT15", "PRINT_CONFIG": False}
+    data = trackeval.datasets.MotChallenge2DBox(config)
+    assert set(data.tracker_list) == set(record.boxes) - {"truth"}
+    for name in data.tracker_list:
+        raw = data.get_raw_seq_data(name, sequence)
+        assert raw["num_timesteps"] == len(record.frames)
+        for kind, of in (("gt", "truth"), ("tracker", name)):
+            for frame in record.frames:
+                order = np.argsort(raw[f"{kind}_ids"][frame])
+                boxes = record.boxes[of][frame]
+                assert raw[f"{kind}_ids"][frame][order].tolist() == boxes.number.tolist()
+                rectangles = raw[f"{kind}_dets"][frame][order].reshape(-1, 4)
+                np.testing.assert_allclose(rectangles[:, :2] + rectangles[:, 2:] / 2, boxes.box[:, :2], atol=2e-6)
+                length, width, yaw = boxes.box[:, 3], boxes.box[:, 4], boxes.box[:, 6]
+                sides = np.abs([np.cos(yaw) * length, np.sin(yaw) * length]) + np.abs(
+                    [np.sin(yaw) * width, np.cos(yaw) * width]
+                )
+                np.testing.assert_allclose(rectangles[:, 2:], sides.T, atol=2e-6)
+        scored = data.get_preprocessed_seq_data(raw, "pedestrian")
+        seen = sum((boxes.columns["points"].max(axis=1) >= SEEN).sum() for boxes in record.boxes["truth"].values())
+        assert (scored["num_gt_dets"], scored["num_tracker_dets"]) == (seen, record.count(name))
+        clear = trackeval.metrics.CLEAR({"PRINT_CONFIG": False, "THRESHOLD": 0.1}).eval_sequence(scored)
+        assert clear["CLR_TP"] + clear["CLR_FP"] == record.count(name)
+        assert clear["CLR_TP"] > 0.5 * record.count(name)
+
+
+def test_the_example_of_the_page_evaluates_the_folder(
+    mot: Path, record: PlainRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", page, flags=re.S | re.M)
+    shutil.copytree(mot, tmp_path / "mine_mot")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(block, names)
+    (results,) = names["results"].values()
+    assert set(results) == set(record.boxes) - {"truth"}
+    combined = results["picture"]["COMBINED_SEQ"]["pedestrian"]
+    assert 0.3 < combined["CLEAR"]["MOTA"] <= 1.0
+    assert combined["Count"]["Dets"] == record.count("picture")
+
+
+# -- OpenLABEL ---------------------------------------------------------------------------------------------------------
+
+
+def test_openlabel_is_valid_by_the_schema_and_read_back_by_vcd(openlabel: Path, record: PlainRecord) -> None:
+    assert {path.stem for path in openlabel.iterdir()} == set(record.boxes)
+    for name, frames in record.boxes.items():
+        content = vcd.OpenLABEL()
+        # validation takes a second for a file, and all are written in the same way
+        content.load_from_file(str(openlabel / f"{name}.json"), validation=name in ("truth", "infra_1.received"))
+        found = {}
+        for frame in record.frames:
+            objects = (content.get_frame(frame) or {}).get("objects", {})
+            values = {int(number): content.get_object_data(number, "box", frame) for number in objects}
+            found[frame] = list(values), [box_of(value["val"]) for value in values.values()]
+            kinds = [attributes(value)["class"] for _, value in sorted(values.items())]
+            assert kinds == [CLASSES[index] for index in frames[frame].columns["class_id"]]
+            velocity = [attributes(value)["velocity"] for _, value in sorted(values.items())]
+            assert velocity == frames[frame].columns["velocity"].tolist()
+        assert_same_boxes(found, frames, 1e-9)
+
+
+def test_a_file_that_breaks_the_openlabel_schema_is_noticed(openlabel: Path, tmp_path: Path) -> None:
+    content = json.loads((openlabel / "picture.json").read_text())
+    del content["openlabel"]["metadata"]["schema_version"]
+    (tmp_path / "broken.json").write_text(json.dumps(content))
+    with pytest.raises(Exception, match="schema_version"):
+        vcd.OpenLABEL().load_from_file(str(tmp_path / "broken.json"), validation=True)
+
+
+def test_intervals_of_openlabel_objects_are_the_frames_in_which_they_are(openlabel: Path, record: PlainRecord) -> None:
+    content = json.loads((openlabel / "picture.json").read_text())["openlabel"]
+    for number, element in content["objects"].items():
+        frames = [frame for frame, boxes in record.boxes["picture"].items() if int(number) in boxes.number]
+        covered = [
+            frame
+            for interval in element["frame_intervals"]
+            for frame in range(interval["frame_start"], interval["frame_end"] + 1)
+        ]
+        assert covered == sorted(frames)
+
+
+def test_the_tumtraf_reader_reads_openlabel_with_the_agents_poses(
+    openlabel: Path, record: PlainRecord, tmp_path: Path
+) -> None:
+    (tmp_path / "truth.json").write_bytes((openlabel / "truth.json").read_bytes())
+    frames = read_frames(tmp_path)
+    assert [frame.time_ns for frame in frames] == [record.times_ns[frame] for frame in record.frames]
+    for number, frame in enumerate(frames):
+        boxes = record.boxes["truth"][number]
+        cuboids = sorted(frame.cuboids, key=lambda cuboid: int(cuboid.track))
+        assert [int(cuboid.track) for cuboid in cuboids] == boxes.number.tolist()
+        np.testing.assert_allclose([cuboid.position for cuboid in cuboids], boxes.box[:, :3], atol=1e-9)
+        assert [cuboid.class_id for cuboid in cuboids] == boxes.columns["class_id"].tolist()
+        root, position, _ = frame.coordinates.locate("infra_2")
+        assert root == "world"
+        np.testing.assert_allclose(position, record.poses["infra_2"][number][0], atol=1e-9)
+
+
+def box_of(value: list[float]) -> list[float]:
+    """x y z l w h yaw of a cuboid of ten values, whose rotation is about the vertical."""
+    assert value[3] == value[4] == 0
+    return [*value[:3], *value[7:], 2 * np.arctan2(value[5], value[6])]
+
+
+def attributes(cuboid: dict[str, Any]) -> dict[str, Any]:
+    return {each["name"]: each["val"] for kind in cuboid["attributes"].values() for each in kind}

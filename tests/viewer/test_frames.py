@@ -1,0 +1,177 @@
+"""Frames of a run hold what was recorded, and what the evaluator found about it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pytest
+from plain_record import PlainRecord, assert_same_boxes
+from pyarrow import parquet
+
+import mast_zenoh as mast
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.messagelog.reader import Recorded, read
+from mast_zenoh.metrics.record import Series
+from mast_zenoh.viewer import frames
+from mast_zenoh.viewer.evaluated import Outcomes
+from mast_zenoh.viewer.export.columns import stem
+from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.routes import TRUTH, routes
+from mast_zenoh.wiring.model import Wiring
+
+
+@pytest.fixture(scope="module")
+def run(recorded: mast.Run) -> RunFrames:
+    return RunFrames.load(recorded.path)
+
+
+@pytest.fixture
+def copy(recorded: mast.Run, tmp_path: Path) -> Path:
+    """A copy of the run folder, to damage."""
+    return Path(shutil.copytree(recorded.path, tmp_path / "copy"))
+
+
+def test_every_frame_has_the_recorded_objects_of_every_estimate(run: RunFrames, record: PlainRecord) -> None:
+    frames = list(run)
+    assert [frame.index for frame in frames] == record.frames
+    assert {stem(series): topic for series, topic in run.topics.items()} == record.topics
+    for series in run.topics:
+        found = {}
+        for frame in frames:
+            states = frame.objects[series]
+            found[frame.index] = states.id, np.column_stack([states.position, states.size, states.yaw])
+        assert_same_boxes(found, record.boxes[stem(series)], 0.0)
+
+
+def test_estimates_as_received_are_there_only_for_intercepted_wires(run: RunFrames) -> None:
+    assert {series.agent for series in run.topics if series.estimator == "received"} == {"infra_1", "infra_2"}
+    inserted = [frame for frame in run if "inserted" in frame.changes.effect]
+    assert inserted
+    for frame in inserted:
+        received, local = (frame.objects[Series("infra_1", name)] for name in ("received", "local"))
+        assert set(local.id.tolist()) <= set(received.id.tolist())
+
+
+def test_outcomes_are_those_of_the_evaluator(recorded: mast.Run, run: RunFrames) -> None:
+    judged: dict[tuple[int, str, str, str], dict[int, tuple[str, int]]] = {}
+    for row in recorded.objects.to_pylist():
+        place = row["frame"], row["agent"], row["estimator"], row["kind"]
+        judged.setdefault(place, {})[row["id"]] = row["outcome"], row["match_id"]
+    for frame in run:
+        for series in run.topics:
+            agent, estimator = series.agent or "ego", "picture" if series == TRUTH else series.estimator
+            kinds = {"truth": (frame.objects[TRUTH], frame.truth_outcomes[series])}
+            if series != TRUTH:
+                kinds["track"] = frame.objects[series], frame.outcomes[series]
+            for kind, (states, outcomes) in kinds.items():
+                found = dict(zip(states.id.tolist(), zip(*outcomes_of(outcomes), strict=True), strict=True))
+                expected = judged.get((frame.index, agent, estimator, kind), {})
+                assert found == dict.fromkeys(found, ("unevaluated", -1)) | expected
+        assert frame.outcomes[TRUTH].names == frame.truth_outcomes[Series("", "picture")].names
+
+
+def outcomes_of(outcomes: Outcomes) -> tuple[list[str], list[int]]:
+    return outcomes.names, outcomes.match_id.tolist()
+
+
+def test_scores_and_poses_are_those_of_the_run(recorded: mast.Run, run: RunFrames, record: PlainRecord) -> None:
+    rows = {(row["frame"], row["agent"], row["estimator"]): row for row in recorded.metrics.to_pylist()}
+    for frame in run:
+        for (agent, estimator), score in frame.scores.items():
+            row = rows[frame.index, agent, estimator]
+            assert (score.fn, score.fp, score.tp) == (row["fn"], row["fp"], row["tp"])
+        for agent in run.agents:
+            assert frame.poses[agent].position.tolist() == record.poses[agent][frame.index][0].tolist()
+    assert run.ego == run.agents[0] == "ego"
+
+
+def test_a_wire_that_is_intercepted_later_has_the_estimate_as_received_from_then_on(
+    recorded: mast.Run, record: PlainRecord, run: RunFrames
+) -> None:
+    """The same recording, as if the adversaries had come after frame 14, and sent their own tracks before."""
+    wiring = json.loads((recorded.path / "wiring.json").read_text())
+    attacked = routes(Wiring.from_json(wiring), run.agents)
+    before = {key: series for key, series in attacked.items() if "@tap" not in key} | {
+        f"agent/{agent}/tracks": [Series(agent, "local")] for agent in run.agents
+    }
+    later = replace(run, _wirings=[(-1, before), (14, attacked)])
+    local, received = Series("infra_1", "local"), Series("infra_1", "received")
+    for frame in later:
+        sent = record.boxes["infra_1.received" if frame.index <= 14 else "infra_1.local"][frame.index]
+        assert sorted(frame.objects[local].id.tolist()) == sent.number.tolist()
+        assert (received in frame.objects) == (frame.index > 14)
+
+
+@pytest.mark.parametrize(
+    ("name", "lack"),
+    [
+        ("objects.parquet", "no object is marked as matched, missed or false"),
+        ("metrics.parquet", "no scores"),
+        ("attacks.parquet", "no changes are shown"),
+        ("scene.npz", "no buildings, and cameras are the default ones"),
+    ],
+)
+@pytest.mark.parametrize("damage", ["absent", "damaged", "of another version"])
+def test_an_absent_or_damaged_table_is_named_with_its_consequence(
+    copy: Path, name: str, lack: str, damage: str
+) -> None:
+    (copy / name).unlink()
+    if damage == "damaged":
+        (copy / name).write_bytes(b"damaged")
+    elif damage == "of another version":
+        parquet.write_table(pyarrow.table({"frame": [0]}), copy / name)
+    run = RunFrames.load(copy)
+    assert len(list(run)) == 30
+    (sentence,) = run.missing
+    assert sentence.startswith(f"{name} is absent" if damage == "absent" else f"{name} cannot be read")
+    assert ("found no column" in sentence) == (damage == "of another version" and name.endswith(".parquet"))
+    assert sentence.endswith(lack)
+
+
+def test_a_recording_that_was_cut_off_gives_its_whole_frames_and_says_so(copy: Path) -> None:
+    file = copy / "messages.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 9 // 10])
+    run = RunFrames.load(copy)
+    count = len(list(run))
+    assert 0 < count < 30
+    assert run.missing == [f"messages.mcap: the recording ends at frame {count - 1} of 30: later frames are missing"]
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(RunFolderError, match="found no whole frame"):
+        list(RunFrames.load(copy))
+
+
+def test_a_run_in_progress_is_refused_and_a_failed_one_is_named(copy: Path) -> None:
+    record = json.loads((copy / "run.json").read_text())
+    (copy / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": {}}))
+    with pytest.raises(RunFolderError, match="still in progress"):
+        RunFrames.load(copy)
+    (copy / "run.json").write_text(json.dumps(record | {"status": "stalled", "message": "waited for ego"}))
+    assert RunFrames.load(copy).missing == ["the run is stalled: waited for ego"]
+
+
+def test_what_is_no_recorded_run_is_refused(copy: Path, tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="no such folder"):
+        RunFrames.load(tmp_path / "nothing")
+    with pytest.raises(RunFolderError, match="expected the folder of a run"):
+        RunFrames.load(copy / "messages.mcap")
+    (copy / "run.json").write_text("[]")
+    with pytest.raises(RunFolderError, match=r"run\.json: found list, expected an object"):
+        RunFrames.load(copy)
+
+
+def test_an_invalid_message_is_left_out_and_counted(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def spoilt(path: Path) -> Iterator[Recorded]:
+        for message in read(path):
+            invalid = message.wire == "cc/picture" and message.frame == 7
+            yield replace(message, payload=message.payload[:-1]) if invalid else message
+
+    monkeypatch.setattr(frames, "read", spoilt)
+    run = RunFrames.load(copy)
+    assert [frame.index for frame in run if Series("", "picture") not in frame.objects] == [7]
+    assert run.missing == ["messages.mcap: invalid messages, which receivers refuse, are left out: 1"]
