@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import msgpack
+import numpy as np
 
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.errors import MessageError, RunFolderError
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Message
 
 #: Folder of the scripts in the run folder of a replay, and their suffix.
 FOLDER, SUFFIX = Path("played"), ".msgpack"
-
-#: Message types whose columns refer to single frames: they are played once only, as they fit no repetition.
-_REPORTS = ("attack_report", "link_report")
 
 
 class Output(NamedTuple):
@@ -23,12 +23,14 @@ class Output(NamedTuple):
 
     port, subject: of the node, see `wiring.model.Ports`;  message: its type
     numbers: how many sequence numbers the recording of its wire uses
+    reported_numbers: of a link's reports, the same of the wires that they are about, by `port` in them
     """
 
     port: str
     subject: str
     message: str
     numbers: int
+    reported_numbers: Sequence[int] = ()
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Script:
     outputs:   the keys on which it publishes
     sent:      by step, (index of the output, bytes) in the order of sending
     times_ns:  times of the recorded frames, ns
-    period_ns: ns, interval of the scene's frames: the time between two repetitions
+    period_ns: interval of the scene's frames, ns
     repeats:   how often the recording is played
     """
 
@@ -79,9 +81,9 @@ class Script:
         return len(self.times_ns) * self.repeats
 
     def time_ns(self, frame: int) -> int:
-        """The time of a frame, ns; a repetition begins one period after the last frame of the one before."""
+        """The time of a frame, ns."""
         repetition, recorded = divmod(frame, len(self.times_ns))
-        return self.times_ns[recorded] + repetition * self._span_ns
+        return self.times_ns[recorded] + repetition * self.span_ns
 
     def messages(self, step: int) -> Iterator[tuple[Output, bytes]]:
         """The messages that the node sent in a step, in order.
@@ -91,28 +93,34 @@ class Script:
         repetition, recorded = divmod(step, len(self.times_ns))
         for index, payload in self.sent.get(recorded, ()):
             output = self.outputs[index]
-            if repetition == 0:
-                yield output, payload
-            elif output.message not in _REPORTS:
-                shift = (len(self.times_ns), self._span_ns, output.numbers)
-                yield output, _shifted(payload, *(repetition * each for each in shift))
+            yield output, self._repeated(payload, output, repetition) if repetition else payload
 
     @property
-    def _span_ns(self) -> int:
-        return self.times_ns[-1] - self.times_ns[0] + self.period_ns
+    def span_ns(self) -> int:
+        """Time from the beginning of a repetition to that of the next, ns.
+
+        The frames of uneven recordings may be longer than their period: time ascends nevertheless.
+        """
+        return max(len(self.times_ns) * self.period_ns, self.times_ns[-1] + 1)
+
+    def _repeated(self, payload: bytes, output: Output, repetition: int) -> bytes:
+        """A message as of a later repetition; unchanged if it is malformed."""
+        frames = repetition * len(self.times_ns)
+        try:
+            header, body = codec.decode_lazily(payload, output.message)
+            header = header._replace(
+                frame=header.frame + frames,
+                time_ns=header.time_ns + repetition * self.span_ns,
+                seq=header.seq + repetition * output.numbers,
+            )
+            if output.reported_numbers:
+                numbers = repetition * np.array(output.reported_numbers, np.int64)[body["port"]]
+                body = {**body, "frame": body["frame"] + frames, "seq": body["seq"] + numbers}
+            return codec.encode(Message(header, dict(body)))
+        except MessageError:
+            return payload
 
 
 def path_of(node: str) -> Path:
     """The path of a node's script, relative to the run folder."""
     return FOLDER / f"{node}{SUFFIX}"
-
-
-def _shifted(payload: bytes, frames: int, time_ns: int, numbers: int) -> bytes:
-    """A message about a later frame; a malformed one is unchanged."""
-    try:
-        fields = msgpack.unpackb(payload)
-        for name, shift in (("frame", frames), ("time_ns", time_ns), ("seq", numbers)):
-            fields[name] += shift
-        return bytes(msgpack.packb(fields))
-    except Exception:  # any bytes may be on a wire
-        return payload

@@ -50,7 +50,7 @@ def cut(wiring: Wiring, roles: Mapping[str, str], place: Place) -> Cut:
     while found := between & _between_live(wiring, roles, live) - live:
         live |= found
     played = roles.keys() - live
-    wires = tuple(_wires(wiring, roles, played))
+    wires = _without_idle_reports(wiring, tuple(_wires(wiring, roles, played)))
     sending = {leg.publisher.node for wire in wires for leg in wire.every_leg}
     # An agent without outputs is still a member of the run: the broker knows it.
     played = {name for name in played if name in sending or roles[name] == "agent"}
@@ -90,6 +90,13 @@ def _wires(wiring: Wiring, roles: Mapping[str, str], played: Collection[str]) ->
             # What agents send to no live node, such as mission estimates, is left out: it follows from the recorded
             # picture, not from that of the replay.
             yield _without_inputs(wire, played)
+
+
+def _without_idle_reports(recorded: Wiring, wires: tuple[Wire, ...]) -> tuple[Wire, ...]:
+    """The wires without reports of interposers whose every wire is left out: nothing is there to compare them with."""
+    passing = {name for wire in wires for name in wire.interposers}
+    idle = {name for wire in recorded.wires for name in wire.interposers} - passing
+    return tuple(wire for wire in wires if wire.legs[0].publisher.node not in idle)
 
 
 def _towards_live(wire: Wire, played: Collection[str]) -> Wire:

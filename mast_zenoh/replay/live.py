@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -144,23 +145,37 @@ def _set(content: dict[str, Any], key: str, value: str, specs: Mapping[str, Node
 def _changed(path: Path, name: str, spec: NodeSpec, config: dict[str, Any], *, defaults: bool) -> NodeSpec:
     """The spec of a node with another configuration.
 
-    defaults: without `file`, the node has the file and the class of the recorded node; otherwise those of its role
+    defaults: without `file`, the node has the file and the class of the recorded node, and another class keeps those of
+              its parameters that it accepts; otherwise file and class are those of its role
     """
     if config == spec.config:
         return spec
-    own = {"file": spec.file, "type": spec.type} if defaults and "file" not in config else {}
-    return node_spec(path, name, spec.role, {"on_exit": spec.on_exit, **own, **config})
+    if not defaults or "file" not in config:
+        own = {"file": spec.file, "type": spec.type} if defaults else {}
+        return node_spec(path, name, spec.role, {"on_exit": spec.on_exit, **own, **config})
+    other = node_spec(path, name, spec.role, {"on_exit": spec.on_exit, **config})
+    accepted = inspect.signature(loading.node_class(Path(other.file), other.type)).parameters
+    kept = {key: value for key, value in other.config.items() if key in accepted or value != spec.config.get(key)}
+    return replace(other, config=kept)
 
 
 def _differences(recorded: NodeSpec, now: NodeSpec) -> list[str]:
     """Dotted names of the settings of a node that differ from the recorded ones."""
     names = [name for name in ("file", "type") if getattr(recorded, name) != getattr(now, name)]
-    here, there = dict(_leaves("", recorded.config)), dict(_leaves("", now.config))
-    missing = object()
-    return names + [key for key in dict.fromkeys([*here, *there]) if here.get(key, missing) != there.get(key, missing)]
+    here, there = recorded.config, now.config
+    for key in dict.fromkeys([*here, *there]):
+        if key not in here or key not in there:
+            names.append(key)
+            continue
+        leaves, others = dict(_leaves(key, here[key])), dict(_leaves(key, there[key]))
+        missing = object()
+        names += [
+            name for name in dict.fromkeys([*leaves, *others]) if leaves.get(name, missing) != others.get(name, missing)
+        ]
+    return names
 
 
 def _leaves(prefix: str, value: Any) -> list[tuple[str, Any]]:
     if not isinstance(value, Mapping):
         return [(prefix, list(value) if isinstance(value, tuple) else value)]
-    return [leaf for key, item in value.items() for leaf in _leaves(f"{prefix}.{key}".lstrip("."), item)]
+    return [leaf for key, item in value.items() for leaf in _leaves(f"{prefix}.{key}", item)]

@@ -99,7 +99,10 @@ def resolve(
     scripts = read_scripts(
         folder, division, roles, period_ns=recorded.period_ns, planned=planned, frames=frames, repeats=repeats
     )
-    count = next(iter(scripts.by_node.values())).frames
+    script = next(iter(scripts.by_node.values()))
+    leeway_ns = recorded.leeway_ns
+    if leeway_ns is not None:  # repetitions of uneven frames are later and later
+        leeway_ns += (script.repeats - 1) * (script.span_ns - scripts.frames * recorded.period_ns)
     players = {name: _player(recorded.nodes[name], script) for name, script in scripts.by_node.items()}
     nodes = {name: players.get(name) or live.nodes[name] for name in roles if name in {*players, *live.nodes}}
     steps = _steps(recorded.steps, division, mode) if repeats == 1 else ()
@@ -109,7 +112,8 @@ def resolve(
         name=recorded.name.removesuffix(SUFFIX) + SUFFIX,
         mode=mode,
         rate=rate,
-        frames=count,
+        frames=script.frames,
+        leeway_ns=leeway_ns,
         nodes=nodes,
         wiring=fitted.to_json(),
         modules=live.modules,
@@ -159,7 +163,8 @@ def _initial_wiring(folder: Path, recorded: Resolved) -> tuple[Wiring, set[str]]
 def _player(spec: NodeSpec, script: Script) -> NodeSpec:
     """The spec of the player of a recorded node."""
     cls = player.ScenePlayer if spec.role == DRIVER_ROLE else player.Player
-    recorded = spec.config.get("recorded") or {"file": spec.file, "type": spec.type, "config": spec.config}
+    own = {name: getattr(spec, name) for name in ("file", "type", "on_exit", "config")}
+    recorded = spec.config.get("recorded") or own  # a replay can be replayed
     return NodeSpec(spec.role, str(player.__file__), cls.__name__, {"script": script, "recorded": recorded}, "fail")
 
 

@@ -9,12 +9,14 @@ from pathlib import Path
 
 from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.links import WIRES
 from mast_zenoh.messagelog import channels
 from mast_zenoh.messagelog.reader import Recorded, is_whole, read
 from mast_zenoh.messagelog.script import Output, Script, path_of
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.replay import findings
 from mast_zenoh.replay.cut import Cut
+from mast_zenoh.replay.link_reports import restricted
 from mast_zenoh.wiring.model import Wire
 
 #: Repetitions of an endless replay: these many frames, more than a day of them.
@@ -143,16 +145,22 @@ def _lines(
     name: str, cut: Cut, messages: Messages, frames: int, *, without_clock: bool
 ) -> tuple[list[Output], dict[int, list[tuple[int, bytes]]]]:
     """The outputs of a node, and what it sent by step."""
+    passed = {passage.message: passage.wire for passage in cut.wiring.passages() if passage.node == name}
+    counts = {key: max(numbers, default=-1) + 1 for key, numbers in messages.numbers.items()}
     outputs: list[Output] = []
     lines: list[tuple[int, tuple[int, int], int, bytes]] = []
     for wire, leg in cut.wiring.legs():
         if leg.publisher.node != name:
             continue
-        numbers = max(messages.numbers[wire.key], default=-1) + 1
-        outputs.append(Output(leg.publisher.port, wire.subject, wire.message, numbers))
+        reports = wire.message == "link_report"
+        reported = [counts.get(passed.get(message, ""), 0) for message in WIRES] if reports else []
+        outputs.append(Output(leg.publisher.port, wire.subject, wire.message, counts.get(wire.key, 0), reported))
         if wire.message != "clock" or not without_clock:
             index = len(outputs) - 1
-            lines += [(step, rank, index, data) for step, rank, data in messages.sent[leg.key] if step < frames]
+            played = ((step, rank, data) for step, rank, data in messages.sent[leg.key] if step < frames)
+            if reports:
+                played = ((step, rank, restricted(data, passed)) for step, rank, data in played)
+            lines += [(step, rank, index, data) for step, rank, data in played]
     sent: defaultdict[int, list[tuple[int, bytes]]] = defaultdict(list)
     for step, _, index, data in sorted(lines, key=lambda line: line[:2]):
         sent[step].append((index, data))

@@ -116,7 +116,7 @@ def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
         for each in run.timeline
         if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
     ]
-    config = run.scenario.get("nodes", {}).get(interposer.name, {}).get("config") or {}
+    config = run.node_spec(interposer.name).get("config") or {}
     attack = config.get("attack")
     if not starts and isinstance(attack, Mapping) and isinstance(attack.get("start_s"), (int, float)):
         starts = [float(attack["start_s"])]
