@@ -91,6 +91,5 @@ def replay(
         _err.print(f"warning: {notice}", style="bold yellow", markup=False, highlight=False)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    origin = {**prepared.origin, "notices": list(prepared.notices)}
-    finished = launcher.run(prepared.resolved, out, **environment, **allowed, console=_out, replay=origin)
+    finished = launcher.run(prepared.resolved, out, **environment, **allowed, console=_out, replay=prepared.record())
     conclude(finished, report=report, against=against, allow_failures=allow_failures)

@@ -46,6 +46,10 @@ class Replay:
     origin: Mapping[str, Any]
     notices: Sequence[str]
 
+    def record(self) -> dict[str, Any]:
+        """The origin and the notices, for `launch.run`."""
+        return {**self.origin, "notices": list(self.notices)}
+
     def lines(self) -> list[str]:
         """Which nodes are played and which are live, as text."""
         changed = self.origin["changed"]

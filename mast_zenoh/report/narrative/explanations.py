@@ -143,7 +143,7 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
         withheld = run.metrics.get("integrity", {}).get("withheld", {}).get("false")
         by = "the defence withheld, or the fusion rejected," if withheld else "the fusion rejected"
         return [f"{by} everything that it inserted: no track of the picture followed it"]
-    if achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
+    if achieved.get("inserted_share_centre") and achieved.get("inserted_share_ego") == 0.0:  # None: not measured
         reasons.append("the picture had what it inserted, but the ego did not adopt it")
     return reasons
 
