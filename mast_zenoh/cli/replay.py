@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 import typer
 
 from mast_zenoh.cli.options import (
-    Against,
     AllowChurn,
     AllowFailures,
     Frames,
@@ -55,7 +54,9 @@ def replay(
     record: Record = True,
     allow_failures: AllowFailures = False,
     allow_churn: AllowChurn = False,
-    against: Against = None,
+    against: Annotated[
+        str | None, typer.Option(metavar="RUN", help="Compare with another run, such as the recorded one.")
+    ] = None,
 ) -> None:
     """Play a recorded run to live nodes, such as a changed command centre.
 

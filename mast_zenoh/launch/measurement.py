@@ -17,7 +17,7 @@ from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import notices
 from mast_zenoh.messagelog import reader
 from mast_zenoh.messagelog.writer import FILE
-from mast_zenoh.runtime.replaying import replay
+from mast_zenoh.runtime.recorded_results import results_of
 
 METRICS = "metrics.json"
 
@@ -48,7 +48,7 @@ def measure(folder: Path) -> list[str]:
     incomplete = _incomplete(folder)
     if incomplete and previous:
         _refuse_worse(folder, previous, incomplete)
-    results = replay(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
+    results = results_of(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
     kept: dict[str, Any] = {name: previous[name] for name in _NOT_RECORDED if name in previous}
     if incomplete:
         kept["recording"] = incomplete._asdict()

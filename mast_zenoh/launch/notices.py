@@ -47,12 +47,12 @@ def of_run(
         (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
     kinds = ("late", *_DROPPED, "rejected", "foreign", "control", "behind", "churn", "recording", "results")
-    found = [
+    of_nodes = [
         {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
     ]
     return [
         *({"kind": "replay", "count": 1, "text": text} for text in record.get("replay", {}).get("notices", ())),
-        *found,
+        *of_nodes,
     ]
 
 

@@ -47,8 +47,8 @@ def cut(wiring: Wiring, roles: Mapping[str, str], place: Place) -> Cut:
     interposers = {name for wire in wiring.wires for name in wire.interposers}
     between = {name for name, role in roles.items() if name in interposers or role in _ON_WIRES} - first
     live = roles.keys() - first - between
-    while found := between & _between_live(wiring, roles, live) - live:
-        live |= found
+    while more := between & _between_live(wiring, roles, live) - live:
+        live |= more
     played = roles.keys() - live
     wires = _without_idle_reports(wiring, tuple(_wires(wiring, roles, played)))
     sending = {leg.publisher.node for wire in wires for leg in wire.every_leg}

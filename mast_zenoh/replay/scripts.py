@@ -19,8 +19,8 @@ from mast_zenoh.replay.cut import Cut
 from mast_zenoh.replay.link_reports import restricted
 from mast_zenoh.wiring.model import Wire
 
-#: Repetitions of an endless replay: these many frames, more than a day of them.
-ENDLESS_FRAMES = 1_000_000
+#: Number of frames of an endless replay: weeks, at a thousand frames a second.
+ENDLESS_FRAMES = 10**9
 
 
 @dataclass

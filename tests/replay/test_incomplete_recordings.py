@@ -16,9 +16,11 @@ from tiny_world import Run as Played
 from mast_zenoh import replay
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, RunFolderError, WiringError
 from mast_zenoh.launch import liveness
+from mast_zenoh.messagelog.events import REWIRED, Event
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
+from mast_zenoh.wiring.insertion import Place, insert
 from mast_zenoh.wiring.model import Wiring
 
 
@@ -83,6 +85,31 @@ def test_a_wire_without_any_message_is_named(copied: Path) -> None:
 def test_messages_of_outsiders_are_left_out(copied: Path) -> None:
     rewrite(copied, lambda m: True, lambda m: -1 if (m.key, m.frame) == ("agent/infra_1/tracks", 4) else m.step)
     assert "1 message without the mark of the run's nodes" in notices(copied)
+
+
+def test_what_subscribers_received_is_played_though_a_node_came_during_the_run(
+    recorded: Callable[[str], Path], copied: Path
+) -> None:
+    wire, tap = "agent/infra_1/tracks", "agent/infra_1/tracks/@tap/0"
+    before = Wiring.from_json(json.loads((copied / "wiring.json").read_text()))
+    after = insert(before, "mallory", Place(wire, "tracks", "tracks_out"))
+    messages = list(read(copied))
+    (copied / "messages.mcap").unlink()
+    log = MessageLog(copied / "messages.mcap")
+    log.begin(after.ports("recorder").inputs)
+    log.add_event(Event(REWIRED, -1, wiring=before.to_json()))
+    log.add_event(Event(REWIRED, 7, wiring=after.to_json()))
+    for message in messages:
+        header = codec.decode_header(message.payload, message.message)
+        for key in (message.key, tap) if message.key == wire and message.frame > 7 else (message.key,):
+            log.add(key, message.payload, header, message.step)
+    log.close()
+    edit_json(copied / "wiring.json", **after.to_json())
+    assert "mallory was inserted or removed during the recorded run" in notices(copied)
+    prepared = replay.resolve(copied, record=False)
+    assert "mallory" not in prepared.resolved.nodes
+    pictures = [m.payload for m in read(recorded("baseline")) if m.key == "cc/picture"]
+    assert Played(prepared.resolved).messages["cc/picture"] == pictures
 
 
 def test_circumstances_of_the_recorded_run_are_named(copied: Path) -> None:

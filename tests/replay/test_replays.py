@@ -14,10 +14,12 @@ from recorded_runs import FRAMES, RUNS
 from tiny_world import Run as Played
 
 from mast_zenoh import replay
-from mast_zenoh.launch import measurement
+from mast_zenoh.errors import NotComparable
+from mast_zenoh.launch import measurement, twin
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messagelog.script import Script
 from mast_zenoh.report import html
 
 PICTURE = ("cc/picture",)
@@ -197,6 +199,21 @@ def test_repetitions_continue_frames_times_and_numbers(recorded: Callable[[str],
     assert not any(node["rejected"] for node in run.record["nodes"].values())
     adversary = metrics(run.folder)["interposers"]["adversary_1"]
     assert adversary["agreement"] == "agrees", "reports are about the repeated frames"
+
+
+@pytest.mark.parametrize(
+    ("last_ms", "next_ns"), [(150, 300_000_000), (299, 300_000_000), (300, 300_000_001), (350, 350_000_001)]
+)
+def test_time_ascends_between_repetitions_of_uneven_frames(last_ms: int, next_ns: int) -> None:
+    times_ns = [0, 90_000_000, last_ms * 10**6]
+    script = Script(Path("a"), [], {}, times_ns, period_ns=10**8, repeats=2)
+    assert [script.time_ns(frame) for frame in range(4)] == [*times_ns, next_ns]
+
+
+def test_a_replay_has_no_twin(recorded: Callable[[str], Path], tmp_path: Path) -> None:
+    run = replayed(recorded("baseline"), tmp_path / "replay", frames=3)
+    with pytest.raises(NotComparable, match="is a replay"):
+        twin.of(run.folder)
 
 
 def test_a_replay_without_a_recorder_has_results(recorded: Callable[[str], Path], tmp_path: Path) -> None:
