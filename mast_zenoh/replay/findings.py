@@ -7,6 +7,7 @@ from typing import Any
 
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.folder import versions
 from mast_zenoh.launch.notices import number, of_recording
 from mast_zenoh.messagelog import churn
@@ -21,7 +22,9 @@ def of_run(record: Mapping[str, Any], resolved: Resolved) -> list[str]:
     """
     sentences = []
     status, message = record.get("status"), str(record.get("message") or "")
-    if status != "ok":
+    if status == RUNNING:
+        sentences.append("the recorded run has not ended, by its run.json, and was started on another machine")
+    elif status != "ok":
         reason = f": {message.splitlines()[0]}" if message else ""
         sentences.append(f"the recorded run ended as {str(status).replace('_', ' ')!r}{reason}")
     recorded_by, here = (record.get("versions") or {}).get(_PACKAGE), versions()[_PACKAGE]
@@ -67,6 +70,13 @@ def of_gaps(gaps: Mapping[str, int]) -> list[str]:
     worst = max(sorted(missing), key=lambda wire: missing[wire])
     where = f"{number(len(missing), 'wire')} (most: {worst}, {missing[worst]})"
     return [f"{number(sum(missing.values()), 'message')} on {where} were not recorded, and are not played"]
+
+
+def of_clocks(missing: int) -> list[str]:
+    """A sentence about frames without a recorded clock."""
+    if not missing:
+        return []
+    return [f"no clock is recorded of {number(missing, 'frame')}: the times are multiples of the scene's period"]
 
 
 def of_outsiders(count: int) -> list[str]:

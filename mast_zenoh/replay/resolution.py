@@ -83,7 +83,7 @@ def resolve(
     """
     file_of(folder)  # names what is missing
     run = liveness.current_record(json_or_empty(folder / "run.json"))
-    if run.get("status") == RUNNING:
+    if run.get("status") == RUNNING and liveness.lives(run.get("launcher") or {}):
         raise RunFolderError(f"{folder}: is still running, expected a run that has ended")
     recorded = scenario_of(folder)
     if not 0 < rate < float("inf"):

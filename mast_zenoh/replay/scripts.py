@@ -98,6 +98,7 @@ def read_scripts(
         scripts[name] = Script(path_of(name), outputs, sent, times_ns, period_ns, count)
     notices = [
         *findings.of_extent(n_frames, recorded, planned, whole=whole),
+        *findings.of_clocks(sum(frame not in messages.times_ns for frame in range(n_frames))),
         *findings.of_gaps({wire.key: _gap(messages.numbers[wire.key]) for wire in _played(cut)}),
         *findings.of_silent(silent),
         *findings.of_outsiders(messages.outsiders),

@@ -77,6 +77,18 @@ def test_missing_messages_are_counted(copied: Path) -> None:
     assert "2 messages on 1 wire (most: agent/infra_1/tracks, 2) were not recorded" in notices(copied)
 
 
+def test_a_frame_without_a_clock_is_played_at_its_regular_time(recorded: Callable[[str], Path], copied: Path) -> None:
+    rewrite(copied, lambda message: not (message.key == "clock" and message.frame == 5))
+    assert "no clock is recorded of 1 frame" in notices(copied)
+    pictures = [m.payload for m in read(recorded("baseline")) if m.key == "cc/picture"]
+    assert Played(replay.resolve(copied, record=False).resolved).messages["cc/picture"] == pictures
+
+
+def test_a_run_of_another_machine_that_never_ended_is_played(copied: Path) -> None:
+    edit_json(copied / "run.json", status="running", launcher=liveness.identity() | {"machine": "elsewhere"})
+    assert "has not ended, by its run.json" in notices(copied)
+
+
 def test_a_wire_without_any_message_is_named(copied: Path) -> None:
     rewrite(copied, lambda message: message.key != "agent/infra_1/tracks")
     assert "no message is recorded on agent/infra_1/tracks" in notices(copied)
