@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from mast_zenoh import scenario
-from mast_zenoh.cli import deploy, export, intercept, listing, scene
+from mast_zenoh.cli import deploy, export, intercept, listing, replay, scene
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -22,11 +22,13 @@ from mast_zenoh.cli.options import (
     Rate,
     Record,
     Report,
+    Runtime,
     Scenario,
     Secure,
     SecureCommand,
     Seed,
     Settings,
+    check_environment,
     check_run_folder,
     conclude,
     reference_folder,
@@ -59,7 +61,7 @@ def run(
     settings: Settings = None,
     frames: Frames = None,
     seed: Seed = None,
-    runtime: Annotated[Literal["mesh", "inproc"], typer.Option(help="Processes on a mesh, or one process.")] = "mesh",
+    runtime: Runtime = "mesh",
     mode: Mode = None,
     rate: Rate = None,
     out: Out = None,
@@ -79,13 +81,7 @@ def run(
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
-    if runtime == "inproc" and resolved.mode == "realtime":
-        raise typer.BadParameter(
-            "real time needs the mesh: a single process has no network latency", param_hint="--mode"
-        )
-    if secure != "open" and (runtime == "inproc" or endpoint):
-        problem = f"the router at {endpoint} belongs to another process" if endpoint else "one process has no mesh"
-        raise typer.BadParameter(f"a secure mesh has its own router: {problem}", param_hint="--secure")
+    check_environment(runtime, resolved.mode, secure, endpoint)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
     finished = launcher.run(resolved, out, **environment, **allowed, console=_out)
@@ -199,6 +195,7 @@ def wiring(
 def diff(
     run_a: Annotated[Path, typer.Argument(metavar="A", help="The folder of a run, or a recording.")],
     run_b: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    wire: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to compare: cc/picture.")] = None,
     ignore: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to leave out: 'attack/*'.")] = None,
     taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
 ) -> None:
@@ -212,7 +209,7 @@ def diff(
 
     try:
         before, reason = comparable(run_a, run_b)
-        difference = compare(run_a, run_b, ignore=ignore or (), taps=taps, before=before)
+        difference = compare(run_a, run_b, wires=wire or ("*",), ignore=ignore or (), taps=taps, before=before)
     except MastError as error:
         _err.print(f"cannot compare: {error}", markup=False, highlight=False)
         raise typer.Exit(2) from None
@@ -226,6 +223,7 @@ def diff(
 
 app.command("list")(listing.list_kind)
 app.command()(export.export)
+app.command(cls=SecureCommand)(replay.replay)
 app.command()(intercept.intercept)
 app.command()(intercept.release)
 

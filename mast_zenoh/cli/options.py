@@ -53,6 +53,7 @@ Secure = Annotated[
     typer.Option("--secure", metavar="[LEVEL]", help="Secure the mesh: tls, mtls, or acl (the default level)."),
 ]
 Mode = Annotated[Literal["lockstep", "realtime"] | None, typer.Option(help="Exact, or paced by the clock.")]
+Runtime = Annotated[Literal["mesh", "inproc"], typer.Option(help="Processes on a mesh, or one process.")]
 Rate = Annotated[float | None, typer.Option(help="Real time: speed relative to the wall clock.")]
 Against = Annotated[
     str | None,
@@ -78,6 +79,17 @@ class SecureCommand(TyperCommand):
             if word == "--secure" and following not in levels.LEVELS:
                 completed[index] = f"--secure={levels.SECURE}"
         return super().parse_args(ctx, completed)
+
+
+def check_environment(runtime: str, mode: str, secure: str, endpoint: str | None) -> None:
+    """Raise a usage error for options that exclude each other."""
+    if runtime == "inproc" and mode == "realtime":
+        raise typer.BadParameter(
+            "real time needs the mesh: a single process has no network latency", param_hint="--mode"
+        )
+    if secure != "open" and (runtime == "inproc" or endpoint):
+        problem = f"the router at {endpoint} belongs to another process" if endpoint else "one process has no mesh"
+        raise typer.BadParameter(f"a secure mesh has its own router: {problem}", param_hint="--secure")
 
 
 def conclude(finished: Run, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.messagelog.script import Script
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
@@ -108,10 +109,10 @@ class Resolved:
         return {**{name: getattr(self, name) for name in names}, **declared, "steps": steps, "nodes": nodes}
 
     def _plain(self, value: Any) -> Any:
-        """A configuration as JSON values; recorded scene and log become file names."""
+        """A configuration as JSON values; recorded scene, log and scripts become file names."""
         if value is self.recording is not None:
             return RECORDING
-        if isinstance(value, MessageLog):
+        if isinstance(value, (MessageLog, Script)):
             return str(value.path)
         if isinstance(value, Mapping):
             return {key: self._plain(item) for key, item in value.items()}
@@ -149,9 +150,13 @@ class Resolved:
         )
 
     def write(self, run_folder: Path) -> None:
-        """Write scenario.json, wiring.json and scene.npz, which the run's nodes need."""
+        """Write scenario.json, wiring.json, scene.npz and scripts, which the run's nodes need."""
         if self.recording is not None:
             self.recording.save(run_folder / RECORDING)
+        for spec in self.nodes.values():
+            for value in spec.config.values():
+                if isinstance(value, Script):
+                    value.save(run_folder)
         for name, content in (("scenario.json", self.to_json()), ("wiring.json", self.wiring)):
             (run_folder / name).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 

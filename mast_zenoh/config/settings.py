@@ -28,7 +28,7 @@ def split(settings: Sequence[str], function: Callable[..., Any], place: str) -> 
         if not equals:
             raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
         if "." in key:
-            dotted[key] = _literal(value)
+            dotted[key] = literal(value)
         elif key in known:
             parameters[key] = _typed(value, known[key].default, f"{place}: --set {key}")
         else:
@@ -70,7 +70,7 @@ def nested(settings: Sequence[str]) -> dict[str, Any]:
             level = level.setdefault(step, {})
             if not isinstance(level, dict):
                 raise ConfigurationError(f"--set {setting}: {step} is {level!r}, not a dict")
-        level[last] = _literal(value)
+        level[last] = literal(value)
     return result
 
 
@@ -93,7 +93,8 @@ def set_dotted(scenario: dict[str, Any], dotted: str, value: Any, place: str) ->
     level[last] = value
 
 
-def _literal(value: str) -> Any:
+def literal(value: str) -> Any:
+    """A setting as a Python value: a literal, true, false, none, or else text."""
     try:
         return ast.literal_eval(value)
     except (ValueError, SyntaxError):
@@ -104,7 +105,7 @@ def _typed(value: str, default: Any, place: str) -> Any:
     """A setting in the type of its default."""
     if isinstance(default, str):
         return value
-    return _checked(_literal(value), default, place, value)
+    return _checked(literal(value), default, place, value)
 
 
 def _checked(value: Any, default: Any, place: str, written: Any) -> Any:

@@ -30,6 +30,8 @@ def write(
     innovations = confidence_notices.innovations(handed_in, resolved.nodes)
     record["innovations"] = dict(sorted(innovations.items()))
     measured = {"late": results.late(collations), **measured}
+    if "replay" in record:
+        measured["replay"] = {key: value for key, value in record["replay"].items() if key != "notices"}
     refused = run_folder.write_results(folder, handed_in, measured)
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused)
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")

@@ -24,7 +24,7 @@ from mast_zenoh import kernels
 from mast_zenoh.config.resolved import NodeSpec, driver_of
 from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
-from mast_zenoh.messagelog import churn
+from mast_zenoh.messagelog import churn, script
 from mast_zenoh.messagelog.completeness import first_incomplete_frame, first_missing_frame
 
 #: Reserves room for the final run.json, so a run that filled the disk can still write it.
@@ -82,6 +82,11 @@ def finish(folder: Path, record: Mapping[str, Any]) -> None:
     """Write the final run.json, on a full disk in the reserved room."""
     (folder / _RESERVE).unlink(missing_ok=True)
     write_json(folder / "run.json", record)
+
+
+def discard_scripts(folder: Path) -> None:
+    """Remove what the played nodes of a replay have sent: it is in both recordings."""
+    shutil.rmtree(folder / script.FOLDER, ignore_errors=True)
 
 
 def _unused(path: Path) -> Path:

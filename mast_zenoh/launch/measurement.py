@@ -17,12 +17,12 @@ from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import notices
 from mast_zenoh.messagelog import reader
 from mast_zenoh.messagelog.writer import FILE
-from mast_zenoh.runtime.replaying import replay
+from mast_zenoh.runtime.recorded_results import results_of
 
 METRICS = "metrics.json"
 
-#: Entries of metrics.json from the wall clock and the broker's counters, which no recording has.
-_NOT_RECORDED = ("late", "latency_ms", "frames_per_second")
+#: Entries of metrics.json from the wall clock, the broker's counters and the command, which no recording has.
+_NOT_RECORDED = ("late", "latency_ms", "frames_per_second", "replay")
 
 
 def can_fill_in(folder: Path) -> bool:
@@ -38,25 +38,30 @@ def measure(folder: Path) -> list[str]:
     run. Raises RunFolderError if something is missing or damaged, or if metrics of more frames would be replaced, and
     HandlerFailed if the evaluator fails.
     """
-    try:
-        resolved = Resolved.read(folder)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RunFolderError(f"{folder}: scenario.json and wiring.json cannot be read: {error!r}") from None
+    resolved = scenario_of(folder)
     if EVALUATOR not in resolved.nodes:
         raise RunFolderError(f"{folder / 'scenario.json'}: nodes: found no {EVALUATOR!r}, which measures a run")
     for module in resolved.modules:
         loading.module(Path(module))
-    evaluator = _with_local_file(resolved.nodes[EVALUATOR], folder)
+    evaluator = with_local_file(resolved.nodes[EVALUATOR], folder)
     previous = run_folder.json_or_empty(folder / METRICS)
     incomplete = incomplete_recording(folder)
     if incomplete and previous:
         _refuse_worse(folder, previous, incomplete)
-    results = replay(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
+    results = results_of(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
     kept: dict[str, Any] = {name: previous[name] for name in _NOT_RECORDED if name in previous}
     if incomplete:
         kept["recording"] = incomplete._asdict()
     recorder_notices = notices.of_recording(run_folder.json_or_empty(folder / "run.json"))
     return [*run_folder.write_results(folder, {EVALUATOR: results}, kept), *recorder_notices]
+
+
+def scenario_of(folder: Path) -> Resolved:
+    """The scenario of a run; raises RunFolderError if it cannot be read."""
+    try:
+        return Resolved.read(folder)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RunFolderError(f"{folder}: scenario.json and wiring.json cannot be read: {error!r}") from None
 
 
 class Incomplete(NamedTuple):
@@ -100,7 +105,7 @@ def _refuse_worse(folder: Path, metrics: dict[str, Any], incomplete: Incomplete)
     )
 
 
-def _with_local_file(spec: NodeSpec, folder: Path) -> NodeSpec:
+def with_local_file(spec: NodeSpec, folder: Path) -> NodeSpec:
     """The node's spec with an existing file: the run's, or the shipped one."""
     if Path(spec.file).is_file():
         return spec

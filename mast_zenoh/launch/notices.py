@@ -47,8 +47,12 @@ def of_run(
         (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
     kinds = ("late", *_DROPPED, "rejected", "foreign", "control", "behind", "churn", "recording", "results")
-    return [
+    of_nodes = [
         {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
+    ]
+    return [
+        *({"kind": "replay", "count": 1, "text": text} for text in record.get("replay", {}).get("notices", ())),
+        *of_nodes,
     ]
 
 
@@ -62,7 +66,7 @@ def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> list[dic
         return []
     notices = []
     if played is not None and count < played:
-        text = f"{_number(played - count, 'frame')} of {played} were played and not measured: the evaluator missed them"
+        text = f"{number(played - count, 'frame')} of {played} were played and not measured: the evaluator missed them"
         notices.append({"kind": "unmeasured", "count": played - count, "text": text})
     if metrics.get("settled") is not False:
         return notices
@@ -78,7 +82,7 @@ def _late(late: Mapping[str, int]) -> tuple[int, str]:
     worst = max(agents, key=lambda agent: late[agent])
     source = worst if len(agents) == 1 else f"{len(agents)} agents"
     detail = "" if len(agents) == 1 else f" (most: {worst}, {late[worst]})"
-    return count, f"{_number(count, 'message')} of {source} came too late for their batch{detail}"
+    return count, f"{number(count, 'message')} of {source} came too late for their batch{detail}"
 
 
 def _dropped(name: str, collations: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
@@ -101,7 +105,7 @@ def _rejected(nodes: Mapping[str, Mapping[str, Any]]) -> tuple[int, str]:
         first += [(frame, key, name, reason) for key, (frame, reason) in (node.get("first_rejected") or {}).items()]
     if not by_key:
         return 0, ""
-    text = f"{_number(by_key.total(), 'message')} on {_number(len(by_key), 'key')}"
+    text = f"{number(by_key.total(), 'message')} on {number(len(by_key), 'key')}"
     if first:
         _, key, name, reason = min(first)
         text = f"{text} (first, by {name}: {key}: {reason})"
@@ -116,7 +120,7 @@ def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
     keys = sorted(by_key)
     more = f" and {len(keys) - _MAX_KEYS} more" if len(keys) > _MAX_KEYS else ""
     where = f"{', '.join(keys[:_MAX_KEYS])}{more}"
-    return by_key.total(), f"{_number(by_key.total(), 'message')} without the mark of this run's nodes, on {where}"
+    return by_key.total(), f"{number(by_key.total(), 'message')} without the mark of this run's nodes, on {where}"
 
 
 def _control(record: Mapping[str, Any]) -> tuple[int, str]:
@@ -133,7 +137,7 @@ def _control(record: Mapping[str, Any]) -> tuple[int, str]:
             )
     parts = []
     if by_launcher:
-        parts.append(f"{_number(_total(by_launcher), 'invalid control message')} refused on {_largest(by_launcher)}")
+        parts.append(f"{number(_total(by_launcher), 'invalid control message')} refused on {_largest(by_launcher)}")
     if by_nodes:
         parts.append(f"nodes report {_total(by_nodes)} invalid control messages on {_largest(by_nodes)}")
     return _total(by_launcher) + _total(by_nodes), "; ".join(parts)
@@ -147,7 +151,7 @@ def _largest(refusals: Mapping[str, tuple[int, str, str]]) -> str:
     """The number of keys, and the details of the one with the largest count."""
     key = max(sorted(refusals), key=lambda key: refusals[key][0])
     count, reporter, reason = refusals[key]
-    return f"{_number(len(refusals), 'key')} (most: {key}, {count}{reporter}, the first: {reason})"
+    return f"{number(len(refusals), 'key')} (most: {key}, {count}{reporter}, the first: {reason})"
 
 
 def _churned(record: Mapping[str, Any]) -> tuple[int, str]:
@@ -184,7 +188,7 @@ def _behind(resolved: Resolved, record: Mapping[str, Any], measured: Mapping[str
         reasons.append(f"it played {speed:.1f} frames/s instead of {1e3 / period_ms:.1f}")
     late = sum(measured["late"].values())
     if late and not any(entry["kind"] != "attack" for entry in resolved.timeline):
-        reasons.append(f"{_number(late, 'message')} came too late for their batch")
+        reasons.append(f"{number(late, 'message')} came too late for their batch")
     advice = "lower --rate, use more cores, or raise latency_s or patience of the broker"
     return len(reasons), f"this run did not keep up with real time: {'; '.join(reasons)}: {advice}"
 
@@ -200,5 +204,6 @@ def _longest_wait_ms(resolved: Resolved) -> float:
     return float(wait_frames + 1) * resolved.period_ns * 1e-6 / resolved.rate
 
 
-def _number(count: int, noun: str) -> str:
+def number(count: int, noun: str) -> str:
+    """A count with its noun: "1 message", "2 messages"."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

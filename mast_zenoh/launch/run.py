@@ -6,7 +6,7 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -63,6 +63,7 @@ def run(
     prepare: Callable[[RunContext], None] = lambda context: None,
     console: Console | None = None,
     command: Sequence[str] | str | None = None,
+    replay: Mapping[str, Any] | None = None,
 ) -> Run:
     """Run a scenario and write its run folder; the result and run.json hold any error.
 
@@ -73,6 +74,8 @@ def run(
     allow_churn: whether a lock-step run in which a node was lost is still "ok"; otherwise its error is NodeLost
     prepare:  called with the context of a run on a mesh before it starts: to set detours, and to observe the run
     command:  what started the run, for run.json; None: this process's command line
+    replay:   of a replay: what it replays, for run.json and metrics.json, with `notices`, a sentence for each thing
+              that is missing
     Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
     """
     console = console or Console(quiet=True)
@@ -102,6 +105,8 @@ def run(
             "nodes": {},
             "churn": [],
         }
+        if replay is not None:
+            record["replay"] = dict(replay)
         with run_folder.reserved(folder):
             run_folder.write_json(folder / "run.json", record)
             resolved.write(folder)
@@ -129,7 +134,8 @@ def run(
         run_folder.finish(folder, record)
         if caught is not None and ending.from_exception(caught) is None:
             raise caught  # a defect
-        if checks.is_checked(resolved):
+        run_folder.discard_scripts(folder)
+        if checks.is_checked(resolved) and replay is None:  # what is checked is in the record of the recorded run
             checks.run(folder, resolved)
     if received and not ended.error:
         stop_signals.raise_again(received)  # it came when nothing of the run was left to stop

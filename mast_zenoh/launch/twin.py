@@ -85,6 +85,11 @@ def of(run_folder: Path, console: Console | None = None) -> Path:
 
 def _read(run_folder: Path) -> Resolved:
     """The twin of a run's scenario, with its scene loaded from the run folder."""
+    if origin := json_or_empty(run_folder / "run.json").get("replay"):
+        raise NotComparable(
+            f"{run_folder}: is a replay, whose adversaries are in its recording: expected the folder of a run, such as "
+            f"the recorded one, {origin.get('folder')}"
+        )
     try:
         resolved = Resolved.read(run_folder)
         recording = Recording.load(run_folder / RECORDING)

@@ -30,16 +30,23 @@ class Difference:
 
 
 def compare(
-    a: Path, b: Path, *, ignore: Collection[str] = (), taps: bool = False, before: int | None = None
+    a: Path,
+    b: Path,
+    *,
+    wires: Collection[str] = ("*",),
+    ignore: Collection[str] = (),
+    taps: bool = False,
+    before: int | None = None,
 ) -> Difference:
     """Compare two recordings, ordered by (frame, wire, publisher, sequence number).
 
-    ignore: globs of wires to leave out;  taps: compare tap legs too, which only runs of equal rewrites share
+    wires, ignore: globs of wires to compare, and of those to leave out
+    taps: compare tap legs too, which only runs of equal rewrites share
     before: only frames before this one
     Raises RunFolderError if one cannot be read, or if there is nothing to compare.
     """
     difference = Difference()
-    for left, right in _paired(*(_selected(path, ignore, taps, before) for path in (a, b))):
+    for left, right in _paired(*(_selected(path, wires, ignore, taps, before) for path in (a, b))):
         if left and right:
             if left.payload == right.payload:
                 difference.equal += 1
@@ -56,12 +63,18 @@ def compare(
     return difference
 
 
-def _selected(path: Path, ignore: Collection[str], taps: bool, before: int | None) -> Iterator[Recorded]:
+def _selected(
+    path: Path, wires: Collection[str], ignore: Collection[str], taps: bool, before: int | None
+) -> Iterator[Recorded]:
     for message in read(path):
-        if before is not None and message.frame >= before:
+        if (before is not None and message.frame >= before) or (message.tap and not taps):
             continue
-        if (taps or not message.tap) and not any(fnmatchcase(message.wire, glob) for glob in ignore):
+        if _matches(message.wire, wires) and not _matches(message.wire, ignore):
             yield message
+
+
+def _matches(wire: str, globs: Collection[str]) -> bool:
+    return any(fnmatchcase(wire, glob) for glob in globs)
 
 
 def _paired(a: Iterator[Recorded], b: Iterator[Recorded]) -> Iterator[tuple[Recorded | None, Recorded | None]]:

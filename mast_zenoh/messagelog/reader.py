@@ -177,8 +177,14 @@ def extent(path: Path) -> Extent:
     """The extent of a recording; reads all its messages, raises RunFolderError."""
     path = file_of(path)
     last = max((message.frame for message in read(path) if message.message == "truth"), default=-1)
+    return Extent(last, is_whole(path))
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a recording was closed properly rather than cut off; raises RunFolderError."""
+    path = file_of(path)
     with _open(path) as file:
-        return Extent(last, any(isinstance(record, _End) for record in _records(file, path)))
+        return any(isinstance(record, _End) for record in _records(file, path))
 
 
 def _open(path: Path) -> IO[bytes]:

@@ -33,6 +33,7 @@ from mast_zenoh.report.narrative.changes import largest_change
 from mast_zenoh.report.narrative.circumstances import reference_status
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.page import render
+from mast_zenoh.report.run_facts import facts, facts_of_compared, healing
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.achievement import achieved_rows
@@ -115,7 +116,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
         "title": "Runs compared",
         "headline": study_headline(folders, table),
         "reading": study_reading(folders, table),
-        "facts": _study_facts(folders),
+        "facts": facts_of_compared(folders),
         "figures": figures,
         **_score_rows(table),
         "pages": pages,
@@ -153,7 +154,7 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
         "title": f"Run {run.run.get('id', run.label)}",
         "headline": headline(run, reference),
         "reading": reading(run, reference),
-        "facts": _facts(run) + ([f"compared with {reference.name}"] if reference else []),
+        "facts": facts(run) + ([f"compared with {reference.name}"] if reference else []),
         "status": run.run.get("status", "unknown"),
         "message": run.run.get("message"),
         "failures": _failures(run),
@@ -176,7 +177,7 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
         "blamed": CAUSE_GROUPS,
         "blame": cause_rows(run.metrics) if run.faulted else [],
         "checks": check_rows(run.checks),
-        "healed": _healed(run),
+        "healed": healing(run),
         "latency": latency_rows(run.metrics),
         "late": late_rows(run.metrics),
         "wires": wire_rows(run),
@@ -210,49 +211,6 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
         "runs": len(table.runs),
         "reference": table.reference,
     }
-
-
-def _facts(run: RunFolder) -> list[str]:
-    facts = [f"run {run.run['id']}"] if "id" in run.run else []
-    facts += [str(run.run["status"])] if "status" in run.run else []
-    facts += [f"scene {run.recording.name}"] if run.recording else []
-    facts += [_frames(run)] if "frames" in run.metrics else []
-    facts += [f"seed {run.run['seed']}"] if "seed" in run.run else []
-    facts += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
-    unsigned = run.run.get("unsigned_control")
-    facts += [f"{unsigned} control messages obeyed without a signature"] if unsigned else []
-    speed = run.run.get("timings", {}).get("frames_per_second")
-    facts += [f"{speed:.0f} frames/s"] if speed else []
-    latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})
-    if latency.get("p50") is not None and latency.get("p99"):  # lock-step has no latency: scene time stands still
-        facts.append(f"simulator to picture {latency['p50']:.1f} ms (99 %: {latency['p99']:.1f} ms)")
-    return facts
-
-
-def _healed(run: RunFolder) -> list[str]:
-    """When faults healed, and how soon the picture then equalled the fault-free one."""
-    heals, converged = run.checks.get("heals_s") or [], run.checks.get("converged_after_s")
-    facts = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
-    if isinstance(converged, (int, float)):
-        facts.append(f"the picture converged to the unfaulted one {converged:.1f} s after the heal")
-    return facts
-
-
-def _study_facts(runs: Mapping[str, RunFolder]) -> list[str]:
-    facts = [f"{len(runs)} runs"]
-    scenes = {run.recording.name for run in runs.values() if run.recording}
-    seeds = {str(run.run["seed"]) for run in runs.values() if "seed" in run.run}
-    frames = {_frames(run) for run in runs.values() if "frames" in run.metrics}
-    facts += [f"scene {', '.join(sorted(scenes))}"] if scenes else []
-    facts += [f"seed {', '.join(sorted(seeds))}"] if seeds else []
-    facts += [f"each {frames.pop()}"] if len(frames) == 1 else []
-    bad = [label for label, run in runs.items() if run.run.get("status") != "ok"]
-    return facts + ([f"did not end well: {', '.join(bad)}"] if bad else [])
-
-
-def _frames(run: RunFolder) -> str:
-    scored = run.metrics.get("scored_frames")
-    return f"{run.metrics['frames']} frames" + (f", scored from {scored[0]} to {scored[-1]}" if scored else "")
 
 
 def _node(run: RunFolder, name: str) -> dict[str, Any]:

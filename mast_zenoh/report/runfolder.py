@@ -120,6 +120,12 @@ class RunFolder:
         """The agent whose view the report shows: `ego` or else the first; None: unknown."""
         return _ego(self.metrics, self.counts, self.recording)
 
+    def node_spec(self, node: str) -> dict[str, Any]:
+        """A node in scenario.json; of a replay's played node, the recorded one."""
+        spec = dict(self.scenario.get("nodes", {}).get(node, {}))
+        recorded = (spec.get("config") or {}).get("recorded")
+        return spec | recorded if self.run.get("replay") and isinstance(recorded, dict) else spec
+
     def role(self, node: str) -> str:
         """The role of a node, from run.json or guessed from its wires and name."""
         known = self.run.get("nodes", {}).get(node, {}).get("role")

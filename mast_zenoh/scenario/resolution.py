@@ -81,7 +81,7 @@ def resolve(
         nodes=nodes,
         wiring=wiring.to_json(),
         scene=scene_spec,
-        modules=_modules(path, scenario, builders),
+        modules=modules_of(path, scenario, builders),
         steps=timeline.plan.steps,
         timeline=timeline.bands,
         network=timeline.network,
@@ -91,7 +91,7 @@ def resolve(
     )
 
 
-def _modules(path: Path, scenario: Mapping[str, Any], builders: Iterable[Path]) -> tuple[str, ...]:
+def modules_of(path: Path, scenario: Mapping[str, Any], builders: Iterable[Path]) -> tuple[str, ...]:
     """The scenario's own file, and the files of the classes and builders in it."""
     files = [path] if path.suffix and loading.defines_algorithms(loading.module(path)) else []
     names = list(registry.type_names(scenario))

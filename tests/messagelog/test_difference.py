@@ -94,11 +94,14 @@ def test_malformed_messages_are_compared_byte_by_byte(tmp_path: Path) -> None:
         (small_run(), (), 0),
         (with_message(WIRE, 3, payload(WIRE, 3, detections())), (), 1),
         (with_message(WIRE, 3, payload(WIRE, 3, detections())), ("--ignore", WIRE), 0),
+        (with_message(WIRE, 3, payload(WIRE, 3, detections())), ("--wire", "clock", "--wire", "*/status"), 0),
+        (with_message(WIRE, 3, payload(WIRE, 3, detections())), ("--wire", "agent/b/*"), 1),
         (with_message(TAP, 3, payload(TAP, 3, detections())), ("--taps",), 1),
         (None, (), 2),
         (small_run(), ("--ignore", "*"), 2),
+        (small_run(), ("--wire", "cc/picture"), 2),
     ],
-    ids=["equal", "different", "ignored", "taps", "nothing there", "nothing left"],
+    ids=["equal", "different", "ignored", "others", "wire", "taps", "nothing there", "nothing left", "no such wire"],
 )
 def test_the_command_exits_with_0_1_or_2(
     tmp_path: Path,

@@ -116,13 +116,14 @@ def tiny(
     frames: int = 12,
     seed: int = 0,
     edit: Callable[[dict[str, Any]], None] | None = None,
+    record: bool = False,
 ) -> Resolved:
     """A shipped scenario in the tiny world, changed by `edit` if given."""
     path, content = scenario.load(name, [f"n_infrastructure={infrastructure}", *settings])
     content["scene"] = dict(type="TinyScene", n_infrastructure=infrastructure)
     if edit:
         edit(content)
-    return scenario.resolve(path, content, frames=frames, seed=seed)
+    return scenario.resolve(path, content, frames=frames, seed=seed, record=record)
 
 
 class Run:

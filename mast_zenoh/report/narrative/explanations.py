@@ -116,7 +116,7 @@ def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
         for each in run.timeline
         if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
     ]
-    config = run.scenario.get("nodes", {}).get(interposer.name, {}).get("config") or {}
+    config = run.node_spec(interposer.name).get("config") or {}
     attack = config.get("attack")
     if not starts and isinstance(attack, Mapping) and isinstance(attack.get("start_s"), (int, float)):
         starts = [float(attack["start_s"])]
@@ -143,7 +143,7 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
         withheld = run.metrics.get("integrity", {}).get("withheld", {}).get("false")
         by = "the defence withheld, or the fusion rejected," if withheld else "the fusion rejected"
         return [f"{by} everything that it inserted: no track of the picture followed it"]
-    if achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
+    if achieved.get("inserted_share_centre") and achieved.get("inserted_share_ego") == 0.0:  # None: not measured
         reasons.append("the picture had what it inserted, but the ego did not adopt it")
     return reasons
 

@@ -38,7 +38,7 @@ def other_differences(run: RunFolder, reference: RunFolder) -> tuple[str, ...]:
     for name in (name for name in nodes if name in reference_nodes):
         differences += _differing(name, nodes[name], reference_nodes[name])
     differences += _versions(run, reference)
-    ignored = {*differences, *added}
+    ignored = {*differences, *added, *_played(run), *_played(reference)}
     differences += _differing_keys(*(_steps(each, ignored) for each in (run, reference)))
     differences += _differing_keys(*(_wires(each, ignored) for each in (run, reference)))
     differences += _differing_keys(*(_interceptions(each, added) for each in (run, reference)))
@@ -57,6 +57,11 @@ def attacking_nodes(run: RunFolder) -> frozenset[str]:
     return frozenset(_attackers(run))
 
 
+def _played(run: RunFolder) -> list[str]:
+    """The nodes of a replay that only send what was recorded."""
+    return list((run.run.get("replay") or {}).get("played", ()))
+
+
 def _attackers(run: RunFolder) -> set[str]:
     interposer_names = {each.name for each in interposers(run) if not each.is_link}
     return interposer_names | {name for name in _names(run) if run.role(name) in _HOSTILE}
@@ -70,7 +75,7 @@ def _names(run: RunFolder) -> list[str]:
 
 def _nodes(run: RunFolder) -> dict[str, dict[str, Any]]:
     """Settings by node; empty for nodes that are not in scenario.json."""
-    specs = {name: dict(run.scenario.get("nodes", {}).get(name, {})) for name in _names(run)}
+    specs = {name: run.node_spec(name) for name in _names(run)}
     settings = {name: {**(spec.pop("config", None) or {}), **spec} for name, spec in specs.items()}
     settings.get("evaluator", {}).pop("metrics", None)  # a user's own metrics add rows without changing others
     return settings

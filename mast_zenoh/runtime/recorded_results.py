@@ -1,4 +1,4 @@
-"""Replays a recording to one node that receives every key.
+"""Computes the results of a node that receives every key from a recording.
 
 A node that measures a run depends on messages alone, so it measures the same from the run's recording: with other
 parameters, with a later version, or after the run was killed before the node handed in its results.
@@ -26,8 +26,8 @@ from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 _HELD_FRAMES = 8
 
 
-def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
-    """Replay a recording to a node; returns the results of its `finish`.
+def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
+    """The results of a node's `finish` after it has received a recording.
 
     resolved: the scenario of the recorded run, with the user's modules loaded
     name:     a node of that scenario that receives every key

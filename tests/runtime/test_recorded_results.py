@@ -1,4 +1,4 @@
-"""Replaying a recording gives the metrics measured during the run."""
+"""A recording gives the metrics measured during the run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.events import REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.report import html, terminal
-from mast_zenoh.runtime.replaying import replay
+from mast_zenoh.runtime.recorded_results import results_of
 
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parents[2] / "scenarios").glob("*.py"))
 #: These affect hosts or need real time, which one process cannot provide.
@@ -165,4 +165,4 @@ def test_an_invalid_wiring_in_a_recording_is_reported(tmp_path: Path, wiring: di
     log.add_event(Event(REWIRED, -1, wiring=wiring))
     log.close()
     with pytest.raises(RunFolderError, match=r"messages\.mcap: the wiring of frame -1"):
-        replay(resolved, "evaluator", tmp_path)
+        results_of(resolved, "evaluator", tmp_path)

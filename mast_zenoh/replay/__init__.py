@@ -1,0 +1,12 @@
+"""Puts a recorded run back on a mesh: recorded nodes before a cut, live nodes after it.
+
+cut         which nodes are played and which are live, and their wires;  ports: fits these to changed nodes
+scripts     what each played node sent, read from the recording;  findings: what the recording lacks
+live        the live nodes, as recorded or changed by settings or a scenario file
+resolution  resolve: all that a replay needs before processes start
+"""
+
+from mast_zenoh.replay.cut import PLAYED_ROLES
+from mast_zenoh.replay.resolution import Replay, resolve
+
+__all__ = ["PLAYED_ROLES", "Replay", "resolve"]

@@ -1,0 +1,154 @@
+"""Divides the nodes of a recorded run into played and live ones. Pure functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from mast_zenoh.config.resolved import DRIVER_ROLE
+from mast_zenoh.wiring import insertion
+from mast_zenoh.wiring.model import Branch, Endpoint, Leg, Listener, Wire, Wiring
+
+#: The roles that are played, by the place of the cut.
+PLAYED_ROLES: Mapping[str, tuple[str, ...]] = {"agents": (DRIVER_ROLE, "agent"), "simulator": (DRIVER_ROLE,)}
+Place = Literal["agents", "simulator"]
+
+#: Roles that are on wires, or direct nodes that are.
+_ON_WIRES = ("adversary", "coordinator", "link")
+#: Ports of a player.
+_CLOCK, _UNUSED = "clock", "unused"
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The nodes and wires of a replay.
+
+    played: names of the nodes that only send what was recorded
+    live:   names of the nodes that run
+    wiring: of the recorded run, without the wires that no live node receives from agents, and without the inputs of
+            played nodes except for the clock
+    """
+
+    played: frozenset[str]
+    live: frozenset[str]
+    wiring: Wiring
+
+
+def cut(wiring: Wiring, roles: Mapping[str, str], place: Place) -> Cut:
+    """Divide a run at its agents or at its simulator.
+
+    Played are the nodes of the roles before the cut, and those that were inserted into their wires. Nodes on the wires
+    between two live nodes are live, and so are coordinators of live adversaries.
+
+    wiring: of the recorded run;  roles: by node
+    """
+    first = {name for name, role in roles.items() if role in PLAYED_ROLES[place]}
+    interposers = {name for wire in wiring.wires for name in wire.interposers}
+    between = {name for name, role in roles.items() if name in interposers or role in _ON_WIRES} - first
+    live = roles.keys() - first - between
+    while more := between & _between_live(wiring, roles, live) - live:
+        live |= more
+    played = roles.keys() - live
+    wires = _without_idle_reports(wiring, tuple(_wires(wiring, roles, played)))
+    sending = {leg.publisher.node for wire in wires for leg in wire.every_leg}
+    # An agent without outputs is still a member of the run: the broker knows it.
+    played = {name for name in played if name in sending or roles[name] == "agent"}
+    players = {name for name in played if roles[name] != DRIVER_ROLE}
+    overhearers = tuple(end for end in wiring.overhearers if end.node in live)
+    clocked = tuple(_clocked(wire, players, live) if wire.message == "clock" else wire for wire in wires)
+    return Cut(frozenset(played), frozenset(live), Wiring(clocked, overhearers))
+
+
+def _between_live(wiring: Wiring, roles: Mapping[str, str], live: Collection[str]) -> set[str]:
+    """Interposers between two live nodes, and coordinators that direct live nodes."""
+    nodes: set[str] = set()
+    for wire in wiring.wires:
+        publisher = wire.legs[0].publisher.node
+        receivers = _receivers(wire) & set(live)
+        if receivers and roles.get(publisher) == "coordinator":
+            nodes.add(publisher)
+        if receivers and publisher in live:
+            nodes |= {leg.publisher.node for leg in wire.legs[1:]}
+        for branch in wire.branches:
+            if publisher in live and branch.subscriber.node in live:
+                nodes |= {leg.publisher.node for leg in branch.legs}
+    return nodes
+
+
+def _receivers(wire: Wire) -> set[str]:
+    return {end.node for end in (*wire.subscribers, *(listener.end for listener in wire.listeners))}
+
+
+def _wires(wiring: Wiring, roles: Mapping[str, str], played: Collection[str]) -> Iterator[Wire]:
+    """The wires of a replay."""
+    for wire in wiring.wires:
+        publisher = wire.legs[0].publisher.node
+        if publisher not in played:
+            yield _towards_live(wire, played)
+        elif roles.get(publisher) != "agent" or _receivers(wire) - set(played):
+            # What agents send to no live node, such as mission estimates, is left out: it follows from the recorded
+            # picture, not from that of the replay.
+            yield _without_inputs(wire, played)
+
+
+def _without_idle_reports(recorded: Wiring, wires: tuple[Wire, ...]) -> tuple[Wire, ...]:
+    """The wires without reports of interposers whose every wire is left out: nothing is there to compare them with."""
+    passing = {name for wire in wires for name in wire.interposers}
+    idle = {name for wire in recorded.wires for name in wire.interposers} - passing
+    return tuple(wire for wire in wires if wire.legs[0].publisher.node not in idle)
+
+
+def _towards_live(wire: Wire, played: Collection[str]) -> Wire:
+    """A live node's wire without all that leads to played nodes."""
+    *before, last = wire.legs
+    ended = {branch.entrance for branch in wire.branches if branch.subscriber.node in played}
+    kept = tuple(end for end in last.subscribers if end not in ended)
+    branches = tuple(branch for branch in wire.branches if branch.entrance not in ended)
+    wire = replace(wire, legs=(*before, replace(last, subscribers=kept)), branches=branches)
+    (shortened,) = insertion.never_inserted(Wiring((wire,)), played).wires
+    return shortened
+
+
+def _without_inputs(wire: Wire, played: Collection[str]) -> Wire:
+    """A played node's wire without played subscribers.
+
+    The first nodes of branches stay, as branches begin at a subscriber, and so do all subscribers of the clock.
+    """
+    clock = wire.message == "clock"
+    entrances = {branch.entrance for branch in wire.branches}
+
+    def renamed(end: Endpoint) -> Endpoint:
+        return Endpoint(end.node, _CLOCK if clock else _UNUSED) if end.node in played else end
+
+    def kept(leg: Leg) -> Leg:
+        ends = (end for end in leg.subscribers if clock or end.node not in played or end in entrances)
+        return replace(leg, subscribers=tuple(map(renamed, ends)))
+
+    branches = tuple(
+        Branch(renamed(branch.entrance), renamed(branch.subscriber), _branch_legs(branch, kept, renamed))
+        for branch in wire.branches
+    )
+    listeners = tuple(listener for listener in wire.listeners if listener.end.node not in played)
+    return replace(wire, legs=tuple(map(kept, wire.legs)), branches=branches, listeners=listeners)
+
+
+def _branch_legs(
+    branch: Branch, kept: Callable[[Leg], Leg], renamed: Callable[[Endpoint], Endpoint]
+) -> tuple[Leg, ...]:
+    """The legs of a branch; the last one keeps its subscriber, which defines the branch."""
+    *before, last = branch.legs
+    return (*map(kept, before), replace(last, subscribers=tuple(map(renamed, last.subscribers))))
+
+
+def _clocked(wire: Wire, players: Collection[str], live: Collection[str]) -> Wire:
+    """The wire of the clock, with all players and live nodes that it has, and no others."""
+    everyone = {*players, *live}
+
+    def kept(leg: Leg) -> Leg:
+        return replace(leg, subscribers=tuple(end for end in leg.subscribers if end.node in everyone))
+
+    wire = replace(wire, legs=tuple(map(kept, wire.legs)))
+    receiving = {end.node for leg in wire.every_leg for end in leg.subscribers}
+    added = (Listener(Endpoint(name, _CLOCK)) for name in sorted({*players} - receiving))
+    return replace(wire, listeners=(*wire.listeners, *added))

@@ -1,0 +1,220 @@
+"""Resolves the replay of a recorded run into all that it needs, before any process starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.config import loading
+from mast_zenoh.config.process_steps import REALTIME, ProcessStep
+from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node
+from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.launch import liveness
+from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.launch.folder import json_or_empty
+from mast_zenoh.launch.measurement import scenario_of
+from mast_zenoh.messagelog.events import REWIRED
+from mast_zenoh.messagelog.reader import events, file_of
+from mast_zenoh.messagelog.script import Script
+from mast_zenoh.messages import user_types
+from mast_zenoh.messages.schemas import Schema
+from mast_zenoh.node import Node
+from mast_zenoh.replay import findings, ports
+from mast_zenoh.replay.cut import Cut, Place, cut
+from mast_zenoh.replay.live import Live, live_nodes
+from mast_zenoh.replay.scripts import read_scripts
+from mast_zenoh.runtime.played import player
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.wiring.insertion import never_inserted
+from mast_zenoh.wiring.model import Wiring
+
+#: Suffix of the name of a replay.
+SUFFIX = "-replay"
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A replay that is ready to run.
+
+    resolved: its nodes and wires;  origin: the recorded run, for run.json and metrics.json
+    notices:  a sentence for each thing that is missing, or differs from the recorded run
+    """
+
+    resolved: Resolved
+    origin: Mapping[str, Any]
+    notices: Sequence[str]
+
+    def record(self) -> dict[str, Any]:
+        """The origin and the notices, for `launch.run`."""
+        return {**self.origin, "notices": list(self.notices)}
+
+    def lines(self) -> list[str]:
+        """Which nodes are played and which are live, as text."""
+        changed = self.origin["changed"]
+        live = [
+            f"{name} (changed: {', '.join(changed[name])})" if name in changed else name for name in self.origin["live"]
+        ]
+        return [f"played: {', '.join(self.origin['played'])}", f"live: {', '.join(live)}"]
+
+
+def resolve(
+    folder: Path,
+    place: Place = "agents",
+    *,
+    scenario: str | None = None,
+    settings: Sequence[str] = (),
+    frames: int | None = None,
+    repeats: int | None = 1,
+    mode: str = "lockstep",
+    rate: float = 1.0,
+    record: bool = True,
+) -> Replay:
+    """Prepare the replay of the run in a folder.
+
+    place:    after which nodes the run is cut, see `cut`
+    scenario: a scenario file with other settings of live nodes;  settings: the same, as `KEY=VALUE`
+    frames:   how many to play, None: all;  repeats: how often, None: until it is stopped
+    record:   whether the replay is recorded, too
+
+    Raises RunFolderError for a run that cannot be replayed, ConfigurationError for invalid settings, and WiringError
+    for changed nodes that do not fit the recorded wires.
+    """
+    file_of(folder)  # names what is missing
+    run = liveness.current_record(json_or_empty(folder / "run.json"))
+    if run.get("status") == RUNNING and liveness.lives(run.get("launcher") or {}):
+        raise RunFolderError(f"{folder}: is still running, expected a run that has ended")
+    recorded = scenario_of(folder)
+    if not 0 < rate < float("inf"):
+        raise ConfigurationError(f"rate: found {rate}, expected a number above 0")
+    user_types.use(recorded.messages)
+    wiring, rewired = _initial_wiring(folder, recorded)
+    roles = {name: spec.role for name, spec in recorded.nodes.items() if name not in rewired}
+    division = cut(wiring, roles, place)
+    kept = division.live if record else {name for name in division.live if roles[name] != "recorder"}
+    live = live_nodes(recorded, kept, folder, scenario, settings)
+    classes = {name: loading.node_class(Path(spec.file), spec.type) for name, spec in live.nodes.items()}
+    messages = _messages(recorded.messages, classes)
+    user_types.use(messages)
+    fitted = ports.fitted(never_inserted(division.wiring, division.live - kept), classes)
+    division = Cut(division.played, frozenset(kept), fitted)
+    planned = recorded.frames
+    scripts = read_scripts(
+        folder, division, roles, period_ns=recorded.period_ns, planned=planned, frames=frames, repeats=repeats
+    )
+    script = next(iter(scripts.by_node.values()))
+    leeway_ns = recorded.leeway_ns
+    if leeway_ns is not None:  # repetitions of uneven frames are later and later
+        leeway_ns += (script.repeats - 1) * (script.span_ns - scripts.frames * recorded.period_ns)
+    players = {name: _player(recorded.nodes[name], script) for name, script in scripts.by_node.items()}
+    nodes = {name: players.get(name) or live.nodes[name] for name in roles if name in {*players, *live.nodes}}
+    steps = _steps(recorded.steps, division, mode) if repeats == 1 else ()
+    scene = _scene(folder)
+    resolved = replace(
+        recorded,
+        name=recorded.name.removesuffix(SUFFIX) + SUFFIX,
+        mode=mode,
+        rate=rate,
+        frames=script.frames,
+        leeway_ns=leeway_ns,
+        nodes=nodes,
+        wiring=fitted.to_json(),
+        modules=live.modules,
+        steps=steps,
+        network={},
+        messages=messages,
+        recording=scene,
+    )
+    for name, spec in live.nodes.items():
+        build_node(spec, name)
+    notices = [
+        *findings.of_run(run, recorded),
+        *findings.of_rewired(sorted(rewired)),
+        *scripts.notices,
+        *findings.of_unfed(_unfed(recorded, live, classes)),
+        *findings.of_steps([step for step in recorded.steps if step not in steps and step.node in roles]),
+        *([] if scene else [f"{folder / RECORDING} cannot be read: the report shows no buildings and no camera view"]),
+    ]
+    origin = {
+        "run": run.get("id"),
+        "folder": str(folder.resolve()),
+        "from": place,
+        "frames": scripts.frames,
+        "repeats": repeats,
+        "played": sorted(division.played),
+        "live": sorted(division.live),
+        "changed": dict(live.changed),
+    }
+    return Replay(resolved, origin, notices)
+
+
+def _initial_wiring(folder: Path, recorded: Resolved) -> tuple[Wiring, set[str]]:
+    """The wiring that a run began with, without nodes that came or went during the run; and these.
+
+    Subscribers keep their keys when a node is inserted, so what they received is on the same keys throughout.
+    """
+    wirings = [event.wiring for event in events(folder) if event.what == REWIRED] or [recorded.wiring]
+    try:
+        known = [Wiring.from_json(wiring) for wiring in wirings]
+    except (KeyError, TypeError, IndexError, AttributeError) as error:
+        raise RunFolderError(f"{folder}: the recorded wiring cannot be read: {error!r}") from None
+    interposers = [{name for wire in wiring.wires for name in wire.interposers} for wiring in known]
+    rewired = {name for names in interposers for name in names if not all(name in each for each in interposers)}
+    return never_inserted(known[0], rewired), rewired
+
+
+def _player(spec: NodeSpec, script: Script) -> NodeSpec:
+    """The spec of the player of a recorded node."""
+    cls = player.ScenePlayer if spec.role == DRIVER_ROLE else player.Player
+    own = {name: getattr(spec, name) for name in ("file", "type", "on_exit", "config")}
+    recorded = spec.config.get("recorded") or own  # a replay can be replayed
+    return NodeSpec(spec.role, str(player.__file__), cls.__name__, {"script": script, "recorded": recorded}, "fail")
+
+
+def _messages(recorded: Iterable[Schema], classes: Mapping[str, type[Node]]) -> tuple[Schema, ...]:
+    """The message types of the recording and of the live nodes.
+
+    Raises ConfigurationError if a live node declares another type with the name of a recorded one.
+    """
+    known = {schema.name: schema for schema in recorded}
+    for name, cls in classes.items():
+        for message, schema in cls.message_types.items():
+            if known.setdefault(message, schema) != schema:
+                raise ConfigurationError(
+                    f"{name}: declares another message type {message!r} than the recorded one: expected the same, or "
+                    "another name"
+                )
+    return tuple(known[name] for name in sorted(known))
+
+
+def _steps(steps: Iterable[ProcessStep], division: Cut, mode: str) -> tuple[ProcessStep, ...]:
+    """The process steps that a replay repeats.
+
+    Played nodes are not paused: their silence is recorded. Nothing is paused in lock-step.
+    """
+    return tuple(
+        step
+        for step in steps
+        if step.node in {*division.played, *division.live}
+        and not (step.action in REALTIME and (mode == "lockstep" or step.node in division.played))
+    )
+
+
+def _unfed(recorded: Resolved, live: Live, classes: Mapping[str, type[Node]]) -> list[str]:
+    """Input ports of changed nodes, as node.port, that get no messages."""
+    names = []
+    for name, keys in live.changed.items():
+        if {"file", "type"} & set(keys):
+            spec = recorded.nodes[name]
+            known = loading.node_class(Path(spec.file), spec.type) if Path(spec.file).is_file() else Node
+            names += [f"{name}.{port}" for port in ports.unfed(known, classes[name])]
+    return names
+
+
+def _scene(folder: Path) -> Recording | None:
+    """The scene of a run; None if it cannot be read."""
+    try:
+        return Recording.load(folder / RECORDING)
+    except Exception:  # NumPy has many ways to refuse a file
+        return None

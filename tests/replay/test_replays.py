@@ -1,0 +1,222 @@
+"""Replays reproduce what was recorded, and show what was changed."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from recorded_runs import FRAMES, RUNS
+from tiny_world import Run as Played
+
+from mast_zenoh import replay
+from mast_zenoh.errors import NotComparable
+from mast_zenoh.launch import measurement, twin
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messagelog.script import Script
+from mast_zenoh.report import html
+
+PICTURE = ("cc/picture",)
+CLUSTERING = "command_center.pipeline.clustering.assign_radius"
+
+WITNESSES = '''
+import numpy as np
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.node import Node
+from mast_zenoh.pipelines import Pipeline
+
+
+class Witnesses(Node):
+    """Publishes objects with enough support."""
+
+    role = "command_center"
+    inputs = {"clock": "clock", "collated": "collated", "advice": "status"}
+    outputs = {"picture": "picture"}
+
+    def __init__(self, pipeline: Pipeline, least: int = 2):
+        self.pipeline, self.least = pipeline, least
+
+    def on_clock(self, received, context):
+        pass
+
+    def on_advice(self, received, context):
+        raise AssertionError("no wire leads here")
+
+    def on_collated(self, received, context):
+        body = received.body
+        states = ObjectStates.from_columns(body)
+        picture, support = self.pipeline.step(received.time_ns, states, body["agent"], tuple(body["agents"]))
+        kept = np.flatnonzero(support >= self.least)
+        columns = picture.select(kept).columns() | {"support": support[kept]}
+        context.publish("picture", columns, frame=received.frame, time_ns=received.time_ns)
+'''
+
+
+def replayed(folder: Path, out: Path, place: Any = "agents", **options: Any) -> launcher.Run:
+    """A replay in one process, which must succeed."""
+    prepared = replay.resolve(folder, place, **options)
+    ended = launcher.run(prepared.resolved, out, runtime="inproc", replay=prepared.record())
+    assert ended.error is None
+    return ended
+
+
+def metrics(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "metrics.json").read_text())
+    return content
+
+
+@pytest.mark.parametrize("place", ["agents", "simulator"])
+@pytest.mark.parametrize("name", RUNS)
+def test_unchanged_nodes_compute_the_recorded_picture(
+    recorded: Callable[[str], Path], tmp_path: Path, name: str, place: str
+) -> None:
+    run = replayed(recorded(name), tmp_path / "replay", place)
+    pictures = compare(recorded(name), run.folder, wires=PICTURE)
+    assert pictures.first is None
+    assert pictures.equal >= FRAMES - 4, "the command centre may be down for some frames"
+    everything = compare(recorded(name), run.folder, taps=True, ignore=("link/*/report",))
+    assert not everything.differing
+    assert not everything.only_b
+    left_out = {
+        "attack/adversary_1/report",
+        "cc/picture",
+        *(f"agent/{name}/mission" for name in ("ego", "infra_1", "infra_2")),
+    }
+    assert everything.only_a.keys() <= (left_out if place == "agents" else set())
+    assert not run.record["nodes"]["broker"]["rejected"]
+    assert not (run.folder / "played").exists()
+
+
+def test_no_order_of_delivery_changes_the_picture(recorded: Callable[[str], Path]) -> None:
+    resolved = replay.resolve(recorded("lossy"), record=False).resolved
+    streams = [Played(resolved, shuffle=seed).messages["cc/picture"] for seed in (None, 1, 2)]
+    assert streams[0] == streams[1] == streams[2]
+    assert streams[0] == [m.payload for m in read(recorded("lossy")) if m.key == "cc/picture"]
+
+
+def test_a_changed_setting_changes_the_picture_and_is_named_in_all_results(
+    recorded: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = recorded("uncoordinated")
+    run = replayed(folder, tmp_path / "replay", settings=[f"{CLUSTERING}=0.05"])
+    assert compare(folder, run.folder, wires=PICTURE).first is not None
+    assert compare(folder, run.folder, wires=("agent/*", "scene/*", "clock")).equal > 0
+    origin = json.loads((folder / "run.json").read_text())["id"]
+    changed = {"command_center": ["pipeline.clustering.assign_radius"]}
+    for content in (metrics(run.folder), json.loads((run.folder / "run.json").read_text())):
+        assert (content["replay"]["run"], content["replay"]["changed"]) == (origin, changed)
+    assert "recorded" not in json.dumps(run.record["notices"])
+    page = html.write_report(run.folder, against=folder).read_text()
+    assert (
+        f"replay of run {origin} from the agents, changed: command_center (pipeline.clustering.assign_radius)" in page
+    )
+    assert "the runs differ in command_center.pipeline.clustering.assign_radius" in page
+
+
+def test_attacks_are_measured_in_a_replay_though_no_adversary_attacks(
+    recorded: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = recorded("lossy")
+    run = replayed(folder, tmp_path / "replay")
+    before, after = metrics(folder), metrics(run.folder)
+    assert before["frames"] == after["frames"] == FRAMES
+    for estimate in ("local", "received", "picture"):
+        assert before["agents"]["ego"][estimate] == after["agents"]["ego"][estimate]
+    assert "mission" not in after["agents"]["ego"]
+    for name in ("adversary_1", "adversary_2", "link_ego"):
+        assert after["interposers"][name]["agreement"] == before["interposers"][name]["agreement"], name
+    effects = [each["interposers"]["adversary_1"]["effects"] for each in (before, after)]
+    assert effects[0] == effects[1]
+    assert any(effects[0].values())
+
+
+def test_a_users_own_command_centre_takes_the_place_of_the_recorded_one(
+    recorded: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "witnesses.py").write_text(WITNESSES)
+    (tmp_path / "mine.py").write_text(
+        "from mast_zenoh.config import loading\n"
+        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
+        "def scenario(least=2):\n"
+        "    usual = baseline()\n"
+        "    center = usual['command_center'] | dict(file='witnesses.py', type='Witnesses', least=least)\n"
+        "    return usual | dict(command_center=center)\n"
+    )
+    folder = recorded("coordinated")
+    by_setting = replay.resolve(
+        folder, settings=["command_center.file=witnesses.py", "command_center.least=3"], record=False
+    )
+    assert by_setting.origin["changed"] == {"command_center": ["file", "type", "least"]}
+    assert by_setting.notices == ["no recorded wire leads to command_center.advice: these inputs get no messages"]
+    by_file = replay.resolve(folder, scenario="mine.py", settings=["least=3"], record=False)
+    pictures = [Played(each.resolved).messages["cc/picture"] for each in (by_setting, by_file)]
+    assert pictures[0] == pictures[1]
+    assert len(pictures[0]) == FRAMES
+    assert pictures[0] != [m.payload for m in read(folder) if m.key == "cc/picture"]
+
+
+def test_live_agents_take_their_settings_from_patterns_and_scenario_files(recorded: Callable[[str], Path]) -> None:
+    folder = recorded("baseline")
+    prepared = replay.resolve(folder, "simulator", settings=["agents.infra_*.status_every=2"], record=False)
+    assert prepared.origin["changed"] == {"infra_1": ["status_every"], "infra_2": ["status_every"]}
+    assert len(Played(prepared.resolved).messages["agent/infra_1/status"]) == FRAMES // 2
+    unchanged = replay.resolve(folder, "simulator", scenario="baseline")
+    assert unchanged.origin["changed"] == {}
+
+
+def test_a_replay_can_be_replayed_and_measured_again(recorded: Callable[[str], Path], tmp_path: Path) -> None:
+    first = replayed(recorded("lossy"), tmp_path / "first")
+    second = replayed(first.folder, tmp_path / "second")
+    assert compare(first.folder, second.folder, taps=True).first is None
+    assert second.record["name"] == "coordinated-replay"
+    before = metrics(second.folder)
+    measurement.measure(second.folder)
+    assert metrics(second.folder) == before
+    assert before["replay"]["run"] == first.record["id"]
+
+
+def test_repetitions_continue_frames_times_and_numbers(recorded: Callable[[str], Path], tmp_path: Path) -> None:
+    folder = recorded("lossy")
+    run = replayed(folder, tmp_path / "replay", repeats=3)
+    assert metrics(run.folder)["frames"] == 3 * FRAMES
+    first = compare(folder, run.folder, wires=PICTURE, before=FRAMES - 2)
+    assert first.first is None
+    numbers: defaultdict[str, list[int]] = defaultdict(list)
+    for message in read(run.folder):
+        assert message.time_ns == message.frame * 10**8
+        numbers[message.key].append(message.seq)
+    assert numbers["clock"] == numbers["scene/truth"] == list(range(3 * FRAMES))
+    for key in ("agent/ego/tracks", "attack/adversary_1/report", "link/link_ego/report"):
+        assert all(a < b for a, b in pairwise(numbers[key])), key
+    assert not any(node["rejected"] for node in run.record["nodes"].values())
+    adversary = metrics(run.folder)["interposers"]["adversary_1"]
+    assert adversary["agreement"] == "agrees", "reports are about the repeated frames"
+
+
+@pytest.mark.parametrize(
+    ("last_ms", "next_ns"), [(150, 300_000_000), (299, 300_000_000), (300, 300_000_001), (350, 350_000_001)]
+)
+def test_time_ascends_between_repetitions_of_uneven_frames(last_ms: int, next_ns: int) -> None:
+    times_ns = [0, 90_000_000, last_ms * 10**6]
+    script = Script(Path("a"), [], {}, times_ns, period_ns=10**8, repeats=2)
+    assert [script.time_ns(frame) for frame in range(4)] == [*times_ns, next_ns]
+
+
+def test_a_replay_has_no_twin(recorded: Callable[[str], Path], tmp_path: Path) -> None:
+    run = replayed(recorded("baseline"), tmp_path / "replay", frames=3)
+    with pytest.raises(NotComparable, match="is a replay"):
+        twin.of(run.folder)
+
+
+def test_a_replay_without_a_recorder_has_results(recorded: Callable[[str], Path], tmp_path: Path) -> None:
+    run = replayed(recorded("baseline"), tmp_path / "replay", record=False, frames=5)
+    assert not (run.folder / "messages.mcap").exists()
+    assert metrics(run.folder)["frames"] == 5
