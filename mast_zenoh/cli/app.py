@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from mast_zenoh import scenario
-from mast_zenoh.cli import deploy, intercept, listing, scene
+from mast_zenoh.cli import deploy, intercept, listing, scene, view
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -225,6 +225,7 @@ def diff(
 
 
 app.command("list")(listing.list_kind)
+app.command()(view.view)
 app.command()(intercept.intercept)
 app.command()(intercept.release)
 

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow
 
 from mast_zenoh.arrays.states import CLASSES, Floats
+from mast_zenoh.report.figures.style import ADVERSARY, OUTCOME_COLOURS, STATES
 from mast_zenoh.report.files import column, rows
 from mast_zenoh.report.playback.boxes import ANGLE, LENGTH, SCORE, BoxTable, no_boxes, read_boxes
 from mast_zenoh.report.playback.columns import Packer
@@ -55,6 +56,7 @@ def run_block(run: RunFolder, frame: int | None = None) -> bytes | None:
         "gate_m": run.gate_m,
         "range_m": run.range_m,
         "classes": CLASSES,
+        "colours": {"outcomes": OUTCOME_COLOURS, "adversary": ADVERSARY, "states": STATES},
         "recorded": (run.path / "messages.mcap").is_file(),
     }
     packer.add("time", times, scale=1e-3)

@@ -139,6 +139,9 @@ def _words(content: Any, name: str) -> tuple[list[str], Ints]:
         return [""], np.zeros(content.num_rows, np.int64)
     column = content[name].combine_chunks()
     column = column.chunk(0) if hasattr(column, "chunk") else column
+    if not hasattr(column, "dictionary"):  # of another writer
+        words, place = np.unique(np.array(column.to_pylist(), str), return_inverse=True)
+        return words.tolist(), place.astype(np.int64)
     return column.dictionary.to_pylist(), column.indices.to_numpy(zero_copy_only=False).astype(np.int64)
 
 
