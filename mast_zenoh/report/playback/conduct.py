@@ -60,7 +60,7 @@ def add_withheld(packer: Packer, run: RunFolder) -> None:
 
 
 def add_agent_states(packer: Packer, run: RunFolder, names: list[str], times: Floats) -> dict[str, Any]:
-    """Add the columns `agents.state` and `trust`, a row per agent and frame.
+    """Add the states of agents and `trust`, a row per agent and frame.
 
     times: (f,) s, of the frames
     """

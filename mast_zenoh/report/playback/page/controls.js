@@ -57,14 +57,14 @@ export class Controls {
     const agents = state.runs[0].agents.map((agent) => [agent.name, `follow ${agent.name}`]);
     this.follow = choice("follow an agent", [["", "follow: none"], ...agents], "", (value) => state.set({ follow: value }));
     const fit = element("button", { type: "button", title: "fit (f)", onclick: this.actions.fit }, "fit");
-    const colours = choice("colours", [["paper", "paper’s colours"], ["safe", "colour-blind safe"]], "paper", (value) =>
+    this.colours = choice("colours", [["paper", "paper’s colours"], ["safe", "colour-blind safe"]], "paper", (value) =>
       state.set({ palette: /** @type {"paper" | "safe"} */ (value) }));
     const ontheme = () => state.set({ theme: state.theme === "dark" ? "light" : "dark" });
     this.theme = element("button", { type: "button", class: "v-theme", onclick: ontheme });
     const help = HELP.map(([keys, what]) => element("div", {}, element("kbd", {}, keys), ` ${what}`));
     const keys = element("details", { class: "v-menu" }, element("summary", {}, "keys"), element("div", {}, ...help));
     const group = element("span", { class: "v-group" }, element("span", {}, "panels"), ...this.counts, this.swipe);
-    return [group, this.layers, this.follow, fit, colours, this.theme, keys];
+    return [group, this.layers, this.follow, fit, this.colours, this.theme, keys];
   }
 
   /** @param {number} by frames */
@@ -82,6 +82,7 @@ export class Controls {
     this.counts.forEach((button, i) => button.setAttribute("aria-pressed", String(i + 1 === state.panels.length)));
     this.swipe.setAttribute("aria-pressed", String(state.swipe));
     this.follow.value = state.follow;
+    this.colours.value = state.palette;
     this.theme.textContent = state.theme === "dark" ? "light" : "dark";
     this.layers.querySelectorAll("label").forEach((label) => {
       label.querySelector("input").checked = state.layers[label.dataset.layer];

@@ -23,8 +23,9 @@ export class Panel {
     this.counts = element("p", { class: "v-counts" });
     this.canvas = element("canvas", { class: "v-canvas", role: "img", tabindex: 0 });
     this.tip = element("div", { class: "v-tip", hidden: true });
-    const stage = element("div", { class: "v-stage" }, this.canvas, this.tip);
-    this.root = element("div", { class: "v-panel" }, element("div", { class: "v-head" }, this.choices, this.counts), stage);
+    this.stage = element("div", { class: "v-stage" }, this.canvas, this.tip);
+    const head = element("div", { class: "v-head" }, this.choices, this.counts);
+    this.root = element("div", { class: "v-panel" }, head, this.stage);
     this.listen();
     this.chooseAgain();
   }
@@ -81,6 +82,7 @@ export class Panel {
     const rmse = this.run.series(agent, estimate, "rmse_m")?.[marks.frame] ?? -1;
     const parts = [`${counts.missed} missed`, `${counts.false} false`, `${counts.matched} matched`];
     if (rmse >= 0) parts.push(`RMSE ${rmse.toFixed(2)} m`);
+    if (this.state.time > this.run.end) parts.unshift(`ended at ${this.run.end.toFixed(1)} s`);
     const text = estimate === TRUTH ? `${marks.boxes.length} objects` : parts.join(" · ");
     if (this.counts.textContent !== text) this.counts.textContent = text;
     this.canvas.setAttribute("aria-label", `From above at t = ${marks.time_s.toFixed(1)} s, ${agent}, ${estimate}: ${text}`);

@@ -125,6 +125,7 @@ export class Viewer {
     if (followed) [this.viewport.x, this.viewport.y] = [followed.x, followed.y];
     const palette = this.palette();
     for (const panel of this.panels) panel.draw(palette);
+    this.swipe.handle.style.top = `${this.panels[0].stage.offsetTop}px`;
     this.charts.draw(palette);
     this.controls.update();
     this.events.mark();
