@@ -156,6 +156,7 @@ def _write_run(
     for each in figures.values():
         each.save(run.path / "figures")
     of_users.save(user_figures, run.path / "figures")
+    viewer, problems = _viewer(context)
     content = {
         "title": f"Run {run.run.get('id', run.label)}",
         "headline": headline(run, reference),
@@ -166,9 +167,9 @@ def _write_run(
         "failures": failure_lines(run),
         "reference_status": reference_status(reference),
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
-        "missing": run.missing,
+        "missing": (*run.missing, *problems),
         "back": _relative(study / "report.html", run.path) if study is not None else None,
-        "viewer": _viewer(context),
+        "viewer": viewer,
         "figures": figures,
         "user_figures": user_figures,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
@@ -203,12 +204,15 @@ def _relative(path: Path, folder: Path) -> str:
     return quote(os.path.relpath(path, folder).replace(os.sep, "/"))
 
 
-def _viewer(context: FigureContext) -> dict[str, Any] | None:
-    """The moving picture of the run, beside that of its reference; None: nothing to show."""
+def _viewer(context: FigureContext) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """The moving picture of the run, beside that of its reference (None: nothing to show), and why it is left out."""
     frame = context.view.frame if context.view else None
     runs = [context.run] + ([context.reference.run] if context.reference else [])
-    blocks = [block for run in runs if (block := run_block(run, frame)) is not None]
-    return viewer_parts(blocks) if blocks else None
+    try:
+        blocks = [block for run in runs if (block := run_block(run, frame)) is not None]
+    except ValueError as error:
+        return None, (f"The viewer is left out: {error}.",)
+    return viewer_parts(blocks) if blocks else None, ()
 
 
 def _score_rows(table: ScoreTable) -> dict[str, Any]:

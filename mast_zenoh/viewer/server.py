@@ -30,7 +30,10 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> str:
     runs = [RunFolder.load(folder) for folder in folders]
     blocks = []
     for run in runs:
-        block = run_block(run, frame)
+        try:
+            block = run_block(run, frame)
+        except ValueError as error:
+            raise RunFolderError(f"{run.path}: cannot be shown: {error}") from None
         if block is None:
             raise RunFolderError(f"{run.path}: expected objects.parquet or scene.npz: the run has nothing to show")
         blocks.append(block)

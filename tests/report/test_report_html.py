@@ -15,6 +15,7 @@ from urllib.parse import unquote
 import pytest
 
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch.tables import read_table, write_table
 from mast_zenoh.report import write_report, write_study_report
 from mast_zenoh.report.runfolder import RunFolder
 
@@ -137,6 +138,24 @@ def test_a_single_failure_is_worded_in_the_singular(run_folder: RunFolderFixture
     assert "infra_2.on_pose failed once: " in page.text
 
 
+def test_a_table_of_contents_leads_to_every_section(run_folder: RunFolderFixture) -> None:
+    page = Page(write_report(run_folder("uncoordinated")))
+    headings = re.findall(r'<h2 id="([\w-]+)">', page.source)
+    assert {"frames", "scores", "wiring", "reproduce"} <= set(headings)
+    assert [link[1:] for link in page.links if link.startswith("#")] == headings
+
+
+def test_a_run_whose_numbers_cannot_be_packed_has_a_report_without_the_viewer(run_folder: RunFolderFixture) -> None:
+    folder = run_folder("uncoordinated")
+    table = read_table(folder / "objects.parquet")
+    table["id"] = table["id"] + (1 << 40)
+    write_table(folder / "objects.parquet", table)
+    page = Page(write_report(folder))
+    assert "The viewer is left out: box.id: expected finite numbers below" in page.text
+    assert page.ids.count("frames") == 0
+    assert_only_the_viewer_is_a_script(page)
+
+
 def test_the_same_run_gives_the_same_report_byte_for_byte(run_folder: RunFolderFixture) -> None:
     folder = run_folder("coordinated")
     first = write_report(folder).read_bytes()
@@ -232,6 +251,7 @@ def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Pa
     for name in ("baseline", "uncoordinated", "coordinated"):
         assert (tmp_path / name / "report.html").is_file()
         assert f"{name}/report.html" in study.links
+        assert "../report.html" in Page(tmp_path / name / "report.html").links
 
 
 def test_a_study_report_with_an_unscored_run_names_the_missing_file(
