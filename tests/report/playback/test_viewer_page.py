@@ -216,6 +216,9 @@ def test_printing_gives_the_chosen_frame_without_controls(report: Path, open_pag
         "[...document.querySelector('.v-charts').getContext('2d').getImageData(2, 2, 1, 1).data].slice(0, 3)"
     )
     assert min(corner) > 240, "on paper the picture is light, also if the screen is dark"
+    ink = page.run("getComputedStyle(document.querySelector('.v-legend')).color")
+    assert ink == "rgb(27, 31, 36)"
+    assert page.run("viewer.palette().outcomes['truth matched']") in page.page.locator(".v-legend").inner_html()
     assert page.page.pdf()[:5] == b"%PDF-"
 
 

@@ -82,7 +82,6 @@ export class Viewer {
       this.root.dataset.theme = state.theme;
       document.documentElement.dataset.theme = state.theme;
     }
-    if (changed.includes("theme") || changed.includes("palette")) this.legend.replaceChildren(...legendOf(this.palette(), state.runs));
     this.redraw();
   }
 
@@ -124,6 +123,9 @@ export class Viewer {
     const followed = agentMarks(state.runs[0], state.frame).find((agent) => agent.name === state.follow);
     if (followed) [this.viewport.x, this.viewport.y] = [followed.x, followed.y];
     const palette = this.palette();
+    const colours = JSON.stringify(palette);
+    if (this.colours !== colours) this.legend.replaceChildren(...legendOf(palette, state.runs));
+    this.colours = colours;
     for (const panel of this.panels) panel.draw(palette);
     this.swipe.handle.style.top = `${this.panels[0].stage.offsetTop}px`;
     this.charts.draw(palette);
