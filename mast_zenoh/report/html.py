@@ -45,6 +45,9 @@ from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, 
 from mast_zenoh.report.tables.trust import conduct_rows, suspension_rows, trust_sentences
 from mast_zenoh.report.tables.wiring import wire_rows
 
+#: Runs of a study that its viewer holds.
+_MOST_IN_VIEWER = 4
+
 
 def write_report(
     run_folder: Path, frame: int | None = None, against: Path | None = None, figures: Sequence[Path] = ()
@@ -113,8 +116,11 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     figures = study_figures(folders, table, views, estimate, chosen=frame is None)
     for each in figures.values():
         each.save(study_folder / "figures")
+    viewer, problems = _viewer(list(folders.values())[:_MOST_IN_VIEWER], frame if frame is not None else chosen)
     content = {
         "title": "Runs compared",
+        "viewer": viewer,
+        "problems": problems,
         "headline": study_headline(folders, table),
         "reading": study_reading(folders, table),
         "facts": _study_facts(folders),
@@ -156,7 +162,8 @@ def _write_run(
     for each in figures.values():
         each.save(run.path / "figures")
     of_users.save(user_figures, run.path / "figures")
-    viewer, problems = _viewer(context)
+    shown_runs = [run, *([reference.run] if reference is not None else [])]
+    viewer, problems = _viewer(shown_runs, context.view.frame if context.view else None)
     content = {
         "title": f"Run {run.run.get('id', run.label)}",
         "headline": headline(run, reference),
@@ -204,10 +211,8 @@ def _relative(path: Path, folder: Path) -> str:
     return quote(os.path.relpath(path, folder).replace(os.sep, "/"))
 
 
-def _viewer(context: FigureContext) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
-    """The moving picture of the run, beside that of its reference (None: nothing to show), and why it is left out."""
-    frame = context.view.frame if context.view else None
-    runs = [context.run] + ([context.reference.run] if context.reference else [])
+def _viewer(runs: Sequence[RunFolder], frame: int | None) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """The moving picture of runs (None: nothing to show), and why it is left out."""
     try:
         blocks = [block for run in runs if (block := run_block(run, frame)) is not None]
     except ValueError as error:

@@ -238,6 +238,7 @@ def test_only_an_existing_frame_can_be_requested(run_folder: RunFolderFixture) -
 
 def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Path) -> None:
     assert_self_contained(study, tmp_path)
+    assert study.source.count("data-run>") == 3, "the viewer has all runs on one timeline"
     assert "6.2 more false objects a frame in the common picture than baseline" in study.text
     assert "The ego's own tracks score the same in every run." in study.text
     assert {path.name for path in (tmp_path / "figures").glob("*.png")} == {
