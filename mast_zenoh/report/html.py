@@ -116,7 +116,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     figures = study_figures(folders, table, views, estimate, chosen=frame is None)
     for each in figures.values():
         each.save(study_folder / "figures")
-    viewer, problems = _viewer(list(folders.values())[:_MOST_IN_VIEWER], frame if frame is not None else chosen)
+    viewer, problems = _viewer(dict(list(folders.items())[:_MOST_IN_VIEWER]), frame if frame is not None else chosen)
     content = {
         "title": "Runs compared",
         "viewer": viewer,
@@ -162,7 +162,7 @@ def _write_run(
     for each in figures.values():
         each.save(run.path / "figures")
     of_users.save(user_figures, run.path / "figures")
-    shown_runs = [run, *([reference.run] if reference is not None else [])]
+    shown_runs = {run.label: run} | ({reference.name: reference.run} if reference is not None else {})
     viewer, problems = _viewer(shown_runs, context.view.frame if context.view else None)
     content = {
         "title": f"Run {run.run.get('id', run.label)}",
@@ -211,10 +211,10 @@ def _relative(path: Path, folder: Path) -> str:
     return quote(os.path.relpath(path, folder).replace(os.sep, "/"))
 
 
-def _viewer(runs: Sequence[RunFolder], frame: int | None) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
-    """The moving picture of runs (None: nothing to show), and why it is left out."""
+def _viewer(runs: Mapping[str, RunFolder], frame: int | None) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """The moving picture of runs by label (None: nothing to show), and why it is left out."""
     try:
-        blocks = [block for run in runs if (block := run_block(run, frame)) is not None]
+        blocks = [block for label, run in runs.items() if (block := run_block(run, frame, label))]
     except ValueError as error:
         return None, (f"The viewer is left out: {error}.",)
     return viewer_parts(blocks) if blocks else None, ()

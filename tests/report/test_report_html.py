@@ -17,6 +17,7 @@ import pytest
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.tables import read_table, write_table
 from mast_zenoh.report import write_report, write_study_report
+from mast_zenoh.report.playback.columns import unpack
 from mast_zenoh.report.runfolder import RunFolder
 
 RunFolderFixture = Callable[..., Path]
@@ -238,7 +239,9 @@ def test_only_an_existing_frame_can_be_requested(run_folder: RunFolderFixture) -
 
 def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Path) -> None:
     assert_self_contained(study, tmp_path)
-    assert study.source.count("data-run>") == 3, "the viewer has all runs on one timeline"
+    blocks = re.findall(r"data-run>(.*?)</script>", study.source)
+    labels = [unpack(base64.b64decode(block))[0]["label"] for block in blocks]
+    assert labels == ["baseline", "uncoordinated", "coordinated"], "the viewer has all runs on one timeline"
     assert "6.2 more false objects a frame in the common picture than baseline" in study.text
     assert "The ego's own tracks score the same in every run." in study.text
     assert {path.name for path in (tmp_path / "figures").glob("*.png")} == {

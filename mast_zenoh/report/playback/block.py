@@ -30,10 +30,12 @@ _SPEED, _SPREAD, _CORRELATION = 0.05, 0.02, 0.02
 _DAMAGE = (OSError, ValueError, KeyError, pyarrow.ArrowException)
 
 
-def run_block(run: RunFolder, frame: int | None = None) -> bytes | None:
+def run_block(run: RunFolder, frame: int | None = None, label: str = "") -> bytes | None:
     """The block of a run; None if it has nothing to show: neither boxes nor a scene.
 
     frame: the frame to show first; None: the first of the run
+    label: the name that the page gives it; empty: its own
+    Raises ValueError if a number is too large for the block.
     """
     try:
         boxes = read_boxes(run.path / "objects.parquet", run.recording)
@@ -46,7 +48,7 @@ def run_block(run: RunFolder, frame: int | None = None) -> bytes | None:
     packer = Packer()
     header: dict[str, Any] = {
         "format": FORMAT,
-        "label": run.label,
+        "label": label or run.label,
         "id": str(run.run.get("id", "")),
         "folder": run.path.name,
         "frame": frame if frame is not None else 0,
