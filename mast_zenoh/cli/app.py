@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from mast_zenoh import scenario
-from mast_zenoh.cli import deploy, export, intercept, listing, replay, scene
+from mast_zenoh.cli import deploy, export, intercept, listing, replay, scene, view
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -224,6 +224,7 @@ def diff(
 app.command("list")(listing.list_kind)
 app.command()(export.export)
 app.command(cls=SecureCommand)(replay.replay)
+app.command()(view.view)
 app.command()(intercept.intercept)
 app.command()(intercept.release)
 

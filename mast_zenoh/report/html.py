@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from mast_zenoh.control import failures
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.fault_tables import CAUSE_GROUPS, cause_rows, check_rows, late_rows, latency_rows
@@ -33,16 +32,22 @@ from mast_zenoh.report.narrative.changes import largest_change
 from mast_zenoh.report.narrative.circumstances import reference_status
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.page import render
+from mast_zenoh.report.playback.block import run_block
+from mast_zenoh.report.playback.inline import viewer_parts
 from mast_zenoh.report.run_facts import facts, facts_of_compared, healing
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.achievement import achieved_rows
 from mast_zenoh.report.tables.consistency import estimate_rows, tracker_rows
 from mast_zenoh.report.tables.driving import driving_rows
-from mast_zenoh.report.tables.interposers import BAD, EFFECTS, exit_expected, failures_of, interposers
+from mast_zenoh.report.tables.interposers import BAD, EFFECTS, interposers
+from mast_zenoh.report.tables.nodes import failure_lines, node_row
 from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.trust import conduct_rows, suspension_rows, trust_sentences
 from mast_zenoh.report.tables.wiring import wire_rows
+
+#: Runs of a study that its viewer holds.
+_MOST_IN_VIEWER = 4
 
 
 def write_report(
@@ -103,8 +108,8 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     table = _scores(folders, reference)
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
-        page, path = _write_run(FigureContext(run, frame_views[label]))
-        link = quote(os.path.relpath(path, study_folder).replace(os.sep, "/"))
+        page, path = _write_run(FigureContext(run, frame_views[label]), study=study_folder)
+        link = _relative(path, study_folder)
         pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
     views = {label: view for label, view in frame_views.items() if view is not None}
     if any(estimate not in view.boxes for view in views.values()):  # of an older run
@@ -112,8 +117,11 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     figures = study_figures(folders, table, views, estimate, chosen=frame is None)
     for each in figures.values():
         each.save(study_folder / "figures")
+    viewer, problems = _viewer(dict(list(folders.items())[:_MOST_IN_VIEWER]), frame if frame is not None else chosen)
     content = {
         "title": "Runs compared",
+        "viewer": viewer,
+        "problems": problems,
         "headline": study_headline(folders, table),
         "reading": study_reading(folders, table),
         "facts": facts_of_compared(folders),
@@ -141,8 +149,13 @@ def _scores(runs: Mapping[str, RunFolder], reference: str | None = None) -> Scor
     return score_table(metrics, counts={name: run.counts for name, run in runs.items()}, agent=ego, reference=reference)
 
 
-def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict[str, Any], Path]:
-    """Write a run's own report; returns its content and path."""
+def _write_run(
+    context: FigureContext, files: Sequence[Path] = (), study: Path | None = None
+) -> tuple[dict[str, Any], Path]:
+    """Write a run's own report; returns its content and path.
+
+    study: the folder of the study that the report links back to
+    """
     run, reference = context.run, context.reference
     figures, user_figures = run_figures(context), of_users.user_figures(context, files)
     runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}
@@ -150,6 +163,8 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
     for each in figures.values():
         each.save(run.path / "figures")
     of_users.save(user_figures, run.path / "figures")
+    shown_runs = {run.label: run} | ({reference.name: reference.run} if reference is not None else {})
+    viewer, problems = _viewer(shown_runs, context.view.frame if context.view else None)
     content = {
         "title": f"Run {run.run.get('id', run.label)}",
         "headline": headline(run, reference),
@@ -157,10 +172,12 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
         "facts": facts(run) + ([f"compared with {reference.name}"] if reference else []),
         "status": run.run.get("status", "unknown"),
         "message": run.run.get("message"),
-        "failures": _failures(run),
+        "failures": failure_lines(run),
         "reference_status": reference_status(reference),
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
-        "missing": run.missing,
+        "missing": (*run.missing, *problems),
+        "back": _relative(study / "report.html", run.path) if study is not None else None,
+        "viewer": viewer,
         "figures": figures,
         "user_figures": user_figures,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
@@ -181,13 +198,27 @@ def _write_run(context: FigureContext, files: Sequence[Path] = ()) -> tuple[dict
         "latency": latency_rows(run.metrics),
         "late": late_rows(run.metrics),
         "wires": wire_rows(run),
-        "nodes": [(name, _node(run, name)) for name in run.run.get("nodes", {})],
+        "nodes": [(name, node_row(run, name)) for name in run.run.get("nodes", {})],
         "command": _command(run),
         "versions": run.run.get("versions", {}),
         "scenario": json.dumps(run.scenario, indent=2) if run.scenario else None,
         "timings": json.dumps(run.run["timings"], indent=2) if run.run.get("timings") else None,
     }
     return content, render("run.html.j2", content, run.path)
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """The link to a file from a page in a folder."""
+    return quote(os.path.relpath(path, folder).replace(os.sep, "/"))
+
+
+def _viewer(runs: Mapping[str, RunFolder], frame: int | None) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """The moving picture of runs by label (None: nothing to show), and why it is left out."""
+    try:
+        blocks = [block for label, run in runs.items() if (block := run_block(run, frame, label))]
+    except ValueError as error:
+        return None, (f"The viewer is left out: {error}.",)
+    return viewer_parts(blocks) if blocks else None, ()
 
 
 def _score_rows(table: ScoreTable) -> dict[str, Any]:
@@ -211,46 +242,6 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
         "runs": len(table.runs),
         "reference": table.reference,
     }
-
-
-def _node(run: RunFolder, name: str) -> dict[str, Any]:
-    record = run.run["nodes"][name]
-    return {key: record.get(key) for key in ("pid", "exit", "restarts")} | {
-        "role": run.role(name),
-        "ended": record.get("ended") or "not known",
-        "bad": record.get("ended") != "ok" and not exit_expected(record),
-        "last_frame": record.get("last_frame"),
-        "troubles": _troubles(record),
-    }
-
-
-def _failures(run: RunFolder) -> list[str]:
-    """A line for each handler that failed."""
-    nodes = run.run.get("nodes", {})
-    failed = {name: failures_of(node) for name, node in nodes.items() if node.get("failures")}
-    located = {name: [entry for entry in entries if "where" in entry] for name, entries in failed.items()}
-    lines = failures.lines(located, {name: nodes[name].get("log") or "not written" for name in located})
-    unlocated = [(name, entry) for name, entries in failed.items() for entry in entries if "where" not in entry]
-    return lines + [
-        f"{name}.{entry['handler']} failed {failures.how_often(entry)}: {entry['exception']}"
-        for name, entry in unlocated
-    ]
-
-
-def _troubles(record: Mapping[str, Any]) -> str:
-    """Rejected messages and handler failures of a node; empty: none."""
-    refused, foreign = (_total(record.get(key)) for key in ("rejected", "foreign"))
-    counts = (
-        (refused, "messages rejected"),
-        (foreign, "messages from outside the run"),
-        (sum(entry["count"] for entry in failures_of(record)), "handler failures"),
-    )
-    return ", ".join(f"{number} {label}" for number, label in counts if number)
-
-
-def _total(counts: object) -> int:
-    """The sum of counts by key; older runs hold the sum itself."""
-    return sum(counts.values()) if isinstance(counts, Mapping) else int(str(counts or 0))
 
 
 def _command(run: RunFolder) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -11,10 +12,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mast_zenoh.version import __version__
 
+#: Where a template wants its table of contents, and a heading that it lists.
+_CONTENTS = "<!-- contents -->"
+_HEADING = re.compile(r'<h2 id="([\w-]+)">(.*?)</h2>')
+
 
 def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
     """Write `report.html` into a folder, which is created if needed; returns the path."""
-    page = environment().get_template(template).render(content, version=__version__)
+    page = page_text(template, content)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"
     try:
@@ -23,6 +28,18 @@ def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
         path.unlink(missing_ok=True)  # a partial page could be taken for a complete one
         raise
     return path
+
+
+def page_text(template: str, content: Mapping[str, Any]) -> str:
+    """The page as text."""
+    page = environment().get_template(template).render(content, version=__version__)
+    return page.replace(_CONTENTS, _table_of_contents(page), 1)
+
+
+def _table_of_contents(page: str) -> str:
+    """Links to all sections of a page; empty for fewer than three."""
+    links = [f'<li><a href="#{name}">{title}</a></li>' for name, title in _HEADING.findall(page)]
+    return f'<nav class="contents" aria-label="contents"><ul>{"".join(links)}</ul></nav>' if len(links) > 2 else ""
 
 
 @cache

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import html
 import json
+import re
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,7 +15,9 @@ from urllib.parse import unquote
 import pytest
 
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch.tables import read_table, write_table
 from mast_zenoh.report import write_report, write_study_report
+from mast_zenoh.report.playback.columns import unpack
 from mast_zenoh.report.runfolder import RunFolder
 
 RunFolderFixture = Callable[..., Path]
@@ -59,11 +64,24 @@ def study(three_runs: dict[str, Path], tmp_path: Path) -> Page:
     return Page(write_study_report(tmp_path, three_runs))
 
 
+def assert_only_the_viewer_is_a_script(page: Page) -> None:
+    """The page's policy admits one script, by its hash, and the network not at all."""
+    scripts = re.findall(r'<script type="module">(.*?)</script>', page.source, re.DOTALL)
+    assert len(scripts) == ("Content-Security-Policy" in page.source)
+    assert len(re.findall("<script", page.source)) == len(scripts) + page.source.count(
+        '<script type="application/x-mast-run"'
+    )
+    for each in scripts:
+        digest = base64.b64encode(hashlib.sha256(each.encode()).digest()).decode()
+        assert f"default-src 'none'; script-src 'sha256-{digest}';" in html.unescape(page.source)
+
+
 def assert_self_contained(page: Page, folder: Path) -> None:
     for link in page.links:
         assert link.startswith(("data:image/", "#")) or (folder / unquote(link)).is_file(), link[:80]
         assert not link.startswith("#") or link[1:] in page.ids
-    assert not {"script", "link", "iframe", "object", "base"} & set(page.tags)
+    assert not {"link", "iframe", "object", "base"} & set(page.tags)
+    assert_only_the_viewer_is_a_script(page)
     assert "url(" not in page.source
     assert "@import" not in page.source
 
@@ -72,7 +90,7 @@ def test_run_report_is_self_contained(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
     page = Page(write_report(folder))
     assert_self_contained(page, folder)
-    assert all(link.startswith("data:") for link in page.links)
+    assert all(link.startswith(("data:", "#")) for link in page.links)
 
 
 def test_every_figure_is_in_the_page_and_saved_as_png(run_folder: RunFolderFixture) -> None:
@@ -121,6 +139,24 @@ def test_a_single_failure_is_worded_in_the_singular(run_folder: RunFolderFixture
     assert "infra_2.on_pose failed once: " in page.text
 
 
+def test_a_table_of_contents_leads_to_every_section(run_folder: RunFolderFixture) -> None:
+    page = Page(write_report(run_folder("uncoordinated")))
+    headings = re.findall(r'<h2 id="([\w-]+)">', page.source)
+    assert {"frames", "scores", "wiring", "reproduce"} <= set(headings)
+    assert [link[1:] for link in page.links if link.startswith("#")] == headings
+
+
+def test_a_run_whose_numbers_cannot_be_packed_has_a_report_without_the_viewer(run_folder: RunFolderFixture) -> None:
+    folder = run_folder("uncoordinated")
+    table = read_table(folder / "objects.parquet")
+    table["id"] = table["id"] + (1 << 40)
+    write_table(folder / "objects.parquet", table)
+    page = Page(write_report(folder))
+    assert "The viewer is left out: box.id: expected finite numbers below" in page.text
+    assert page.ids.count("frames") == 0
+    assert_only_the_viewer_is_a_script(page)
+
+
 def test_the_same_run_gives_the_same_report_byte_for_byte(run_folder: RunFolderFixture) -> None:
     folder = run_folder("coordinated")
     first = write_report(folder).read_bytes()
@@ -140,7 +176,7 @@ def test_names_are_escaped_in_html(run_folder: RunFolderFixture) -> None:
         (folder / name).write_text(json.dumps(data))
     page = Page(write_report(folder))
     assert_self_contained(page, folder)
-    assert "<script" not in page.source
+    assert "<script>alert" not in page.source
     assert evil in page.text
 
 
@@ -203,6 +239,9 @@ def test_only_an_existing_frame_can_be_requested(run_folder: RunFolderFixture) -
 
 def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Path) -> None:
     assert_self_contained(study, tmp_path)
+    blocks = re.findall(r"data-run>(.*?)</script>", study.source)
+    labels = [unpack(base64.b64decode(block))[0]["label"] for block in blocks]
+    assert labels == ["baseline", "uncoordinated", "coordinated"], "the viewer has all runs on one timeline"
     assert "6.2 more false objects a frame in the common picture than baseline" in study.text
     assert "The ego's own tracks score the same in every run." in study.text
     assert {path.name for path in (tmp_path / "figures").glob("*.png")} == {
@@ -216,6 +255,7 @@ def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Pa
     for name in ("baseline", "uncoordinated", "coordinated"):
         assert (tmp_path / name / "report.html").is_file()
         assert f"{name}/report.html" in study.links
+        assert "../report.html" in Page(tmp_path / name / "report.html").links
 
 
 def test_a_study_report_with_an_unscored_run_names_the_missing_file(

@@ -61,14 +61,14 @@ def bands(runs: Iterable[RunFolder], *, timed: bool) -> list[Band]:
         for each in run.timeline:
             until = np.inf if each.get("until_s") is None else each["until_s"] / unit_s
             unique_bands[Band(str(each["label"]), each["kind"] == "attack", each["at_s"] / unit_s, until)] = None
-        for node, start, end in _absences(run):
+        for node, start, end in absences(run):
             unique_bands[Band(f"{node} lost", False, start * frame, end * frame)] = None
     if all(band.attack for band in unique_bands):
         return []
     return sorted(unique_bands, key=lambda band: (band.start, band.end, band.label))
 
 
-def _absences(run: RunFolder) -> list[tuple[str, float, float]]:
+def absences(run: RunFolder) -> list[tuple[str, float, float]]:
     """(node, frame of its loss, frame of its return) of lost nodes."""
     absences, lost_since = [], dict[str, float]()
     for each in run.lost:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import RunFolderError
@@ -132,13 +133,18 @@ def frame_view(run: RunFolder, frame: int, chosen_by: str = "picture") -> FrameV
     before, behind = Marks.none(), Marks.none()
     if run.attacks is not None:
         here = rows(run.attacks, run.attacks["frame"] == frame)
-        downlink = np.zeros(len(here["frame"]), bool)
-        for_ego = ~downlink
-        if "message" in here and "before_subscriber" in here:
-            downlink = here["message"] == "picture"
-            for_ego = np.isin(here["before_subscriber"], ("", run.ego or ""))
+        downlink, subscriber = downlinks(here)
+        for_ego = np.isin(subscriber, ("", run.ego or ""))
         before, behind = Marks.of(rows(here, ~downlink)), Marks.of(rows(here, downlink & for_ego))
     return FrameView(run, frame, boxes, before, behind)
+
+
+def downlinks(effects: Table) -> tuple[Bools, NDArray[np.str_]]:
+    """(n,) bool, whether effects are on the picture in transit; (n,) the agent on whose leg they are, empty: all."""
+    if "message" not in effects or "before_subscriber" not in effects:
+        rows_ = len(effects["frame"])
+        return np.zeros(rows_, bool), np.full(rows_, "")
+    return np.asarray(effects["message"] == "picture"), effects["before_subscriber"].astype(str)
 
 
 def _boxes(table: Table, outcome: str) -> Boxes:

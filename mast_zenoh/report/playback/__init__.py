@@ -1,0 +1,9 @@
+"""The moving picture of finished runs, for the report and for `mast view`.
+
+boxes, motion         every box once, and its meaning in every estimate of every agent
+surroundings          buildings, agents, sensors and the space that they swept
+conduct, events       manipulations, states of agents, attacks and faults; what happened, in words
+columns, block        the compact data block that the page reads
+inline                the page: page/*.js joined, style, security policy
+page/                 JavaScript modules without a build step
+"""

@@ -1,0 +1,98 @@
+"""The events of a run in words, for the list beside the picture."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.report.files import rows
+from mast_zenoh.report.playback.boxes import BoxTable
+from mast_zenoh.report.playback.conduct import node_absences
+from mast_zenoh.report.runfolder import RunFolder
+
+#: Manipulations with a place, as verbs.
+_VERBS = {"inserted": "inserts", "removed": "removes", "moved": "moves"}
+
+
+class Event(NamedTuple):
+    """Something that happened.
+
+    frame: when;  kind: attack, fault, interception, suspension or effect;  text: in words
+    x, y:  m, where, if it has a place
+    """
+
+    frame: int
+    kind: str
+    text: str
+    x: float | None = None
+    y: float | None = None
+
+
+def events(run: RunFolder, boxes: BoxTable, periods: list[dict[str, Any]], times: Floats) -> list[dict[str, Any]]:
+    """All events, the earliest first.
+
+    periods: from `conduct.spans`;  times: (f,) s, of the frames
+    """
+    found = [*_periods(periods, times), *_first_changes(run), *_first_successes(run, boxes)]
+    for node, start, end in node_absences(run):
+        found.append(Event(int(start), "fault", f"{node} is down"))
+        if end < len(times):
+            found.append(Event(int(end), "fault", f"{node} is back"))
+    found = [each for each in dict.fromkeys(found) if 0 <= each.frame < len(times)]
+    found.sort(key=lambda each: (each.frame, each.kind, each.text))
+    return [{name: value for name, value in each._asdict().items() if value is not None} for each in found]
+
+
+def _periods(periods: list[dict[str, Any]], times: Floats) -> list[Event]:
+    result = []
+    ends = {"attack": "ends", "fault": "heals", "interception": "is removed", "suspension": "is lifted"}
+    for each in periods:
+        first = int(np.searchsorted(times, each["from_s"] - 1e-6))
+        last = int(np.searchsorted(times, each["until_s"] - 1e-6))
+        begins = "" if each["kind"] in ("interception", "suspension") else " begins"
+        result.append(Event(first, each["kind"], f"{each['label']}{begins}"))
+        if last < len(times):
+            result.append(Event(last, each["kind"], f"{each['label']} {ends[each['kind']]}"))
+    return result
+
+
+def _first_changes(run: RunFolder) -> list[Event]:
+    """The first manipulation of each kind by each adversary."""
+    table, result = run.attacks, []
+    if table is None:
+        return []
+    for name in np.unique(table["interposer"].astype(str)).tolist():
+        for effect in np.unique(table["effect"][table["interposer"] == name].astype(str)).tolist():
+            own = rows(table, (table["interposer"] == name) & (table["effect"] == effect))
+            first = int(np.argmin(own["frame"]))
+            when = "before" if effect == "removed" else "after"
+            x, y = (float(own[f"{when}_{axis}"][first]) for axis in "xy")
+            place = (round(x, 2), round(y, 2)) if effect in _VERBS and np.isfinite([x, y]).all() else (None, None)
+            action = (
+                f"{_VERBS[effect]} its first object" if effect in _VERBS else f"changes its first message ({effect})"
+            )
+            result.append(Event(int(own["frame"][first]), "effect", f"{name} {action}", *place))
+    return result
+
+
+def _first_successes(run: RunFolder, boxes: BoxTable) -> list[Event]:
+    """The first error of each kind in the ego's copy of the picture that is due to each adversary."""
+    result = []
+    for estimate, words in (("picture", "the picture"), ("mission", f"{run.ego} with the picture")):
+        row = next((i for i, view in enumerate(boxes.views) if view == (run.ego, estimate)), None)
+        if row is None:
+            continue
+        for number, meaning in enumerate(boxes.meanings, 1):
+            if not meaning.by or meaning.outcome not in ("false", "missed"):
+                continue
+            places = np.flatnonzero((boxes.codes[row] == number) & (boxes.truth == (meaning.outcome == "missed")))
+            if not len(places):
+                continue
+            first = places[np.argmin(boxes.frame[places])]
+            what = "shows a false object" if meaning.outcome == "false" else "misses an object"
+            text = f"{words} {what} because of {meaning.by} ({meaning.cause})"
+            x, y = (round(float(value), 2) for value in boxes.geometry[first, :2])
+            result.append(Event(int(boxes.frame[first]), "effect", text, x, y))
+    return result

@@ -1,0 +1,171 @@
+// Draws the boxes of an estimate, their motion and uncertainty, and what adversaries did to them.
+
+import { trailOf } from "./marks.js";
+import { faded, OUTCOMES } from "./palette.js";
+import { cross, line } from "./scene.js";
+
+/** m: smaller boxes are drawn this large, so that pedestrians are visible. */
+const DRAWN_M = 1.4;
+/** s, of motion that a velocity arrow stands for. */
+const AHEAD_S = 1;
+/** Frames that a trail goes back. */
+const TRAIL = 25;
+
+/** @param {import("./marks.js").BoxMark} box @returns {string} its key in the palette */
+export function outcomeOf(box) {
+  if (box.outcome === "scene") return "truth matched";
+  return box.outcome === "unevaluated" ? box.outcome : `${box.kind} ${box.outcome}`;
+}
+
+/**
+ * Draw all boxes of a view, errors on top.
+ * @param {import("./scene.js").Canvas} canvas
+ * @param {import("./marks.js").Marks} marks
+ * @param {import("./marks.js").BoxMark | null} chosen the box under the pointer
+ */
+export function drawBoxes(canvas, marks, chosen) {
+  const { layers, palette } = canvas;
+  const ordered = [...marks.boxes].sort((a, b) => OUTCOMES.indexOf(outcomeOf(a)) - OUTCOMES.indexOf(outcomeOf(b)));
+  if (layers.trails) for (const box of ordered) drawTrail(canvas, box);
+  if (layers.ellipses) for (const box of ordered) drawEllipse(canvas, box);
+  for (const box of marks.withheld) drawWithheld(canvas, box);
+  for (const box of ordered) drawBox(canvas, box, box.row === chosen?.row);
+  if (layers.velocity) for (const box of ordered) drawVelocity(canvas, box);
+  if (layers.ids) for (const box of ordered) drawId(canvas, box);
+  if (layers.manipulations) for (const effect of marks.effects) drawEffect(canvas, effect, palette.adversary);
+}
+
+/** @param {{x: number, y: number, l: number, w: number, yaw: number}} box @returns {number[][]} its corners, m */
+export function cornersOf(box) {
+  const [l, w] = [Math.max(box.l, DRAWN_M) / 2, Math.max(box.w, DRAWN_M) / 2];
+  const [cos, sin] = [Math.cos(box.yaw), Math.sin(box.yaw)];
+  return [[l, w], [l, -w], [-l, -w], [-l, w]].map(([a, b]) => [box.x + a * cos - b * sin, box.y + a * sin + b * cos]);
+}
+
+function drawBox(canvas, box, chosen) {
+  const { context, palette } = canvas;
+  const outcome = outcomeOf(box);
+  const colour = palette.outcomes[outcome];
+  const corners = cornersOf(box);
+  context.strokeStyle = colour;
+  context.lineWidth = chosen ? 3 : outcome === "track matched" ? 1.4 : 1.7;
+  context.setLineDash(outcome === "unevaluated" ? [4, 3] : []);
+  context.beginPath();
+  line(canvas, corners);
+  context.closePath();
+  if (outcome === "truth missed" || outcome === "track false") {
+    context.fillStyle = faded(colour, 0.35);
+    context.fill();
+  }
+  context.stroke();
+  context.setLineDash([]);
+  context.lineWidth = 1.2;
+  context.beginPath();
+  const ahead = Math.max(box.l, DRAWN_M) / 2 + 1.2;
+  line(canvas, [[box.x, box.y], [box.x + ahead * Math.cos(box.yaw), box.y + ahead * Math.sin(box.yaw)]]);
+  if (outcome === "track false") {
+    line(canvas, [corners[0], corners[2]]);
+    line(canvas, [corners[1], corners[3]]);
+  }
+  context.stroke();
+}
+
+function drawTrail(canvas, box) {
+  const places = trailOf(canvas.run, box.row, TRAIL);
+  if (places.length < 2) return;
+  canvas.context.strokeStyle = faded(canvas.palette.outcomes[outcomeOf(box)], 0.45);
+  canvas.context.lineWidth = 1.2;
+  canvas.context.beginPath();
+  line(canvas, places);
+  canvas.context.stroke();
+}
+
+/** The region that holds the position with 95 %, as the estimate claims. */
+function drawEllipse(canvas, box) {
+  if (!box.sx || !box.sy) return;
+  const { context, palette } = canvas;
+  const both = box.rho * box.sx * box.sy;
+  const [mean, half] = [(box.sx ** 2 + box.sy ** 2) / 2, Math.hypot((box.sx ** 2 - box.sy ** 2) / 2, both)];
+  const turn = Math.atan2(2 * both, box.sx ** 2 - box.sy ** 2) / 2;
+  const [long, short] = [mean + half, Math.max(mean - half, 0)].map((value) => 2.448 * Math.sqrt(value));
+  const places = Array.from({ length: 25 }, (_, i) => {
+    const [a, b] = [long * Math.cos((i * Math.PI) / 12), short * Math.sin((i * Math.PI) / 12)];
+    return [box.x + a * Math.cos(turn) - b * Math.sin(turn), box.y + a * Math.sin(turn) + b * Math.cos(turn)];
+  });
+  context.strokeStyle = faded(palette.outcomes[outcomeOf(box)], 0.8);
+  context.lineWidth = 1;
+  context.beginPath();
+  line(canvas, places);
+  context.stroke();
+}
+
+function drawVelocity(canvas, box) {
+  const speed = Math.hypot(box.vx, box.vy);
+  if (!box.known || speed < 0.3) return;
+  const from = [box.x, box.y];
+  const to = [box.x + box.vx * AHEAD_S, box.y + box.vy * AHEAD_S];
+  arrow(canvas, from, to, faded(canvas.palette.outcomes[outcomeOf(box)], 0.9), 1.3);
+}
+
+function arrow(canvas, from, to, colour, width) {
+  const { context, viewport } = canvas;
+  const [x, y] = viewport.toScreen(to[0], to[1], canvas.width, canvas.height);
+  const bearing = Math.atan2(to[1] - from[1], to[0] - from[0]);
+  context.strokeStyle = colour;
+  context.lineWidth = width;
+  context.beginPath();
+  line(canvas, [from, to]);
+  for (const side of [2.6, -2.6]) {
+    context.moveTo(x, y);
+    context.lineTo(x + 6 * Math.cos(bearing + side), y - 6 * Math.sin(bearing + side));
+  }
+  context.stroke();
+}
+
+function drawWithheld(canvas, box) {
+  const { context, palette } = canvas;
+  context.strokeStyle = palette.withheld;
+  context.lineWidth = 1.4;
+  context.setLineDash([3, 2]);
+  context.beginPath();
+  line(canvas, cornersOf(box));
+  context.closePath();
+  context.stroke();
+  context.setLineDash([]);
+}
+
+function drawId(canvas, box) {
+  const { context, viewport, width, height, palette } = canvas;
+  if (box.kind === "truth" && box.outcome === "matched") return; // the track that matches it has its own
+  const [x, y] = viewport.toScreen(box.x, box.y, width, height);
+  const text = String(box.id);
+  context.font = "11px system-ui, sans-serif";
+  context.textBaseline = "bottom";
+  context.lineWidth = 3;
+  context.strokeStyle = palette.ground;
+  context.strokeText(text, x + 6, y - 5);
+  context.fillStyle = palette.outcomes[outcomeOf(box)];
+  context.fillText(text, x + 6, y - 5);
+}
+
+/** Rings and crosses stand beside or around the box, so that they do not hide it. */
+function drawEffect(canvas, { effect, from, to }, colour) {
+  const { context, viewport, width, height } = canvas;
+  const [x, y] = viewport.toScreen((to ?? from)[0], (to ?? from)[1], width, height);
+  context.strokeStyle = colour;
+  context.lineWidth = 1.8;
+  if (effect === "inserted") {
+    const size = Math.max(11, 2.6 * viewport.scale(width, height));
+    context.beginPath();
+    context.moveTo(x, y - size);
+    context.lineTo(x + size, y);
+    context.lineTo(x, y + size);
+    context.lineTo(x - size, y);
+    context.closePath();
+    context.stroke();
+  } else if (effect === "removed") {
+    cross(context, x, y, 15, colour);
+  } else {
+    arrow(canvas, from, to, colour, 1.8);
+  }
+}

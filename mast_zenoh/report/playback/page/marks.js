@@ -1,0 +1,148 @@
+// What a panel draws in a frame, as plain data: tests compare it with the recording.
+
+import { TRUTH } from "./run.js";
+
+/**
+ * @typedef {{row: number, kind: string, outcome: string, id: number, x: number, y: number, z: number, l: number,
+ *            w: number, h: number, yaw: number, score: number, known: boolean, vx: number, vy: number, sx: number,
+ *            sy: number, rho: number, class: string, cause: string, by: string, match: number,
+ *            error: number | null}} BoxMark
+ * @typedef {{effect: string, by: string, from: number[] | null, to: number[] | null}} EffectMark
+ * @typedef {{index: number, name: string, kind: string, x: number, y: number, heading: number, state: string,
+ *            down: boolean, lying: boolean, cutOff: boolean, adversaries: string[]}} AgentMark
+ * @typedef {{id: number, x: number, y: number, l: number, w: number, yaw: number}} WithheldMark
+ * @typedef {{frame: number, time_s: number, agent: string, estimate: string, boxes: BoxMark[], effects: EffectMark[],
+ *            agents: AgentMark[], withheld: WithheldMark[]}} Marks
+ */
+
+const BOX_COLUMNS = ["x", "y", "z", "l", "w", "h", "yaw", "score", "vx", "vy", "sx", "sy", "rho"];
+/** Estimates of objects that an agent has without the command centre. */
+const OWN = ["local", "received"];
+/** Estimates behind the picture's way to the agent. */
+const BEHIND = ["mission", "picture_received", "picture_on_arrival"];
+
+/**
+ * All marks of a view in a frame.
+ * @param {import("./run.js").Run} run
+ * @param {number} frame
+ * @param {string} agent
+ * @param {string} estimate
+ * @returns {Marks}
+ */
+export function marksOf(run, frame, agent, estimate) {
+  const whole = !OWN.includes(estimate) && estimate !== TRUTH;
+  return {
+    frame,
+    time_s: run.times[frame],
+    agent,
+    estimate,
+    boxes: boxMarks(run, frame, agent, estimate),
+    effects: estimate === "local" || estimate === TRUTH ? [] : effectMarks(run, frame, agent, estimate),
+    agents: agentMarks(run, frame),
+    withheld: whole ? withheldMarks(run, frame) : [],
+  };
+}
+
+/** @returns {BoxMark[]} */
+function boxMarks(run, frame, agent, estimate) {
+  const columns = run.columns;
+  const view = run.viewRow(agent, estimate);
+  const rows = run.boxesByFrame[frame];
+  const truthRow = new Map();
+  for (const row of rows) if (columns["box.truth"][row]) truthRow.set(columns["box.id"][row], row);
+  const marks = [];
+  for (const row of rows) {
+    const truth = columns["box.truth"][row] === 1;
+    const code = view < 0 ? 0 : columns.code[view * run.rows + row];
+    if (!code && !(estimate === TRUTH && truth)) continue;
+    const [outcome, cause, by] = code ? run.header.meanings[code - 1] : ["scene", "", ""];
+    const match = view < 0 ? -1 : run.matches[view * run.rows + row];
+    const mark = { row, kind: truth ? "truth" : "track", outcome, cause, by, match, id: columns["box.id"][row] };
+    for (const name of BOX_COLUMNS) mark[name] = columns[`box.${name}`][row];
+    mark.known = columns["box.known"][row] === 1;
+    mark.class = run.header.classes[columns["box.kind"][row]];
+    const object = truthRow.get(match);
+    const away = object === undefined ? null : [columns["box.x"][object] - mark.x, columns["box.y"][object] - mark.y];
+    mark.error = away ? Math.hypot(away[0], away[1]) : null;
+    marks.push(mark);
+  }
+  return marks;
+}
+
+/** @returns {EffectMark[]} */
+function effectMarks(run, frame, agent, estimate) {
+  const columns = run.columns;
+  const marks = [];
+  for (const row of run.effectsByFrame[frame]) {
+    if (columns["effects.downlink"][row]) {
+      const subscriber = run.header.subscribers[columns["effects.subscriber"][row]];
+      if (!BEHIND.includes(estimate) || (subscriber && subscriber !== agent)) continue;
+    }
+    const effect = run.header.effects[columns["effects.effect"][row]];
+    const place = (when) => ["x", "y", "z"].map((axis) => columns[`effects.${when}_${axis}`][row]);
+    marks.push({
+      effect,
+      by: run.header.adversaries[columns["effects.by"][row]],
+      from: effect === "inserted" ? null : place("before"),
+      to: effect === "removed" ? null : place("after"),
+    });
+  }
+  return marks;
+}
+
+/** @returns {AgentMark[]} */
+export function agentMarks(run, frame) {
+  const time = run.times[frame];
+  const cut = run.spans.filter((span) => span.kind === "fault" && span.from_s <= time && time < span.until_s);
+  return run.agents.map((agent, index) => {
+    const flags = run.ofAgent("state", index, frame);
+    return {
+      index,
+      name: agent.name,
+      kind: agent.kind,
+      x: run.ofAgent("x", index, frame),
+      y: run.ofAgent("y", index, frame),
+      heading: run.ofAgent("heading", index, frame),
+      state: flags % 8 ? run.header.states[(flags % 8) - 1] : "",
+      down: (flags & run.header.flags.down) > 0,
+      lying: (flags & run.header.flags.lying) > 0,
+      cutOff: cut.some((span) => span.label.startsWith("Partition") && span.nodes.includes(agent.name)),
+      adversaries: agent.adversaries,
+    };
+  });
+}
+
+/** @returns {WithheldMark[]} */
+function withheldMarks(run, frame) {
+  return [...run.withheldByFrame[frame]].map((row) =>
+    Object.fromEntries(["id", "x", "y", "l", "w", "yaw"].map((name) => [name, run.columns[`withheld.${name}`][row]])),
+  );
+}
+
+/**
+ * Where a box was before, the latest place first.
+ * @param {import("./run.js").Run} run
+ * @param {number} row of the box
+ * @param {number} most number of places
+ * @returns {[number, number][]} m
+ */
+export function trailOf(run, row, most) {
+  const { "box.id": id, "box.frame": frame, "box.truth": truth, "box.x": x, "box.y": y } = run.columns;
+  /** @type {[number, number][]} */
+  const places = [[x[row], y[row]]];
+  for (let at = row; at > 0 && places.length <= most; at--) {
+    const before = at - 1;
+    if (id[before] !== id[at] || truth[before] !== truth[at] || frame[before] !== frame[at] - 1) break;
+    places.push([x[before], y[before]]);
+  }
+  return places;
+}
+
+/**
+ * How many boxes of each outcome there are.
+ * @param {Marks} marks
+ */
+export function tally(marks) {
+  const count = (kind, outcome) => marks.boxes.filter((box) => box.kind === kind && box.outcome === outcome).length;
+  return { missed: count("truth", "missed"), false: count("track", "false"), matched: count("track", "matched") };
+}

@@ -1,0 +1,168 @@
+// The viewer: panels, controls, charts and events around one state.
+
+import { Charts } from "./charts.js";
+import { Controls } from "./controls.js";
+import { element } from "./elements.js";
+import { EventList } from "./events.js";
+import { legendOf } from "./legend.js";
+import { agentMarks, marksOf } from "./marks.js";
+import { paletteOf } from "./palette.js";
+import { Panel } from "./panel.js";
+import { State } from "./state.js";
+import { Swipe } from "./swipe.js";
+import { Viewport } from "./viewport.js";
+
+export class Viewer {
+  /** @param {HTMLElement} root @param {import("./run.js").Run[]} runs */
+  constructor(root, runs) {
+    this.root = root;
+    const wide = root.clientWidth;
+    this.state = new State(runs, runs.length > 1 ? 2 : wide >= 1500 ? 3 : wide >= 800 ? 2 : 1);
+    this.viewport = new Viewport();
+    this.controls = new Controls(this.state, { fit: () => this.fit(), zoom: (factor) => this.zoom(factor) });
+    this.stage = element("div", { class: "v-panels" });
+    this.swipe = new Swipe(this.stage, this.state);
+    this.legend = element("p", { class: "v-legend" });
+    this.charts = new Charts(this.state);
+    this.events = new EventList(this.state, (x, y) => this.goTo(x, y));
+    const below = element("div", { class: "v-below" }, this.charts.root, this.events.root);
+    root.replaceChildren(this.controls.toolbar, this.stage, this.legend, this.controls.transport, below);
+    this.makePanels();
+    this.listen();
+    this.update(["theme"]);
+    this.fit(); // after the panels have their places
+  }
+
+  /** What a panel shows, as data. @param {number} index */
+  marks(index = 0) {
+    return this.panels[index].marks();
+  }
+
+  makePanels() {
+    this.panels = this.state.panels.map((_, index) => new Panel(this.state, this.viewport, index));
+    this.panels[0].beside = this.panels[1] ?? null;
+    this.stage.replaceChildren(...this.panels.map((panel) => panel.root), this.swipe.handle);
+  }
+
+  listen() {
+    const { state, root } = this;
+    state.addEventListener("change", (event) => this.update(/** @type {CustomEvent} */ (event).detail));
+    const target = document.body.classList.contains("v-alone") ? document : root;
+    target.addEventListener("keydown", (event) => {
+      if (this.controls.key(/** @type {KeyboardEvent} */ (event))) event.preventDefault();
+    });
+    new ResizeObserver(() => this.redraw()).observe(root);
+    this.print = window.matchMedia("print");
+    this.print.addEventListener("change", () => this.draw());
+    for (const name of ["beforeprint", "afterprint"]) {
+      window.addEventListener(name, () => {
+        this.printing = name === "beforeprint";
+        this.draw();
+      });
+    }
+    document.addEventListener("pointerdown", (event) => {
+      for (const menu of root.querySelectorAll("details.v-menu[open]")) {
+        if (!menu.contains(/** @type {Node} */ (event.target))) menu.removeAttribute("open");
+      }
+    });
+  }
+
+  /** @param {string[]} changed names of what has changed */
+  update(changed) {
+    const { state } = this;
+    if (changed.includes("panels")) {
+      if (this.panels.length !== state.panels.length) this.makePanels();
+      else this.panels.forEach((panel) => panel.chooseAgain());
+      this.events.fill();
+    }
+    if (changed.includes("playing") && state.playing) this.begin();
+    this.stage.classList.toggle("v-swipe", state.swipe);
+    this.stage.dataset.panels = String(state.panels.length);
+    if (changed.includes("theme")) {
+      this.root.dataset.theme = state.theme;
+      document.documentElement.dataset.theme = state.theme;
+    }
+    this.redraw();
+  }
+
+  /** Play from here, or from the beginning at the end. */
+  begin() {
+    const { state } = this;
+    const first = state.runs[0];
+    if (state.frame >= first.frames - 1) state.seek(0);
+    let [time, before] = [state.time, performance.now()];
+    const advance = (now) => {
+      if (!state.playing) return;
+      time += ((now - before) / 1000) * state.speed;
+      before = now;
+      state.seekTime(time);
+      if (Math.abs(state.time - time) > 0.5) time = state.time; // someone moved the slider
+      if (state.frame >= first.frames - 1) state.set({ playing: false });
+      else requestAnimationFrame(advance);
+    };
+    requestAnimationFrame(advance);
+  }
+
+  redraw() {
+    if (this.waiting) return;
+    this.waiting = requestAnimationFrame(() => {
+      this.waiting = 0;
+      this.draw();
+    });
+  }
+
+  /** The colours in use; light on paper. */
+  palette() {
+    const theme = this.printing || this.print?.matches ? "light" : this.state.theme;
+    return paletteOf(this.state.runs[0].header.colours, this.state.palette, theme);
+  }
+
+  /** Draw at once; `redraw` waits for the next frame of the screen. */
+  draw() {
+    const { state } = this;
+    const followed = agentMarks(state.runs[0], state.frame).find((agent) => agent.name === state.follow);
+    if (followed) [this.viewport.x, this.viewport.y] = [followed.x, followed.y];
+    const palette = this.palette();
+    const colours = JSON.stringify(palette);
+    if (this.colours !== colours) this.legend.replaceChildren(...legendOf(palette, state.runs));
+    this.colours = colours;
+    for (const panel of this.panels) panel.draw(palette);
+    this.swipe.handle.style.top = `${this.panels[0].stage.offsetTop}px`;
+    this.charts.draw(palette);
+    this.controls.update();
+    this.events.mark();
+  }
+
+  /** Show what matters in this frame. */
+  fit() {
+    const { state } = this;
+    const run = state.runs[0];
+    const marks = marksOf(run, state.frame, run.header.ego, "picture");
+    const places = marks.boxes.filter((box) => box.outcome !== "false").map((box) => [box.x, box.y]);
+    for (const { from, to } of marks.effects) places.push((to ?? from).slice(0, 2));
+    if (!places.length) for (const row of run.boxesByFrame[state.frame]) places.push([run.columns["box.x"][row], run.columns["box.y"][row]]);
+    const ego = marks.agents.find((agent) => agent.name === run.header.ego);
+    const { clientWidth, clientHeight } = this.panels[0].canvas;
+    const agents = marks.agents.map((agent) => [agent.x, agent.y]);
+    this.viewport.fit(agents, places, ego ? [ego.x, ego.y] : null, clientWidth / Math.max(clientHeight, 1));
+    state.set({ follow: "" });
+    this.redraw();
+  }
+
+  /** @param {number} factor */
+  zoom(factor) {
+    const { clientWidth: width, clientHeight: height } = this.panels[0].canvas;
+    this.viewport.zoomAt(factor, width / 2, height / 2, width, height);
+    this.redraw();
+  }
+
+  /** Show a place, if it is outside the window. */
+  goTo(x, y) {
+    const { clientWidth: width, clientHeight: height } = this.panels[0].canvas;
+    const [px, py] = this.viewport.toScreen(x, y, width, height);
+    if (px > 20 && py > 20 && px < width - 20 && py < height - 20) return;
+    [this.viewport.x, this.viewport.y] = [x, y];
+    this.state.set({ follow: "" });
+    this.redraw();
+  }
+}

@@ -1,0 +1,75 @@
+"""One attacked and defended run, shared by all tests of the moving picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import FRAME, FRAMES, WatchedPage, chromium
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.report import write_report
+from mast_zenoh.report.playback.server import viewer_page
+from mast_zenoh.report.runfolder import RunFolder
+
+
+@pytest.fixture(scope="session")
+def attacked_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run with two adversaries and a command centre that judges agents."""
+    settings = ["attack_start_s=2.0", "defence=SequentialConsistency"]
+    return play("defended", settings, tmp_path_factory.mktemp("runs") / "attacked")
+
+
+@pytest.fixture(scope="session")
+def baseline_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of the same scene without adversaries."""
+    return play("baseline", [], tmp_path_factory.mktemp("runs") / "baseline")
+
+
+def play(name: str, settings: list[str], folder: Path) -> Path:
+    """Play a shipped scenario in this process."""
+    path, loaded = scenario.load(name, settings)
+    resolved = scenario.resolve(path, loaded, frames=FRAMES, record=True)
+    return launcher.run(resolved, folder, runtime="inproc").folder
+
+
+@pytest.fixture(scope="session")
+def loaded_run(attacked_run: Path) -> RunFolder:
+    return RunFolder.load(attacked_run)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
+def report(attacked_run: Path) -> Path:
+    """The report of the attacked run."""
+    return write_report(attacked_run, frame=FRAME)
+
+
+@pytest.fixture(scope="session")
+def compared(attacked_run: Path, baseline_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with the attacked run and the same run without its adversaries."""
+    path = tmp_path_factory.mktemp("pages") / "compared.html"
+    path.write_text(viewer_page([attacked_run, baseline_run], FRAME), "utf-8")
+    return path
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Callable[..., WatchedPage]]:
+    """Opens pages, which must contact nobody."""
+    opened: list[WatchedPage] = []
+
+    def open_(address: Path | str, **options: Any) -> WatchedPage:
+        opened.append(WatchedPage(browser, address.as_uri() if isinstance(address, Path) else address, **options))
+        return opened[-1]
+
+    yield open_
+    for each in opened:
+        each.close()

@@ -1,0 +1,91 @@
+"""`mast view` serves one page to this computer alone, and ends with Ctrl-C."""
+
+from __future__ import annotations
+
+import http.client
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from browser import WatchedPage
+
+from mast_zenoh.errors import ConfigurationError, NotComparable, RunFolderError
+from mast_zenoh.report.playback.server import ViewerServer, viewer_page
+
+
+@pytest.fixture
+def server() -> Iterator[ViewerServer]:
+    with ViewerServer("<p>page</p>") as running:
+        thread = threading.Thread(target=running.serve_forever)
+        thread.start()
+        yield running
+        running.shutdown()
+        thread.join()
+
+
+def answer(server: ViewerServer, path: str, host: str = "127.0.0.1") -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=20)
+    connection.putrequest("GET", path, skip_host=True)
+    connection.putheader("Host", f"{host}:{server.server_port}")
+    connection.endheaders()
+    return connection.getresponse()
+
+
+def test_the_page_is_served_with_a_policy_that_admits_no_other_host(server: ViewerServer) -> None:
+    response = answer(server, "/")
+    assert response.status == 200
+    assert "default-src 'none'" in (response.getheader("Content-Security-Policy") or "")
+    assert response.read() == b"<p>page</p>"
+    assert server.server_address[0] == "127.0.0.1"
+
+
+def test_other_paths_and_other_hosts_get_nothing(server: ViewerServer) -> None:
+    assert answer(server, "/run.json").status == 404
+    assert answer(server, "/../run.json").status == 404
+    assert answer(server, "/", host="attacker.example").status == 403
+
+
+def test_a_port_in_use_is_refused_by_name(server: ViewerServer) -> None:
+    with pytest.raises(ConfigurationError, match=f"--port: found {server.server_port}, which cannot be used"):
+        ViewerServer("", server.server_port)
+
+
+def test_folders_that_hold_nothing_to_show_are_refused(tmp_path: Path, attacked_run: Path) -> None:
+    with pytest.raises(RunFolderError, match="no such folder"):
+        viewer_page([tmp_path / "nothing"])
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(RunFolderError, match=r"expected objects\.parquet or scene\.npz"):
+        viewer_page([tmp_path])
+
+
+def test_runs_without_a_common_agent_are_refused(attacked_run: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "run.json").write_text("{}")
+    (other / "metrics.json").write_text('{"agents": {"stranger": {}}}')
+    (other / "objects.parquet").write_bytes((attacked_run / "objects.parquet").read_bytes())
+    with pytest.raises(NotComparable, match="found no common agent"):
+        viewer_page([attacked_run, other])
+
+
+def test_the_command_prints_where_the_page_is_and_ends_with_ctrl_c(
+    attacked_run: Path, baseline_run: Path, open_page: Callable[..., WatchedPage]
+) -> None:
+    command = [sys.executable, "-m", "mast_zenoh", "view", str(attacked_run), str(baseline_run), "--frame", "30"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            lines = [process.stdout.readline() for _ in range(3)]
+            address = lines[0].removeprefix("view: ").strip()
+            port = address.rpartition(":")[2].strip("/")
+            assert f"ssh -L {port}:127.0.0.1:{port} " in lines[1]
+            page = open_page(address)
+            assert page.run("viewer.panels.map((panel) => panel.marks().frame)") == [30, 30]
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=30) == 0
+        finally:
+            process.kill()

@@ -1,0 +1,76 @@
+"""Debian's Chromium under playwright, for tests of pages; a page may ask no other host for anything."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+#: Number of frames of the runs that page tests share, and the one that pages show first: under attack.
+FRAMES, FRAME = 56, 40
+
+CHROMIUM = Path("/usr/bin/chromium")
+_FLAGS = (
+    *("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader"),
+    *("--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
+)
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A browser; skips the test, with the reason, where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if not CHROMIUM.is_file():
+        pytest.skip(f"no browser: expected {CHROMIUM} (apt-get install chromium)")
+    with playwright.sync_playwright() as engine:
+        browser = engine.chromium.launch(executable_path=str(CHROMIUM), args=list(_FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class WatchedPage:
+    """A page that remembers every request and every error.
+
+    page: playwright's;  requests: addresses;  errors: of its scripts
+    """
+
+    def __init__(
+        self, browser: Any, address: str, *, width: int = 1200, height: int = 900, theme: str = "light"
+    ) -> None:
+        self.page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=theme)
+        self.requests: list[str] = []
+        self.errors: list[str] = []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("console", lambda line: self.errors.append(line.text) if line.type == "error" else None)
+        self.address = address
+        self.page.goto(address)
+        self.page.wait_for_selector(".viewer.v-ready", timeout=60_000)
+        self.settle()
+
+    def run(self, expression: str, argument: Any = None) -> Any:
+        """The value of an expression in the page."""
+        return self.page.evaluate(expression, argument)
+
+    def settle(self) -> None:
+        """Wait until the page has drawn."""
+        self.run("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def screenshot(self, name: str) -> None:
+        """Keep a screenshot, if $MAST_TEST_SCREENSHOTS names a folder."""
+        folder = os.environ.get("MAST_TEST_SCREENSHOTS")
+        if folder:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            self.page.screenshot(path=str(Path(folder) / f"{name}.png"))
+
+    def close(self) -> None:
+        """Close the page; fails if it asked for anything but itself, or if a script failed."""
+        self.page.close()
+        assert self.requests == [self.address]
+        assert self.errors == []
