@@ -81,7 +81,7 @@ class Agent(Node):
         self.mobile = mobile
         self.status_every = status_every
         self.picture_age_ns = round(picture_age_s * 1e9)
-        self.sensed: Gather[str, Received] = Gather({"clock", "pose", *self.members})
+        self.sensed: Gather[str, Received | None] = Gather({"clock", "pose", *self.members})
         self.pictures: LatestBefore[tuple[int, ObjectStates]] = LatestBefore()
         self.last: Pose | None = None
         self.mount = _mount(sensors[0]) if sensors else None  # of the first sensor; otherwise the latest
@@ -102,7 +102,7 @@ class Agent(Node):
         self.clocks_ns = (max(self.clocks_ns), received.time_ns)
         for row, member in enumerate(self.members):
             if not self.due(row, received.frame):
-                self.sensed.add(received.frame, member, received)  # nothing to wait for; never used
+                self.sensed.add(received.frame, member, None)  # nothing to wait for
         self.sense("clock", received, context)
 
     def on_pose(self, received: Received, context: Context) -> None:
@@ -115,6 +115,8 @@ class Agent(Node):
         member = f"detections/{part}" if part else "detections"
         if reason := self.refusal(self.members.index(member), received, context):
             context.reject(reason)
+            if received.frame == context.frame:
+                self.sense(member, None, context)  # the other sensors' data wait for nothing else
         else:
             self.sense(member, received, context)
 
@@ -127,14 +129,20 @@ class Agent(Node):
         picture = (received.time_ns, ObjectStates.from_columns(received.body))
         self.pictures.add(context.frame, picture, received.frame)
 
-    def sense(self, port: str, received: Received, context: Context) -> None:
-        """Process a frame once its clock, its pose and all data of its sensors have arrived."""
-        items = self.sensed.add(received.frame, port, received)
-        if items is not None:
-            self.perceive(received.frame, items, context)
+    def sense(self, port: str, received: Received | None, context: Context) -> None:
+        """Process a frame once its clock, its pose and all data of its sensors have arrived.
 
-    def perceive(self, frame: int, items: dict[str, Received], context: Context) -> None:
+        received: None: of no use, and not to be waited for
+        """
+        items = self.sensed.add(received.frame if received else context.frame, port, received)
+        if items is not None:
+            self.perceive(received.frame if received else context.frame, items, context)
+
+    def perceive(self, frame: int, items: dict[str, Received | None], context: Context) -> None:
         """Publish both estimates of one frame; always one message each, even if empty."""
+        items = {port: received for port, received in items.items() if received is not None}
+        if not items:
+            return  # a refused message without the clock of its frame
         time_ns = items.get("clock", next(iter(items.values()))).time_ns
         if time_ns < self.newest_ns:
             least = f"{self.newest_ns}, the time of the previous frame"

@@ -12,10 +12,12 @@ import pyarrow
 
 from mast_zenoh.api import messages as recorded
 from mast_zenoh.api.messages import WireMessage
+from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.launch import folder, liveness
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.tables import read_arrow
+from mast_zenoh.scenes.recording import Recording
 
 if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.api.plots import Plots
@@ -258,8 +260,12 @@ class Agent:
         return self._rows("detections", recorded.detections)
 
     def detections_of(self, sensor: str) -> pyarrow.Table:
-        """As `detections`, of another one of several sensors, by its name."""
-        return self._rows(f"detections/{sensor}", recorded.detections)
+        """As `detections`, of one of several sensors. Raises ConfigurationError for a name that none has."""
+        agents = {agent.name: agent for agent in Recording.load(self.path / RECORDING).agents}
+        names = [each.name for each in agents[self.name].sensors]
+        if sensor not in names:
+            raise ConfigurationError(f"{self.name}: no sensor {sensor!r}{nearest(sensor, names)}")
+        return self._rows(f"detections/{sensor}" if names.index(sensor) else "detections", recorded.detections)
 
     @property
     def pose(self) -> pyarrow.Table:

@@ -60,7 +60,7 @@ def replay(
 ) -> None:
     """Play a recorded run to live nodes, such as a changed command centre.
 
-    Lock-step, or real time with --rate. Without changes, the picture is the recorded one.
+    Lock-step, or real time with --rate. Without changes, a lock-step recording gives the recorded picture.
     """
     from mast_zenoh import replay as replays
     from mast_zenoh.launch import run as launcher

@@ -2,7 +2,7 @@
 
 channels    one channel per key, with a schema of its messages for other readers
 writer      writes messages in whole chunks
-reader      reads the messages in the order (frame, wire, publisher, sequence), also from a file that was cut off
+reader      reads the messages in the order (frame, time, wire, publisher, sequence), also from a file that was cut off
 difference  compares two such streams;  explain  describes the difference
 events      changes of a run's wiring and members, recorded next to its messages
 completeness  the first frame that a recording lacks

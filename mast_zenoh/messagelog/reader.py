@@ -1,6 +1,7 @@
 """Reads messages.mcap, also if truncated, a few chunks at a time.
 
-Messages are ordered by (frame, wire, publisher, sequence number).
+Messages are ordered by (frame, time, wire, publisher, sequence number): a measurement made between two frames comes
+before the other messages of its frame.
 """
 
 from __future__ import annotations

@@ -133,7 +133,13 @@ BUILT_IN: Mapping[str, Schema] = {
                     "class_id", "uint8", ("n",), "", "index into mast_zenoh.arrays.states.CLASSES", below=len(CLASSES)
                 ),
                 Column("covariance", "float64", ("n", 3, 3), "m²", "of the position; all zero: not given"),
-                Column("mount_position", "float64", (3,), "m", "of the sensor then, in the agent's frame now"),
+                Column(
+                    "mount_position",
+                    "float64",
+                    (3,),
+                    "m",
+                    "of the sensor at `time_ns`, in the agent's frame now",
+                ),
                 Column(
                     "mount_rotation", "float64", (4,), "", "active quaternion w x y z, sensor to agent", **_ROTATION
                 ),

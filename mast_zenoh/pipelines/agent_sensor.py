@@ -16,9 +16,10 @@ class AgentSensor:
 
     name:           of the sensor
     lidar:          its field of view and range
-    mount_position: (x, y, z) m, of the sensor in the agent's frame
+    mount_position: (x, y, z) m, of the sensor in the agent's frame; its messages have the mount at their time
     mount_rotation: (w, x, y, z) active quaternion, sensor to agent
-    frames:         for each frame of the run DUE or IDLE; empty: a measurement is due in every frame
+    frames:         for each frame of the run DUE or IDLE, repeated after the last; empty: a measurement is due in every
+                    frame
     detection_probability: of an object in full view; None: that of the tracker
 
     Raises ValueError for other frames, and a probability outside (0, 1).
@@ -39,4 +40,4 @@ class AgentSensor:
 
     def due(self, frame: int) -> bool:
         """Whether it sends a measurement in a frame."""
-        return not self.frames or self.frames[frame : frame + 1] == DUE
+        return not self.frames or self.frames[frame % len(self.frames)] == DUE

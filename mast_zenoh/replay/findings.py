@@ -104,7 +104,7 @@ def of_rewired(nodes: list[str]) -> list[str]:
     ]
 
 
-def of_unfed(ports: list[str]) -> list[str]:
+def of_unconnected(ports: list[str]) -> list[str]:
     """A sentence about inputs of changed nodes that no recorded wire leads to; ports: as node.port."""
     if not ports:
         return []

@@ -26,11 +26,6 @@ def fitted(wiring: Wiring, classes: Mapping[str, type[Node]]) -> Wiring:
     return Wiring(tuple(_wires(wiring, classes)), tuple(overhearing.values()))
 
 
-def unfed(recorded: type[Node], now: type[Node]) -> list[str]:
-    """The input ports of a changed node that the recorded wiring does not know."""
-    return [port for port, message in now.inputs.items() if port not in recorded.inputs and message != ANY]
-
-
 def _wires(wiring: Wiring, classes: Mapping[str, type[Node]]) -> Iterator[Wire]:
     for wire in wiring.wires:
         publisher = wire.legs[0].publisher

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from mast_zenoh.config import loading
 from mast_zenoh.config.process_steps import REALTIME, ProcessStep
 from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node
-from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.folder import json_or_empty
@@ -28,7 +29,7 @@ from mast_zenoh.replay.scripts import read_scripts
 from mast_zenoh.runtime.played import player
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.insertion import never_inserted
-from mast_zenoh.wiring.model import Wiring
+from mast_zenoh.wiring.model import ANY, Wiring
 
 #: Suffix of the name of a replay.
 SUFFIX = "-replay"
@@ -104,11 +105,12 @@ def resolve(
         folder, division, roles, period_ns=recorded.period_ns, planned=planned, frames=frames, repeats=repeats
     )
     script = next(iter(scripts.by_node.values()))
+    live_specs = {name: _repeated(spec, scripts.frames) for name, spec in live.nodes.items()}
     leeway_ns = recorded.leeway_ns
     if leeway_ns is not None:  # repetitions of uneven frames are later and later
         leeway_ns += (script.repeats - 1) * (script.span_ns - scripts.frames * recorded.period_ns)
     players = {name: _player(recorded.nodes[name], script) for name, script in scripts.by_node.items()}
-    nodes = {name: players.get(name) or live.nodes[name] for name in roles if name in {*players, *live.nodes}}
+    nodes = {name: players.get(name) or live_specs[name] for name in roles if name in {*players, *live.nodes}}
     steps = _steps(recorded.steps, division, mode) if repeats == 1 else ()
     scene = _scene(folder)
     resolved = replace(
@@ -132,7 +134,7 @@ def resolve(
         *findings.of_run(run, recorded),
         *findings.of_rewired(sorted(rewired)),
         *scripts.notices,
-        *findings.of_unfed(_unfed(recorded, live, classes)),
+        *findings.of_unconnected(_unconnected(fitted, recorded, live, classes)),
         *findings.of_steps([step for step in recorded.steps if step not in steps and step.node in roles]),
         *([] if scene else [f"{folder / RECORDING} cannot be read: the report shows no buildings and no camera view"]),
     ]
@@ -172,6 +174,17 @@ def _player(spec: NodeSpec, script: Script) -> NodeSpec:
     return NodeSpec(spec.role, str(player.__file__), cls.__name__, {"script": script, "recorded": recorded}, "fail")
 
 
+def _repeated(spec: NodeSpec, frames: int) -> NodeSpec:
+    """The spec of a live node, with the times of its sensors in the frames that are played and repeated."""
+    sensors = spec.config.get("sensors")
+    if not sensors:
+        return spec
+    return replace(
+        spec,
+        config={**spec.config, "sensors": [each | {"frames": each.get("frames", "")[:frames]} for each in sensors]},
+    )
+
+
 def _messages(recorded: Iterable[Schema], classes: Mapping[str, type[Node]]) -> tuple[Schema, ...]:
     """The message types of the recording and of the live nodes.
 
@@ -201,14 +214,16 @@ def _steps(steps: Iterable[ProcessStep], division: Cut, mode: str) -> tuple[Proc
     )
 
 
-def _unfed(recorded: Resolved, live: Live, classes: Mapping[str, type[Node]]) -> list[str]:
-    """Input ports of changed nodes, as node.port, that get no messages."""
+def _unconnected(wiring: Wiring, recorded: Resolved, live: Live, classes: Mapping[str, type[Node]]) -> list[str]:
+    """New inputs of changed nodes, as node.port, that no wire of the replay leads to."""
     names = []
     for name, keys in live.changed.items():
         if {"file", "type"} & set(keys):
-            spec = recorded.nodes[name]
-            known = loading.node_class(Path(spec.file), spec.type) if Path(spec.file).is_file() else Node
-            names += [f"{name}.{port}" for port in ports.unfed(known, classes[name])]
+            known = {each.port for each in wiring.ports(name).inputs.values()}
+            with suppress(MastError):  # its file is gone, or changed
+                known |= loading.node_class(Path(recorded.nodes[name].file), recorded.nodes[name].type).inputs.keys()
+            own = {port: message for port, message in classes[name].inputs.items() if message != ANY}
+            names += [f"{name}.{port}" for port in own if port not in known]
     return names
 
 

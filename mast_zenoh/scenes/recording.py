@@ -44,7 +44,7 @@ class Recording:
     times_ns:           (F,) int64, ns, time of each frame, ascending
     truth:              N rows, world frame, the rows of a frame together; covariance zero, score one
     truth_start:        (F + 1,) int64: frame f has the rows truth_start[f] to truth_start[f + 1]
-    points:             (N, A) int32, lidar returns of each truth row at each agent
+    points:             (N, A) int32, lidar returns of each truth row at each agent: the most of one of its sensors
     agent_position:     (F, A, 3) m, world frame
     agent_rotation:     (F, A, 3, 3) active, agent to world
     agent_velocity:     (F, A, 3) m/s, world frame

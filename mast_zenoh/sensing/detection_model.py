@@ -100,7 +100,7 @@ class DetectionModel(Detector):
             if not value > 0:
                 raise ConfigurationError(f"DetectionModel: {name} is {value}, expected more than 0")
         noises = (position_noise_m, vertical_noise_m, size_noise_m, yaw_noise_deg, few_points, clutter_rate)
-        if min(noises) < 0 or clutter_range_m < 0:
+        if not all(each >= 0 for each in (*noises, clutter_range_m)):  # false for NaN, too
             raise ConfigurationError("DetectionModel: a noise, a rate or a range is negative, expected 0 or more")
         for name, value in (("flip_probability", flip_probability), ("wrong_class", wrong_class)):
             if not 0 <= value <= 1:

@@ -217,6 +217,7 @@ def test_a_measurement_at_an_impossible_time_costs_one_message(resolved: Resolve
                 measured(agent, frame, oncoming(0.1 * frame), "radar")
             elif damaged:
                 measured(agent, frame, oncoming(0.1 * frame), "radar", age_ns)
+                assert len(tracks_of(agent)) == frame + 1, "the other sensor's data do not wait"
         counted = Counter({kind: n for (_, kind), n in agent.host.rejected.items()})
         assert counted == ({"measured": 1} if damaged else {})
         outcomes.append(agent.payloads)

@@ -43,6 +43,7 @@ RUNS: dict[str, tuple[str, tuple[str, ...], Edit | None]] = {
     "downlink": ("downlink", ("attack_start_s=0.3",), None),
     "lossy": ("coordinated", ("attack_start_s=0.3",), lossy),
     "crashing": ("baseline", (), crashing),
+    "rates": ("rates", (), None),
 }
 
 

@@ -201,6 +201,15 @@ def test_repetitions_continue_frames_times_and_numbers(recorded: Callable[[str],
     assert adversary["agreement"] == "agrees", "reports are about the repeated frames"
 
 
+@pytest.mark.parametrize("frames", [None, 3])
+def test_sensors_measure_at_their_times_in_every_repetition(
+    recorded: Callable[[str], Path], tmp_path: Path, frames: int | None
+) -> None:
+    run = replayed(recorded("rates"), tmp_path / "replay", place="simulator", frames=frames, repeats=2)
+    assert not any(node["rejected"] for node in run.record["nodes"].values())
+    assert compare(recorded("rates"), run.folder, wires=PICTURE, before=frames or FRAMES).first is None
+
+
 @pytest.mark.parametrize(
     ("last_ms", "next_ns"), [(150, 300_000_000), (299, 300_000_000), (300, 300_000_001), (350, 350_000_001)]
 )

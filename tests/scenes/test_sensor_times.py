@@ -13,7 +13,7 @@ import mast_zenoh as mast
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import Intersection, Recording
-from mast_zenoh.scenes.making.schedules import Schedule
+from mast_zenoh.scenes.making.schedules import Schedule, regular_times
 from mast_zenoh.scenes.measurements import NO_MEASUREMENT
 from mast_zenoh.sensing import sensor_pose, to_world
 from mast_zenoh.testing import check_scene
@@ -60,6 +60,14 @@ def test_every_measurement_is_new_in_the_one_frame_at_or_after_it(
     assert ((age >= 0) & (age < frame_ns)).all()
 
 
+def test_a_sensor_at_half_the_rate_of_the_frames_measures_in_every_second_one() -> None:
+    frame_ns = round(1e9 / 30.0)
+    times = np.arange(2000, dtype=np.int64) * frame_ns
+    schedule = Schedule.regular(times, *regular_times("scene", frame_ns, 15.0, 0.0))
+    assert np.flatnonzero(schedule.source >= 0).tolist() == list(range(0, 2000, 2))
+    assert schedule.time_ns[::2].tolist() == times[::2].tolist()
+
+
 def test_of_several_recorded_measurements_before_a_frame_the_newest_is_new() -> None:
     times = np.array([100, 200, 300])
     schedule = Schedule.recorded(times, np.array([90, 120, 180, 305]), np.array([0, 0, 1, 2]))
@@ -77,6 +85,10 @@ def test_of_several_recorded_measurements_before_a_frame_the_newest_is_new() -> 
     [
         ({"ego": [dict(LATE, rate_hz=20.0)]}, r"sensors\['ego'\]\[0\]: rate_hz is 20, expected at most 10, .* raise"),
         ({"ego": [dict(LATE, rate_hz=0.0)]}, "rate_hz is 0.0, expected a number above 0"),
+        ({"ego": [dict(LATE, rate_hz=1e-300)]}, "rate_hz is 1e-300, expected at least 1e-05"),
+        ({"ego": [dict(LATE, phase_s=float("nan"))]}, "phase_s is nan, expected 0 to less than 0.2"),
+        ({"ego": [dict(LATE, phase_s=-1e300)]}, "phase_s is -1e.300, expected 0 to less than 0.2"),
+        ({"ego": [dict(LATE, detector=dict(type="DetectionModel", clutter_rate=float("nan")))]}, "expected 0 or more"),
         ({"ego": [dict(LATE, phase_s=0.2)]}, "phase_s is 0.2, expected 0 to less than 0.2"),
         ({"ego": [dict(type="Lidar", phase_s=0.1)]}, "phase_s: found 0.1, expected 0 for a sensor without rate_hz"),
         ({"infra_9": [RADAR]}, "no agent 'infra_9' in this scene; did you mean 'infra_1'"),

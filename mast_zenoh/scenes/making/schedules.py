@@ -10,6 +10,8 @@ from mast_zenoh.arrays.states import Ints
 from mast_zenoh.errors import ConfigurationError
 
 _NONE = -1
+#: Longest time between two measurements, in frames.
+_LONGEST_FRAMES = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +64,20 @@ def regular_times(place: str, frame_ns: int, rate_hz: float, phase_s: float) -> 
     """
     if not 0.0 < rate_hz < float("inf"):
         raise ConfigurationError(f"{place}: rate_hz is {rate_hz!r}, expected a number above 0")
-    period_ns, phase_ns = round(1e9 / rate_hz), round(phase_s * 1e9)
+    frames = 1e9 / rate_hz / frame_ns
+    if not frames < _LONGEST_FRAMES:
+        raise ConfigurationError(
+            f"{place}: rate_hz is {rate_hz:g}, expected at least {1e9 / frame_ns / _LONGEST_FRAMES:g}"
+        )
+    # Frames at 30 Hz are 33,333,333 ns apart: a sensor at 15 Hz measures in every second one, not 1 ns after it.
+    whole = abs(frames - round(frames)) < 1e-6
+    period_ns = round(frames) * frame_ns if whole else round(1e9 / rate_hz)
     if period_ns < frame_ns:
         raise ConfigurationError(
             f"{place}: rate_hz is {rate_hz:g}, expected at most {1e9 / frame_ns:g}, the rate of the frames: a sensor "
             "has at most one new measurement in a frame; raise the rate of the scene's frames, or lower the sensor's"
         )
+    phase_ns = round(phase_s * 1e9) if 0.0 <= phase_s < 1e9 else -1
     if not 0 <= phase_ns < period_ns:
         raise ConfigurationError(
             f"{place}: phase_s is {phase_s:g}, expected 0 to less than {1 / rate_hz:g}, the time between measurements"
