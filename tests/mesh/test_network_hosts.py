@@ -213,7 +213,7 @@ def test_a_router_drops_an_unresponsive_link_before_its_lease_expires() -> None:
         user_timeout_ms = {}
         for fd in os.listdir("/proc/self/fd"):
             with suppress(OSError), socket.fromfd(int(fd), socket.AF_INET, socket.SOCK_STREAM) as ours:
-                if ours.getsockname()[1] == port:  # the listening socket, and our end of the client's link
+                if ours.getsockname()[1:2] == (port,):  # the listening socket, and our end of the client's link
                     user_timeout_ms[fd] = ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
     assert len(user_timeout_ms) == 2
     assert set(user_timeout_ms.values()) == {1500}
