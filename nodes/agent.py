@@ -134,9 +134,10 @@ class Agent(Node):
 
         received: None: of no use, and not to be waited for
         """
-        items = self.sensed.add(received.frame if received else context.frame, port, received)
+        frame = received.frame if received else context.frame
+        items = self.sensed.add(frame, port, received)
         if items is not None:
-            self.perceive(received.frame if received else context.frame, items, context)
+            self.perceive(frame, items, context)
 
     def perceive(self, frame: int, items: dict[str, Received | None], context: Context) -> None:
         """Publish both estimates of one frame; always one message each, even if empty."""

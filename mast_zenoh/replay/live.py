@@ -17,8 +17,9 @@ from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.launch.measurement import with_local_file
 from mast_zenoh.messagelog.writer import FILE, MessageLog
 from mast_zenoh.scenario.builders import load_builders
-from mast_zenoh.scenario.nodes import best_pattern, node_spec
+from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.scenario.resolution import modules_of
+from mast_zenoh.scenes.agents import best_pattern
 
 #: Parts of a scenario that configure one node, and those that configure several by name.
 _SINGLE = ("broker", "command_center", "evaluator", "coordinator")

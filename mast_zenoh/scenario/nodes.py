@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Mapping
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.metrics.achievement_summary import ALL
 from mast_zenoh.pipelines.agent_sensor import DUE, IDLE
 from mast_zenoh.scenario.reconnaissance import surroundings_of
+from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.measurements import NO_MEASUREMENT
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import LidarSensor
@@ -176,12 +176,3 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
     if "agent" in parameters and "agent" not in inspect.signature(cls).parameters:
         raise NodeFileError(f"{place}: {cls.__name__} has no parameter `agent`, which selects its wire")
     return NodeSpec(role, str(file), cls.__name__, parameters, on_exit)
-
-
-def best_pattern(patterns: Mapping[str, Any], name: str) -> str | None:
-    """The longest pattern that matches; None if none matches.
-
-    A plain name therefore wins over a wildcard.
-    """
-    matches = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
-    return max(matches, key=lambda pattern: (pattern == name, len(pattern))) if matches else None

@@ -16,7 +16,8 @@ from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
-from mast_zenoh.scenario.nodes import best_pattern, node_spec
+from mast_zenoh.scenario.nodes import node_spec
+from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import Recording
 
 #: The rewrite that puts every link between its agent and the network.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,15 @@ class SceneAgent:
         names = [sensor.name for sensor in self.sensors]
         if self.sensors[0].lidar is not self.sensor or len(set(names)) < len(names):
             raise ValueError(f"agent {self.name!r}: sensors {names}: expected `sensor` first, and different names")
+
+
+def best_pattern(patterns: Iterable[str], name: str) -> str | None:
+    """The longest pattern that matches the name of an agent; None if none matches.
+
+    A plain name therefore wins over a wildcard.
+    """
+    matches = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
+    return max(matches, key=lambda pattern: (pattern == name, len(pattern))) if matches else None
 
 
 def agent_to_json(agent: SceneAgent) -> dict[str, Any]:

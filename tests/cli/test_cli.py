@@ -9,27 +9,12 @@ from pathlib import Path
 import failing
 import pytest
 
-from mast_zenoh.cli import app, options
+from mast_zenoh.cli import options
 from mast_zenoh.cli.options import PlainConsole
 from mast_zenoh.errors import HandlerFailed, MastError, RunFolderError
 from mast_zenoh.launch.run import Run
 
 SHORT = ("--frames", "4", "--runtime", "inproc")
-
-
-@pytest.fixture
-def mast(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
-    """Run a command in an empty folder; returns exit code, stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["mast", *words])
-        with pytest.raises(SystemExit) as raised:
-            app.main()
-        printed = capsys.readouterr()
-        return int(raised.value.code or 0), printed.out, printed.err
-
-    return run
 
 
 def test_a_run_in_one_process_leaves_a_run_folder_and_a_report(mast, tmp_path: Path) -> None:

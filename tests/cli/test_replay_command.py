@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from tiny_world import tiny
 
-from mast_zenoh.cli import app
 from mast_zenoh.launch import run as launcher
 
 Command = Callable[..., tuple[int, str, str]]
@@ -20,21 +19,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The folder of a recorded run."""
     resolved = tiny("baseline", frames=4, record=True)
     return str(launcher.run(resolved, tmp_path_factory.mktemp("recorded") / "run", runtime="inproc").folder)
-
-
-@pytest.fixture
-def mast(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Command:
-    """Run a command in an empty folder; returns exit code, stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["mast", *words])
-        with pytest.raises(SystemExit) as raised:
-            app.main()
-        printed = capsys.readouterr()
-        return int(raised.value.code or 0), printed.out, printed.err
-
-    return run
 
 
 def test_it_says_what_is_played_what_is_live_and_what_is_missing(mast: Command, recorded: str, tmp_path: Path) -> None:

@@ -1,13 +1,10 @@
 """The page on replays works as written, and its table is right."""
 
 import json
-import os
-import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from page_commands import play_page
 
 from mast_zenoh.messagelog.difference import compare
 
@@ -19,23 +16,7 @@ pytestmark = [pytest.mark.mesh, pytest.mark.timeout(300)]
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which all files of the page were written and all its commands were run, in order."""
-    made = tmp_path_factory.mktemp("replay")
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    blocks = re.findall(r"^```(console|python file=(\S+))\n(.*?)^```$", PAGE, flags=re.S | re.M)
-    assert len(blocks) == len(re.findall(r"^```\w", PAGE, flags=re.M)) >= 6, "a block that no test runs"
-    for _, file, text in blocks:
-        if file:
-            (made / file).write_text(text)
-            continue
-        for line in text.splitlines():
-            assert line.startswith("$ ")
-            process = subprocess.run(
-                line[2:], shell=True, cwd=made, env=environment, capture_output=True, text=True, check=False
-            )
-            assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
-            with (made / "printed").open("a") as printed:
-                printed.write(process.stdout)
-    return made
+    return play_page(PAGE, tmp_path_factory.mktemp("replay"), least=6)
 
 
 def test_every_file_and_command_of_the_page_works_as_written(folder: Path) -> None:

@@ -1,13 +1,11 @@
 """The tutorial on defences works as written, and its table is right."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from page_commands import play_page
 
 PAGE = (Path(__file__).parents[2] / "docs" / "tutorial_defence.md").read_text(encoding="utf-8")
 
@@ -15,23 +13,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "tutorial_defence.md").read_text(en
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which all files of the page were written and all its commands were run, in order."""
-    made = tmp_path_factory.mktemp("defence")
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    blocks = re.findall(r"^```(console|python file=(\S+))\n(.*?)^```$", PAGE, flags=re.S | re.M)
-    assert len(blocks) == len(re.findall(r"^```\w", PAGE, flags=re.M)) >= 9, "a block that no test runs"
-    for _, file, text in blocks:
-        if file:
-            (made / file).write_text(text)
-            continue
-        for line in text.splitlines():
-            assert line.startswith("$ ")
-            process = subprocess.run(
-                line[2:], shell=True, cwd=made, env=environment, capture_output=True, text=True, check=False
-            )
-            assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
-            with (made / "printed").open("a") as printed:
-                printed.write(process.stdout)
-    return made
+    return play_page(PAGE, tmp_path_factory.mktemp("defence"), least=9)
 
 
 def picture(folder: Path, run: str, measure: str = "fp") -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import Ints
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.scenes.agents import SceneAgent, SceneSensor
+from mast_zenoh.scenes.agents import SceneAgent, SceneSensor, best_pattern
 from mast_zenoh.scenes.making.schedules import Schedule, regular_times
 from mast_zenoh.sensing import DetectionModel, Detector, LidarSensor
 
@@ -173,13 +173,12 @@ def equip(
             raise ConfigurationError(f"{place}: sensors: no agent {pattern!r} in this scene{nearest(pattern, names)}")
     equipped, rigs = [], []
     for agent in agents:
-        matching = [pattern for pattern in sensors if fnmatchcase(agent.name, pattern)]
-        if not matching:
+        matching = best_pattern(sensors, agent.name)
+        if matching is None:
             equipped.append(agent)
             rigs.append(Rig())
             continue
-        pattern = max(matching, key=lambda each: (each == agent.name, len(each)))
-        chosen, where = sensors[pattern], f"{place}: sensors[{pattern!r}]"
+        chosen, where = sensors[matching], f"{place}: sensors[{matching!r}]"
         if not chosen:
             raise ConfigurationError(f"{where}: found no sensor, expected at least one")
         fitted = []

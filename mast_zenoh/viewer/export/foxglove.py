@@ -35,19 +35,17 @@ from foxglove.messages import (
 from foxglove.messages import Pose as PoseMessage
 from PIL import Image
 
-from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.sensing import Camera
 from mast_zenoh.viewer.evaluated import Score
-from mast_zenoh.viewer.export.cameras import AXES, cameras
+from mast_zenoh.viewer.export.cameras import WORLD, cameras, transforms_of
 from mast_zenoh.viewer.export.columns import class_names, colours, missed, quaternions, wall_lines
 from mast_zenoh.viewer.export.foxglove_layout import layout
 from mast_zenoh.viewer.frames import Frame, RunFrames
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS, rgb
 from mast_zenoh.viewer.routes import TRUTH
 
-WORLD = "world"
 TRANSFORMS, BUILDINGS, CHANGES, LOG, SCORES = "/tf", "/scene/buildings", "/changes", "/log", "/scores"
 #: Appended to the topic of an estimate: the objects that it misses.
 MISSED = "/missed"
@@ -143,15 +141,14 @@ class _Writer:
         time, transforms = _time(frame.time_ns), []
         for agent, pose in frame.poses.items():
             camera = self.cameras[agent]
-            mount = camera.mount_position, camera.mount_rotation @ AXES.T
-            for parent, child, place in ((WORLD, agent, pose), (agent, f"{agent}/camera", mount)):
+            for parent, child, position, turn in transforms_of(agent, pose, camera):
                 transforms.append(
                     FrameTransform(
                         timestamp=time,
                         parent_frame_id=parent,
                         child_frame_id=child,
-                        translation=_vector(place[0]),
-                        rotation=_quaternion(np.roll(quaternion_from_rotation(place[1]), -1)),
+                        translation=_vector(position),
+                        rotation=_quaternion(turn),
                     )
                 )
             k = [camera.focal, 0.0, camera.width / 2, 0.0, camera.focal, camera.height / 2, 0.0, 0.0, 1.0]

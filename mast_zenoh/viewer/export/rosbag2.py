@@ -11,14 +11,12 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.viewer.export.cameras import AXES, cameras
+from mast_zenoh.viewer.export.cameras import WORLD, cameras, transforms_of
 from mast_zenoh.viewer.export.columns import class_names, colours, quaternions
 from mast_zenoh.viewer.frames import Frame, RunFrames
 
-WORLD = "world"
 #: Appended to the topic of an estimate.
 MARKERS = "/markers"
 
@@ -99,12 +97,9 @@ class _Bag:
         """The poses of the agents, and of their cameras in their optical frames."""
         result = []
         for agent, pose in frame.poses.items():
-            camera = self.cameras[agent]
-            mount = camera.mount_position, camera.mount_rotation @ AXES.T
-            for parent, child, place in ((WORLD, agent, pose), (agent, f"{agent}/camera", mount)):
-                turn = np.roll(quaternion_from_rotation(place[1]), -1)
+            for parent, child, position, turn in transforms_of(agent, pose, self.cameras[agent]):
                 transform = self._new(
-                    "geometry_msgs/msg/Transform", self._vector(place[0]), self._vector(turn, "Quaternion")
+                    "geometry_msgs/msg/Transform", self._vector(position), self._vector(turn, "Quaternion")
                 )
                 header = self._header(frame, parent)
                 result.append(self._new("geometry_msgs/msg/TransformStamped", header, child, transform))
