@@ -82,6 +82,17 @@ class Evaluation:
         Returns {"metrics": contents of metrics.json, "tables": columns of the tables by name, "failed_metrics": errors
         of failed user-defined metrics by name}.
         """
+        return self._assessed(data).results()
+
+    def frame_tables(self, data: RunData) -> dict[str, Any]:
+        """Evaluate frames without summarising them, for a view of a running run.
+
+        Returns {"same_as": as in metrics.json, and columns by name: "metrics", "objects", "attacks"; "trust" and
+        "trust_objects" with a command centre that judges agents}.
+        """
+        return self._assessed(data).frame_tables()
+
+    def _assessed(self, data: RunData) -> _Results:
         ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in data.record.agents}
         data.record.hold_pictures({agent: round(age_s * 1e9) for agent, age_s in ages_s.items()}, data.times_ns)
         scores = self.scorer.score(data.record)
@@ -106,7 +117,7 @@ class Evaluation:
         labels = self.attribution.label(
             scores, interposed, truth, data.record.agents, data.period_s, cut_off_objects, self.scorer.min_points
         )
-        return _Results(self, data, scores, truth, effects, from_absence, interposed, labels).results()
+        return _Results(self, data, scores, truth, effects, from_absence, interposed, labels)
 
     def scored(self, frames: int) -> slice:
         """The scored ones among `frames` frames."""
@@ -157,6 +168,21 @@ class _Results:
     manipulations: Manipulations
     labels: Any
 
+    def frame_tables(self) -> dict[str, Any]:
+        data, scores = self.data, self.scores
+        agreement = reports.compare(self.effects, data.attack_reports, data.link_reports, WIRES)
+        updates = [data.trust[frame] for frame in sorted(data.trust)]
+        return {
+            "same_as": _nested(scores.same_as),
+            "metrics": scores.per_frame(),
+            "objects": self._objects(),
+            "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
+            **(trust.tables(updates, data.times_ns) if updates else {}),
+        }
+
+    def _objects(self) -> dict[str, Any]:
+        return {**self.scores.objects(), "cause": cause_names(self.labels.cause), "by": self.labels.by}
+
     def results(self) -> dict[str, Any]:
         data, scores, labels, manipulations = self.data, self.scores, self.labels, self.manipulations
         frames, times = scores.frames, data.times_ns
@@ -199,7 +225,7 @@ class _Results:
             },
             "tables": {
                 "metrics": per_frame,
-                "objects": {**scores.objects(), "cause": cause_names(labels.cause), "by": labels.by},
+                "objects": self._objects(),
                 "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
                 "targets": targets.table(manipulations.culprits),
                 "driving": consequences.table(drives, frames),

@@ -10,8 +10,8 @@ import zenoh
 
 from mast_zenoh.control import control_prefix, prefix
 from mast_zenoh.errors import BackendError
+from mast_zenoh.launch import description, local_mesh, mesh_conclusion
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import local_mesh, mesh_conclusion
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
@@ -50,7 +50,7 @@ def run(context: RunContext, display: Display, endpoint: str | None, listen: str
         steps = Steps(supervisor, resolved.nodes, absent, leave, resolved.steps)
         requests = StepRequests(steps, context.signatures, context.invalid)
         reports = Reports(session, control, supervisor.children, context.invalid)
-        declared = _declare(context, session, requests, hosts)
+        declared = [*_declare(context, session, requests, hosts), description.declare(context, session)]
         file_server = None
         if engine is not None:
             file_server = _serve_files(context, mesh, stack)

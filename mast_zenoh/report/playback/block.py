@@ -18,7 +18,7 @@ from mast_zenoh.report.playback.boxes import ANGLE, LENGTH, SCORE, BoxTable, no_
 from mast_zenoh.report.playback.columns import Packer
 from mast_zenoh.report.playback.conduct import add_agent_states, add_manipulations, add_withheld, spans
 from mast_zenoh.report.playback.events import events
-from mast_zenoh.report.playback.motion import motion_of
+from mast_zenoh.report.playback.motion import Motion, recorded_motion
 from mast_zenoh.report.playback.surroundings import add_surroundings
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import ESTIMATES
@@ -46,12 +46,28 @@ def run_block(run: RunFolder, frame: int | None = None, label: str = "") -> byte
     frames = int(boxes.frame.max()) + 1
     times = _times(run, frames)
     packer = Packer()
-    header: dict[str, Any] = {
-        "format": FORMAT,
+    packer.add("time", times, scale=1e-3)
+    header = {
+        **pack_frames(packer, run, boxes, recorded_motion(boxes, run.path, run.recording), times),
         "label": label or run.label,
-        "id": str(run.run.get("id", "")),
         "folder": run.path.name,
         "frame": frame if frame is not None else 0,
+        "recorded": (run.path / "messages.mcap").is_file(),
+        "spans": spans(run, times),
+    }
+    header["events"] = events(run, boxes, header["spans"], times)
+    return packer.block(header)
+
+
+def pack_frames(packer: Packer, run: RunFolder, boxes: BoxTable, motion: Motion, times: Floats) -> dict[str, Any]:
+    """Add all columns of (f,) frames but their times, and return the part of the header that describes them.
+
+    run: in which the frames are 0 to f - 1;  times: (f,) s
+    """
+    frames = len(times)
+    header: dict[str, Any] = {
+        "format": FORMAT,
+        "id": str(run.run.get("id", "")),
         "frames": frames,
         "ego": run.ego or "",
         "scored": run.scored_frames,
@@ -59,19 +75,15 @@ def run_block(run: RunFolder, frame: int | None = None, label: str = "") -> byte
         "range_m": run.range_m,
         "classes": CLASSES,
         "colours": {"outcomes": OUTCOME_COLOURS, "adversary": ADVERSARY, "states": STATES},
-        "recorded": (run.path / "messages.mcap").is_file(),
     }
-    packer.add("time", times, scale=1e-3)
-    header |= _add_boxes(packer, run, boxes)
+    header |= _add_boxes(packer, run, boxes, motion)
     header |= add_surroundings(packer, run, frames)
     names = [agent["name"] for agent in header["agents"]]
     header |= add_agent_states(packer, run, names, times)
     header |= add_manipulations(packer, run)
     add_withheld(packer, run)
     header["series"] = _add_series(packer, run, frames)
-    header["spans"] = spans(run, times)
-    header["events"] = events(run, boxes, header["spans"], times)
-    return packer.block(header)
+    return header
 
 
 def _times(run: RunFolder, frames: int) -> Floats:
@@ -79,9 +91,8 @@ def _times(run: RunFolder, frames: int) -> Floats:
     return np.asarray(np.arange(frames) * run.period_s, np.float64) if seconds is None else seconds
 
 
-def _add_boxes(packer: Packer, run: RunFolder, boxes: BoxTable) -> dict[str, Any]:
+def _add_boxes(packer: Packer, run: RunFolder, boxes: BoxTable, motion: Motion) -> dict[str, Any]:
     """Add the columns of boxes and of their meaning in each view, and return `views` and `meanings`."""
-    motion = motion_of(boxes, run.path, run.recording)
     packer.add("box.frame", boxes.frame)
     packer.add("box.id", boxes.id)
     packer.add("box.truth", boxes.truth, differences=False)

@@ -65,7 +65,15 @@ def read_boxes(path: Path, recording: Recording | None) -> BoxTable:
 
     Raises OSError, ValueError or ArrowException if the file cannot be read.
     """
-    table, names = _table(path)
+    return boxes_of(read_arrow(path), recording)
+
+
+def boxes_of(content: Any, recording: Recording | None) -> BoxTable:
+    """The boxes of an Arrow table with the columns of objects.parquet, and all objects of the recorded scene.
+
+    Raises ValueError if a column is absent.
+    """
+    table, names = _table(content)
     views = tuple(View(*pair) for pair in names["view"])
     truth = table["kind"] == 1
     # The truth of a frame is the same in every view: its id alone identifies it.
@@ -112,9 +120,8 @@ def _box_table(
     return BoxTable(truth, frame, ids, geometry, score, views, meanings, codes, matches)
 
 
-def _table(path: Path) -> tuple[Table, dict[str, list[tuple[str, ...]]]]:
+def _table(content: Any) -> tuple[Table, dict[str, list[tuple[str, ...]]]]:
     """The columns as numbers, with `view` and `meaning` as rows of the returned names."""
-    content = read_arrow(path)
     if absent := sorted(set(_COLUMNS) - set(content.column_names)):
         raise ValueError(f"found no column {', '.join(absent)}")
     rows = content.num_rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +13,12 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import MastError
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.report.playback.boxes import BoxTable, row_keys
 from mast_zenoh.scenes.recording import Recording
 
 #: Messages that hold tracks.
-_MESSAGES = ("tracks", "picture")
+MESSAGES = ("tracks", "picture")
 #: m, greatest standard deviation that is kept: more is not drawn.
 _MOST_M = 300.0
 
@@ -37,8 +39,19 @@ class Motion:
     kind: NDArray[np.int64]
 
 
-def motion_of(boxes: BoxTable, folder: Path, recording: Recording | None) -> Motion:
-    """The motion of all boxes; of tracks only if the run was recorded."""
+def recorded_motion(boxes: BoxTable, folder: Path, recording: Recording | None) -> Motion:
+    """The motion of all boxes of a run; of tracks only if it was recorded."""
+    try:
+        return motion_of(boxes, _recorded(folder), recording)
+    except (MastError, OSError):
+        return motion_of(boxes, (), recording)
+
+
+def motion_of(boxes: BoxTable, tracks: Iterable[tuple[int, Body]], recording: Recording | None) -> Motion:
+    """The motion of all boxes.
+
+    tracks: frame and columns of the messages that hold the tracks, on every leg of their wires
+    """
     rows = len(boxes.frame)
     motion = Motion(np.zeros(rows, bool), np.zeros((rows, 2)), np.zeros((rows, 3)), np.zeros(rows, np.int64))
     if recording is not None:
@@ -46,10 +59,7 @@ def motion_of(boxes: BoxTable, folder: Path, recording: Recording | None) -> Mot
         states = recording.truth
         _fill(motion, boxes.truth, _key(boxes, positions=False), row_keys(frames, states.id), states.velocity[:, :2])
         _fill_kinds(motion, boxes.truth, _key(boxes, positions=False), row_keys(frames, states.id), states.class_id)
-    try:
-        keys, velocity, spread, kind = _recorded(folder)
-    except (MastError, OSError):
-        return motion
+    keys, velocity, spread, kind = _columns(tracks)
     own = _key(boxes, positions=True)
     _fill(motion, ~boxes.truth, own, keys, velocity, spread)
     _fill_kinds(motion, ~boxes.truth, own, keys, kind)
@@ -97,15 +107,21 @@ def _fill_kinds(
     motion.kind[found & wanted] = kind[place[found & wanted]]
 
 
-def _recorded(folder: Path) -> tuple[NDArray[np.uint64], Floats, Floats, NDArray[np.uint8]]:
-    """Keys, velocities, spreads and classes of all recorded tracks, on every leg of their wires."""
-    keys, velocity, spread, kind = [], [], [], []
+def _recorded(folder: Path) -> Iterator[tuple[int, Body]]:
+    """Frame and columns of all recorded tracks."""
     for message in read(folder):
-        if message.malformed or message.message not in _MESSAGES:
-            continue
-        body = codec.decode_lazily(message.payload, message.type).body
+        if not message.malformed and message.message in MESSAGES:
+            yield message.frame, codec.decode_lazily(message.payload, message.type).body
+
+
+def _columns(
+    tracks: Iterable[tuple[int, Body]],
+) -> tuple[NDArray[np.uint64], Floats, Floats, NDArray[np.uint8]]:
+    """Keys, velocities, spreads and classes of all tracks."""
+    keys, velocity, spread, kind = [], [], [], []
+    for frame, body in tracks:
         position, covariance = body["position"], body["covariance"]
-        keys.append(row_keys(np.full(len(position), message.frame), body["id"], position[:, :2]))
+        keys.append(row_keys(np.full(len(position), frame), body["id"], position[:, :2]))
         velocity.append(body["velocity"][:, :2])
         x, y, both = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
         deviations = np.sqrt(np.maximum(np.stack([x, y], axis=1), 0.0))

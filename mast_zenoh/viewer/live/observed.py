@@ -1,0 +1,155 @@
+"""What an observer must know of a running run: its scenario, its wiring and its scene."""
+
+from __future__ import annotations
+
+import socket
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from mast_zenoh.config import loading
+from mast_zenoh.config.resolved import RECORDING, Resolved
+from mast_zenoh.control import control_prefix
+from mast_zenoh.control.description import DESCRIBE, WITHOUT_SCENE, Description, decode_description
+from mast_zenoh.control.flow import wiring_of
+from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError, nearest
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import liveness, measurement
+from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.messages import user_types
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.wiring.model import Wiring
+
+#: Entry of run.json of a secure run with a viewer: the folder of the viewer's credentials.
+CREDENTIALS = "viewer_credentials"
+_ANSWER_S = 10.0
+_CONNECT_S = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedRun:
+    """A running run.
+
+    id:       of the run;  endpoint: of its router;  credentials: folder of the viewer's, None on an open mesh
+    resolved: its scenario, with the wiring it began with;  scene: None: not prepared, or not known
+    folder:   None: not on this machine
+    """
+
+    id: str
+    endpoint: str
+    resolved: Resolved
+    scene: Recording | None
+    credentials: Path | None = None
+    folder: Path | None = None
+
+    @classmethod
+    def of_folder(cls, path: Path) -> ObservedRun:
+        """The run that is going on in a folder of this machine; imports the user's modules of its scenario.
+
+        Raises NotRunning if it is not running on a mesh, or not yet, or if it is secure and was started without
+        a viewer; RunFolderError for other folders.
+        """
+        record = liveness.current_record(run_folder.read_json(path / "run.json"))
+        if record.get("status") != RUNNING:
+            raise NotRunning(f"{path}: the run is over: {record.get('status')}")
+        if record.get("runtime") != "mesh":
+            raise NotRunning(f"{path}: the run is in one process: expected a run on a mesh, or a finished run")
+        if not record.get("endpoint"):
+            raise NotRunning(f"{path}: the run has not started its nodes yet")
+        credentials = None
+        if record.get("security", "open") != "open":
+            if not record.get(CREDENTIALS):
+                raise NotRunning(
+                    f"{path}: security level {record['security']}: the run has no certificate for a viewer: start it "
+                    "with --view"
+                )
+            credentials = Path(record[CREDENTIALS])
+        resolved = measurement.scenario_of(path)
+        user_types.use(resolved.messages)
+        for module in resolved.modules:
+            loading.module(Path(module))
+        scene = Recording.load(path / RECORDING) if (path / RECORDING).is_file() else None
+        return cls(str(record["id"]), str(record["endpoint"]), resolved, scene, credentials, path)
+
+    @classmethod
+    def of_mesh(cls, session: zenoh.Session, endpoint: str, run: str = "") -> ObservedRun:
+        """The run that is going on on a mesh. No Python file that its scenario names is imported.
+
+        run: its id, needed if there are several
+        Raises NotRunning if none answers, ConfigurationError if several do, or none with this id.
+        """
+        found = {each.run: each for each in _descriptions(session, f"{control_prefix(run or '*')}/{DESCRIBE}")}
+        if not found:
+            which = f"run {run!r}" if run else "run"
+            raise NotRunning(f"{endpoint}: no {which} answers: expected the router of a running run (mast run --help)")
+        if len(found) > 1:
+            raise ConfigurationError(f"{endpoint}: several runs: choose one with --run{nearest('', found)}")
+        (description,) = found.values()
+        try:
+            resolved = Resolved.from_json(description.scenario, description.wiring)
+            user_types.use(resolved.messages)
+            wiring_of(description.wiring, DESCRIBE)
+        except (KeyError, TypeError, ValueError, AttributeError, MessageError) as error:
+            raise NotRunning(f"{endpoint}: the run describes itself in a way that cannot be read: {error!r}") from None
+        return cls(description.run, endpoint, resolved, _scene(description.scene, endpoint))
+
+    def current_wiring(self, session: zenoh.Session) -> Wiring:
+        """The wiring now: with nodes that were inserted since the run began."""
+        if self.credentials is None:
+            key = f"{control_prefix(self.id)}/{DESCRIBE}"
+            for description in _descriptions(session, key, WITHOUT_SCENE):
+                try:
+                    return wiring_of(description.wiring, DESCRIBE)
+                except MessageError:
+                    break
+        return Wiring.from_json(self.resolved.wiring)
+
+    def is_over(self, session: zenoh.Session) -> bool:
+        """Whether the run has ended."""
+        if self.folder is not None:
+            record = liveness.current_record(run_folder.json_or_empty(self.folder / "run.json"))
+            return record.get("status") != RUNNING
+        return not any(_descriptions(session, f"{control_prefix(self.id)}/{DESCRIBE}", WITHOUT_SCENE))
+
+
+def check_reachable(endpoint: str) -> None:
+    """Raise NotRunning unless something listens at an endpoint; a Zenoh client would try for ever.
+
+    Raises ConfigurationError for something else than tcp/HOST:PORT.
+    """
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    if protocol != "tcp" or not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
+        raise ConfigurationError(f"{endpoint!r}: expected the folder of a run, or a router: tcp/HOST:PORT")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S).close()
+    except OSError as error:
+        raise NotRunning(f"{endpoint}: nothing answers ({error.strerror or error})") from None
+
+
+def _descriptions(session: zenoh.Session, key: str, request: bytes = b"") -> Iterator[Description]:
+    """All valid answers to a request for descriptions."""
+    options: dict[str, Any] = {"payload": request, "timeout": _ANSWER_S}
+    for reply in session.get(key, **options):
+        if reply.ok is not None:
+            try:
+                yield decode_description(reply.ok.payload.to_bytes())
+            except MessageError:
+                continue
+
+
+def _scene(content: bytes, endpoint: str) -> Recording | None:
+    """The scene in a description; None if it has none."""
+    if not content:
+        return None
+    with tempfile.TemporaryDirectory(prefix="mast-view-") as place:
+        path = Path(place) / RECORDING
+        path.write_bytes(content)
+        try:
+            return Recording.load(path)
+        except SceneError as error:
+            raise NotRunning(f"{endpoint}: the scene that the run sends cannot be read: {error}") from None

@@ -1,0 +1,168 @@
+"""Observes a running run: the newest whole frame that has not been shown yet, and what happens to its nodes."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import zenoh
+
+from mast_zenoh.control import flow, prefix
+from mast_zenoh.errors import MessageError
+from mast_zenoh.runtime.mesh import hosting
+from mast_zenoh.viewer.live.measurement import FrameMeter, MeasuredFrame
+from mast_zenoh.viewer.live.observed import ObservedRun
+from mast_zenoh.viewer.live.reception import Reception
+from mast_zenoh.viewer.live.wires import WireMeter, WireState
+
+#: Frames behind the clock: by then, the messages about a frame have arrived.
+_BEHIND = 2
+#: s without a clock after which the last frame is taken as whole: the run has paused or ended.
+_SILENCE_S = 0.5
+#: s between two questions whether a silent run is over.
+_ASK_S = 2.0
+_MAX_UPDATES = 100  #: control messages that wait
+
+
+class Insertion(NamedTuple):
+    """A node that was inserted into wires during the run. since_s, until_s: s of the scene; None: it is there"""
+
+    node: str
+    wires: tuple[str, ...]
+    since_s: float
+    until_s: float | None
+
+
+class Observer:
+    """Receives a run passively: it is no member of the mesh, answers nothing and is waited for by nobody.
+
+    session: a client of the run's router, with the viewer's credentials if the mesh is secure
+
+    agents, scene, run: of the observed run;  insertions: nodes inserted since the observer joined
+    skipped: number of frames that were played but not measured
+    """
+
+    def __init__(self, run: ObservedRun, session: zenoh.Session) -> None:
+        self.run = run
+        self.session = session
+        self.wiring = run.current_wiring(session)
+        self.meter = FrameMeter(run.resolved)
+        self.roles = {name: spec.role for name, spec in run.resolved.nodes.items()}
+        self.insertions: list[Insertion] = []
+        self.skipped = 0
+        self._base = prefix(run.id)
+        self._reception = Reception(session, self._base)
+        self._wires = WireMeter(self._reception)
+        self._types: dict[str, str] = {}
+        self._clock = ""
+        self._last = -1
+        self._time_s = 0.0
+        self._newest, self._since = -1, time.monotonic()
+        self._asked = self._since
+        self._alive: set[str] = set()
+        self._ever_alive: set[str] = set()
+        self._updates: queue.Queue[tuple[str, Any]] = queue.Queue(_MAX_UPDATES)
+        self._signatures = hosting.signatures(run.id, run.credentials)
+        direct: Callable[..., Any] = zenoh.handlers.Callback
+        self._declared = [
+            session.liveliness().declare_subscriber(
+                f"{self._base}/alive/*", direct(self._on_alive, indirect=False), history=True
+            )
+        ]
+        if run.credentials is None:  # wires of a secure run cannot change
+            self._declared.append(
+                session.declare_subscriber(f"{self._base}/@control/epoch", direct(self._on_epoch, indirect=False))
+            )
+        self._follow()
+
+    @property
+    def down(self) -> list[str]:
+        """Nodes that were there, and are not any more."""
+        return sorted(self._ever_alive - self._alive)
+
+    @property
+    def frame(self) -> int:
+        """The newest frame that has begun; -1: none yet."""
+        return self._newest
+
+    def advance(self) -> MeasuredFrame | None:
+        """Take what has arrived, and measure the newest whole frame; None if there is no newer one."""
+        self._take_updates()
+        self._reception.poll()
+        now, newest = time.monotonic(), self._reception.newest_step(self._clock)
+        if newest != self._newest:
+            self._newest, self._since = newest, now
+        self._wires.note(now, self._types)
+        number = newest if now - self._since > _SILENCE_S else newest - _BEHIND
+        if number <= self._last or number < 0:
+            return None
+        measured = self.meter.measure(number, self._reception.sent_since(number), self.wiring, self.roles)
+        if measured is not None:
+            if self._last >= 0:
+                self.skipped += number - self._last - 1
+            self._last, self._time_s = number, measured.time_ns * 1e-9
+        return measured
+
+    def wires(self) -> list[WireState]:
+        """The wires that are received, those with interposers first."""
+        return self._wires.states(self.wiring, self._types, self.roles, self._newest)
+
+    def is_over(self) -> bool:
+        """Whether the run has ended; asks only if it has been silent for some time."""
+        now = time.monotonic()
+        if now - self._since < _SILENCE_S or now - self._asked < _ASK_S:
+            return False
+        self._asked = now
+        return self.run.is_over(self.session)
+
+    def close(self) -> None:
+        """Unsubscribe from everything."""
+        for entity in self._declared:
+            entity.undeclare()
+        self._reception.close()
+
+    def _follow(self) -> None:
+        """Receive the keys of the current wiring."""
+        self._types = self.meter.keys(self.wiring)
+        self._clock = self.meter.clock_key(self.wiring)
+        self._reception.subscribe(self._types)
+
+    def _on_alive(self, sample: zenoh.Sample) -> None:
+        node = str(sample.key_expr).rpartition("/")[2]
+        with suppress(queue.Full):
+            self._updates.put_nowait(("alive" if sample.kind == zenoh.SampleKind.PUT else "dead", node))
+
+    def _on_epoch(self, sample: zenoh.Sample) -> None:
+        with suppress(queue.Full):
+            self._updates.put_nowait(("epoch", sample.payload.to_bytes()))
+
+    def _take_updates(self) -> None:
+        while not self._updates.empty():
+            what, content = self._updates.get_nowait()
+            if what == "alive":
+                self._alive.add(content)
+                self._ever_alive.add(content)
+            elif what == "dead":
+                self._alive.discard(content)
+            else:
+                with suppress(MessageError):
+                    self._enter(self._signatures.open("epoch", content, flow.decode_epoch))
+
+    def _enter(self, epoch: flow.Epoch) -> None:
+        """Follow a change of members or of the wiring."""
+        self.roles |= epoch.members
+        if epoch.update is None or not epoch.update.active:
+            return
+        before, after = ({p.node for p in wiring.passages()} for wiring in (self.wiring, epoch.update.wiring))
+        for node in sorted(after - before):
+            wires = tuple(sorted({p.wire for p in epoch.update.wiring.passages() if p.node == node}))
+            self.insertions.append(Insertion(node, wires, self._time_s, None))
+        for index, each in enumerate(self.insertions):
+            if each.node in before - after and each.until_s is None:
+                self.insertions[index] = each._replace(until_s=self._time_s)
+        self._ever_alive -= set(epoch.update.leaving)
+        self.wiring = epoch.update.wiring
+        self._follow()
