@@ -72,6 +72,7 @@ def run(
     allow_failures: AllowFailures = False,
     allow_churn: AllowChurn = False,
     against: Against = None,
+    shown: Annotated[bool, typer.Option("--view", help="Show the run in a browser while it is running.")] = False,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh.launch import run as launcher
@@ -81,11 +82,12 @@ def run(
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
-    check_environment(runtime, resolved.mode, secure, endpoint)
+    check_environment(runtime, resolved.mode, secure, endpoint, viewed=shown)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    finished = launcher.run(resolved, out, **environment, **allowed, console=_out)
-    conclude(finished, report=report, against=against, allow_failures=allow_failures)
+    with view.viewer(shown) as prepare:
+        finished = launcher.run(resolved, out, **environment, **allowed, prepare=prepare, console=_out)
+        conclude(finished, report=report, against=against, allow_failures=allow_failures)
 
 
 @app.command()

@@ -81,11 +81,16 @@ class SecureCommand(TyperCommand):
         return super().parse_args(ctx, completed)
 
 
-def check_environment(runtime: str, mode: str, secure: str, endpoint: str | None) -> None:
+def check_environment(runtime: str, mode: str, secure: str, endpoint: str | None, *, viewed: bool = False) -> None:
     """Raise a usage error for options that exclude each other."""
     if runtime == "inproc" and mode == "realtime":
         raise typer.BadParameter(
             "real time needs the mesh: a single process has no network latency", param_hint="--mode"
+        )
+    if viewed and runtime == "inproc":
+        raise typer.BadParameter(
+            "a single process has no mesh to observe: view the run when it has finished (mast view RUN)",
+            param_hint="--view",
         )
     if secure != "open" and (runtime == "inproc" or endpoint):
         problem = f"the router at {endpoint} belongs to another process" if endpoint else "one process has no mesh"

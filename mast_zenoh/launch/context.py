@@ -22,6 +22,9 @@ from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Wiring
 
+#: Entry of run.json of a secure run with a viewer: the folder of the viewer's credentials.
+VIEWER_CREDENTIALS = "viewer_credentials"
+
 
 class Mesh(NamedTuple):
     """A mesh that the launcher has joined.
@@ -77,6 +80,7 @@ class RunContext:
     secure:   one of `security.levels.LEVELS`
     signals:  stop signals received so far
     detours:  by node, another endpoint at which it reaches the router; set these before the run starts
+    viewer:   whether a viewer may join the mesh; on a secure mesh it gets its own credentials
 
     The launcher sets these during the run:
 
@@ -94,6 +98,7 @@ class RunContext:
     secure: str = "open"
     signals: list[int] = field(default_factory=list)
     detours: dict[str, str] = field(default_factory=dict)
+    viewer: bool = False
     frame: int = field(default=-1, init=False)
     mesh: Mesh | None = field(default=None, init=False)
     signatures: Signatures = field(init=False)
@@ -124,6 +129,7 @@ class RunContext:
             prefix=prefix(self.run_id),
             driver=driver_of(nodes),
             hosts=hosts,
+            viewer=self.viewer,
             folder=folder,
         )
 

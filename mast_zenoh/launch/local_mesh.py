@@ -8,11 +8,12 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.launch.context import Mesh, RunContext
+from mast_zenoh.launch.context import VIEWER_CREDENTIALS, Mesh, RunContext
 from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.processes import Processes
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from mast_zenoh.security import levels
+from mast_zenoh.security.credentials import VIEWER
 
 
 def join(context: RunContext, stack: ExitStack, endpoint: str | None, listen: str) -> tuple[Mesh, Hosts | None]:
@@ -53,6 +54,8 @@ def _open_router(context: RunContext, stack: ExitStack, listen: str) -> Mesh:
     resolved, run = context.resolved, context.run_id
     listen = levels.endpoint(context.secure, listen)
     deployment = stack.enter_context(context.make_deployment(levels.hosts([listen])))
+    if context.viewer and deployment.folder is not None:
+        context.record[VIEWER_CREDENTIALS] = str(deployment.of(VIEWER))
 
     def extra_arguments(name: str) -> list[str]:
         """Arguments for a node's credentials, and for its detour to the router if any."""

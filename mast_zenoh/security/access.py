@@ -9,6 +9,7 @@ Everything is denied except these rights, given to each certificate by its commo
     driver    publish    epoch, act, stop;  subscribe counts/*;  watch alive/*
     launcher  publish    stop, leave/*;  subscribe clock, act, failed/*;  answer result/*, fetch/*, file/*
               announce   launcher;  watch alive/*
+    viewer    subscribe  every key of the wiring;  watch alive/*      (only if the run was started with one)
 
 No process may change the wiring of a run (intercept, rewire, drain): these rules are fixed when the router opens.
 
@@ -26,7 +27,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from mast_zenoh.security.credentials import LAUNCHER
+from mast_zenoh.security.credentials import LAUNCHER, VIEWER
 from mast_zenoh.wiring.model import Wiring
 
 CONTROL = "@control"
@@ -88,18 +89,23 @@ def watch(key: str) -> Iterator[Right]:
 
 
 def rights(wiring: Wiring, node: str, *, driver: str) -> list[Right]:
-    """The rights of a node or of LAUNCHER, each once, in a fixed order.
+    """The rights of a node, of LAUNCHER or of VIEWER, each once, in a fixed order.
 
     Keys are without the run's prefix.
     """
-    granted = _launcher() if node == LAUNCHER else _node(wiring, node, drives=node == driver)
+    if node == LAUNCHER:
+        granted = _launcher()
+    elif node == VIEWER:
+        granted = _viewer(wiring)
+    else:
+        granted = _node(wiring, node, drives=node == driver)
     return list(dict.fromkeys(granted))
 
 
 def access_control(wiring: Wiring, names: Mapping[str, str], *, prefix: str, driver: str) -> dict[str, Any]:
     """Zenoh's `access_control` for the router of a run.
 
-    names:  node (or LAUNCHER) to the common name in its certificate; other processes have no rights
+    names:  node (or LAUNCHER, VIEWER) to the common name in its certificate; other processes have no rights
     prefix: of all keys of the run, "mast/RUN"
     driver: the node that drives the scene
     """
@@ -151,6 +157,13 @@ def _launcher() -> Iterator[Right]:
     yield from _each(subscribe, "act", "failed/*")
     yield from _each(answer, *(f"{query_name}/*" for query_name in QUERIES))
     yield from announce(f"{CONTROL}/launcher")
+    yield from watch("alive/*")
+
+
+def _viewer(wiring: Wiring) -> Iterator[Right]:
+    """It publishes nothing, so it cannot influence the run."""
+    for _, leg in wiring.legs():
+        yield from subscribe(leg.key)
     yield from watch("alive/*")
 
 

@@ -16,7 +16,7 @@ AUTHORITY, CERTIFICATE, KEY, CONTROL = "ca.pem", "certificate.pem", "key.pem", "
 UNREACHED = "cannot be reached"
 
 #: Other holders of certificates. No node can have such a name: `@` is not allowed in one.
-ROUTER, LAUNCHER = "@router", "@launcher"
+ROUTER, LAUNCHER, VIEWER = "@router", "@launcher", "@viewer"
 
 #: Default validity of certificates.
 LIFETIME = timedelta(hours=12)

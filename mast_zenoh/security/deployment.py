@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from mast_zenoh.security import control_keys, levels
 from mast_zenoh.security.access import access_control
 from mast_zenoh.security.control_keys import ControlKeys
-from mast_zenoh.security.credentials import LAUNCHER, LIFETIME, ROUTER, Credentials, common_name
+from mast_zenoh.security.credentials import LAUNCHER, LIFETIME, ROUTER, VIEWER, Credentials, common_name
 from mast_zenoh.wiring.model import Wiring
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ class Deployment:
     run, prefix: id of the run, and the prefix of all its keys
     nodes:  names of all nodes; driver: the one that drives the scene
     hosts:  names and addresses of the router
+    viewer: whether there are credentials for a viewer
     folder: for the nodes' credentials, a subfolder each; by default a new one that only this user may enter
 
     Keys of the authority, the router and the launcher stay in memory. `close` deletes the files.
@@ -42,6 +43,7 @@ class Deployment:
         prefix: str,
         driver: str,
         hosts: Iterable[str],
+        viewer: bool = False,
         folder: Path | None = None,
         lifetime: timedelta = LIFETIME,
     ) -> None:
@@ -57,7 +59,8 @@ class Deployment:
 
         nodes = list(nodes)
         self.authority = Authority(run, lifetime)
-        names = {name: common_name(run, name) for name in (*nodes, LAUNCHER)}
+        clients = [*nodes, *([VIEWER] if viewer else [])]
+        names = {name: common_name(run, name) for name in (*clients, LAUNCHER)}
         access = access_control(wiring, names, prefix=prefix, driver=driver) if level == "acl" else None
         self.router = levels.router_settings(level, self.authority.issue(ROUTER, hosts), access)
         self.launcher = self._issue(LAUNCHER)
@@ -66,7 +69,7 @@ class Deployment:
         self.folder = folder or Path(tempfile.mkdtemp(prefix="mast-keys-"))
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.folder.chmod(0o700)
-        for name in nodes:
+        for name in clients:
             keys = control[control_keys.DRIVER if name == driver else ""]
             replace(self._issue(name), control=keys.to_json()).write(self.folder / name)
 

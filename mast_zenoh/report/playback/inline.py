@@ -27,7 +27,16 @@ def viewer_parts(blocks: Iterable[bytes]) -> dict[str, Any]:
 
     blocks: from `run_block`, one or two
     """
-    return {"script": script(), "style": style(), "policy": policy(), "blocks": [as_text(each) for each in blocks]}
+    return {**_page(), "policy": policy(), "live": "", "blocks": [as_text(each) for each in blocks]}
+
+
+def live_parts(frames: str) -> dict[str, Any]:
+    """The same for a running run. frames: path of the WebSocket, on the server of the page"""
+    return {**_page(), "policy": f"{policy()}; connect-src 'self'", "live": frames, "blocks": []}
+
+
+def _page() -> dict[str, str]:
+    return {"script": script(), "style": style()}
 
 
 @cache

@@ -18,7 +18,7 @@ from mast_zenoh.report.playback.boxes import BoxTable, row_keys
 from mast_zenoh.scenes.recording import Recording
 
 #: Messages that hold tracks.
-MESSAGES = ("tracks", "picture")
+_MESSAGES = ("tracks", "picture")
 #: m, greatest standard deviation that is kept: more is not drawn.
 _MOST_M = 300.0
 
@@ -110,7 +110,7 @@ def _fill_kinds(
 def _recorded(folder: Path) -> Iterator[tuple[int, Body]]:
     """Frame and columns of all recorded tracks."""
     for message in read(folder):
-        if not message.malformed and message.message in MESSAGES:
+        if not message.malformed and message.message in _MESSAGES:
             yield message.frame, codec.decode_lazily(message.payload, message.type).body
 
 

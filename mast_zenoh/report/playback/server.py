@@ -17,7 +17,7 @@ from mast_zenoh.report.runfolder import RunFolder
 
 #: The server listens on no other address, so that nobody else on the network can read runs.
 LOOPBACK = "127.0.0.1"
-_HOSTS = (LOOPBACK, "localhost")
+HOSTS = (LOOPBACK, "localhost")
 
 
 def viewer_page(folders: Sequence[Path], frame: int | None = None) -> str:
@@ -47,6 +47,23 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> str:
     return page_text("viewer.html.j2", {"title": title, "headline": title, "viewer": viewer_parts(blocks)})
 
 
+def tunnel(port: int) -> str:
+    """The command that brings a port to another computer."""
+    return f"ssh -L {port}:{LOOPBACK}:{port} {getpass.getuser()}@{socket.gethostname()}"
+
+
+def page_headers(length: int, policy: str) -> list[tuple[str, str]]:
+    """The headers of a page of `length` bytes, which may do nothing but what the policy says."""
+    return [
+        ("Content-Type", "text/html; charset=utf-8"),
+        ("Content-Length", str(length)),
+        ("Content-Security-Policy", policy + "; frame-ancestors 'none'"),
+        ("X-Content-Type-Options", "nosniff"),
+        ("Referrer-Policy", "no-referrer"),
+        ("Cache-Control", "no-store"),
+    ]
+
+
 class ViewerServer(ThreadingHTTPServer):
     """Serves one page.
 
@@ -72,7 +89,7 @@ class ViewerServer(ThreadingHTTPServer):
     @property
     def tunnel(self) -> str:
         """The command that brings the page to another computer."""
-        return f"ssh -L {self.server_port}:{LOOPBACK}:{self.server_port} {getpass.getuser()}@{socket.gethostname()}"
+        return tunnel(self.server_port)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -81,18 +98,14 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Send the page; anything else is not found."""
         name = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
-        if name not in _HOSTS:  # a page of another host, whose name was made to lead here
+        if name not in HOSTS:  # a page of another host, whose name was made to lead here
             self.send_error(HTTPStatus.FORBIDDEN, "expected the host 127.0.0.1 or localhost")
         elif self.path.partition("?")[0] != "/":
             self.send_error(HTTPStatus.NOT_FOUND)
         else:
             self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(self.server.content)))
-            self.send_header("Content-Security-Policy", policy() + "; frame-ancestors 'none'")
-            self.send_header("X-Content-Type-Options", "nosniff")
-            self.send_header("Referrer-Policy", "no-referrer")
-            self.send_header("Cache-Control", "no-store")
+            for header, value in page_headers(len(self.server.content), policy()):
+                self.send_header(header, value)
             self.end_headers()
             self.wfile.write(self.server.content)
 

@@ -19,13 +19,12 @@ from mast_zenoh.control.flow import wiring_of
 from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError, nearest
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import liveness, measurement
+from mast_zenoh.launch.context import VIEWER_CREDENTIALS
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.messages import user_types
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring
 
-#: Entry of run.json of a secure run with a viewer: the folder of the viewer's credentials.
-CREDENTIALS = "viewer_credentials"
 _ANSWER_S = 10.0
 _CONNECT_S = 3.0
 
@@ -62,12 +61,12 @@ class ObservedRun:
             raise NotRunning(f"{path}: the run has not started its nodes yet")
         credentials = None
         if record.get("security", "open") != "open":
-            if not record.get(CREDENTIALS):
+            if not record.get(VIEWER_CREDENTIALS):
                 raise NotRunning(
                     f"{path}: security level {record['security']}: the run has no certificate for a viewer: start it "
                     "with --view"
                 )
-            credentials = Path(record[CREDENTIALS])
+            credentials = Path(record[VIEWER_CREDENTIALS])
         resolved = measurement.scenario_of(path)
         user_types.use(resolved.messages)
         for module in resolved.modules:

@@ -24,6 +24,7 @@ _BEHIND = 2
 _SILENCE_S = 0.5
 #: s between two questions whether a silent run is over.
 _ASK_S = 2.0
+_MOST_NOTES = 10
 _MAX_UPDATES = 100  #: control messages that wait
 
 
@@ -90,11 +91,8 @@ class Observer:
 
     def advance(self) -> MeasuredFrame | None:
         """Take what has arrived, and measure the newest whole frame; None if there is no newer one."""
-        self._take_updates()
-        self._reception.poll()
-        now, newest = time.monotonic(), self._reception.newest_step(self._clock)
-        if newest != self._newest:
-            self._newest, self._since = newest, now
+        self.keep_up()
+        now, newest = time.monotonic(), self._newest
         self._wires.note(now, self._types)
         number = newest if now - self._since > _SILENCE_S else newest - _BEHIND
         if number <= self._last or number < 0:
@@ -105,6 +103,19 @@ class Observer:
                 self.skipped += number - self._last - 1
             self._last, self._time_s = number, measured.time_ns * 1e-9
         return measured
+
+    def keep_up(self) -> None:
+        """Follow changes of the run without measuring frames."""
+        self._take_updates()
+        self._reception.poll()
+        newest = self._reception.newest_step(self._clock)
+        if newest != self._newest:
+            self._newest, self._since = newest, time.monotonic()
+
+    def note(self, sentence: str) -> None:
+        """Add to what the page says about the view, once; the latest ten are kept."""
+        if sentence not in self.meter.notes:
+            self.meter.notes[:] = [*self.meter.notes, sentence][-_MOST_NOTES:]
 
     def wires(self) -> list[WireState]:
         """The wires that are received, those with interposers first."""

@@ -23,13 +23,18 @@ export class Charts {
     const seek = (event) => {
       const box = this.canvas.getBoundingClientRect();
       const share = (event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
-      state.seekTime(share * this.end);
+      if (state.runs[0].live) state.set({ playing: false });
+      state.seekTime(this.begin + share * (this.end - this.begin));
     };
     this.canvas.addEventListener("pointerdown", (event) => {
       this.canvas.setPointerCapture(event.pointerId);
       seek(event);
     });
     this.canvas.addEventListener("pointermove", (event) => event.buttons && seek(event));
+  }
+
+  get begin() {
+    return Math.min(...this.state.runs.map((run) => run.begin));
   }
 
   get end() {
@@ -40,18 +45,19 @@ export class Charts {
   draw(palette) {
     const rows = this.rows(palette);
     const spans = this.spans();
-    const lanes = placeInLanes(spans, this.end);
+    const lanes = placeInLanes(spans, this.end - this.begin);
     const head = lanes.length ? lanes.length * LANE + 8 : 4;
     this.canvas.style.height = `${head + rows.length * ROW + FOOT}px`;
     const { context, width, height } = fitted(this.canvas);
-    const x = (seconds) => LEFT + (seconds / this.end) * (width - LEFT - RIGHT);
+    const [begin, end] = [this.begin, this.end];
+    const x = (seconds) => LEFT + ((Math.max(seconds, begin) - begin) / (end - begin)) * (width - LEFT - RIGHT);
     context.fillStyle = palette.ground;
     context.fillRect(0, 0, width, height);
     context.font = "12px system-ui, sans-serif";
     context.textAlign = "left";
     this.drawBands(context, palette, lanes, x, height, width);
     rows.forEach((row, index) => drawRow(context, palette, row, x, head + index * ROW, width));
-    drawAxis(context, palette, this.end, x, height - FOOT, width);
+    drawAxis(context, palette, begin, end, x, height - FOOT);
     context.strokeStyle = palette.ink;
     context.lineWidth = 1.2;
     context.beginPath();
@@ -65,7 +71,7 @@ export class Charts {
   spans() {
     const shown = [...new Set(this.state.panels.map((panel) => panel.run))];
     const unique = new Map();
-    for (const run of shown) for (const span of this.state.runs[run].spans) unique.set(JSON.stringify(span), span);
+    for (const run of shown) for (const span of this.state.runs[run].spans) if (span.until_s >= this.begin) unique.set(JSON.stringify(span), span);
     return [...unique.values()];
   }
 
@@ -145,10 +151,10 @@ function swatch(name, colour, dash) {
 }
 
 /** Put bands into the fewest lanes, so that none overlap. */
-function placeInLanes(spans, end) {
+function placeInLanes(spans, length) {
   const lanes = [];
   for (const span of [...spans].sort((a, b) => a.from_s - b.from_s)) {
-    const needed = Math.max(span.until_s, span.from_s + 0.3 * end);
+    const needed = Math.max(span.until_s, span.from_s + 0.3 * length);
     const lane = lanes.find((each) => each[each.length - 1].until <= span.from_s);
     const placed = { span, until: needed, labelAt: span.from_s };
     if (lane) lane.push(placed);
@@ -206,13 +212,13 @@ function drawRow(context, palette, row, x, top, width) {
 }
 
 /** @param {CanvasRenderingContext2D} context */
-function drawAxis(context, palette, end, x, top, width) {
-  const step = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500].find((each) => x(each) - x(0) >= 48) ?? 1000;
+function drawAxis(context, palette, begin, end, x, top) {
+  const step = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500].find((each) => x(begin + each) - x(begin) >= 48) ?? 1000;
   context.fillStyle = palette.faint;
   context.strokeStyle = palette.faint;
   context.textBaseline = "top";
   context.textAlign = "center";
-  for (let seconds = 0; seconds <= end + 1e-9; seconds += step) {
+  for (let seconds = Math.ceil(begin / step - 1e-9) * step; seconds <= end + 1e-9; seconds += step) {
     context.beginPath();
     context.moveTo(x(seconds), top);
     context.lineTo(x(seconds), top + 4);

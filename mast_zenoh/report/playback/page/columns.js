@@ -10,13 +10,21 @@
  * @param {string} text base64 of the deflated block
  * @returns {Promise<{header: any, columns: Columns}>}
  */
-export async function decodeBlock(text) {
-  const packed = Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
+export function decodeText(text) {
+  return decodeBlock(Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0)));
+}
+
+/**
+ * Decode a block.
+ * @param {Uint8Array} packed the deflated block
+ * @returns {Promise<{header: any, columns: Columns}>}
+ */
+export async function decodeBlock(packed) {
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const content = new Uint8Array(await new Response(stream).arrayBuffer());
   const length = new DataView(content.buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(content.subarray(4, 4 + length)));
-  if (header.format !== 1) throw new Error(`data of format ${header.format}, expected 1`);
+  if ((header.format ?? 1) !== 1) throw new Error(`data of format ${header.format}, expected 1`);
   /** @type {Columns} */
   const columns = {};
   let at = 4 + length;

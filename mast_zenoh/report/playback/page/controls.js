@@ -21,7 +21,10 @@ export class Controls {
     this.play = element("button", { type: "button", class: "v-play", onclick: () => state.set({ playing: !state.playing }) });
     this.slider = element("input", {
       type: "range", min: 0, max: last, step: 1, value: state.frame, class: "v-slider", "aria-label": "frame",
-      oninput: () => state.seek(Number(this.slider.value)),
+      oninput: () => {
+        if (state.runs[0].live) state.set({ playing: Number(this.slider.value) === state.runs[0].frames - 1 });
+        state.seek(Number(this.slider.value));
+      },
     });
     this.time = element("output", { class: "v-now" });
     const step = (by, text, label) => {
@@ -77,8 +80,11 @@ export class Controls {
     const { state } = this;
     this.play.textContent = state.playing ? "❚❚" : "▶";
     this.play.setAttribute("aria-label", state.playing ? "pause" : "play");
+    const [run] = state.runs;
+    this.slider.max = String(run.frames - 1);
     this.slider.value = String(state.frame);
-    this.time.textContent = `${state.time.toFixed(1)} s · frame ${state.frame} of ${state.runs[0].frames - 1}`;
+    const of = run.live ? (state.playing ? ", live" : "") : ` of ${run.frames - 1}`;
+    this.time.textContent = `${state.time.toFixed(1)} s · frame ${run.numberOf(state.frame)}${of}`;
     this.counts.forEach((button, i) => button.setAttribute("aria-pressed", String(i + 1 === state.panels.length)));
     this.swipe.setAttribute("aria-pressed", String(state.swipe));
     this.follow.value = state.follow;

@@ -19,7 +19,7 @@ export class EventList {
   fill() {
     const runs = [...new Set(this.state.panels.map((panel) => panel.run))];
     const events = runs.flatMap((index) => this.state.runs[index].events.map((event) => ({ ...event, run: index })));
-    const timed = events.map((event) => ({ ...event, time: this.state.runs[event.run].times[event.frame] }));
+    const timed = events.map((event) => ({ ...event, time: event.time ?? this.state.runs[event.run].times[event.frame] }));
     timed.sort((a, b) => a.time - b.time);
     this.times = timed.map((event) => event.time);
     const several = runs.length > 1;
@@ -35,7 +35,7 @@ export class EventList {
         return element("li", {}, element("button", { type: "button", class: `v-event v-${event.kind}`, onclick }, time, text));
       }),
     );
-    if (!timed.length) this.list.append(element("li", { class: "v-none" }, "Nothing was planned or changed in this run."));
+    if (!timed.length) this.list.append(element("li", { class: "v-none" }, this.state.runs[0].live ? "Nothing has happened yet." : "Nothing was planned or changed in this run."));
   }
 
   /** Mark the events that have happened. */

@@ -47,16 +47,17 @@ export function marksOf(run, frame, agent, estimate) {
 function boxMarks(run, frame, agent, estimate) {
   const columns = run.columns;
   const view = run.viewRow(agent, estimate);
+  const [codes, matches] = view < 0 ? [null, null] : [run.codes(view), run.matchesOf(view)];
   const rows = run.boxesByFrame[frame];
   const truthRow = new Map();
   for (const row of rows) if (columns["box.truth"][row]) truthRow.set(columns["box.id"][row], row);
   const marks = [];
   for (const row of rows) {
     const truth = columns["box.truth"][row] === 1;
-    const code = view < 0 ? 0 : columns.code[view * run.rows + row];
+    const code = codes ? codes[row] : 0;
     if (!code && !(estimate === TRUTH && truth)) continue;
     const [outcome, cause, by] = code ? run.header.meanings[code - 1] : ["scene", "", ""];
-    const match = view < 0 ? -1 : run.matches[view * run.rows + row];
+    const match = matches ? matches[row] : -1;
     const mark = { row, kind: truth ? "truth" : "track", outcome, cause, by, match, id: columns["box.id"][row] };
     for (const name of BOX_COLUMNS) mark[name] = columns[`box.${name}`][row];
     mark.known = columns["box.known"][row] === 1;
@@ -127,14 +128,10 @@ function withheldMarks(run, frame) {
  * @returns {[number, number][]} m
  */
 export function trailOf(run, row, most) {
-  const { "box.id": id, "box.frame": frame, "box.truth": truth, "box.x": x, "box.y": y } = run.columns;
+  const { "box.x": x, "box.y": y } = run.columns;
   /** @type {[number, number][]} */
-  const places = [[x[row], y[row]]];
-  for (let at = row; at > 0 && places.length <= most; at--) {
-    const before = at - 1;
-    if (id[before] !== id[at] || truth[before] !== truth[at] || frame[before] !== frame[at] - 1) break;
-    places.push([x[before], y[before]]);
-  }
+  const places = [];
+  for (let at = row; at >= 0 && places.length <= most; at = run.before(at)) places.push([x[at], y[at]]);
   return places;
 }
 

@@ -10,6 +10,8 @@
 
 /** The estimate that is no estimate: all objects of the scene. */
 export const TRUTH = "truth";
+/** m between two places of a path. */
+export const PATH_STEP_M = 2;
 
 export class Run {
   /** @param {{header: any, columns: import("./columns.js").Columns}} block */
@@ -22,10 +24,12 @@ export class Run {
     /** @type {RunEvent[]} */ this.events = header.events;
     this.times = columns.time;
     this.rows = columns["box.frame"].length;
+    /** Of a running run: what is said of it now, such as its wires; null for a finished run. */
+    this.live = null;
     this.boxesByFrame = groupByFrame(columns["box.frame"], this.frames);
     this.effectsByFrame = groupByFrame(columns["effects.frame"], this.frames);
     this.withheldByFrame = groupByFrame(columns["withheld.frame"], this.frames);
-    this.matches = expand(columns.matched, columns.match);
+    this.matches = columns.matched ? expand(columns.matched, columns.match) : new Int32Array(0);
     this.sweepStart = sweepStarts(this.agents, this.frames);
   }
 
@@ -47,6 +51,48 @@ export class Run {
     return known ? known.row : -1;
   }
 
+  /** @param {number} view a row of views @returns {ArrayLike<number>} by row of boxes: 0, or 1 + its row of meanings */
+  codes(view) {
+    return this.columns.code.subarray(view * this.rows, (view + 1) * this.rows);
+  }
+
+  /** @param {number} view a row of views @returns {ArrayLike<number>} by row of boxes: id of the matched object, or -1 */
+  matchesOf(view) {
+    return this.matches.subarray(view * this.rows, (view + 1) * this.rows);
+  }
+
+  /** @param {number} row of a box @returns {number} row of the same object's box in the frame before; -1: none */
+  before(row) {
+    const { "box.id": id, "box.frame": frame, "box.truth": truth } = this.columns;
+    const same = row > 0 && id[row - 1] === id[row] && truth[row - 1] === truth[row] && frame[row - 1] === frame[row] - 1;
+    return same ? row - 1 : -1;
+  }
+
+  /** Where objects drive in the whole run. @returns {{width: number, places: number[][]}[]} m */
+  paths() {
+    if (this.drivenPaths) return this.drivenPaths;
+    const { "box.id": id, "box.truth": truth, "box.x": x, "box.y": y, "box.w": w } = this.columns;
+    this.drivenPaths = [];
+    for (let start = 0; start < this.rows && truth[start]; ) {
+      let end = start + 1;
+      while (end < this.rows && truth[end] && id[end] === id[start]) end++;
+      /** @type {number[][]} */
+      const places = [];
+      for (let row = start; row < end; row++) {
+        const last = places[places.length - 1];
+        if (!last || row === end - 1 || Math.hypot(x[row] - last[0], y[row] - last[1]) > PATH_STEP_M) places.push([x[row], y[row]]);
+      }
+      this.drivenPaths.push({ width: w[start], places });
+      start = end;
+    }
+    return this.drivenPaths;
+  }
+
+  /** @param {number} frame @returns {number} its number in the scene */
+  numberOf(frame) {
+    return frame;
+  }
+
   /** @param {number} seconds @returns {number} the frame at a time: the last one that is not later */
   frameAt(seconds) {
     let low = 0;
@@ -57,6 +103,11 @@ export class Run {
       else high = middle - 1;
     }
     return low;
+  }
+
+  /** s, where its time axis begins */
+  get begin() {
+    return 0;
   }
 
   /** @returns {number} s, the end of the last frame */
@@ -102,7 +153,7 @@ export class Run {
 }
 
 /** @param {ArrayLike<number>} frame @param {number} frames @returns {Int32Array[]} rows of each frame */
-function groupByFrame(frame, frames) {
+export function groupByFrame(frame, frames) {
   const start = new Int32Array(frames + 1);
   for (let i = 0; i < frame.length; i++) if (frame[i] < frames) start[frame[i] + 1]++;
   for (let f = 0; f < frames; f++) start[f + 1] += start[f];
@@ -113,7 +164,7 @@ function groupByFrame(frame, frames) {
 }
 
 /** @param {ArrayLike<number>} flags @param {ArrayLike<number>} values of the set flags @returns {Int32Array} -1: unset */
-function expand(flags, values) {
+export function expand(flags, values) {
   const result = new Int32Array(flags.length).fill(-1);
   for (let i = 0, next = 0; i < flags.length; i++) if (flags[i]) result[i] = values[next++];
   return result;

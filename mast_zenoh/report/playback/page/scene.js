@@ -55,24 +55,15 @@ export function line({ context, viewport, width, height }, places) {
 /** The paths that objects take during the whole run: where the roads are. @param {Canvas} canvas */
 function drawPaths(canvas) {
   const { context, palette, run, viewport, width, height } = canvas;
-  const { "box.id": id, "box.truth": truth, "box.x": x, "box.y": y, "box.w": w } = run.columns;
   const scale = viewport.scale(width, height);
   context.save();
   context.strokeStyle = palette.path;
   context.lineCap = context.lineJoin = "round";
-  for (let start = 0; start < run.rows && truth[start]; ) {
-    let end = start + 1;
-    while (end < run.rows && truth[end] && id[end] === id[start]) end++;
-    const places = [];
-    for (let row = start; row < end; row++) {
-      const last = places[places.length - 1];
-      if (!last || row === end - 1 || Math.hypot(x[row] - last[0], y[row] - last[1]) > 2) places.push([x[row], y[row]]);
-    }
-    context.lineWidth = Math.max(1, (w[start] + 0.8) * scale);
+  for (const path of run.paths()) {
+    context.lineWidth = Math.max(1, (path.width + 0.8) * scale);
     context.beginPath();
-    line(canvas, places);
+    line(canvas, path.places);
     context.stroke();
-    start = end;
   }
   context.restore();
 }

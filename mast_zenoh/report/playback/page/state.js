@@ -20,7 +20,8 @@ export class State extends EventTarget {
     super();
     this.runs = runs;
     this.frame = Math.min(runs[0].header.frame, runs[0].frames - 1);
-    this.playing = false;
+    /** Of a running run: whether the newest frame is shown. */
+    this.playing = runs[0].live !== null;
     this.speed = 1;
     this.follow = "";
     this.swipe = false;

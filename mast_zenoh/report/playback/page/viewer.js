@@ -89,6 +89,10 @@ export class Viewer {
   begin() {
     const { state } = this;
     const first = state.runs[0];
+    if (first.live) {
+      state.seek(first.frames - 1);
+      return;
+    }
     if (state.frame >= first.frames - 1) state.seek(0);
     let [time, before] = [state.time, performance.now()];
     const advance = (now) => {
@@ -101,6 +105,23 @@ export class Viewer {
       else requestAnimationFrame(advance);
     };
     requestAnimationFrame(advance);
+  }
+
+  /**
+   * Show a run that has got more frames.
+   * @param {import("./live_run.js").LiveRun} run
+   * @param {number} dropped how many of its first frames are gone
+   */
+  extend(run, dropped) {
+    const { state } = this;
+    const [before] = state.runs;
+    const changed = before.header.views.length !== run.header.views.length;
+    const happened = before.events.length !== run.events.length;
+    state.runs[0] = run;
+    state.frame = state.playing ? run.frames - 1 : Math.max(state.frame - dropped, 0);
+    if (changed) this.panels.forEach((panel) => panel.chooseAgain());
+    if (happened) this.events.fill();
+    this.redraw();
   }
 
   redraw() {

@@ -1,0 +1,116 @@
+"""The frames of a running run for all pages that are open: a short queue for each, which drops the oldest frames."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+#: Frames that wait for a page, and pages at a time.
+QUEUED, MOST_PAGES = 3, 8
+
+
+class Listener:
+    """What waits for one page: messages, of which frames (bytes) may be dropped."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._texts: deque[str] = deque()
+        self._frames: deque[tuple[int, bytes]] = deque()
+        self._lasting = 0  # version of the lasting header that the page has
+        self._dropped = 0
+        self._closed = False
+
+    def put(self, version: int, lasting: str, frame: bytes) -> None:
+        """Add a frame. version, lasting: of the part of the header that it lacks"""
+        with self._changed:
+            if version != self._lasting:
+                self._frames.clear()  # of another header
+                self._texts = deque([lasting])
+                self._lasting = version
+            self._frames.append((version, frame))
+            while len(self._frames) > QUEUED:
+                self._frames.popleft()
+                self._dropped += 1
+            self._changed.notify()
+
+    def close(self, text: str) -> None:
+        """End with a last message."""
+        with self._changed:
+            self._texts.append(text)
+            self._closed = True
+            self._changed.notify()
+
+    def take(self, timeout_s: float) -> tuple[list[str | bytes], bool]:
+        """Wait for messages; returns them, and whether more may come."""
+        with self._changed:
+            if not (self._texts or self._frames or self._closed):
+                self._changed.wait(timeout_s)
+            messages: list[str | bytes] = [*self._texts]
+            if self._dropped:
+                messages.append(json.dumps({"kind": "dropped", "count": self._dropped}))
+            messages += [frame for _, frame in self._frames]
+            self._texts.clear()
+            self._frames.clear()
+            self._dropped = 0
+            return messages, not self._closed
+
+
+class Feed:
+    """Distributes frames to the listeners; never waits for one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._listeners: list[Listener] = []
+        self._lasting: dict[str, Any] = {}
+        self._version = 0
+        self._newest: bytes | None = None
+        self._last_words = ""
+
+    @property
+    def has_listeners(self) -> bool:
+        """Whether a page is open."""
+        return bool(self._listeners)
+
+    @contextmanager
+    def listener(self) -> Iterator[Listener | None]:
+        """A listener for one page; None: there are too many already."""
+        listener = Listener()
+        with self._lock:
+            accepted = len(self._listeners) < MOST_PAGES
+            if accepted:
+                self._listeners.append(listener)
+                if self._newest is not None:
+                    listener.put(self._version, self._lasting_text, self._newest)
+                if self._last_words:
+                    listener.close(self._last_words)
+        try:
+            yield listener if accepted else None
+        finally:
+            if accepted:
+                with self._lock:
+                    self._listeners.remove(listener)
+
+    def publish(self, lasting: Mapping[str, Any], frame: bytes) -> None:
+        """Give a frame to all listeners. lasting: the part of its header that rarely changes"""
+        with self._lock:
+            if lasting != self._lasting:
+                self._lasting = dict(lasting)
+                self._version += 1
+            self._newest = frame
+            for listener in self._listeners:
+                listener.put(self._version, self._lasting_text, frame)
+
+    def close(self, *, reload: bool) -> None:
+        """Tell all pages that the run is over. reload: whether the page then shows all of it"""
+        with self._lock:
+            self._last_words = json.dumps({"kind": "over", "reload": reload})
+            for listener in self._listeners:
+                listener.close(self._last_words)
+
+    @property
+    def _lasting_text(self) -> str:
+        return json.dumps({"kind": "lasting", "header": self._lasting}, separators=(",", ":"))

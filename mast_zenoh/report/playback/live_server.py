@@ -1,0 +1,116 @@
+"""Serves the page of a running run, and its frames over a WebSocket, on one loopback port."""
+
+from __future__ import annotations
+
+import threading
+from http import HTTPStatus
+from types import TracebackType
+from urllib.parse import urlsplit
+
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.protocol import State
+from websockets.sync.server import Server, ServerConnection, serve
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.report.page import page_text
+from mast_zenoh.report.playback.feed import Feed
+from mast_zenoh.report.playback.inline import live_parts
+from mast_zenoh.report.playback.server import HOSTS, LOOPBACK, page_headers, tunnel
+
+FRAMES = "/frames"
+_WAKE_S = 1.0
+
+
+class LiveServer:
+    """Context manager: serves until it is left.
+
+    title: of the page;  port: 0 for any free one
+    Raises ConfigurationError if the port cannot be used.
+    """
+
+    def __init__(self, title: str, feed: Feed, port: int = 0) -> None:
+        self.feed = feed
+        parts = live_parts(FRAMES)
+        self._page = page_text("viewer.html.j2", {"title": title, "headline": title, "viewer": parts}).encode()
+        self._policy = str(parts["policy"])
+        self._over = threading.Event()
+        try:
+            self._server: Server = serve(
+                self._send_frames,
+                LOOPBACK,
+                port,
+                process_request=self._answer,
+                compression=None,  # frames are compressed
+                max_size=1024,  # the page sends nothing
+                server_header=None,
+            )
+        except OSError as error:
+            problem = f"found {port}, which cannot be used ({error.strerror})"
+            raise ConfigurationError(f"--port: {problem}: expected a free port, or 0 for any") from None
+        self.port = int(self._server.socket.getsockname()[1])
+        self._thread = threading.Thread(target=self._server.serve_forever, name="viewer", daemon=True)
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{LOOPBACK}:{self.port}/"
+
+    @property
+    def tunnel(self) -> str:
+        """The command that brings the page to another computer."""
+        return tunnel(self.port)
+
+    def __enter__(self) -> LiveServer:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._server.shutdown()
+
+    def show_finished(self, page: str, policy: str) -> None:
+        """Serve another page from now on, and tell all that are open to load it."""
+        self._page, self._policy = page.encode("utf-8", "surrogateescape"), policy
+        self.feed.close(reload=True)
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """The page, a refusal, or None for the WebSocket of the frames."""
+        host = request.headers.get("Host", "")
+        if (host.rpartition(":")[0] or host) not in HOSTS:  # a page of another host, whose name was made to lead here
+            return _refusal(HTTPStatus.FORBIDDEN, "expected the host 127.0.0.1 or localhost")
+        path = request.path.partition("?")[0]
+        if path == FRAMES:
+            # Browsers let any page open a WebSocket here, but say which page it is.
+            origin = request.headers.get("Origin")
+            if origin is not None and urlsplit(origin).netloc != host:
+                return _refusal(HTTPStatus.FORBIDDEN, "expected a page of this server")
+            return None
+        if path != "/":
+            return _refusal(HTTPStatus.NOT_FOUND, "not found")
+        headers = Headers(page_headers(len(self._page), self._policy))
+        return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, headers, self._page)
+
+    def _send_frames(self, connection: ServerConnection) -> None:
+        """Send what the feed has, in a thread for each page; a page that does not read blocks only this thread."""
+        with self.feed.listener() as listener:
+            if listener is None:
+                connection.close(1013, "too many pages")
+                return
+            more = True
+            try:
+                while more and not self._over.is_set() and connection.protocol.state is State.OPEN:
+                    messages, more = listener.take(_WAKE_S)
+                    for message in messages:
+                        connection.send(message)
+            except ConnectionClosed:
+                pass
+
+
+def _refusal(status: HTTPStatus, text: str) -> Response:
+    body = f"{text}\n".encode()
+    headers = Headers([("Content-Type", "text/plain; charset=utf-8"), ("Content-Length", str(len(body)))])
+    return Response(status, status.phrase, headers, body)

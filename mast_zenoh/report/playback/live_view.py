@@ -1,0 +1,105 @@
+"""Shows a running run in browsers until it has ended, then all of it."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import zenoh
+
+from mast_zenoh.errors import MastError, NotRunning
+from mast_zenoh.report.playback.feed import Feed
+from mast_zenoh.report.playback.inline import policy
+from mast_zenoh.report.playback.live_block import LiveBlocks
+from mast_zenoh.report.playback.live_server import LiveServer
+from mast_zenoh.report.playback.server import viewer_page
+from mast_zenoh.viewer.live.observed import ObservedRun
+from mast_zenoh.viewer.live.observer import Observer
+
+#: Most frames a second that are measured: more would take processor time that the run may need.
+MOST_FRAMES_PER_S = 12.0
+#: Niceness of the viewer: no frame waits for it.
+_NICENESS = 19
+#: s between two looks at what has arrived, and in which a finished run must have its results.
+_POLL_S, _RESULTS_S = 0.03, 60.0
+
+
+def yield_processors() -> None:
+    """Let every other process go first, in all threads that this one starts from now on."""
+    os.nice(_NICENESS)
+    if hasattr(os, "SCHED_IDLE"):
+        with suppress(PermissionError):  # a container may forbid it
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
+def show(
+    run: ObservedRun,
+    session: zenoh.Session,
+    port: int,
+    ready: Callable[[LiveServer], None],
+    stop: threading.Event,
+) -> None:
+    """Serve a running run until `stop` is set, also after its end.
+
+    ready: called once the page can be opened
+    Raises ConfigurationError if the port cannot be used.
+    """
+    feed = Feed()
+    with LiveServer(run.resolved.name, feed, port) as server:
+        ready(server)
+        observer = Observer(run, session)
+        try:
+            _follow(observer, feed, stop)
+        finally:
+            observer.close()
+        if stop.is_set():
+            return
+        if run.folder is None or (page := _finished_page(run.folder, stop)) is None:
+            feed.close(reload=False)
+        else:
+            server.show_finished(page, policy())
+        stop.wait()
+
+
+def _follow(observer: Observer, feed: Feed, stop: threading.Event) -> None:
+    """Publish frames until the run is over; without an open page, only keep up with changes of the run."""
+    blocks = LiveBlocks.of(observer)
+    due = time.monotonic()
+    while not stop.is_set():
+        if not feed.has_listeners:
+            observer.keep_up()
+        elif time.monotonic() >= due and (frame := observer.advance()) is not None:
+            due = time.monotonic() + 1.0 / MOST_FRAMES_PER_S
+            try:
+                feed.publish(*blocks.header_and_block(frame))
+            except ValueError as error:  # numbers that no page can draw
+                observer.note(f"frame {frame.number} cannot be shown: {error}")
+        if observer.is_over():
+            return
+        stop.wait(_POLL_S)
+
+
+def _finished_page(folder: Path, stop: threading.Event) -> str | None:
+    """The page of the finished run; None: its results do not arrive."""
+    deadline = time.monotonic() + _RESULTS_S
+    while time.monotonic() < deadline and not stop.is_set():
+        with suppress(MastError):
+            return viewer_page([folder])
+        stop.wait(1.0)
+    return None
+
+
+def await_start(folder: Path, timeout_s: float, stop: threading.Event) -> ObservedRun:
+    """The run of a folder, once it has started its nodes; raises NotRunning if it does not."""
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            return ObservedRun.of_folder(folder)
+        except NotRunning:
+            if time.monotonic() > deadline or stop.is_set():
+                raise
+        stop.wait(0.1)

@@ -1,0 +1,124 @@
+// Shows a running run: receives its frames from the server of this page.
+
+import { decodeBlock } from "./columns.js";
+import { element } from "./elements.js";
+import { LiveFrames } from "./live_run.js";
+import { Viewer } from "./viewer.js";
+import { WireTable } from "./wires.js";
+
+/** ms before a lost connection is tried again. */
+const RETRY_MS = 1000;
+/** Frames that wait for this page; more are left out. */
+const WAITING = 4;
+/** ms over which the rate is measured. */
+const RATE_MS = 3000;
+
+/**
+ * Show the run until it ends.
+ * @param {HTMLElement} root
+ * @returns {Promise<Viewer>} once its first frame is there
+ */
+export function showLive(root) {
+  const status = element("p", { class: "v-live", role: "status" }, "Waiting for the first frame of the run.");
+  root.replaceChildren(status);
+  return new Promise((resolve) => new LiveView(root, status, resolve).connect());
+}
+
+class LiveView {
+  constructor(root, status, started) {
+    this.root = root;
+    this.status = status;
+    this.started = started;
+    this.frames = new LiveFrames();
+    this.wires = new WireTable();
+    /** @type {Viewer | null} */ this.viewer = null;
+    /** @type {{number: number, at: number}[]} */ this.shown = [];
+    /** @type {any[]} */ this.queue = [];
+    this.dropped = 0;
+    this.busy = false;
+  }
+
+  connect() {
+    const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${this.root.dataset.live}`;
+    const socket = new WebSocket(address);
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = ({ data }) => this.take(data);
+    socket.onclose = () => {
+      if (this.over) return;
+      this.say("The connection is lost; trying again.");
+      setTimeout(() => this.connect(), RETRY_MS);
+    };
+  }
+
+  /** @param {string | ArrayBuffer} data */
+  take(data) {
+    this.queue.push(data);
+    const blocks = this.queue.filter((each) => typeof each !== "string");
+    if (blocks.length > WAITING) {
+      this.queue.splice(this.queue.indexOf(blocks[0]), 1);
+      this.dropped += 1;
+    }
+    if (!this.busy) this.work();
+  }
+
+  async work() {
+    this.busy = true;
+    while (this.queue.length) {
+      const data = this.queue.shift();
+      if (typeof data === "string") this.obey(JSON.parse(data));
+      else await this.extend(data);
+    }
+    this.busy = false;
+  }
+
+  /** @param {any} message */
+  obey(message) {
+    if (message.kind === "lasting") this.frames.begin(message.header);
+    if (message.kind === "dropped") this.dropped += message.count;
+    if (message.kind === "over") {
+      this.over = true;
+      this.say(`The run has ended${message.reload ? "; opening all of it" : ""}.`);
+      if (message.reload) location.reload();
+    }
+  }
+
+  /** @param {ArrayBuffer} data a frame */
+  async extend(data) {
+    const block = await decodeBlock(new Uint8Array(data));
+    if (!this.frames.lasting) return;
+    const dropped = this.frames.add(block);
+    const run = this.frames.joined();
+    if (this.viewer) this.viewer.extend(run, dropped);
+    else {
+      this.viewer = new Viewer(this.root, [run]);
+      this.root.prepend(this.status);
+      this.root.append(this.wires.root);
+      this.started(this.viewer);
+    }
+    this.wires.show(run.live.wires);
+    this.count(run);
+  }
+
+  /** Say how much of the run is shown. @param {import("./live_run.js").LiveRun} run */
+  count(run) {
+    const now = performance.now();
+    const { number, newest, down, refused, notes } = run.live;
+    this.shown.push({ number, at: now });
+    while (now - this.shown[0].at > RATE_MS) this.shown.shift();
+    const first = this.shown[0];
+    const parts = [`running · frame ${newest}`];
+    if (now - first.at > RATE_MS / 6) {
+      const per = (/** @type {number} */ count) => (count / ((now - first.at) / 1000)).toFixed(1);
+      parts.push(`${per(number - first.number)} frames/s, of which ${per(this.shown.length - 1)} are shown`);
+    }
+    if (this.dropped) parts.push(`${this.dropped} left out because this page was too slow`);
+    if (down.length) parts.push(`down: ${down.join(", ")}`);
+    if (refused) parts.push(`${refused} invalid messages in this frame`);
+    this.say([...parts, ...notes].join(" · "));
+  }
+
+  /** @param {string} text */
+  say(text) {
+    if (this.status.textContent !== text) this.status.textContent = text;
+  }
+}

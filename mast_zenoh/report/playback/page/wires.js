@@ -1,0 +1,41 @@
+// The wires of a running run: who sits on them, how fast they are, and what is lost.
+
+import { element } from "./elements.js";
+
+export class WireTable {
+  constructor() {
+    this.rows = element("tbody");
+    const head = ["wire", "from, through, to", "messages/s", "frames behind", "lost"].map((text) => element("th", { scope: "col" }, text));
+    const table = element("table", {}, element("thead", {}, element("tr", {}, ...head)), this.rows);
+    this.summary = element("summary", {}, "Wires");
+    this.root = element("details", { class: "v-wires" }, this.summary, element("div", { class: "v-scroll" }, table));
+    this.intercepted = -1;
+  }
+
+  /** @param {{key: string, legs: any[], to: string[]}[]} wires */
+  show(wires) {
+    const intercepted = wires.filter((wire) => wire.legs.length > 1).length;
+    if (intercepted > this.intercepted && intercepted) this.root.setAttribute("open", "");
+    this.intercepted = intercepted;
+    const several = intercepted === 1 ? "one" : String(intercepted);
+    this.summary.textContent = `Wires: ${wires.length} shown, nodes inserted into ${intercepted ? several : "none"}`;
+    if (!this.root.hasAttribute("open")) return;
+    this.rows.replaceChildren(...wires.map((wire) => rowOf(wire)));
+  }
+}
+
+/** @param {{key: string, legs: any[], to: string[]}} wire */
+function rowOf({ key, legs, to }) {
+  const nodes = legs.map((leg, index) => {
+    const kind = index && leg.role !== "link" ? "v-inserted" : index ? "v-link" : "";
+    return element("span", { class: kind }, leg.node);
+  });
+  const ends = element("span", {}, to.length > 2 ? `${to.length} nodes` : to.join(", ") || "observers");
+  const path = [...nodes, ends].flatMap((node, index) => (index ? [" → ", node] : [node]));
+  const each = (/** @type {(leg: any) => string} */ text) => legs.map(text).join(" → ");
+  const rates = each((leg) => (leg.rate_hz === null ? "–" : leg.rate_hz.toFixed(1)));
+  const lags = each((leg) => (leg.lag === null ? "–" : String(leg.lag)));
+  const lost = legs.length > 1 ? legs.slice(1).map((leg) => (leg.lost === null ? "–" : `${Math.round(leg.lost * 100)} %`)).join(", ") : "";
+  const cells = [element("td", {}, key), element("td", {}, ...path), ...[rates, lags, lost].map((text) => element("td", {}, text))];
+  return element("tr", { class: legs.length > 1 ? "v-intercepted" : "" }, ...cells);
+}
