@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _START_S = 60.0  # for a run to start its nodes
 _END_S = 5.0  # for the viewer to end
+_PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
 
 
 def view(
@@ -41,12 +42,14 @@ def view(
     Ctrl-C ends the viewer; it never ends the run.
     """
     folder = Path(target)
-    if "/" in target and target.partition("/")[0] in ("tcp", "tls", "udp", "quic", "ws") and not folder.exists():
+    remote = "/" in target and target.partition("/")[0] in _PROTOCOLS and not folder.exists()
+    if attached:
+        _observe(target, run, port, browser, remote=remote)
+    elif remote or (other is None and _is_running(folder)):
         if other is not None:
-            raise ConfigurationError("mast view: two runs on one timeline: expected the folders of two finished runs")
-        _show_router(target, run, port, browser)
-    elif other is None and (attached or _is_running(folder)):
-        _show_running(folder, port, browser, attached=attached)
+            raise ConfigurationError("two runs on one timeline: expected the folders of two finished runs")
+        options = [f"--run={run}"] * bool(run) + [f"--port={port}"] + ["--open"] * browser
+        raise typer.Exit(_wait(_start(target, *options)))
     else:
         _show_finished([folder] if other is None else [folder, other], frame, port, browser)
 
@@ -63,19 +66,35 @@ def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
         if not wanted:
             return
         context.viewer = True
-        command = [sys.executable, "-P", "-m", "mast_zenoh", "view", str(context.folder), "--attached"]
-        # Its own session: Ctrl-C is the run's. Its input ends with this process, and so does the viewer.
-        children.append(subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True))
+        children.append(_start(str(context.folder)))
 
     try:
         yield prepare
         if children and children[0].poll() is None and _out.is_terminal:
             _out.print("the whole run is in the viewer now; Ctrl-C ends it", highlight=False)
-            with suppress(KeyboardInterrupt):
-                children[0].wait()
+            _wait(children[0])
     finally:
         for child in children:
             _end(child)
+
+
+def _start(target: str, *options: str) -> subprocess.Popen[bytes]:
+    """Start a viewer of a running run.
+
+    It has a session of its own: signals of the terminal are for its parent, and its processor time is shared out apart
+    from the run's. It ends when its standard input does, so also with its parent.
+    """
+    command = [sys.executable, "-P", "-m", "mast_zenoh", "view", target, "--attached", *options]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+
+
+def _wait(child: subprocess.Popen[bytes]) -> int:
+    """Wait for a viewer, or for Ctrl-C, which ends it; returns its exit code."""
+    try:
+        return child.wait()
+    except KeyboardInterrupt:
+        _end(child)
+        return 0
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
@@ -108,51 +127,45 @@ def _show_finished(folders: list[Path], frame: int | None, port: int, browser: b
     _out.print()
 
 
-def _show_running(folder: Path, port: int, browser: bool, *, attached: bool) -> None:
+def _observe(target: str, run: str, port: int, browser: bool, *, remote: bool) -> None:
+    """Show a running run until standard input ends."""
     from mast_zenoh.report.playback import live_view
     from mast_zenoh.runtime.mesh import hosting
-
-    live_view.yield_processors()
-    with _stopped(attached) as stop:
-        run = live_view.await_start(folder, _START_S if attached else 0.0, stop)
-        with hosting.join(run.endpoint, run.credentials) as session:
-            live_view.show(run, session, port, _announcer(browser), stop)
-
-
-def _show_router(endpoint: str, run: str, port: int, browser: bool) -> None:
-    from mast_zenoh.report.playback import live_view
     from mast_zenoh.runtime.mesh.session import open_client
     from mast_zenoh.viewer.live import observed
 
-    observed.check_reachable(endpoint)
-    live_view.yield_processors()
-    with _stopped(False) as stop, open_client(endpoint) as session:
-        running = observed.ObservedRun.of_mesh(session, endpoint, run)
-        live_view.show(running, session, port, _announcer(browser), stop)
+    def ready(server: Any) -> None:
+        _announce(server, browser)
+
+    with _stopped() as stop:
+        live_view.yield_processors()
+        if remote:
+            observed.check_reachable(target)
+            with open_client(target) as session:
+                running = observed.ObservedRun.of_mesh(session, target, run)
+                live_view.show(running, session, port, ready, stop)
+        else:
+            running = live_view.await_start(Path(target), _START_S, stop)
+            with hosting.join(running.endpoint, running.credentials) as session:
+                live_view.show(running, session, port, ready, stop)
 
 
 @contextmanager
-def _stopped(attached: bool) -> Iterator[threading.Event]:
-    """An event that is set by Ctrl-C and SIGTERM, and if attached by the end of standard input."""
+def _stopped() -> Iterator[threading.Event]:
+    """An event that is set by SIGTERM and by the end of standard input."""
     stop = threading.Event()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
 
     def follow_input() -> None:
         with suppress(OSError, ValueError):
             sys.stdin.buffer.read()
         stop.set()
 
-    if attached:
-        threading.Thread(target=follow_input, daemon=True).start()
+    threading.Thread(target=follow_input, daemon=True).start()
     try:
         yield stop
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _announcer(browser: bool) -> Callable[[Any], None]:
-    return lambda server: _announce(server, browser)
+        signal.signal(signal.SIGTERM, before)
 
 
 def _announce(server: Any, browser: bool) -> None:

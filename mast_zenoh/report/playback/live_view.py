@@ -29,11 +29,14 @@ _POLL_S, _RESULTS_S = 0.03, 60.0
 
 
 def yield_processors() -> None:
-    """Let every other process go first, in all threads that this one starts from now on."""
+    """Let every other process go first. Only for a process with a session of its own.
+
+    Linux shares processors between sessions before it looks at the niceness of processes, so the session's own
+    niceness counts.
+    """
     os.nice(_NICENESS)
-    if hasattr(os, "SCHED_IDLE"):
-        with suppress(PermissionError):  # a container may forbid it
-            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    with suppress(OSError):  # not on every system
+        Path("/proc/self/autogroup").write_text(str(_NICENESS))
 
 
 def show(
