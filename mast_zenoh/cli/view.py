@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 _START_S = 60.0  # for a run to start its nodes
 _END_S = 5.0  # for the viewer to end
+_LAST_LINE = "Ctrl-C ends it."
 _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
 
 
@@ -66,7 +68,13 @@ def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
         if not wanted:
             return
         context.viewer = True
-        children.append(_start(str(context.folder)))
+        child = _start(str(context.folder), stdout=subprocess.PIPE)
+        children.append(child)
+        assert child.stdout is not None
+        for line in child.stdout:  # until the page can be opened, or the viewer has failed
+            _out.print(line.decode().rstrip(), markup=False, highlight=False)
+            if line.startswith(_LAST_LINE.encode()):
+                break
 
     try:
         yield prepare
@@ -78,14 +86,14 @@ def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
             _end(child)
 
 
-def _start(target: str, *options: str) -> subprocess.Popen[bytes]:
+def _start(target: str, *options: str, stdout: int | None = None) -> subprocess.Popen[bytes]:
     """Start a viewer of a running run.
 
     It has a session of its own: signals of the terminal are for its parent, and its processor time is shared out apart
     from the run's. It ends when its standard input does, so also with its parent.
     """
     command = [sys.executable, "-P", "-m", "mast_zenoh", "view", target, "--attached", *options]
-    return subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=stdout, start_new_session=True)
 
 
 def _wait(child: subprocess.Popen[bytes]) -> int:
@@ -130,24 +138,26 @@ def _show_finished(folders: list[Path], frame: int | None, port: int, browser: b
 def _observe(target: str, run: str, port: int, browser: bool, *, remote: bool) -> None:
     """Show a running run until standard input ends."""
     from mast_zenoh.report.playback import live_view
+    from mast_zenoh.report.playback.feed import Feed
+    from mast_zenoh.report.playback.live_server import LiveServer
     from mast_zenoh.runtime.mesh import hosting
     from mast_zenoh.runtime.mesh.session import open_client
     from mast_zenoh.viewer.live import observed
 
-    def ready(server: Any) -> None:
-        _announce(server, browser)
-
-    with _stopped() as stop:
-        live_view.yield_processors()
+    with ExitStack() as stack:
+        stop = stack.enter_context(_stopped())
         if remote:
             observed.check_reachable(target)
-            with open_client(target) as session:
-                running = observed.ObservedRun.of_mesh(session, target, run)
-                live_view.show(running, session, port, ready, stop)
-        else:
+            session = stack.enter_context(open_client(target))
+            running = observed.ObservedRun.of_mesh(session, target, run)
+        title = running.resolved.name if remote else Path(target).name
+        server = stack.enter_context(LiveServer(title, Feed(), port))
+        _announce(server, browser)
+        live_view.yield_processors()
+        if not remote:
             running = live_view.await_start(Path(target), _START_S, stop)
-            with hosting.join(running.endpoint, running.credentials) as session:
-                live_view.show(running, session, port, ready, stop)
+            session = stack.enter_context(hosting.join(running.endpoint, running.credentials))
+        live_view.show(running, session, server, stop)
 
 
 @contextmanager
@@ -157,8 +167,10 @@ def _stopped() -> Iterator[threading.Event]:
     before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
 
     def follow_input() -> None:
-        with suppress(OSError, ValueError):
-            sys.stdin.buffer.read()
+        # Not through sys.stdin: a thread that waits for its lock makes the interpreter crash when it exits.
+        with suppress(OSError):
+            while os.read(0, 4096):
+                pass
         stop.set()
 
     threading.Thread(target=follow_input, daemon=True).start()
@@ -172,7 +184,8 @@ def _announce(server: Any, browser: bool) -> None:
     """Print where the page is. server: with `url` and `tunnel`"""
     _out.print(f"view: {server.url}", markup=False, highlight=False)
     _out.print(f"from another computer: {server.tunnel}", markup=False, highlight=False)
-    _out.print("Ctrl-C ends it.", markup=False, highlight=False)
+    _out.print(_LAST_LINE, markup=False, highlight=False)
+    sys.stdout.flush()
     if browser:
         import webbrowser
 

@@ -8,7 +8,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from mast_zenoh.control import fields, files, flow, interception, reports, results
+from mast_zenoh.control import description, fields, files, flow, interception, reports, results
 from mast_zenoh.study.rogue.valid_messages import FAILURE, RESULT
 from mast_zenoh.wiring.model import Endpoint, Leg, Listener, Wire, Wiring
 
@@ -82,6 +82,7 @@ CODECS: dict[str, tuple[Callable[[bytes], Any], bytes]] = {
     "clock's answer": (files.decode_clock, packed({"now_ns": 1_700_000_000_000_000_000})),
     "piece's answer": (files.decode_piece, packed({"piece": b"abc"})),
     "file's answer": (files.decode_nothing, packed({})),
+    "description": (description.decode_description, description.encode_description("run-1", {"a": 1}, {}, b"npz")),
     "failed": (reports.decode_failure, reports.encode_failure("0123", FAILURE)),
     "result": (lambda payload: reports.decode_result(payload, "ego", drives=False), results.pack(OUTCOME)),
     "driver's result": (lambda payload: reports.decode_result(payload, "sim", drives=True), results.pack(DRIVEN)),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,33 +38,23 @@ def yield_processors() -> None:
         Path("/proc/self/autogroup").write_text(str(_NICENESS))
 
 
-def show(
-    run: ObservedRun,
-    session: zenoh.Session,
-    port: int,
-    ready: Callable[[LiveServer], None],
-    stop: threading.Event,
-) -> None:
-    """Serve a running run until `stop` is set, also after its end.
+def show(run: ObservedRun, session: zenoh.Session, server: LiveServer, stop: threading.Event) -> None:
+    """Show a running run on a server until `stop` is set, also after its end.
 
-    ready: called once the page can be opened
-    Raises ConfigurationError if the port cannot be used.
+    session: a client of the run's router
     """
-    feed = Feed()
-    with LiveServer(run.resolved.name, feed, port) as server:
-        ready(server)
-        observer = Observer(run, session)
-        try:
-            _follow(observer, feed, stop)
-        finally:
-            observer.close()
-        if stop.is_set():
-            return
-        if run.folder is None or (page := _finished_page(run.folder, stop)) is None:
-            feed.close(reload=False)
-        else:
-            server.show_finished(page, policy())
-        stop.wait()
+    observer = Observer(run, session)
+    try:
+        _follow(observer, server.feed, stop)
+    finally:
+        observer.close()
+    if stop.is_set():
+        return
+    if run.folder is None or (page := _finished_page(run.folder, stop)) is None:
+        server.feed.close(reload=False)
+    else:
+        server.show_finished(page, policy())
+    stop.wait()
 
 
 def _follow(observer: Observer, feed: Feed, stop: threading.Event) -> None:

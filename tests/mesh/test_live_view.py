@@ -1,0 +1,179 @@
+"""A running run in a browser: what the page draws is what the run recorded, and nobody is held back."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import chromium
+from launched import MAST, Launched, eventually
+from websockets.sync.client import connect
+
+from mast_zenoh.launch.tables import read_table
+from mast_zenoh.messagelog.difference import compare
+
+pytestmark = pytest.mark.mesh
+_TIMEOUT_MS = 90_000
+_DRAWN = """() => {
+  const run = viewer.state.runs[0];
+  const number = run.numberOf(viewer.state.frame);
+  const boxes = ([agent, estimate]) => {
+    viewer.state.choose(0, { agent, estimate });
+    return viewer.marks(0).boxes.map((box) => [box.kind, box.outcome, box.id, box.x]);
+  };
+  const [picture, received] = [boxes(["ego", "picture"]), boxes(["infra_1", "received"])];
+  return { number, picture, received, local: boxes(["ego", "local"]) };
+}"""
+
+
+def becomes_true(page: Any, expression: str) -> None:
+    """Wait for an expression; playwright's own waiting evaluates text in the page, which its policy forbids."""
+    eventually(lambda: page.evaluate(expression), expression)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+class LiveRun:
+    """A run that a viewer shows: its output, and the page."""
+
+    def __init__(self, run: Launched, browser: Any) -> None:
+        self.run = run
+        self.lines: list[str] = []
+        assert run.process.stdout is not None
+        self._reader = threading.Thread(target=lambda: self.lines.extend(run.process.stdout or ()))
+        self._reader.start()
+        self.url = str(run.until(lambda: self._found(r"view: (http\S+)"), "the viewer is ready"))
+        self.page = browser.new_page(viewport={"width": 1200, "height": 900})
+        self.requests: list[str] = []
+        self.errors: list[str] = []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(self.url)
+        self.page.wait_for_selector(".viewer.v-ready", timeout=_TIMEOUT_MS)
+
+    def _found(self, pattern: str) -> str:
+        match = re.search(pattern, "".join(self.lines))
+        return match[1] if match else ""
+
+    def frames(self, count: int) -> None:
+        """Wait for so many frames in the page."""
+        becomes_true(self.page, f"viewer.state.runs[0].frames >= {count}")
+
+    def ended(self) -> str:
+        """Wait for the end of the run; returns its output. The page has asked nobody but its server."""
+        assert self.run.process.wait(150) == 0, "".join(self.lines)
+        self._reader.join(10)
+        assert self.errors == []
+        assert set(self.requests) == {self.url}
+        self.page.close()
+        return "".join(self.lines)
+
+
+@pytest.fixture
+def show(launch: Callable[..., Launched], browser: Any) -> Callable[..., LiveRun]:
+    return lambda *words: LiveRun(launch(*words, "--view"), browser)
+
+
+def recorded(folder: Path, number: int, agent: str, estimate: str) -> list[tuple[Any, ...]]:
+    table = read_table(folder / "objects.parquet")
+    own = (table["frame"] == number) & (table["agent"] == agent) & (table["estimator"] == estimate)
+    columns = [table[name][own].tolist() for name in ("kind", "outcome", "id", "x")]
+    return sorted(zip(*columns, strict=True))
+
+
+def test_the_page_of_a_running_run_draws_what_is_recorded(show: Callable[..., LiveRun]) -> None:
+    settings = ("--set", "attack_start_s=1.0", "--mode", "realtime", "--frames", "120")
+    live = show("coordinated", *settings)
+    page = live.page
+    with connect(f"ws://{live.url.removeprefix('http://')}frames"):  # never reads
+        live.frames(12)
+        becomes_true(page, "viewer.marks(0).effects.length > 0")
+        page.keyboard.press(" ")  # stays at this frame
+        drawn = page.evaluate(_DRAWN)
+        path = page.locator(".v-wires tr", has_text="agent/infra_1/tracks").inner_text()
+        assert "infra_1 → adversary_1 → broker" in path
+        live.ended()
+    for name, (agent, estimate) in {
+        "picture": ("ego", "picture"),
+        "received": ("infra_1", "received"),
+        "local": ("ego", "local"),
+    }.items():
+        expected = recorded(live.run.out, drawn["number"], agent, estimate)
+        found = sorted(map(tuple, drawn[name]))
+        assert [each[:3] for each in found] == [each[:3] for each in expected]
+        assert [each[3] for each in found] == pytest.approx([each[3] for each in expected], abs=0.0051)
+        assert len(found) > 5
+
+
+def test_thirty_agents_are_shown_while_they_run(show: Callable[..., LiveRun]) -> None:
+    live = show("baseline", "--set", "n_infrastructure=15", "--set", "n_mobile=14", "--frames", "60")
+    live.frames(3)
+    agents = live.page.evaluate("viewer.marks(0).agents.map((agent) => agent.name)")
+    assert len(agents) == 30
+    assert "frames/s" in eventually(lambda: live.page.inner_text(".v-live"), "the state of the run is shown")
+    live.ended()
+
+
+def test_a_viewer_of_a_secure_run_has_a_certificate_of_its_own_and_changes_nothing(
+    show: Callable[..., LiveRun], launch: Callable[..., Launched], tmp_path: Path
+) -> None:
+    words = ("uncoordinated", "--set", "n_infrastructure=2", "--set", "attack_start_s=0.5", "--frames", "150")
+    live = show(*words, "--secure")
+    live.frames(2)
+    assert live.page.evaluate("viewer.marks(0).boxes.length") > 5
+    credentials = Path(live.run.record()["viewer_credentials"])
+    assert credentials.name == "@viewer"
+    live.ended()
+    assert not credentials.exists(), "keys end with the run"
+    alone = launch(*words, "--runtime", "inproc")
+    assert alone.end()[0] == 0
+    difference = compare(alone.out, live.run.out, taps=True)
+    assert difference.first is None
+    assert difference.equal > 1000
+
+
+def test_a_router_shows_its_run_without_the_run_folder(launch: Callable[..., Launched], browser: Any) -> None:
+    run = launch("baseline", "--set", "n_infrastructure=1", "--mode", "realtime", "--frames", "400")
+    endpoint = run.until(lambda: run.record().get("endpoint"), "the run has a router")
+    run.until(run.recorded, "frames are played")
+    viewer = subprocess.Popen([*MAST, "view", endpoint], stdout=subprocess.PIPE, text=True)
+    try:
+        assert viewer.stdout is not None
+        url = viewer.stdout.readline().split()[-1]
+        page = browser.new_page()
+        page.goto(url)
+        page.wait_for_selector(".viewer.v-ready", timeout=_TIMEOUT_MS)
+        becomes_true(page, "viewer.state.runs[0].frames >= 5")
+        assert page.evaluate("viewer.marks(0).boxes.length") > 3
+        run.process.send_signal(signal.SIGINT)
+        assert run.end()[0] != 0
+        becomes_true(page, "document.querySelector('.v-live').textContent.includes('has ended')")
+        page.close()
+    finally:
+        viewer.send_signal(signal.SIGINT)
+        assert viewer.wait(20) == 0
+        viewer.stdout.close()
+
+
+@pytest.mark.parametrize(
+    ("target", "code", "message"),
+    [
+        ("tcp/127.0.0.1:1", 26, "nothing answers"),
+        ("udp/127.0.0.1:7447", 10, "expected the folder of a run, or a router"),
+        ("nowhere", 15, "no such folder"),
+    ],
+)
+def test_what_cannot_be_viewed_is_refused(target: str, code: int, message: str, tmp_path: Path) -> None:
+    run = subprocess.run([*MAST, "view", target], capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert message in run.stderr
+    assert run.returncode == code, run.stderr

@@ -1,0 +1,107 @@
+"""Pages of a running run get its newest frames; a page that does not read holds back nothing."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+from collections.abc import Iterator
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from mast_zenoh.report.playback.feed import MOST_PAGES, QUEUED, Feed
+from mast_zenoh.report.playback.live_server import FRAMES, LiveServer
+
+LASTING = {"label": "a run"}
+
+
+@pytest.fixture
+def server() -> Iterator[LiveServer]:
+    with LiveServer("a run", Feed()) as running:
+        yield running
+
+
+def test_a_slow_listener_keeps_the_newest_frames_and_is_told_how_many_it_missed() -> None:
+    feed = Feed()
+    with feed.listener() as listener:
+        assert listener is not None
+        for number in range(10):
+            feed.publish(LASTING, bytes([number]))
+        messages, more = listener.take(1.0)
+    assert more
+    assert json.loads(messages[0]) == {"kind": "lasting", "header": LASTING}
+    assert json.loads(messages[1]) == {"kind": "dropped", "count": 10 - QUEUED}
+    assert messages[2:] == [bytes([number]) for number in range(10 - QUEUED, 10)]
+
+
+def test_a_frame_never_meets_the_header_of_another_one() -> None:
+    feed = Feed()
+    with feed.listener() as listener:
+        assert listener is not None
+        feed.publish(LASTING, b"old")
+        feed.publish({"label": "rewired"}, b"new")
+        messages, _ = listener.take(1.0)
+        assert [json.loads(messages[0])["header"]["label"], messages[1]] == ["rewired", b"new"]
+        feed.publish({"label": "rewired"}, b"newer")
+        assert listener.take(1.0)[0] == [b"newer"], "the header is sent once"
+
+
+def test_a_page_that_opens_late_gets_the_newest_frame_and_the_end() -> None:
+    feed = Feed()
+    feed.publish(LASTING, b"frame")
+    feed.close(reload=True)
+    with feed.listener() as listener:
+        assert listener is not None
+        messages, more = listener.take(1.0)
+    assert not more
+    assert b"frame" in messages
+    assert {"kind": "over", "reload": True} in [json.loads(each) for each in messages if isinstance(each, str)]
+
+
+def test_a_page_that_does_not_read_does_not_stop_the_others(server: LiveServer) -> None:
+    frame = bytes(1 << 20)
+    address = f"ws://127.0.0.1:{server.port}{FRAMES}"
+    with socket.create_connection(("127.0.0.1", server.port)) as stalled:
+        stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+        request = f"GET {FRAMES} HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n{key}\r\n"
+        stalled.sendall(request.encode())
+        assert b"101" in stalled.recv(64)
+        with connect(address, max_size=None) as reading:
+            for number in range(30):  # far more than the buffers of a socket hold
+                server.feed.publish(LASTING, frame + bytes([number]))
+                while (message := reading.recv(timeout=20)) != frame + bytes([number]):
+                    assert isinstance(message, str) or message < frame + bytes([number])
+
+
+def test_other_pages_and_other_hosts_may_not_read_frames(server: LiveServer) -> None:
+    address = f"ws://127.0.0.1:{server.port}{FRAMES}"
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(address, origin="http://attacker.example")  # type: ignore[arg-type]
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    for host, path, status in (
+        ("attacker.example", "/", 403),
+        ("127.0.0.1", "/run.json", 404),
+        ("localhost", "/", 200),
+    ):
+        connection.request("GET", path, headers={"Host": f"{host}:{server.port}"})
+        response = connection.getresponse()
+        response.read()
+        assert response.status == status
+        connection.close()
+        if status == 200:
+            assert "connect-src 'self'" in (response.getheader("Content-Security-Policy") or "")
+
+
+def test_more_pages_than_the_limit_are_refused(server: LiveServer) -> None:
+    address = f"ws://127.0.0.1:{server.port}{FRAMES}"
+    server.feed.publish(LASTING, b"frame")
+    open_pages = [connect(address) for _ in range(MOST_PAGES)]
+    for page in open_pages:
+        page.recv(timeout=20)
+    with connect(address) as refused, pytest.raises(Exception, match="too many pages"):
+        refused.recv(timeout=20)
+    for page in open_pages:
+        page.close()
