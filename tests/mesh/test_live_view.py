@@ -92,11 +92,11 @@ def recorded(folder: Path, number: int, agent: str, estimate: str) -> list[tuple
 
 
 def test_the_page_of_a_running_run_draws_what_is_recorded(show: Callable[..., LiveRun]) -> None:
-    settings = ("--set", "attack_start_s=1.0", "--mode", "realtime", "--frames", "120")
+    settings = ("--set", "attack_start_s=1.0", "--mode", "realtime", "--frames", "150")
     live = show("coordinated", *settings)
     page = live.page
     with connect(f"ws://{live.url.removeprefix('http://')}frames"):  # never reads
-        live.frames(12)
+        live.frames(4)
         becomes_true(page, "viewer.marks(0).effects.length > 0")
         page.keyboard.press(" ")  # stays at this frame
         drawn = page.evaluate(_DRAWN)

@@ -37,6 +37,11 @@ class Listener:
                 self._dropped += 1
             self._changed.notify()
 
+    @property
+    def has_room(self) -> bool:
+        """Whether the page has taken what was sent before."""
+        return len(self._frames) < QUEUED
+
     def close(self, text: str) -> None:
         """End with a last message."""
         with self._changed:
@@ -71,9 +76,9 @@ class Feed:
         self._last_words = ""
 
     @property
-    def has_listeners(self) -> bool:
-        """Whether a page is open."""
-        return bool(self._listeners)
+    def is_wanted(self) -> bool:
+        """Whether a page is open that reads its frames."""
+        return any(listener.has_room for listener in tuple(self._listeners))
 
     @contextmanager
     def listener(self) -> Iterator[Listener | None]:

@@ -22,9 +22,11 @@ from mast_zenoh.viewer.live.observer import Observer
 #: Most frames a second that are measured: more would take processor time that the run may need.
 MOST_FRAMES_PER_S = 12.0
 #: Niceness of the viewer: no frame waits for it.
-_NICENESS = 19
+_NICENESS = 10
 #: s between two looks at what has arrived, and in which a finished run must have its results.
 _POLL_S, _RESULTS_S = 0.03, 60.0
+#: s after which a page that does not read is taken as stopped.
+_PATIENCE_S = 2.0
 
 
 def yield_processors() -> None:
@@ -58,11 +60,14 @@ def show(run: ObservedRun, session: zenoh.Session, server: LiveServer, stop: thr
 
 
 def _follow(observer: Observer, feed: Feed, stop: threading.Event) -> None:
-    """Publish frames until the run is over; without an open page, only keep up with changes of the run."""
+    """Publish frames until the run is over; receives nothing but the clock while no page reads them."""
     blocks = LiveBlocks.of(observer)
-    due = time.monotonic()
+    due = wanted = time.monotonic()
     while not stop.is_set():
-        if not feed.has_listeners:
+        if feed.is_wanted:
+            wanted = time.monotonic()
+        observer.listen(everything=time.monotonic() - wanted < _PATIENCE_S)
+        if not feed.is_wanted:
             observer.keep_up()
         elif time.monotonic() >= due and (frame := observer.advance()) is not None:
             due = time.monotonic() + 1.0 / MOST_FRAMES_PER_S

@@ -22,6 +22,8 @@ from mast_zenoh.viewer.live.wires import WireMeter, WireState
 _BEHIND = 2
 #: s without a clock after which the last frame is taken as whole: the run has paused or ended.
 _SILENCE_S = 0.5
+#: Frames of which parts are missing after a subscription, because a publisher did not know of it yet.
+_SETTLING = 3
 #: s between two questions whether a silent run is over.
 _ASK_S = 2.0
 _MOST_NOTES = 10
@@ -59,6 +61,8 @@ class Observer:
         self._wires = WireMeter(self._reception)
         self._types: dict[str, str] = {}
         self._clock = ""
+        self._listening = True
+        self._settled = False  # whether all publishers know of the subscriptions
         self._last = -1
         self._time_s = 0.0
         self._newest, self._since = -1, time.monotonic()
@@ -99,10 +103,16 @@ class Observer:
             return None
         measured = self.meter.measure(number, self._reception.sent_since(number), self.wiring, self.roles)
         if measured is not None:
-            if self._last >= 0:
-                self.skipped += number - self._last - 1
+            self.skipped += number - self._last - 1
             self._last, self._time_s = number, measured.time_ns * 1e-9
         return measured
+
+    def listen(self, *, everything: bool) -> None:
+        """Receive everything that frames need, or only the clock, which costs the run nothing."""
+        if everything != self._listening:
+            self._listening = everything
+            self._settled = False
+            self._reception.subscribe(self._types if everything else [self._clock])
 
     def keep_up(self) -> None:
         """Follow changes of the run without measuring frames."""
@@ -111,6 +121,9 @@ class Observer:
         newest = self._reception.newest_step(self._clock)
         if newest != self._newest:
             self._newest, self._since = newest, time.monotonic()
+        if not self._settled and newest >= 0:
+            self._settled = True
+            self._last = max(self._last, newest + _SETTLING)
 
     def note(self, sentence: str) -> None:
         """Add to what the page says about the view, once; the latest ten are kept."""
@@ -139,7 +152,7 @@ class Observer:
         """Receive the keys of the current wiring."""
         self._types = self.meter.keys(self.wiring)
         self._clock = self.meter.clock_key(self.wiring)
-        self._reception.subscribe(self._types)
+        self._reception.subscribe(self._types if self._listening else [self._clock])
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]
