@@ -47,7 +47,7 @@ def view(
     remote = "/" in target and target.partition("/")[0] in _PROTOCOLS and not folder.exists()
     if attached:
         _observe(target, run, port, browser, remote=remote)
-    elif remote or (other is None and _is_running(folder)):
+    elif remote or (other is None and _record(folder).get("status") == "running"):
         if other is not None:
             raise ConfigurationError("two runs on one timeline: expected the folders of two finished runs")
         options = [f"--run={run}"] * bool(run) + [f"--port={port}"] + ["--open"] * browser
@@ -116,13 +116,12 @@ def _end(child: subprocess.Popen[bytes]) -> None:
         child.wait()
 
 
-def _is_running(folder: Path) -> bool:
-    """Whether the run in a folder is in progress."""
+def _record(folder: Path) -> dict[str, Any]:
+    """run.json of a run as of now; {}: there is none."""
     from mast_zenoh.launch import folder as run_folder
     from mast_zenoh.launch import liveness
-    from mast_zenoh.launch.ending import RUNNING
 
-    return liveness.current_record(run_folder.json_or_empty(folder / "run.json")).get("status") == RUNNING
+    return liveness.current_record(run_folder.json_or_empty(folder / "run.json"))
 
 
 def _show_finished(folders: list[Path], frame: int | None, port: int, browser: bool) -> None:
@@ -150,7 +149,7 @@ def _observe(target: str, run: str, port: int, browser: bool, *, remote: bool) -
             observed.check_reachable(target)
             session = stack.enter_context(open_client(target))
             running = observed.ObservedRun.of_mesh(session, target, run)
-        title = running.resolved.name if remote else Path(target).name
+        title = running.resolved.name if remote else str(_record(Path(target)).get("name") or target)
         server = stack.enter_context(LiveServer(title, Feed(), port))
         _announce(server, browser)
         live_view.yield_processors()

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
+from mast_zenoh.config.resolved import driver_of
 from mast_zenoh.control import flow, prefix
 from mast_zenoh.errors import MessageError
 from mast_zenoh.runtime.mesh import hosting
@@ -85,8 +86,9 @@ class Observer:
 
     @property
     def down(self) -> list[str]:
-        """Nodes that were there, and are not any more."""
-        return sorted(self._ever_alive - self._alive)
+        """Nodes that were there, and are not any more; none when the run is ending."""
+        down = self._ever_alive - self._alive
+        return [] if driver_of(self.run.resolved.nodes) in down else sorted(down)
 
     @property
     def frame(self) -> int:

@@ -72,17 +72,18 @@ export class LiveFrames {
   /** What this frame adds to the list of events. */
   happened(header, columns) {
     const time = columns.time[0];
-    const events = header.spans.map((span) => ({ kind: span.kind, text: `${span.label} begins`, time: span.from_s }));
+    const [begins, ends] = [{ interception: "" }, { interception: "is removed", fault: "heals" }];
+    const text = (span, words, usual) => `${span.label} ${words[span.kind] ?? usual}`.trim();
+    const events = header.spans.map((span) => ({ kind: span.kind, text: text(span, begins, "begins"), time: span.from_s }));
     for (const span of header.spans) {
-      if (span.until_s < time - 1e-6) events.push({ kind: span.kind, text: `${span.label} ends`, time: span.until_s });
+      if (span.until_s < time - 1e-6) events.push({ kind: span.kind, text: text(span, ends, "ends"), time: span.until_s });
     }
     const { "effects.effect": effect, "effects.by": by } = columns;
     for (let row = 0; row < effect.length; row++) {
       const name = this.lasting.effects[effect[row]];
       const at = name === "removed" ? "before" : "after";
       const [x, y] = ["x", "y"].map((axis) => columns[`effects.${at}_${axis}`][row]);
-      const text = `${header.adversaries[by[row]]}: first object ${name}`;
-      events.push({ kind: "effect", text, time, x, y });
+      events.push({ kind: "effect", text: `${header.adversaries[by[row]]}: first object ${name}`, time, x, y });
     }
     for (const node of header.down) events.push({ kind: "fault", text: `${node} is down`, time });
     return events;

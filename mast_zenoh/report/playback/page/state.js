@@ -31,6 +31,8 @@ export class State extends EventTarget {
     /** @type {"dark" | "light"} */
     this.theme = window.matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
     this.layers = Object.fromEntries(Object.entries(LAYERS).map(([name, [, shown]]) => [name, shown]));
+    /** Whether the panels are as they were at first. */
+    this.untouched = true;
     /** @type {PanelChoice[]} */ this.panels = [];
     this.showPanels(panels);
   }
@@ -67,6 +69,7 @@ export class State extends EventTarget {
 
   /** @param {number} index @param {Partial<PanelChoice>} changes */
   choose(index, changes) {
+    this.untouched = false;
     const panels = this.panels.map((panel, i) => (i === index ? { ...panel, ...changes } : panel));
     const { run, agent, estimate } = panels[index];
     if (!this.runs[run].agentNames.includes(agent)) panels[index].agent = this.runs[run].header.ego;

@@ -116,10 +116,15 @@ export class Viewer {
     const { state } = this;
     const [before] = state.runs;
     const changed = before.header.views.length !== run.header.views.length;
+    if (before.agents !== run.agents) this.colours = ""; // the legend follows the agents
     const happened = before.events.length !== run.events.length;
     state.runs[0] = run;
     state.frame = state.playing ? run.frames - 1 : Math.max(state.frame - dropped, 0);
-    if (changed) this.panels.forEach((panel) => panel.chooseAgain());
+    if (changed && state.untouched) {
+      const count = state.panels.length;
+      state.panels = [];
+      state.showPanels(count);
+    } else if (changed) this.panels.forEach((panel) => panel.chooseAgain());
     if (happened) this.events.fill();
     this.redraw();
   }
