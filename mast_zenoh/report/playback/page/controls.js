@@ -17,7 +17,7 @@ export class Controls {
   constructor(state, actions) {
     this.state = state;
     this.actions = actions;
-    const last = state.runs[0].frames - 1;
+    const last = state.timeline.frames - 1;
     this.play = element("button", { type: "button", class: "v-play", onclick: () => state.set({ playing: !state.playing }) });
     this.slider = element("input", {
       type: "range", min: 0, max: last, step: 1, value: state.frame, class: "v-slider", "aria-label": "frame",
@@ -78,7 +78,7 @@ export class Controls {
     this.play.textContent = state.playing ? "❚❚" : "▶";
     this.play.setAttribute("aria-label", state.playing ? "pause" : "play");
     this.slider.value = String(state.frame);
-    this.time.textContent = `${state.time.toFixed(1)} s · frame ${state.frame} of ${state.runs[0].frames - 1}`;
+    this.time.textContent = `${state.time.toFixed(1)} s · frame ${state.frame} of ${state.timeline.frames - 1}`;
     this.counts.forEach((button, i) => button.setAttribute("aria-pressed", String(i + 1 === state.panels.length)));
     this.swipe.setAttribute("aria-pressed", String(state.swipe));
     this.follow.value = state.follow;
@@ -100,7 +100,7 @@ export class Controls {
     const actionsByKey = {
       " ": () => state.set({ playing: !state.playing }),
       ArrowLeft: () => this.step(-far), ArrowRight: () => this.step(far),
-      Home: () => this.step(-Infinity), End: () => this.step(state.runs[0].frames),
+      Home: () => this.step(-Infinity), End: () => this.step(state.timeline.frames),
       "+": () => actions.zoom(1.25), "=": () => actions.zoom(1.25), "-": () => actions.zoom(0.8), f: actions.fit,
       1: () => state.showPanels(1), 2: () => state.showPanels(2), 3: () => state.showPanels(3),
       w: () => this.swipe.click(), i: () => state.set({ layers: { ...state.layers, ids: !state.layers.ids } }),

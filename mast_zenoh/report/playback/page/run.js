@@ -4,7 +4,8 @@
  * @typedef {{agent: string, estimate: string, row: number}} View
  * @typedef {{name: string, kind: string, object: number, range_m: number, sector: [number, number],
  *            sectors?: number, camera: any, adversaries: string[]}} Agent
- * @typedef {{label: string, kind: string, from_s: number, until_s: number, nodes: string[]}} Span
+ * @typedef {{label: string, kind: string, from_s: number, until_s: number, nodes: string[], cut?: string[],
+ *            impaired?: string[]}} Span cut, impaired: agents whose link to the command centre is
  * @typedef {{frame: number, kind: string, text: string, x?: number, y?: number}} RunEvent
  */
 
