@@ -19,7 +19,8 @@ export class Charts {
     this.state = state;
     this.canvas = element("canvas", { class: "v-charts", role: "img", "aria-label": "Numbers over time" });
     this.legend = element("p", { class: "v-series" });
-    this.root = element("div", { class: "v-time" }, this.canvas, this.legend);
+    this.now = element("div", { class: "v-cursor" });
+    this.root = element("div", { class: "v-time" }, element("div", { class: "v-plot" }, this.canvas, this.now), this.legend);
     const seek = (event) => {
       const box = this.canvas.getBoundingClientRect();
       const share = (event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
@@ -36,8 +37,18 @@ export class Charts {
     return Math.max(...this.state.runs.map((run) => run.end));
   }
 
-  /** @param {import("./palette.js").Palette} palette */
+  /** Draw if anything but the time has changed, and place the line at the time. @param {import("./palette.js").Palette} palette */
   draw(palette) {
+    const { state, canvas } = this;
+    const grown = state.runs.map((run) => [run.frames, run.spans.length]);
+    const key = JSON.stringify([canvas.clientWidth, window.devicePixelRatio, palette.name, state.panels, grown]);
+    if (key !== this.key) this.drawAll(palette);
+    this.key = key;
+    const share = state.time / this.end;
+    this.now.style.transform = `translateX(${LEFT + share * (canvas.clientWidth - LEFT - RIGHT)}px)`;
+  }
+
+  drawAll(palette) {
     const rows = this.rows(palette);
     const spans = this.spans();
     const lanes = placeInLanes(spans, this.end);
@@ -52,12 +63,7 @@ export class Charts {
     this.drawBands(context, palette, lanes, x, height, width);
     rows.forEach((row, index) => drawRow(context, palette, row, x, head + index * ROW, width));
     drawAxis(context, palette, this.end, x, height - FOOT, width);
-    context.strokeStyle = palette.ink;
-    context.lineWidth = 1.2;
-    context.beginPath();
-    context.moveTo(x(this.state.time), 0);
-    context.lineTo(x(this.state.time), height - FOOT);
-    context.stroke();
+    this.now.style.height = `${height - FOOT}px`;
     this.showLegend(rows);
   }
 

@@ -1,7 +1,7 @@
 // Colours of the picture and of the charts: the paper's key or a colour-blind-safe one, on dark or light ground.
 
 /**
- * @typedef {{outcomes: Record<string, string>, adversary: string, fault: string, states: Record<string, string>,
+ * @typedef {{name: string, outcomes: Record<string, string>, adversary: string, fault: string, states: Record<string, string>,
  *            agent: string, ground: string, building: string, buildingEdge: string, grid: string, faint: string,
  *            ink: string, path: string, sky: string, withheld: string, lines: string[], agents: string[]}} Palette
  */
@@ -63,7 +63,7 @@ const KEYS = {
  * @returns {Palette}
  */
 export function paletteOf(colours, name, theme) {
-  return { ...GROUNDS[theme], ...colours, ...KEYS[name][theme] };
+  return { name: `${name} ${theme}`, ...GROUNDS[theme], ...colours, ...KEYS[name][theme] };
 }
 
 /** @param {string} kind of a span or event @param {Palette} palette */

@@ -96,7 +96,12 @@ export class Panel {
       drawScale(canvas);
     }
     if (this.state.time > run.end) drawEnd({ context, width, palette }, run.end);
-    this.showCounts(marks);
+  }
+
+  /** Say in words what is drawn: after all panels are drawn, because measuring after writing makes the page lay out again. */
+  describe() {
+    if (!this.shown) return;
+    this.showCounts(this.shown.marks);
     this.showTip();
   }
 

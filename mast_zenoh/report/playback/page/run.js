@@ -26,7 +26,6 @@ export class Run {
     this.boxesByFrame = groupByFrame(columns["box.frame"], this.frames);
     this.effectsByFrame = groupByFrame(columns["effects.frame"], this.frames);
     this.withheldByFrame = groupByFrame(columns["withheld.frame"], this.frames);
-    this.matches = expand(columns.matched, columns.match);
     this.sweepStart = sweepStarts(this.agents, this.frames);
   }
 
@@ -34,6 +33,13 @@ export class Run {
   get agentNames() {
     const names = [this.header.ego, ...this.agents.map((agent) => agent.name)];
     return [...new Set([...names, ...this.header.views.map((/** @type {View} */ view) => view.agent)])].filter(Boolean);
+  }
+
+  /** @returns {Int32Array} id of the object that a box follows in each view, -1: none; made when it is first read */
+  get matches() {
+    const value = expand(this.columns.matched, this.columns.match);
+    Object.defineProperty(this, "matches", { value, writable: true, configurable: true });
+    return value;
   }
 
   /** @param {string} agent @returns {string[]} estimates of an agent, the truth last */

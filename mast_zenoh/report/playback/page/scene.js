@@ -9,8 +9,30 @@ import { faded } from "./palette.js";
  *            layers: Record<string, boolean>, run: import("./run.js").Run}} Canvas
  */
 
-/** @param {Canvas} canvas */
+/** @type {WeakMap<import("./run.js").Run, {key: string, image: HTMLCanvasElement}>} */
+const groundsByRun = new WeakMap();
+
+/** What does not change from frame to frame; drawn once for each window. @param {Canvas} canvas */
 export function drawGround(canvas) {
+  const { context, width, height, viewport, palette, layers, run } = canvas;
+  const ratio = context.getTransform().a;
+  const key = [width, height, ratio, viewport.x, viewport.y, viewport.half, palette.name, layers.paths, run.rows].join();
+  let ground = groundsByRun.get(run);
+  if (!ground || ground.key !== key) {
+    const image = ground?.image ?? document.createElement("canvas");
+    image.width = context.canvas.width;
+    image.height = context.canvas.height;
+    const own = /** @type {CanvasRenderingContext2D} */ (image.getContext("2d", { willReadFrequently: true }));
+    own.setTransform(ratio, 0, 0, ratio, 0, 0);
+    drawStanding({ ...canvas, context: own });
+    ground = { key, image };
+    groundsByRun.set(run, ground);
+  }
+  context.drawImage(ground.image, 0, 0, width, height);
+}
+
+/** Ground, driven paths, grid and buildings. @param {Canvas} canvas */
+function drawStanding(canvas) {
   const { context, width, height, viewport, palette, layers, run } = canvas;
   context.fillStyle = palette.ground;
   context.fillRect(0, 0, width, height);

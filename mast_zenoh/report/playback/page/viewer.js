@@ -123,12 +123,12 @@ export class Viewer {
     const followed = agentMarks(state.runs[0], state.frameOf(0)).find((agent) => agent.name === state.follow);
     if (followed) [this.viewport.x, this.viewport.y] = [followed.x, followed.y];
     const palette = this.palette();
-    const colours = JSON.stringify(palette);
-    if (this.colours !== colours) this.legend.replaceChildren(...legendOf(palette, state.runs));
-    this.colours = colours;
+    if (this.colours !== palette.name) this.legend.replaceChildren(...legendOf(palette, state.runs));
+    this.colours = palette.name;
     for (const panel of this.panels) panel.draw(palette);
-    this.swipe.handle.style.top = `${this.panels[0].stage.offsetTop}px`;
+    if (state.swipe) this.swipe.handle.style.top = `${this.panels[0].stage.offsetTop}px`;
     this.charts.draw(palette);
+    for (const panel of this.panels) panel.describe();
     this.controls.update();
     this.events.mark();
   }
