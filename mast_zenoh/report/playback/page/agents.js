@@ -24,8 +24,10 @@ export function troubleOf(mark) {
  */
 export function drawAgents(canvas, agents, taken) {
   const { viewport, width, height } = canvas;
+  const signs = agents.map((mark) => viewport.toScreen(mark.x, mark.y, width, height));
+  for (const [x, y] of signs) taken.push([x - 12, y - 12, x + 12, y + 12]);
   for (const mark of agents) {
-    const [x, y] = viewport.toScreen(mark.x, mark.y, width, height);
+    const [x, y] = signs[mark.index];
     if (x < -20 || y < -20 || x > width + 20 || y > height + 20) continue;
     const colour = drawAgentSign(canvas, mark, x, y);
     const trouble = troubleOf(mark);
@@ -74,7 +76,7 @@ export function drawAgentSign({ context, palette }, mark, x, y) {
 function behindOf(x, y, heading) {
   return (wide, high) => {
     const behind = [Math.cos(heading) > 0 ? -wide - 15 : 15, Math.sin(heading) > 0 ? 8 : -high - 8];
-    const places = [behind, [15, -high - 4], [15, 6], [-wide - 15, -high - 4], [-wide - 15, 6], [-wide / 2, 16]];
+    const places = [behind, [15, -high - 4], [15, 6], [-wide - 15, -high - 4], [-wide - 15, 6], [-wide / 2, 16], [-wide / 2, -high - 16]];
     return places.map(([dx, dy]) => [x + dx, y + dy]);
   };
 }

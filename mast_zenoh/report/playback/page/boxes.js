@@ -10,6 +10,8 @@ import { line } from "./scene.js";
 const DRAWN_M = 1.4;
 /** s, of motion that a velocity arrow stands for. */
 const AHEAD_S = 1;
+/** px: labels may cover boxes larger than this. */
+const LARGE = 90;
 /** Frames that a trail goes back. */
 export const TRAIL_FRAMES = 25;
 
@@ -24,7 +26,7 @@ export function outcomeOf(box) {
  * @param {import("./scene.js").Canvas} canvas
  * @param {import("./marks.js").Marks} marks
  * @param {import("./marks.js").BoxMark | null} chosen the box under the pointer
- * @param {number[][]} taken by labels; those of the boxes are added
+ * @param {number[][]} taken by what labels must not cover; the boxes are added
  */
 export function drawBoxes(canvas, marks, chosen, taken) {
   const { layers, palette } = canvas;
@@ -34,8 +36,22 @@ export function drawBoxes(canvas, marks, chosen, taken) {
   for (const box of marks.withheld) drawWithheld(canvas, box);
   for (const box of ordered) drawBox(canvas, box, box.row === chosen?.row);
   if (layers.velocity) for (const box of ordered) drawVelocity(canvas, box);
-  if (layers.ids) for (const box of [...ordered].reverse()) drawId(canvas, box, taken);
+  for (const box of ordered) {
+    const bounds = screenBoundsOf(canvas, box);
+    if (bounds[2] - bounds[0] < LARGE && bounds[3] - bounds[1] < LARGE) taken.push(bounds);
+  }
   if (layers.manipulations) for (const effect of marks.effects) drawEffect(canvas, effect, palette.adversary);
+}
+
+/**
+ * Write the ids of boxes, errors first, where there is room.
+ * @param {import("./scene.js").Canvas} canvas
+ * @param {import("./marks.js").Marks} marks
+ * @param {number[][]} taken by boxes, signs and labels
+ */
+export function drawIds(canvas, marks, taken) {
+  const rank = (box) => -OUTCOMES.indexOf(outcomeOf(box));
+  for (const box of [...marks.boxes].sort((a, b) => rank(a) - rank(b))) drawId(canvas, box, taken);
 }
 
 /** @param {{x: number, y: number, l: number, w: number, yaw: number}} box @returns {number[][]} its corners, m */
@@ -43,6 +59,11 @@ export function cornersOf(box) {
   const [l, w] = [Math.max(box.l, DRAWN_M) / 2, Math.max(box.w, DRAWN_M) / 2];
   const [cos, sin] = [Math.cos(box.yaw), Math.sin(box.yaw)];
   return [[l, w], [l, -w], [-l, -w], [-l, w]].map(([a, b]) => [box.x + a * cos - b * sin, box.y + a * sin + b * cos]);
+}
+
+/** @returns {number[]} px: left, top, right, bottom */
+function screenBoundsOf({ viewport, width, height }, box) {
+  return boundsOf(cornersOf(box).map(([x, y]) => viewport.toScreen(x, y, width, height)));
 }
 
 function drawBox(canvas, box, chosen) {
@@ -151,10 +172,9 @@ function drawWithheld(canvas, box) {
 
 /** Beside the box, so that it does not hide it. */
 function drawId(canvas, box, taken) {
-  const { viewport, width, height, palette } = canvas;
+  const { width, height, palette } = canvas;
   if (box.kind === "truth" && box.outcome === "matched") return; // the track that matches it has its own
-  const corners = cornersOf(box).map(([x, y]) => viewport.toScreen(x, y, width, height));
-  const bounds = boundsOf(corners);
+  const bounds = screenBoundsOf(canvas, box);
   if (bounds[2] < 0 || bounds[3] < 0 || bounds[0] > width || bounds[1] > height) return;
   writeLabel(canvas, [String(box.id)], around(bounds), palette.outcomes[outcomeOf(box)], taken, { font: "11px system-ui, sans-serif" });
 }

@@ -151,19 +151,19 @@ function drawEffectSign(canvas, { effect, from, to, line, size }) {
     context.strokeStyle = palette.adversary;
     context.lineWidth = 1.8;
     tracePath(canvas, line, false);
+    const [[fromX, fromY], [x, y]] = line.map((each) => window.toScreen(each[0], each[1], width, height));
+    const bearing = Math.atan2(y - fromY, x - fromX);
+    for (const side of [2.6, -2.6]) {
+      context.moveTo(x, y);
+      context.lineTo(x + 7 * Math.cos(bearing + side), y + 7 * Math.sin(bearing + side));
+    }
     context.stroke();
   }
-  if (!at) return;
+  if (!at || effect === "moved") return;
   const [x, y] = window.toScreen(at[0], at[1], width, height);
   const half = Math.min(Math.max(9, size * window.scale(width, height)), 160);
   if (effect === "inserted") drawDiamond(context, x, y, half, palette.adversary);
-  else if (effect === "removed") cross(context, x, y, 15, palette.adversary);
-  else {
-    context.fillStyle = palette.adversary;
-    context.beginPath();
-    context.arc(x, y, 3.5, 0, 7);
-    context.fill();
-  }
+  else cross(context, x, y, 15, palette.adversary);
 }
 
 /** Other agents: a sign over the vehicle, or on top of the pole, and a label beside it. */

@@ -93,13 +93,13 @@ function drawGroundRange(canvas, view, mark, frame) {
   const agent = run.agents[mark.index];
   const colour = colourOfAgent(mark, palette);
   const emphasis = mark.name === view.agent ? 2 : 1;
-  if (layers.space && !mark.down) {
+  if (layers.space && !mark.down && mark.name === view.agent) { // of others it would cover the whole ground
     const swept = run.swept(mark.index, frame);
     const places = sectorOf(mark, agent.sector, swept).map((place) => [...place, view.ground_m]);
     const polygon = swept.length ? view.lens.polygon(places) : [];
     if (polygon.length > 2) {
       tracePath(canvas, polygon, true);
-      context.fillStyle = faded(colour, 0.045 * emphasis);
+      context.fillStyle = faded(colour, 0.09);
       context.fill();
     }
   }

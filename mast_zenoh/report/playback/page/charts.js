@@ -45,7 +45,7 @@ export class Charts {
     if (key !== this.key) this.drawAll(palette);
     this.key = key;
     const share = state.time / this.end;
-    this.now.style.transform = `translateX(${LEFT + share * (canvas.clientWidth - LEFT - RIGHT)}px)`;
+    this.now.style.transform = `translateX(${Math.round(LEFT + share * (canvas.clientWidth - LEFT - RIGHT))}px)`;
   }
 
   drawAll(palette) {
@@ -53,7 +53,7 @@ export class Charts {
     const spans = this.spans();
     const lanes = placeInLanes(spans, this.end);
     const head = lanes.length ? lanes.length * LANE + 8 : 4;
-    this.canvas.style.height = `${head + rows.length * ROW + FOOT}px`;
+    this.canvas.style.height = `${head + rows.length * ROW + FOOT + 2}px`; // with its border
     const { context, width, height } = fitted(this.canvas);
     const x = (seconds) => LEFT + (seconds / this.end) * (width - LEFT - RIGHT);
     context.fillStyle = palette.ground;
@@ -98,7 +98,8 @@ export class Charts {
       const values = estimate === TRUTH ? null : state.runs[run].series(agent, estimate, measure);
       if (!values) return [];
       const label = state.runs[run].header.estimates[estimate] ?? estimate;
-      const of = label.includes("ego") && agent === state.runs[run].header.ego ? label : `${agent}: ${label}`;
+      const short = label.replace("ego alone", "own tracks").replace("alone, as", "own tracks as").replace("ego with", "with");
+      const of = label.includes("ego") && agent === state.runs[run].header.ego ? label : `${agent}: ${short}`;
       const name = state.runs.length > 1 ? `${state.runs[run].header.name}, ${of}` : of;
       const scored = state.runs[run].header.scored ?? [0, values.length - 1];
       return [{ values, times: state.runs[run].times, colour: palette.lines[index], dash: DASHES[index], name, scored }];

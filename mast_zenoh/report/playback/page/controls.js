@@ -6,7 +6,7 @@ import { LAYERS } from "./state.js";
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const HELP = [
   ["space", "play or pause"], ["← →", "one frame back or on"], ["shift ← →", "ten frames"], ["home, end", "first, last frame"],
-  ["+ −", "zoom"], ["f", "fit"], ["1 2 3", "number of panels"], ["w", "swipe"], ["i", "ids"], ["drag, wheel", "pan, zoom"],
+  ["+ −", "zoom"], ["f", "fit"], ["1 2 3", "number of panels"], ["w", "swipe"], ["c", "camera in the first panel"], ["i", "ids"], ["drag, wheel", "pan, zoom"],
 ];
 
 export class Controls {
@@ -103,6 +103,7 @@ export class Controls {
       Home: () => this.step(-Infinity), End: () => this.step(state.timeline.frames),
       "+": () => actions.zoom(1.25), "=": () => actions.zoom(1.25), "-": () => actions.zoom(0.8), f: actions.fit,
       1: () => state.showPanels(1), 2: () => state.showPanels(2), 3: () => state.showPanels(3),
+      c: () => state.choose(0, { eye: state.panels[0].eye === "camera" ? "above" : "camera" }),
       w: () => this.swipe.click(), i: () => state.set({ layers: { ...state.layers, ids: !state.layers.ids } }),
     };
     const action = actionsByKey[event.key];

@@ -90,6 +90,7 @@ export function drawCentre(canvas, { x, y, links }, taken) {
   const { context, viewport, width, height, palette } = canvas;
   if (!links.length) return;
   const [px, py] = viewport.toScreen(x, y, width, height);
+  taken.push([px - 7, py - 7, px + 7, py + 7]);
   context.fillStyle = faded(palette.ground, 0.8);
   context.strokeStyle = palette.faint;
   context.lineWidth = 1.6;

@@ -1,7 +1,7 @@
 // One panel: the choice of run, agent and estimate, the picture, and what is under the pointer.
 
 import { drawAgents } from "./agents.js";
-import { drawBoxes } from "./boxes.js";
+import { drawBoxes, drawIds } from "./boxes.js";
 import { drawCamera, hitSolid } from "./camera.js";
 import { CameraWindow, screenBounds } from "./camerawindow.js";
 import { choice, element, fitted } from "./elements.js";
@@ -68,7 +68,7 @@ export class Panel {
       ...(runs.length > 1 ? [choice("run", runs, String(run), set("run"))] : []),
       choice("agent", this.run.agentNames.map((name) => [name, name]), agent, set("agent")),
       choice("estimate", this.run.estimatesOf(agent).map((name) => [name, wording(labels[name])]), estimate, set("estimate")),
-      choice("seen from", [["above", "from above"], ["camera", "camera"]], eye ?? "above", set("eye")),
+      choice("seen from", this.run.agents.some((each) => each.name === agent) ? [["above", "from above"], ["camera", "camera"]] : [["above", "from above"]], eye ?? "above", set("eye")),
     );
   }
 
@@ -80,6 +80,7 @@ export class Panel {
     const { run, viewport } = this;
     const { layers } = this.state;
     this.shown = { marks, width, height };
+    this.root.classList.toggle("v-camera", Boolean(marks.camera));
     this.chosen = this.chosen && (marks.boxes.find((box) => box.id === this.chosen?.id && box.kind === this.chosen?.kind) ?? null);
     if (marks.camera) {
       const canvas = { context, width, height, palette, layers, run, window: /** @type {CameraWindow} */ (this.window) };
@@ -91,8 +92,9 @@ export class Panel {
       if (layers.links) drawLinks(canvas, marks.links);
       drawSensors(canvas, marks.agents, marks.frame, this.choice.agent);
       drawBoxes(canvas, marks, this.chosen, taken);
-      drawAgents(canvas, marks.agents, taken);
       if (layers.links) drawCentre(canvas, marks.links, taken);
+      drawAgents(canvas, marks.agents, taken);
+      if (layers.ids) drawIds(canvas, marks, taken);
       drawScale(canvas);
     }
     if (this.state.time > run.end) drawEnd({ context, width, palette }, run.end);
