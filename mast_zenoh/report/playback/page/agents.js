@@ -72,12 +72,15 @@ export function drawAgentSign({ context, palette }, mark, x, y) {
   return mark.adversaries.length ? palette.adversary : colour;
 }
 
-/** Places for the label of an agent: behind it first, not on its way. */
+/**
+ * Places for the label of an agent: behind it first, not on its way.
+ * @returns {import("./labels.js").Places}
+ */
 function behindOf(x, y, heading) {
   return (wide, high) => {
     const behind = [Math.cos(heading) > 0 ? -wide - 15 : 15, Math.sin(heading) > 0 ? 8 : -high - 8];
     const places = [behind, [15, -high - 4], [15, 6], [-wide - 15, -high - 4], [-wide - 15, 6], [-wide / 2, 16], [-wide / 2, -high - 16]];
-    return places.map(([dx, dy]) => [x + dx, y + dy]);
+    return places.map(([dx, dy]) => /** @type {[number, number]} */ ([x + dx, y + dy]));
   };
 }
 

@@ -2,7 +2,7 @@
 
 import { colourOfAgent } from "./agents.js";
 import { ellipseOf, outcomeOf, TRAIL_FRAMES, velocityOf } from "./boxes.js";
-import { tracePath } from "./camerawindow.js";
+import { addPath, tracePath } from "./camerawindow.js";
 import { trailOf } from "./marks.js";
 import { faded } from "./palette.js";
 import { drivenPaths, sectorOf } from "./scene.js";
@@ -72,19 +72,15 @@ function drawPathStrips(canvas, view) {
   const { context, palette, run } = canvas;
   const [x, y] = view.lens.eye;
   context.fillStyle = palette.path;
-  for (const { places, width } of drivenPaths(run)) {
-    for (let i = 1; i < places.length; i++) {
-      const [[ax, ay], [bx, by]] = [places[i - 1], places[i]];
-      if (Math.hypot(ax - x, ay - y) > GRID_REACH_M) continue;
-      const length = Math.hypot(bx - ax, by - ay) || 1;
-      const [dx, dy] = [(-(by - ay) / length) * (width / 2), ((bx - ax) / length) * (width / 2)];
-      const corners = [[ax + dx, ay + dy], [bx + dx, by + dy], [bx - dx, by - dy], [ax - dx, ay - dy]];
-      const polygon = view.lens.polygon(corners.map((each) => [...each, view.ground_m]));
-      if (polygon.length < 3) continue;
-      tracePath(canvas, polygon, true);
-      context.fill();
+  context.beginPath();
+  for (const { pieces } of drivenPaths(run)) {
+    for (const piece of pieces) {
+      if (Math.hypot(piece[0][0] - x, piece[0][1] - y) > GRID_REACH_M) continue;
+      const polygon = view.lens.polygon(piece.map((each) => [each[0], each[1], view.ground_m]));
+      if (polygon.length > 2) addPath(canvas, polygon, true);
     }
   }
+  context.fill(); // at once: pieces that overlap turn the same way
 }
 
 /** The range of a sensor and the space that it found free, on the ground. */

@@ -57,8 +57,13 @@ export class CameraWindow {
  * @param {number[][]} pixels
  * @param {boolean} closed
  */
-export function tracePath({ context, window, width, height }, pixels, closed) {
-  context.beginPath();
+export function tracePath(canvas, pixels, closed) {
+  canvas.context.beginPath();
+  addPath(canvas, pixels, closed);
+}
+
+/** Add pixels of the image to the current path. */
+export function addPath({ context, window, width, height }, pixels, closed) {
   pixels.forEach(([u, v], index) => {
     const [x, y] = window.toScreen(u, v, width, height);
     if (index) context.lineTo(x, y);

@@ -1,5 +1,7 @@
 // Writes labels beside what they mark, where no other label is.
 
+/** @typedef {(wide: number, high: number) => [number, number][]} Places upper left corners for a label of a size, px */
+
 /** px: height of a line. */
 const LINE = 14;
 
@@ -7,7 +9,7 @@ const LINE = 14;
  * Write lines at the first free place.
  * @param {{context: CanvasRenderingContext2D, width: number, height: number, palette: import("./palette.js").Palette}} canvas
  * @param {string[]} lines
- * @param {(wide: number, high: number) => [number, number][]} places upper left corners to try, the best first
+ * @param {Places} places to try, the best first
  * @param {string} colour
  * @param {number[][]} taken left, top, right and bottom of all labels so far; the new one is added
  * @param {{font?: string, needed?: boolean}} [style] needed: written at the first place even if that is taken
@@ -43,7 +45,7 @@ export function writeLabel(canvas, lines, places, colour, taken, { font = "600 1
 /**
  * Places above, below and beside a rectangle.
  * @param {number[]} box left, top, right and bottom
- * @returns {(wide: number, high: number) => [number, number][]}
+ * @returns {Places}
  */
 export function around([left, top, right, bottom]) {
   return (wide, high) => {

@@ -40,7 +40,8 @@ export class Lens {
   /** @param {number[]} place m, in the world @returns {number[]} m ahead, left and up of the camera */
   local(place) {
     const away = [place[0] - this.eye[0], place[1] - this.eye[1], place[2] - this.eye[2]];
-    return this.axes.map((axis) => dot(axis, away));
+    const [ahead, left, up] = this.axes;
+    return [dot(ahead, away), dot(left, away), dot(up, away)];
   }
 
   /** @param {number[]} local m, beyond the near plane @returns {[number, number]} px */
@@ -57,7 +58,9 @@ export class Lens {
 
   /** @param {number[][]} places corners @returns {[number, number][]} px of the part beyond the near plane */
   polygon(places) {
-    return clipPolygon(places.map((place) => this.local(place)), beyondNear).map((local) => this.pixel(local));
+    const locals = places.map((place) => this.local(place));
+    if (locals.every((local) => local[0] < NEAR_M)) return [];
+    return clipPolygon(locals, beyondNear).map((local) => this.pixel(local));
   }
 
   /** @param {number[]} from @param {number[]} to @returns {[number, number][] | null} px */
@@ -72,7 +75,7 @@ export class Lens {
    */
   belowHorizon(polygon) {
     const [ahead, left, up] = this.axes.map((axis) => axis[2]);
-    const rise = ([u, v]) => ahead * this.focal - left * (u - this.width / 2) - up * (v - this.height / 2);
+    const rise = (/** @type {number[]} */ [u, v]) => ahead * this.focal - left * (u - this.width / 2) - up * (v - this.height / 2);
     return /** @type {[number, number][]} */ (clipPolygon(polygon, (pixel) => -rise(pixel)));
   }
 }

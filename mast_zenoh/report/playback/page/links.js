@@ -48,6 +48,7 @@ export function drawLinks({ context, viewport, width, height, palette }, { x, y,
     const agent = viewport.toScreen(link.x, link.y, width, height);
     const length = Math.hypot(agent[0] - hub[0], agent[1] - hub[1]);
     if (length < 24) continue;
+    /** @returns {[number, number]} */
     const at = (share) => [hub[0] + share * (agent[0] - hub[0]), hub[1] + share * (agent[1] - hub[1])];
     const ends = [10 / length, 1 - 14 / length]; // beside both signs
     const cut = link.state === "cut";
@@ -102,6 +103,7 @@ export function drawCentre(canvas, { x, y, links }, taken) {
   context.lineTo(px, py + 2.5);
   context.fill();
   context.stroke();
+  /** @type {import("./labels.js").Places} */
   const places = (wide, high) => [[px + 10, py + 4], [px + 10, py - high - 4], [px - wide - 10, py + 4], [px - wide - 10, py - high - 4]];
   writeLabel(canvas, ["command centre"], places, palette.faint, taken, { font: "11px system-ui, sans-serif" });
 }

@@ -55,14 +55,14 @@ function boxMarks(run, frame, agent, estimate) {
   const rows = run.boxesByFrame[frame];
   const truthRow = new Map();
   for (const row of rows) if (columns["box.truth"][row]) truthRow.set(columns["box.id"][row], row);
-  const marks = [];
+  /** @type {BoxMark[]} */ const marks = [];
   for (const row of rows) {
     const truth = columns["box.truth"][row] === 1;
     const code = view < 0 ? 0 : columns.code[view * run.rows + row];
     if (!code && !(estimate === TRUTH && truth)) continue;
     const [outcome, cause, by] = code ? run.header.meanings[code - 1] : ["scene", "", ""];
     const match = view < 0 ? -1 : run.matches[view * run.rows + row];
-    const mark = { row, kind: truth ? "truth" : "track", outcome, cause, by, match, id: columns["box.id"][row] };
+    const mark = /** @type {any} */ ({ row, kind: truth ? "truth" : "track", outcome, cause, by, match, id: columns["box.id"][row] });
     for (const name of BOX_COLUMNS) mark[name] = columns[`box.${name}`][row];
     mark.known = columns["box.known"][row] === 1;
     mark.class = run.header.classes[columns["box.kind"][row]];
@@ -119,8 +119,9 @@ export function agentMarks(run, frame) {
 
 /** @returns {WithheldMark[]} */
 function withheldMarks(run, frame) {
-  return [...run.withheldByFrame[frame]].map((row) =>
-    Object.fromEntries(["id", "x", "y", "z", "l", "w", "h", "yaw"].map((name) => [name, run.columns[`withheld.${name}`][row]])),
+  const names = ["id", "x", "y", "z", "l", "w", "h", "yaw"];
+  return [...run.withheldByFrame[frame]].map(
+    (row) => /** @type {any} */ (Object.fromEntries(names.map((name) => [name, run.columns[`withheld.${name}`][row]]))),
   );
 }
 

@@ -51,7 +51,7 @@ export class Panel {
     return marks;
   }
 
-  /** What dragging and zooming move. @returns {Viewport | CameraWindow} */
+  /** What dragging and zooming move. @returns {import("./viewport.js").Viewport | CameraWindow} */
   get window() {
     const camera = this.choice.eye === "camera" && this.run.agents.find((agent) => agent.name === this.choice.agent)?.camera;
     return camera ? new CameraWindow(this.state.lens, camera) : this.viewport;
@@ -83,7 +83,7 @@ export class Panel {
     this.root.classList.toggle("v-camera", Boolean(marks.camera));
     this.chosen = this.chosen && (marks.boxes.find((box) => box.id === this.chosen?.id && box.kind === this.chosen?.kind) ?? null);
     if (marks.camera) {
-      const canvas = { context, width, height, palette, layers, run, window: /** @type {CameraWindow} */ (this.window) };
+      const canvas = { context, width, height, palette, layers, run, window: this.image };
       drawCamera(canvas, marks, marks.camera, this.chosen);
     } else {
       const canvas = { context, width, height, viewport, palette, layers, run };
@@ -132,12 +132,17 @@ export class Panel {
     this.tip.style.top = `${Math.min(Math.max(top, 4), Math.max(height - this.tip.offsetHeight - 4, 4))}px`;
   }
 
+  /** The part of the camera's image that is shown. @returns {CameraWindow} */
+  get image() {
+    return /** @type {CameraWindow} */ (this.window);
+  }
+
   /** Where a box is in the picture. @returns {[number, number]} px */
   placeOf(box) {
     const { marks, width, height } = /** @type {any} */ (this.shown);
     if (!marks.camera) return this.viewport.toScreen(box.x, box.y, width, height);
     const solid = marks.camera.boxes.find((each) => each.row === box.row);
-    const [left, top, right, bottom] = screenBounds(this.window, solid?.bounds ?? [0, 0, 0, 0], width, height);
+    const [left, top, right, bottom] = screenBounds(this.image, solid?.bounds ?? [0, 0, 0, 0], width, height);
     return [(Math.max(left, 0) + Math.min(right, width)) / 2, (Math.max(top, 0) + Math.min(bottom, height)) / 2];
   }
 
@@ -145,7 +150,7 @@ export class Panel {
   boxAt(x, y) {
     const { marks, width, height } = this.shown ?? {};
     if (!marks) return null;
-    return marks.camera ? (hitSolid(marks.camera, this.window, x, y, width, height)?.box ?? null) : hit(marks, this.viewport, x, y, width, height);
+    return marks.camera ? (hitSolid(marks.camera, this.image, x, y, width, height)?.box ?? null) : hit(marks, this.viewport, x, y, width, height);
   }
 
   listen() {

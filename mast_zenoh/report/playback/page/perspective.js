@@ -16,7 +16,10 @@ import { Lens } from "./lens.js";
  *            walls: Wall[], agents: AgentSign[], effects: EffectSign[], withheld: Face[][]}} CameraMarks
  */
 
-/** Faces of a box by the signs of their corners along its length, width and height; the last two: axis and sign. */
+/**
+ * Faces of a box by the signs of their corners along its length, width and height; the last two: axis and sign.
+ * @type {[string, number[][], number, number][]}
+ */
 const FACES = [
   ["front", [[1, 1, -1], [1, -1, -1], [1, -1, 1], [1, 1, 1]], 0, 1],
   ["back", [[-1, 1, -1], [-1, -1, -1], [-1, -1, 1], [-1, 1, 1]], 0, -1],

@@ -91,13 +91,15 @@ function drawPaths(canvas) {
   context.restore();
 }
 
-/** @type {WeakMap<import("./run.js").Run, {rows: number, paths: {places: number[][], width: number}[]}>} */
+/** @typedef {{places: number[][], width: number, pieces: number[][][]}} DrivenPath m; pieces: corners of its parts */
+
+/** @type {WeakMap<import("./run.js").Run, {rows: number, paths: DrivenPath[]}>} */
 const pathsByRun = new WeakMap();
 
 /**
  * The paths that objects take during the whole run: where the roads are.
  * @param {import("./run.js").Run} run
- * @returns {{places: number[][], width: number}[]} m
+ * @returns {DrivenPath[]}
  */
 export function drivenPaths(run) {
   const known = pathsByRun.get(run);
@@ -112,11 +114,22 @@ export function drivenPaths(run) {
       const last = places[places.length - 1];
       if (!last || row === end - 1 || Math.hypot(x[row] - last[0], y[row] - last[1]) > 2) places.push([x[row], y[row]]);
     }
-    paths.push({ places, width: w[start] + 0.8 });
+    const width = w[start] + 0.8;
+    paths.push({ places, width, pieces: piecesOf(places, width / 2) });
     start = end;
   }
   pathsByRun.set(run, { rows: run.rows, paths });
   return paths;
+}
+
+/** Rectangles along a line, all of them counter-clockwise. @param {number[][]} places @param {number} half m, of their width */
+function piecesOf(places, half) {
+  return places.slice(1).map(([bx, by], index) => {
+    const [ax, ay] = places[index];
+    const share = half / (Math.hypot(bx - ax, by - ay) || 1);
+    const [dx, dy] = [(by - ay) * share, (ax - bx) * share];
+    return [[ax + dx, ay + dy], [bx + dx, by + dy], [bx - dx, by - dy], [ax - dx, ay - dy]];
+  });
 }
 
 /**

@@ -4,7 +4,7 @@ import { wholeImage } from "./camerawindow.js";
 
 /** @typedef {{run: number, agent: string, estimate: string, eye?: "above" | "camera"}} PanelChoice eye: from where it is seen */
 
-/** Names of the layers, in the order of their menu, and which are shown at first. */
+/** @type {Record<string, [string, boolean]>} names of the layers, in the order of their menu, and which are shown at first */
 export const LAYERS = {
   ids: ["ids of objects", false],
   trails: ["trails", true],
@@ -35,6 +35,7 @@ export class State extends EventTarget {
     /** @type {"paper" | "safe"} */ this.palette = "paper";
     /** @type {"dark" | "light"} */
     this.theme = window.matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+    /** @type {Record<string, boolean>} */
     this.layers = Object.fromEntries(Object.entries(LAYERS).map(([name, [, shown]]) => [name, shown]));
     /** @type {PanelChoice[]} */ this.panels = [];
     this.showPanels(panels);
