@@ -9,11 +9,14 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.report.figures.camera import Eye
 from mast_zenoh.report.figures.charts import counts_over_time
+from mast_zenoh.report.figures.clipping import clip_polygon
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, render, side_by_side_figure
 from mast_zenoh.report.figures.style import ADVERSARY, OUTCOME_COLOURS, png
 from mast_zenoh.report.figures.view import FrameView, frame_view
@@ -150,20 +153,46 @@ def eye() -> Eye:
 
 def test_lines_are_clipped_at_the_near_plane() -> None:
     ahead, behind, through = [[10, 1, 1], [20, 1, 1]], [[-10, 1, 1], [-20, 1, 1]], [[-10, 1, 1], [10, 1, 1]]
-    drawn = eye().lines(np.array([ahead, behind, through], float))
-    assert drawn.shape == (2, 2, 2)
-    assert np.isfinite(drawn).all()
-    assert drawn[0, 0] == pytest.approx([400 - 40, 300 + 24])
-    assert drawn[1, 1] == pytest.approx([400 - 40, 300 + 24])
+    drawn = [eye().visible(np.array(line, float)) for line in (ahead, behind, through)]
+    assert [len(line) > 0 for line in drawn] == [True, False, True]
+    assert drawn[0][0] == pytest.approx([400 - 40, 300 + 24])
+    assert np.isfinite(drawn[2]).all()
+    assert any(point == pytest.approx([400 - 40, 300 + 24]) for point in drawn[2])
 
 
 def test_faces_are_clipped_at_the_near_plane() -> None:
     wall = np.array([[-5, 3, 0], [15, 3, 0], [15, 3, 8], [-5, 3, 8]], float)
-    face = eye().face(wall)
-    assert face is not None
+    face = eye().visible(wall)
     assert len(face) == 4
     assert np.isfinite(face).all()
-    assert eye().face(wall - [30, 0, 0]) is None
+    assert face[:, 0].max() <= 400, "a wall on the left stays on the left"
+    assert not len(eye().visible(wall - [30, 0, 0]))
+
+
+_PLACE = st.tuples(*[st.floats(-40.0, 40.0)] * 3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(_PLACE, min_size=3, max_size=3, unique=True), st.tuples(*[st.floats(0.05, 1.0)] * 2))
+def test_what_is_clipped_lies_in_front_and_the_rest_is_unchanged(
+    corners: list[tuple[float, ...]], sides: tuple[float, float]
+) -> None:
+    first, second, third = np.array(corners)
+    face = np.array([first, second, third, first + sides[0] * (third - second)])  # plane and convex
+    depth = face[:, 0] - 0.5
+    clipped = clip_polygon(face, depth)
+    if (depth >= 0.0).all():
+        assert clipped is face
+        return
+    assert (clipped[:, 0] >= 0.5 - 1e-9).all()
+    assert len(clipped) <= len(face) + 1
+    assert (len(clipped) > 0) == (depth >= 0.0).any()
+    kept = face[depth >= 0.0]
+    assert all((clipped == corner).all(axis=1).any() for corner in kept)
+    new = clipped[~(clipped[:, None] == face[None]).all(axis=2).any(axis=1)]
+    assert new[:, 0] == pytest.approx(0.5), "new corners lie on the plane"
+    low, high = face.min(axis=0) - 1e-9, face.max(axis=0) + 1e-9
+    assert ((clipped >= low) & (clipped <= high)).all()
 
 
 def test_an_image_is_a_data_uri_with_its_size(clean: FrameView) -> None:

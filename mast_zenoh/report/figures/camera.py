@@ -1,4 +1,4 @@
-"""The ego's camera view: wire-frame boxes, ground and buildings."""
+"""The ego's camera view: boxes as wire frames, ground and buildings."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_rgb, to_rgba
 
-from mast_zenoh.arrays.geometry import box_corners, heading, to_world
+from mast_zenoh.arrays.geometry import along_and_across, box_corners, heading, to_world
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.report.figures.clipping import clip_polygon
 from mast_zenoh.report.figures.style import ADVERSARY, BUILDING, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, dark_axes
-from mast_zenoh.report.figures.view import FrameView
+from mast_zenoh.report.figures.view import Boxes, FrameView
 from mast_zenoh.sensing.camera import Camera
 
 #: Near plane of the camera, m.
@@ -21,8 +22,11 @@ _NEAR = 0.5
 _SELF = 2.5
 _SKY, _ROAD, _LINE = "#1a2230", GROUND, "#242d39"
 
-#: Edges of a box between the corners of `geometry.box_corners`.
-_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
+#: Faces of a box by the corners of `geometry.box_corners`: front, back, left, right, top, bottom.
+_FACES = np.array([(0, 3, 7, 4), (1, 2, 6, 5), (0, 1, 5, 4), (3, 2, 6, 7), (4, 5, 6, 7), (0, 1, 2, 3)])
+_FRONT = 0
+#: Opacity of lines on the far side of a box; of what covers the boxes behind; of the front; of the sides of errors.
+_FAR_SIDE, _COVER, _FRONT_FILL, _ERROR_FILL = 0.35, 0.35, 0.5, 0.25
 #: The strip of the image that is shown, as fractions of its height: without sky and bonnet.
 STRIP = (0.28, 0.72)
 
@@ -42,28 +46,15 @@ class Eye:
         """Pixels (n, 2) and depth (n,) m of world points (n, 3)."""
         return self.camera.project(points, self.position, self.rotation)
 
-    def lines(self, segments: Floats) -> Floats:
-        """(m, 2, 2) px: the parts of world segments (n, 2, 3) in front of the camera."""
-        depth = self.pixels(segments.reshape(-1, 3))[1].reshape(-1, 2)
-        segments, depth = segments[(depth > _NEAR).any(axis=1)], depth[(depth > _NEAR).any(axis=1)]
-        clipped = segments.copy()
-        for end in (0, 1):
-            behind = depth[:, end] < _NEAR
-            fraction = (_NEAR * 1.001 - depth[behind, end]) / (depth[behind, 1 - end] - depth[behind, end])
-            clipped[behind, end] += fraction[:, None] * (segments[behind, 1 - end] - segments[behind, end])
-        return self.pixels(clipped.reshape(-1, 3))[0].reshape(-1, 2, 2)
+    @property
+    def lens(self) -> Floats:
+        """(3,) m, where the camera is."""
+        return np.asarray(to_world(self.camera.mount_position[None], self.position, self.rotation)[0])
 
-    def face(self, corners: Floats) -> Floats | None:
-        """(k, 2) px: part of a convex face (n, 3) m beyond the near plane; None: none."""
+    def visible(self, corners: Floats) -> Floats:
+        """(k, 2) px: the part of a line or convex polygon (n, 3) m beyond the near plane; k = 0: none."""
         depth = self.pixels(corners)[1]
-        visible = []
-        for here, there in zip(range(len(corners)), [*range(1, len(corners)), 0], strict=True):
-            if depth[here] > _NEAR:
-                visible.append(corners[here])
-            if (depth[here] > _NEAR) != (depth[there] > _NEAR):
-                along = (_NEAR * 1.001 - depth[here]) / (depth[there] - depth[here])
-                visible.append(corners[here] + along * (corners[there] - corners[here]))
-        return self.pixels(np.array(visible))[0] if visible else None
+        return self.pixels(clip_polygon(corners, depth - _NEAR))[0]
 
 
 def ego_eye(view: FrameView) -> Eye | None:
@@ -90,13 +81,7 @@ def draw_camera(axes: Axes, view: FrameView, estimator: str, eye: Eye) -> None:
     axes.set_yticks([])
     _draw_ground(axes, eye)
     _draw_buildings(axes, view, eye)
-    for order, (outcome, colour) in enumerate(OUTCOME_COLOURS.items()):
-        boxes = view.boxes[estimator][outcome]
-        away = np.hypot(*(boxes.position - eye.position)[:, :2].T) > _SELF
-        corners = box_corners(boxes.position[away], boxes.size[away], boxes.yaw[away])
-        lines = eye.lines(corners[:, _EDGES].reshape(-1, 2, 3))
-        width = 1.2 if outcome in ("truth matched", "unevaluated") else 1.7
-        axes.add_collection(LineCollection(list(lines), colors=colour, linewidths=width, zorder=3 + 0.1 * order))
+    _draw_boxes(axes, view.boxes[estimator], eye)
     marks = view.marks(estimator)
     for points, marker, size in ((marks.added, "D", 12.0), (marks.removed, "x", 11.0)):
         pixels, depth = eye.pixels(points)
@@ -104,12 +89,49 @@ def draw_camera(axes: Axes, view: FrameView, estimator: str, eye: Eye) -> None:
         axes.plot(*pixels.T, marker, ms=size, mfc="none", mec=ADVERSARY, mew=1.5, zorder=5)
 
 
+def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye) -> None:
+    """Boxes, the farthest first; each covers what is behind it, and its front is filled."""
+    drawn: list[tuple[float, int, str, Floats, Floats]] = []
+    for order, outcome in enumerate(OUTCOME_COLOURS):
+        boxes = by_outcome[outcome]
+        corners = box_corners(boxes.position, boxes.size, boxes.yaw)
+        to_lens = eye.lens - boxes.position
+        horizontal = along_and_across(to_lens, boxes.yaw)
+        eyes = np.column_stack([horizontal, to_lens[:, 2]])
+        # Of the six faces, in the order of _FACES: whether the camera is on their outer side.
+        towards = np.stack([sign * eyes[:, i] > boxes.size[:, i] / 2 for i in range(3) for sign in (1, -1)], axis=1)
+        away = np.hypot(*(boxes.position - eye.position)[:, :2].T) > _SELF
+        distance = np.linalg.norm(to_lens, axis=1)
+        drawn += [(-float(np.rint(distance[i])), order, outcome, corners[i], towards[i]) for i in np.flatnonzero(away)]
+    drawn.sort(key=lambda each: each[:2])
+    polygons, fills, edges, widths = [], [], [], []
+    for _, _, outcome, box, seen in drawn:
+        colour = OUTCOME_COLOURS[outcome]
+        error = outcome in ("truth missed", "track false")
+        for face in np.argsort(seen, kind="stable"):  # the far side first
+            polygon = eye.visible(box[_FACES[face]])
+            if len(polygon) < 3:
+                continue
+            near = bool(seen[face]) or not seen.any()  # all faces of a box around the camera
+            if seen[face]:
+                polygons.append(polygon)
+                fills.append(to_rgba(GROUND, _COVER))
+                edges.append(to_rgba(GROUND, 0.0))
+                widths.append(0.0)
+            filled = _FRONT_FILL if face == _FRONT else _ERROR_FILL if error else 0.0
+            polygons.append(polygon)
+            fills.append(to_rgba(colour, filled if seen[face] else 0.0))
+            edges.append(to_rgba(colour, 1.0 if near else _FAR_SIDE))
+            widths.append((1.2 if outcome in ("truth matched", "unevaluated") else 1.7) * (1.0 if near else 0.6))
+    faces = PolyCollection(polygons, facecolors=fills, edgecolors=edges, linewidths=widths, joinstyle="round", zorder=3)
+    axes.add_collection(faces)
+
+
 def _draw_ground(axes: Axes, eye: Eye) -> None:
     """Sky, road and a grid of 10 m on the plane under the ego."""
     camera, at = eye.camera, eye.position
     turn = heading(eye.rotation @ camera.mount_rotation)
-    lens = to_world(camera.mount_position[None], at, eye.rotation)
-    pixels, _ = eye.pixels(lens + 1e6 * np.array([[np.cos(turn), np.sin(turn), 0.0]]))
+    pixels, _ = eye.pixels(eye.lens[None] + 1e6 * np.array([[np.cos(turn), np.sin(turn), 0.0]]))
     level = float(np.clip(np.nan_to_num(pixels[0, 1]), 0, camera.height))
     axes.axhspan(0, level, color=_SKY, zorder=0)
     axes.axhspan(level, camera.height, color=_ROAD, zorder=0)
@@ -120,7 +142,9 @@ def _draw_ground(axes: Axes, eye: Eye) -> None:
     for step in steps:
         lines.append([[start[0] + step, at[1] - 80, at[2]], [start[0] + step, at[1] + 80, at[2]]])
         lines.append([[at[0] - 80, start[1] + step, at[2]], [at[0] + 80, start[1] + step, at[2]]])
-    axes.add_collection(LineCollection(list(eye.lines(np.array(lines))), colors=_LINE, linewidths=0.7, zorder=1))
+    segments = [eye.visible(np.array(line)) for line in lines]
+    segments = [each for each in segments if len(each) > 1]
+    axes.add_collection(LineCollection(segments, colors=_LINE, linewidths=0.7, zorder=1))
 
 
 def _draw_buildings(axes: Axes, view: FrameView, eye: Eye) -> None:
@@ -134,8 +158,8 @@ def _draw_buildings(axes: Axes, view: FrameView, eye: Eye) -> None:
         for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
             corners = np.array([[ax, ay, ground], [bx, by, ground], [bx, by, top], [ax, ay, top]])
             distance = float(np.hypot(*((corners[0] + corners[1]) / 2 - eye.position)[:2]))
-            face = eye.face(corners) if distance < 200.0 else None
-            if face is not None:
+            face = eye.visible(corners) if distance < 200.0 else np.zeros((0, 2))
+            if len(face) > 2:
                 walls.append((distance, face))
     walls.sort(key=lambda wall: -wall[0])
     near, far = np.array(to_rgb(BUILDING)), np.array(to_rgb(_SKY))

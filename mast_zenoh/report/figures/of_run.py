@@ -54,8 +54,8 @@ class Birdseye(RunFigure):
 
 
 class Camera(RunFigure):
-    """The same frame through the ego's camera (the middle strip of its image). Boxes are drawn through walls and
-    through each other: what the ego's own sensors cannot see, the picture can show.
+    """The same frame through the ego's camera (the middle strip of its image). The front of each box is filled.
+    Boxes are drawn through walls: what the ego's own sensors cannot see, the picture can show.
     """
 
     def draw(self, context: FigureContext) -> Figure | None:

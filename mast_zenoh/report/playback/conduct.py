@@ -19,6 +19,8 @@ from mast_zenoh.report.trust_facts import lie_spans, suspensions
 
 #: Manipulations that have a place, by the number that stands for them.
 EFFECTS = ("inserted", "removed", "moved")
+#: Faults that separate agents from the command centre.
+PARTITIONS = ("Partition", "HostPartition")
 #: Flags of an agent in a frame, above its state (0: not judged, else 1 + the row of STATES).
 DOWN, LYING = 8, 16
 
@@ -101,7 +103,8 @@ def node_absences(run: RunFolder) -> list[tuple[str, float, float]]:
 def spans(run: RunFolder, times: Floats) -> list[dict[str, Any]]:
     """Attacks, faults, interceptions and suspensions as periods.
 
-    Each has label, kind, from_s, until_s (within the run, s) and nodes.
+    Each has label, kind, from_s, until_s (within the run, s) and nodes; faults of links also `cut` or `impaired`, the
+    agents whose link to the command centre is.
     """
     end = float(times[-1]) + run.period_s if len(times) else 0.0
     result: list[dict[str, Any]] = []
@@ -114,7 +117,10 @@ def spans(run: RunFolder, times: Floats) -> list[dict[str, Any]]:
 
     for each in run.timeline:
         kind = "attack" if each["kind"] == "attack" else "fault"
+        before = len(result)
         add(str(each["label"]), kind, float(each["at_s"]), each.get("until_s"), each.get("nodes") or ())
+        if result[before:] and kind == "fault":
+            result[-1] |= _affected_links(run, each)
     for node, start, until in absences(run):
         add(f"{node} lost", "fault", start * run.period_s, until * run.period_s, [node])
     opened: dict[str, dict[str, Any]] = {}
@@ -128,6 +134,20 @@ def spans(run: RunFolder, times: Floats) -> list[dict[str, Any]]:
     for each in suspensions(run):
         add(f"{each['agent']} suspended", "suspension", float(each["from_s"]), each["until_s"], [each["agent"]])
     return sorted(result, key=lambda each: (each["from_s"], each["label"]))
+
+
+def _affected_links(run: RunFolder, fault: dict[str, Any]) -> dict[str, list[str]]:
+    """The agents whose link to the command centre a fault cuts or impairs; {}: none, or a fault of processes."""
+    if fault.get("backend") not in ("links", "network"):
+        return {}
+    agents = list(run.recording.agent_names) if run.recording else list(run.metrics.get("agents", ()))
+    nodes = fault.get("nodes") or ()
+    # A partition of the centre's host separates the agents elsewhere.
+    centre = any(run.role(node) in ("broker", "command_center") for node in nodes)
+    separated = [agent for agent in agents if (agent in nodes) != centre]
+    if not separated:
+        return {}
+    return {"cut" if str(fault.get("type")) in PARTITIONS else "impaired": separated}
 
 
 def second(times: Floats, frame: int) -> float:

@@ -29,10 +29,17 @@ def baseline_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return play("baseline", [], tmp_path_factory.mktemp("runs") / "baseline")
 
 
-def play(name: str, settings: list[str], folder: Path) -> Path:
+@pytest.fixture(scope="session")
+def partitioned_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run, shorter than the others, in which two agents are cut off in its second half."""
+    folder = tmp_path_factory.mktemp("runs") / "partitioned"
+    return play("attack_during_partition", ["partition_s=2.0", "partition_until_s=3.0"], folder, frames=36)
+
+
+def play(name: str, settings: list[str], folder: Path, frames: int = FRAMES) -> Path:
     """Play a shipped scenario in this process."""
     path, loaded = scenario.load(name, settings)
-    resolved = scenario.resolve(path, loaded, frames=FRAMES, record=True)
+    resolved = scenario.resolve(path, loaded, frames=frames, record=True)
     return launcher.run(resolved, folder, runtime="inproc").folder
 
 

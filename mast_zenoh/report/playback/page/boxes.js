@@ -1,15 +1,19 @@
 // Draws the boxes of an estimate, their motion and uncertainty, and what adversaries did to them.
 
+import { cross, drawDiamond } from "./agents.js";
+import { around, boundsOf, writeLabel } from "./labels.js";
 import { trailOf } from "./marks.js";
 import { faded, OUTCOMES } from "./palette.js";
-import { cross, line } from "./scene.js";
+import { line } from "./scene.js";
 
 /** m: smaller boxes are drawn this large, so that pedestrians are visible. */
 const DRAWN_M = 1.4;
 /** s, of motion that a velocity arrow stands for. */
 const AHEAD_S = 1;
+/** px: labels may cover boxes larger than this. */
+const LARGE = 90;
 /** Frames that a trail goes back. */
-const TRAIL = 25;
+export const TRAIL_FRAMES = 25;
 
 /** @param {import("./marks.js").BoxMark} box @returns {string} its key in the palette */
 export function outcomeOf(box) {
@@ -22,8 +26,9 @@ export function outcomeOf(box) {
  * @param {import("./scene.js").Canvas} canvas
  * @param {import("./marks.js").Marks} marks
  * @param {import("./marks.js").BoxMark | null} chosen the box under the pointer
+ * @param {number[][]} taken by what labels must not cover; the boxes are added
  */
-export function drawBoxes(canvas, marks, chosen) {
+export function drawBoxes(canvas, marks, chosen, taken) {
   const { layers, palette } = canvas;
   const ordered = [...marks.boxes].sort((a, b) => OUTCOMES.indexOf(outcomeOf(a)) - OUTCOMES.indexOf(outcomeOf(b)));
   if (layers.trails) for (const box of ordered) drawTrail(canvas, box);
@@ -31,8 +36,22 @@ export function drawBoxes(canvas, marks, chosen) {
   for (const box of marks.withheld) drawWithheld(canvas, box);
   for (const box of ordered) drawBox(canvas, box, box.row === chosen?.row);
   if (layers.velocity) for (const box of ordered) drawVelocity(canvas, box);
-  if (layers.ids) for (const box of ordered) drawId(canvas, box);
+  for (const box of ordered) {
+    const bounds = screenBoundsOf(canvas, box);
+    if (bounds[2] - bounds[0] < LARGE && bounds[3] - bounds[1] < LARGE) taken.push(bounds);
+  }
   if (layers.manipulations) for (const effect of marks.effects) drawEffect(canvas, effect, palette.adversary);
+}
+
+/**
+ * Write the ids of boxes, errors first, where there is room.
+ * @param {import("./scene.js").Canvas} canvas
+ * @param {import("./marks.js").Marks} marks
+ * @param {number[][]} taken by boxes, signs and labels
+ */
+export function drawIds(canvas, marks, taken) {
+  const rank = (box) => -OUTCOMES.indexOf(outcomeOf(box));
+  for (const box of [...marks.boxes].sort((a, b) => rank(a) - rank(b))) drawId(canvas, box, taken);
 }
 
 /** @param {{x: number, y: number, l: number, w: number, yaw: number}} box @returns {number[][]} its corners, m */
@@ -40,6 +59,11 @@ export function cornersOf(box) {
   const [l, w] = [Math.max(box.l, DRAWN_M) / 2, Math.max(box.w, DRAWN_M) / 2];
   const [cos, sin] = [Math.cos(box.yaw), Math.sin(box.yaw)];
   return [[l, w], [l, -w], [-l, -w], [-l, w]].map(([a, b]) => [box.x + a * cos - b * sin, box.y + a * sin + b * cos]);
+}
+
+/** @returns {number[]} px: left, top, right, bottom */
+function screenBoundsOf({ viewport, width, height }, box) {
+  return boundsOf(cornersOf(box).map(([x, y]) => viewport.toScreen(x, y, width, height)));
 }
 
 function drawBox(canvas, box, chosen) {
@@ -71,7 +95,7 @@ function drawBox(canvas, box, chosen) {
 }
 
 function drawTrail(canvas, box) {
-  const places = trailOf(canvas.run, box.row, TRAIL);
+  const places = trailOf(canvas.run, box.row, TRAIL_FRAMES);
   if (places.length < 2) return;
   canvas.context.strokeStyle = faded(canvas.palette.outcomes[outcomeOf(box)], 0.45);
   canvas.context.lineWidth = 1.2;
@@ -80,18 +104,33 @@ function drawTrail(canvas, box) {
   canvas.context.stroke();
 }
 
-/** The region that holds the position with 95 %, as the estimate claims. */
-function drawEllipse(canvas, box) {
-  if (!box.sx || !box.sy) return;
-  const { context, palette } = canvas;
+/**
+ * The region that holds the position with 95 %, as the estimate claims.
+ * @param {import("./marks.js").BoxMark} box
+ * @returns {number[][]} m; empty: exact, or not known
+ */
+export function ellipseOf(box) {
+  if (!box.sx || !box.sy) return [];
   const both = box.rho * box.sx * box.sy;
   const [mean, half] = [(box.sx ** 2 + box.sy ** 2) / 2, Math.hypot((box.sx ** 2 - box.sy ** 2) / 2, both)];
   const turn = Math.atan2(2 * both, box.sx ** 2 - box.sy ** 2) / 2;
   const [long, short] = [mean + half, Math.max(mean - half, 0)].map((value) => 2.448 * Math.sqrt(value));
-  const places = Array.from({ length: 25 }, (_, i) => {
+  return Array.from({ length: 25 }, (_, i) => {
     const [a, b] = [long * Math.cos((i * Math.PI) / 12), short * Math.sin((i * Math.PI) / 12)];
     return [box.x + a * Math.cos(turn) - b * Math.sin(turn), box.y + a * Math.sin(turn) + b * Math.cos(turn)];
   });
+}
+
+/** @param {import("./marks.js").BoxMark} box @returns {number[][]} m, from where to where it moves; empty: it stands */
+export function velocityOf(box) {
+  if (!box.known || Math.hypot(box.vx, box.vy) < 0.3) return [];
+  return [[box.x, box.y], [box.x + box.vx * AHEAD_S, box.y + box.vy * AHEAD_S]];
+}
+
+function drawEllipse(canvas, box) {
+  const places = ellipseOf(box);
+  if (!places.length) return;
+  const { context, palette } = canvas;
   context.strokeStyle = faded(palette.outcomes[outcomeOf(box)], 0.8);
   context.lineWidth = 1;
   context.beginPath();
@@ -100,11 +139,8 @@ function drawEllipse(canvas, box) {
 }
 
 function drawVelocity(canvas, box) {
-  const speed = Math.hypot(box.vx, box.vy);
-  if (!box.known || speed < 0.3) return;
-  const from = [box.x, box.y];
-  const to = [box.x + box.vx * AHEAD_S, box.y + box.vy * AHEAD_S];
-  arrow(canvas, from, to, faded(canvas.palette.outcomes[outcomeOf(box)], 0.9), 1.3);
+  const [from, to] = velocityOf(box);
+  if (from) arrow(canvas, from, to, faded(canvas.palette.outcomes[outcomeOf(box)], 0.9), 1.3);
 }
 
 function arrow(canvas, from, to, colour, width) {
@@ -134,18 +170,13 @@ function drawWithheld(canvas, box) {
   context.setLineDash([]);
 }
 
-function drawId(canvas, box) {
-  const { context, viewport, width, height, palette } = canvas;
+/** Beside the box, so that it does not hide it. */
+function drawId(canvas, box, taken) {
+  const { width, height, palette } = canvas;
   if (box.kind === "truth" && box.outcome === "matched") return; // the track that matches it has its own
-  const [x, y] = viewport.toScreen(box.x, box.y, width, height);
-  const text = String(box.id);
-  context.font = "11px system-ui, sans-serif";
-  context.textBaseline = "bottom";
-  context.lineWidth = 3;
-  context.strokeStyle = palette.ground;
-  context.strokeText(text, x + 6, y - 5);
-  context.fillStyle = palette.outcomes[outcomeOf(box)];
-  context.fillText(text, x + 6, y - 5);
+  const bounds = screenBoundsOf(canvas, box);
+  if (bounds[2] < 0 || bounds[3] < 0 || bounds[0] > width || bounds[1] > height) return;
+  writeLabel(canvas, [String(box.id)], around(bounds), palette.outcomes[outcomeOf(box)], taken, { font: "11px system-ui, sans-serif" });
 }
 
 /** Rings and crosses stand beside or around the box, so that they do not hide it. */
@@ -156,13 +187,7 @@ function drawEffect(canvas, { effect, from, to }, colour) {
   context.lineWidth = 1.8;
   if (effect === "inserted") {
     const size = Math.max(11, 2.6 * viewport.scale(width, height));
-    context.beginPath();
-    context.moveTo(x, y - size);
-    context.lineTo(x + size, y);
-    context.lineTo(x, y + size);
-    context.lineTo(x - size, y);
-    context.closePath();
-    context.stroke();
+    drawDiamond(context, x, y, size, colour);
   } else if (effect === "removed") {
     cross(context, x, y, 15, colour);
   } else {

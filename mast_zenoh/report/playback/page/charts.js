@@ -19,7 +19,8 @@ export class Charts {
     this.state = state;
     this.canvas = element("canvas", { class: "v-charts", role: "img", "aria-label": "Numbers over time" });
     this.legend = element("p", { class: "v-series" });
-    this.root = element("div", { class: "v-time" }, this.canvas, this.legend);
+    this.now = element("div", { class: "v-cursor" });
+    this.root = element("div", { class: "v-time" }, element("div", { class: "v-plot" }, this.canvas, this.now), this.legend);
     const seek = (event) => {
       const box = this.canvas.getBoundingClientRect();
       const share = (event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
@@ -41,13 +42,23 @@ export class Charts {
     return Math.max(...this.state.runs.map((run) => run.end));
   }
 
-  /** @param {import("./palette.js").Palette} palette */
+  /** Draw if anything but the time has changed, and place the line at the time. @param {import("./palette.js").Palette} palette */
   draw(palette) {
+    const { state, canvas } = this;
+    const grown = state.runs.map((run) => [run.end, run.spans.length]);
+    const key = JSON.stringify([canvas.clientWidth, window.devicePixelRatio, palette.name, state.panels, grown]);
+    if (key !== this.key) this.drawAll(palette);
+    this.key = key;
+    const share = (state.time - this.begin) / (this.end - this.begin);
+    this.now.style.transform = `translateX(${Math.round(LEFT + share * (canvas.clientWidth - LEFT - RIGHT))}px)`;
+  }
+
+  drawAll(palette) {
     const rows = this.rows(palette);
     const spans = this.spans();
     const lanes = placeInLanes(spans, this.end - this.begin);
     const head = lanes.length ? lanes.length * LANE + 8 : 4;
-    this.canvas.style.height = `${head + rows.length * ROW + FOOT}px`;
+    this.canvas.style.height = `${head + rows.length * ROW + FOOT + 2}px`; // with its border
     const { context, width, height } = fitted(this.canvas);
     const [begin, end] = [this.begin, this.end];
     const x = (seconds) => LEFT + ((Math.max(seconds, begin) - begin) / (end - begin)) * (width - LEFT - RIGHT);
@@ -58,12 +69,7 @@ export class Charts {
     this.drawBands(context, palette, lanes, x, height, width);
     rows.forEach((row, index) => drawRow(context, palette, row, x, head + index * ROW, width));
     drawAxis(context, palette, begin, end, x, height - FOOT);
-    context.strokeStyle = palette.ink;
-    context.lineWidth = 1.2;
-    context.beginPath();
-    context.moveTo(x(this.state.time), 0);
-    context.lineTo(x(this.state.time), height - FOOT);
-    context.stroke();
+    this.now.style.height = `${height - FOOT}px`;
     this.showLegend(rows);
   }
 
@@ -98,7 +104,8 @@ export class Charts {
       const values = estimate === TRUTH ? null : state.runs[run].series(agent, estimate, measure);
       if (!values) return [];
       const label = state.runs[run].header.estimates[estimate] ?? estimate;
-      const of = label.includes("ego") && agent === state.runs[run].header.ego ? label : `${agent}: ${label}`;
+      const short = label.replace("ego alone", "own tracks").replace("alone, as", "own tracks as").replace("ego with", "with");
+      const of = label.includes("ego") && agent === state.runs[run].header.ego ? label : `${agent}: ${short}`;
       const name = state.runs.length > 1 ? `${state.runs[run].header.name}, ${of}` : of;
       const scored = state.runs[run].header.scored ?? [0, values.length - 1];
       return [{ values, times: state.runs[run].times, colour: palette.lines[index], dash: DASHES[index], name, scored }];

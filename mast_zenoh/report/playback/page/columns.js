@@ -11,7 +11,10 @@
  * @returns {Promise<{header: any, columns: Columns}>}
  */
 export function decodeText(text) {
-  return decodeBlock(Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0)));
+  const letters = atob(text.trim());
+  const packed = new Uint8Array(letters.length);
+  for (let i = 0; i < letters.length; i++) packed[i] = letters.charCodeAt(i);
+  return decodeBlock(packed);
 }
 
 /**
@@ -29,10 +32,20 @@ export async function decodeBlock(packed) {
   const columns = {};
   let at = 4 + length;
   for (const entry of header.columns) {
-    columns[entry.name] = decodeColumn(content, at, entry);
+    decodeWhenRead(columns, content, at, entry);
     at += entry.rows * entry.width;
   }
   return { header, columns };
+}
+
+/** Add a column that is decoded when it is first read: most are not needed for the first picture. */
+function decodeWhenRead(columns, content, at, entry) {
+  const keep = (value) => Object.defineProperty(columns, entry.name, { value, writable: true });
+  const get = () => {
+    keep(decodeColumn(content, at, entry));
+    return columns[entry.name];
+  };
+  Object.defineProperty(columns, entry.name, { get, set: keep, configurable: true, enumerable: true });
 }
 
 /**
@@ -55,5 +68,8 @@ function decodeColumn(content, at, { rows, width, scale, differences }) {
     sum = differences ? sum + step : step;
     values[i] = sum;
   }
-  return scale === 1 ? values : Float64Array.from(values, (value) => value * scale);
+  if (scale === 1) return values;
+  const scaled = new Float64Array(rows);
+  for (let i = 0; i < rows; i++) scaled[i] = values[i] * scale;
+  return scaled;
 }

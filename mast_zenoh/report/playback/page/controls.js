@@ -6,7 +6,7 @@ import { LAYERS } from "./state.js";
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const HELP = [
   ["space", "play or pause"], ["← →", "one frame back or on"], ["shift ← →", "ten frames"], ["home, end", "first, last frame"],
-  ["+ −", "zoom"], ["f", "fit"], ["1 2 3", "number of panels"], ["w", "swipe"], ["i", "ids"], ["drag, wheel", "pan, zoom"],
+  ["+ −", "zoom"], ["f", "fit"], ["1 2 3", "number of panels"], ["w", "swipe"], ["c", "camera in the first panel"], ["i", "ids"], ["drag, wheel", "pan, zoom"],
 ];
 
 export class Controls {
@@ -17,7 +17,7 @@ export class Controls {
   constructor(state, actions) {
     this.state = state;
     this.actions = actions;
-    const last = state.runs[0].frames - 1;
+    const last = state.timeline.frames - 1;
     this.play = element("button", { type: "button", class: "v-play", onclick: () => state.set({ playing: !state.playing }) });
     this.slider = element("input", {
       type: "range", min: 0, max: last, step: 1, value: state.frame, class: "v-slider", "aria-label": "frame",
@@ -80,7 +80,7 @@ export class Controls {
     const { state } = this;
     this.play.textContent = state.playing ? "❚❚" : "▶";
     this.play.setAttribute("aria-label", state.playing ? "pause" : "play");
-    const [run] = state.runs;
+    const run = state.timeline;
     this.slider.max = String(run.frames - 1);
     this.slider.value = String(state.frame);
     const of = run.live ? (state.playing ? ", live" : "") : ` of ${run.frames - 1}`;
@@ -106,9 +106,10 @@ export class Controls {
     const actionsByKey = {
       " ": () => state.set({ playing: !state.playing }),
       ArrowLeft: () => this.step(-far), ArrowRight: () => this.step(far),
-      Home: () => this.step(-Infinity), End: () => this.step(state.runs[0].frames),
+      Home: () => this.step(-Infinity), End: () => this.step(state.timeline.frames),
       "+": () => actions.zoom(1.25), "=": () => actions.zoom(1.25), "-": () => actions.zoom(0.8), f: actions.fit,
       1: () => state.showPanels(1), 2: () => state.showPanels(2), 3: () => state.showPanels(3),
+      c: () => state.choose(0, { eye: state.panels[0].eye === "camera" ? "above" : "camera" }),
       w: () => this.swipe.click(), i: () => state.set({ layers: { ...state.layers, ids: !state.layers.ids } }),
     };
     const action = actionsByKey[event.key];

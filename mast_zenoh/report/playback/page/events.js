@@ -22,6 +22,8 @@ export class EventList {
     const timed = events.map((event) => ({ ...event, time: event.time ?? this.state.runs[event.run].times[event.frame] }));
     timed.sort((a, b) => a.time - b.time);
     this.times = timed.map((event) => event.time);
+    /** How many are marked as past. */
+    this.past = 0;
     const several = runs.length > 1;
     this.list.replaceChildren(
       ...timed.map((event) => {
@@ -40,8 +42,11 @@ export class EventList {
 
   /** Mark the events that have happened. */
   mark() {
-    [...this.list.children].forEach((item, index) => {
-      item.classList.toggle("v-past", (this.times?.[index] ?? Infinity) <= this.state.time + 1e-6);
-    });
+    const later = this.times.findIndex((time) => time > this.state.time + 1e-6);
+    const past = later < 0 ? this.times.length : later;
+    for (let i = Math.min(past, this.past); i < Math.max(past, this.past); i++) {
+      this.list.children[i].classList.toggle("v-past", i < past);
+    }
+    this.past = past;
   }
 }

@@ -43,6 +43,15 @@ export function legendOf(palette, runs) {
       key("moved", `<path d="M2 7H19M14 3L19 7L14 11" fill="none" stroke="${colour}" stroke-width="1.6"/>`),
     );
   }
+  const spans = runs.flatMap((run) => run.spans);
+  if (runs.some((run) => run.agents.length)) signs.push(key("link to the command centre", `<path d="M1 7H21" stroke="${palette.faint}" stroke-width="1.4"/>`));
+  if (spans.some((span) => span.cut?.length)) {
+    signs.push(key("cut by a partition", `<path d="M0 7H7M15 7H22" stroke="${palette.fault}" stroke-width="2" stroke-dasharray="4 2"/>` +
+      `<path d="M8 2V12M14 2V12" stroke="${palette.fault}" stroke-width="2"/>`));
+  }
+  if (spans.some((span) => span.impaired?.length)) {
+    signs.push(key("impaired by a fault", `<path d="M1 7H21" stroke="${palette.fault}" stroke-width="1.8" stroke-dasharray="2 3"/>`));
+  }
   return [...boxes, ...signs];
 }
 

@@ -151,6 +151,7 @@ export class LiveRun extends Run {
     this.meaningRows = new Map([...meanings.keys()].map((key, row) => [key, row + 1]));
     this.live = newest;
     this.driven = frames.paths;
+    this.places = frames.places;
     /** @type {Map<number, any>} */ this.codesByView = new Map();
     this.starts = [];
     parts.reduce((start, part) => {
@@ -196,6 +197,10 @@ export class LiveRun extends Run {
 
   paths() {
     return [...this.driven.values()];
+  }
+
+  get drivenPlaces() {
+    return this.places;
   }
 
   numberOf(frame) {

@@ -1,5 +1,6 @@
 // What a panel draws in a frame, as plain data: tests compare it with the recording.
 
+import { linkMarks } from "./links.js";
 import { TRUTH } from "./run.js";
 
 /**
@@ -10,9 +11,11 @@ import { TRUTH } from "./run.js";
  * @typedef {{effect: string, by: string, from: number[] | null, to: number[] | null}} EffectMark
  * @typedef {{index: number, name: string, kind: string, x: number, y: number, heading: number, state: string,
  *            down: boolean, lying: boolean, cutOff: boolean, adversaries: string[]}} AgentMark
- * @typedef {{id: number, x: number, y: number, l: number, w: number, yaw: number}} WithheldMark
+ * @typedef {{id: number, x: number, y: number, z: number, l: number, w: number, h: number, yaw: number}} WithheldMark
  * @typedef {{frame: number, time_s: number, agent: string, estimate: string, boxes: BoxMark[], effects: EffectMark[],
- *            agents: AgentMark[], withheld: WithheldMark[]}} Marks
+ *            agents: AgentMark[], withheld: WithheldMark[],
+ *            links: import("./links.js").LinkMarks,
+ *            camera?: import("./perspective.js").CameraMarks | null}} Marks
  */
 
 const BOX_COLUMNS = ["x", "y", "z", "l", "w", "h", "yaw", "score", "vx", "vy", "sx", "sy", "rho"];
@@ -31,6 +34,7 @@ const BEHIND = ["mission", "picture_received", "picture_on_arrival"];
  */
 export function marksOf(run, frame, agent, estimate) {
   const whole = !OWN.includes(estimate) && estimate !== TRUTH;
+  const agents = agentMarks(run, frame);
   return {
     frame,
     time_s: run.times[frame],
@@ -38,7 +42,8 @@ export function marksOf(run, frame, agent, estimate) {
     estimate,
     boxes: boxMarks(run, frame, agent, estimate),
     effects: estimate === "local" || estimate === TRUTH ? [] : effectMarks(run, frame, agent, estimate),
-    agents: agentMarks(run, frame),
+    agents,
+    links: linkMarks(run, frame, agents),
     withheld: whole ? withheldMarks(run, frame) : [],
   };
 }
@@ -51,14 +56,14 @@ function boxMarks(run, frame, agent, estimate) {
   const rows = run.boxesByFrame[frame];
   const truthRow = new Map();
   for (const row of rows) if (columns["box.truth"][row]) truthRow.set(columns["box.id"][row], row);
-  const marks = [];
+  /** @type {BoxMark[]} */ const marks = [];
   for (const row of rows) {
     const truth = columns["box.truth"][row] === 1;
     const code = codes ? codes[row] : 0;
     if (!code && !(estimate === TRUTH && truth)) continue;
     const [outcome, cause, by] = code ? run.header.meanings[code - 1] : ["scene", "", ""];
     const match = matches ? matches[row] : -1;
-    const mark = { row, kind: truth ? "truth" : "track", outcome, cause, by, match, id: columns["box.id"][row] };
+    const mark = /** @type {any} */ ({ row, kind: truth ? "truth" : "track", outcome, cause, by, match, id: columns["box.id"][row] });
     for (const name of BOX_COLUMNS) mark[name] = columns[`box.${name}`][row];
     mark.known = columns["box.known"][row] === 1;
     mark.class = run.header.classes[columns["box.kind"][row]];
@@ -93,8 +98,8 @@ function effectMarks(run, frame, agent, estimate) {
 
 /** @returns {AgentMark[]} */
 export function agentMarks(run, frame) {
-  const time = run.times[frame];
-  const cut = run.spans.filter((span) => span.kind === "fault" && span.from_s <= time && time < span.until_s);
+  const time = run.times[frame] + 1e-6; // times are rounded
+  const cut = new Set(run.spans.filter((span) => span.from_s <= time && time < span.until_s).flatMap((span) => span.cut ?? []));
   return run.agents.map((agent, index) => {
     const flags = run.ofAgent("state", index, frame);
     return {
@@ -107,7 +112,7 @@ export function agentMarks(run, frame) {
       state: flags % 8 ? run.header.states[(flags % 8) - 1] : "",
       down: (flags & run.header.flags.down) > 0,
       lying: (flags & run.header.flags.lying) > 0,
-      cutOff: cut.some((span) => span.label.startsWith("Partition") && span.nodes.includes(agent.name)),
+      cutOff: cut.has(agent.name),
       adversaries: agent.adversaries,
     };
   });
@@ -115,8 +120,9 @@ export function agentMarks(run, frame) {
 
 /** @returns {WithheldMark[]} */
 function withheldMarks(run, frame) {
-  return [...run.withheldByFrame[frame]].map((row) =>
-    Object.fromEntries(["id", "x", "y", "l", "w", "yaw"].map((name) => [name, run.columns[`withheld.${name}`][row]])),
+  const names = ["id", "x", "y", "z", "l", "w", "h", "yaw"];
+  return [...run.withheldByFrame[frame]].map(
+    (row) => /** @type {any} */ (Object.fromEntries(names.map((name) => [name, run.columns[`withheld.${name}`][row]]))),
   );
 }
 

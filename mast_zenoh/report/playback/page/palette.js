@@ -1,9 +1,9 @@
 // Colours of the picture and of the charts: the paper's key or a colour-blind-safe one, on dark or light ground.
 
 /**
- * @typedef {{outcomes: Record<string, string>, adversary: string, fault: string, states: Record<string, string>,
+ * @typedef {{name: string, outcomes: Record<string, string>, adversary: string, fault: string, states: Record<string, string>,
  *            agent: string, ground: string, building: string, buildingEdge: string, grid: string, faint: string,
- *            ink: string, path: string, withheld: string, lines: string[], agents: string[]}} Palette
+ *            ink: string, path: string, sky: string, withheld: string, lines: string[], agents: string[]}} Palette
  */
 
 /** Names of outcomes for the legend, in drawing order. */
@@ -12,12 +12,12 @@ export const OUTCOMES = ["unevaluated", "truth matched", "track matched", "truth
 const GROUNDS = {
   dark: {
     ground: "#10141b", building: "#2a313d", buildingEdge: "#465062", grid: "#1d242e", faint: "#9aa7b8",
-    ink: "#e8edf4", path: "#1b222c", withheld: "#c9d2de",
+    ink: "#e8edf4", path: "#1b222c", sky: "#1a2230", withheld: "#c9d2de",
     lines: ["#6db3ff", "#ffb000", "#5fd3a5"], agents: ["#c9d2de", "#8fd3c8", "#c8b0ff", "#d9c48f", "#8f9db3"],
   },
   light: {
     ground: "#fbfcfd", building: "#dfe3ea", buildingEdge: "#b4bcc9", grid: "#e9edf2", faint: "#566070",
-    ink: "#1b1f24", path: "#eef1f5", withheld: "#566070",
+    ink: "#1b1f24", path: "#eef1f5", sky: "#e3ebf5", withheld: "#566070",
     lines: ["#0072b2", "#c05a00", "#00795a"], agents: ["#3d4654", "#1f7a70", "#6a4fc0", "#7d6420", "#8a94a6"],
   },
 };
@@ -63,7 +63,7 @@ const KEYS = {
  * @returns {Palette}
  */
 export function paletteOf(colours, name, theme) {
-  return { ...GROUNDS[theme], ...colours, ...KEYS[name][theme] };
+  return { name: `${name} ${theme}`, ...GROUNDS[theme], ...colours, ...KEYS[name][theme] };
 }
 
 /** @param {string} kind of a span or event @param {Palette} palette */
@@ -75,4 +75,11 @@ export function colourOfKind(kind, palette) {
 /** @param {string} colour #rrggbb @param {number} alpha 0 to 1 */
 export function faded(colour, alpha) {
   return colour + Math.round(alpha * 255).toString(16).padStart(2, "0");
+}
+
+/** @param {string} near #rrggbb @param {string} far @param {number} share of the second, 0 to 1 @returns {string} #rrggbb */
+export function mixed(near, far, share) {
+  const parts = (/** @type {string} */ colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  const [from, to] = [parts(near), parts(far)];
+  return `#${from.map((value, i) => Math.round(value + (to[i] - value) * share).toString(16).padStart(2, "0")).join("")}`;
 }

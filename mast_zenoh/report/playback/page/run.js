@@ -4,7 +4,8 @@
  * @typedef {{agent: string, estimate: string, row: number}} View
  * @typedef {{name: string, kind: string, object: number, range_m: number, sector: [number, number],
  *            sectors?: number, camera: any, adversaries: string[]}} Agent
- * @typedef {{label: string, kind: string, from_s: number, until_s: number, nodes: string[]}} Span
+ * @typedef {{label: string, kind: string, from_s: number, until_s: number, nodes: string[], cut?: string[],
+ *            impaired?: string[]}} Span cut, impaired: agents whose link to the command centre is
  * @typedef {{frame: number, kind: string, text: string, x?: number, y?: number}} RunEvent
  */
 
@@ -29,7 +30,6 @@ export class Run {
     this.boxesByFrame = groupByFrame(columns["box.frame"], this.frames);
     this.effectsByFrame = groupByFrame(columns["effects.frame"], this.frames);
     this.withheldByFrame = groupByFrame(columns["withheld.frame"], this.frames);
-    this.matches = columns.matched ? expand(columns.matched, columns.match) : new Int32Array(0);
     this.sweepStart = sweepStarts(this.agents, this.frames);
   }
 
@@ -37,6 +37,13 @@ export class Run {
   get agentNames() {
     const names = [this.header.ego, ...this.agents.map((agent) => agent.name)];
     return [...new Set([...names, ...this.header.views.map((/** @type {View} */ view) => view.agent)])].filter(Boolean);
+  }
+
+  /** @returns {Int32Array} id of the object that a box follows in each view, -1: none; made when it is first read */
+  get matches() {
+    const value = expand(this.columns.matched, this.columns.match);
+    Object.defineProperty(this, "matches", { value, writable: true, configurable: true });
+    return value;
   }
 
   /** @param {string} agent @returns {string[]} estimates of an agent, the truth last */
@@ -86,6 +93,11 @@ export class Run {
       start = end;
     }
     return this.drivenPaths;
+  }
+
+  /** A number that grows with the paths. */
+  get drivenPlaces() {
+    return this.rows;
   }
 
   /** @param {number} frame @returns {number} its number in the scene */

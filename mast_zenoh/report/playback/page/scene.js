@@ -1,5 +1,6 @@
-// Draws what stands and what sees: ground, buildings, driven paths, sensor ranges, swept space, agents.
+// Draws what stands and what is seen, from above: ground, buildings, driven paths, sensor ranges, swept space.
 
+import { colourOfAgent } from "./agents.js";
 import { faded } from "./palette.js";
 
 /**
@@ -8,8 +9,30 @@ import { faded } from "./palette.js";
  *            layers: Record<string, boolean>, run: import("./run.js").Run}} Canvas
  */
 
-/** @param {Canvas} canvas */
+/** By the list of its buildings, which all versions of a running run share. @type {WeakMap<any, {key: string, image: HTMLCanvasElement}>} */
+const grounds = new WeakMap();
+
+/** What does not change from frame to frame; drawn once for each window. @param {Canvas} canvas */
 export function drawGround(canvas) {
+  const { context, width, height, viewport, palette, layers, run } = canvas;
+  const ratio = context.getTransform().a;
+  const key = [width, height, ratio, viewport.x, viewport.y, viewport.half, palette.name, layers.paths, run.drivenPlaces].join();
+  let ground = grounds.get(run.header.buildings);
+  if (!ground || ground.key !== key) {
+    const image = ground?.image ?? document.createElement("canvas");
+    image.width = context.canvas.width;
+    image.height = context.canvas.height;
+    const own = /** @type {CanvasRenderingContext2D} */ (image.getContext("2d", { willReadFrequently: true }));
+    own.setTransform(ratio, 0, 0, ratio, 0, 0);
+    drawStanding({ ...canvas, context: own });
+    ground = { key, image };
+    grounds.set(run.header.buildings, ground);
+  }
+  context.drawImage(ground.image, 0, 0, width, height);
+}
+
+/** Ground, driven paths, grid and buildings. @param {Canvas} canvas */
+function drawStanding(canvas) {
   const { context, width, height, viewport, palette, layers, run } = canvas;
   context.fillStyle = palette.ground;
   context.fillRect(0, 0, width, height);
@@ -52,20 +75,58 @@ export function line({ context, viewport, width, height }, places) {
   });
 }
 
-/** The paths that objects take during the whole run: where the roads are. @param {Canvas} canvas */
+/** @param {Canvas} canvas */
 function drawPaths(canvas) {
   const { context, palette, run, viewport, width, height } = canvas;
   const scale = viewport.scale(width, height);
   context.save();
   context.strokeStyle = palette.path;
   context.lineCap = context.lineJoin = "round";
-  for (const path of run.paths()) {
-    context.lineWidth = Math.max(1, (path.width + 0.8) * scale);
+  for (const path of drivenPaths(run)) {
+    context.lineWidth = Math.max(1, path.width * scale);
     context.beginPath();
     line(canvas, path.places);
     context.stroke();
   }
   context.restore();
+}
+
+/** @typedef {{places: number[][], width: number, pieces: number[][][]}} DrivenPath m; pieces: corners of its parts */
+
+/** @type {WeakMap<import("./run.js").Run, DrivenPath[]>} */
+const pathsByRun = new WeakMap();
+
+/**
+ * The paths that objects take during the whole run: where the roads are.
+ * @param {import("./run.js").Run} run
+ * @returns {DrivenPath[]}
+ */
+export function drivenPaths(run) {
+  const known = pathsByRun.get(run);
+  if (known) return known;
+  const paths = run.paths().map(({ places, width }) => {
+    /** @type {number[][][] | undefined} */ let pieces;
+    return {
+      places,
+      width: width + 0.8,
+      get pieces() {
+        pieces ??= piecesOf(places, (width + 0.8) / 2);
+        return pieces;
+      },
+    };
+  });
+  pathsByRun.set(run, paths);
+  return paths;
+}
+
+/** Rectangles along a line, all of them counter-clockwise. @param {number[][]} places @param {number} half m, of their width */
+function piecesOf(places, half) {
+  return places.slice(1).map(([bx, by], index) => {
+    const [ax, ay] = places[index];
+    const share = half / (Math.hypot(bx - ax, by - ay) || 1);
+    const [dx, dy] = [(by - ay) * share, (ax - bx) * share];
+    return [[ax + dx, ay + dy], [bx + dx, by + dy], [bx - dx, by - dy], [ax - dx, ay - dy]];
+  });
 }
 
 /**
@@ -100,110 +161,29 @@ export function drawSensors(canvas, agents, frame, chosen) {
   }
 }
 
-/** Make the path of a sensor's field of view. @param {number[]} distances m, of equal sectors */
-function sector(canvas, mark, [from, to], distances) {
-  const places = [];
-  const full = to - from > 6.28;
-  if (!full) places.push([mark.x, mark.y]);
+/** Make the path of a sensor's field of view. */
+function sector(canvas, mark, limits, distances) {
+  canvas.context.beginPath();
+  line(canvas, sectorOf(mark, limits, distances));
+  canvas.context.closePath();
+}
+
+/**
+ * The outline of a sensor's field of view.
+ * @param {import("./marks.js").AgentMark} mark
+ * @param {[number, number]} limits rad, from the heading
+ * @param {number[]} distances m, of equal sectors
+ * @returns {number[][]} m
+ */
+export function sectorOf(mark, [from, to], distances) {
+  const places = to - from > 6.28 ? [] : [[mark.x, mark.y]];
   distances.forEach((distance, index) => {
     for (const edge of [index, index + 1]) {
       const bearing = mark.heading + from + ((to - from) * edge) / distances.length;
       places.push([mark.x + distance * Math.cos(bearing), mark.y + distance * Math.sin(bearing)]);
     }
   });
-  canvas.context.beginPath();
-  line(canvas, places);
-  canvas.context.closePath();
-}
-
-/** @param {import("./marks.js").AgentMark} mark @param {import("./palette.js").Palette} palette */
-export function colourOfAgent(mark, palette) {
-  if (mark.down) return palette.faint;
-  if (mark.state) return palette.states[mark.state];
-  return mark.adversaries.length ? palette.adversary : palette.agent;
-}
-
-/** @param {import("./marks.js").AgentMark} mark @returns {string} what is wrong with it; empty: nothing */
-export function troubleOf(mark) {
-  if (mark.down) return "down";
-  const troubles = mark.state === "faulty" || mark.state === "suspended" ? [mark.state] : [];
-  if (mark.cutOff) troubles.push("cut off");
-  return troubles.join(", ");
-}
-
-/** @param {Canvas} canvas @param {import("./marks.js").AgentMark[]} agents */
-export function drawAgents(canvas, agents) {
-  const { context, viewport, width, height, palette } = canvas;
-  /** @type {number[][]} */ const taken = [];
-  for (const mark of agents) {
-    const [x, y] = viewport.toScreen(mark.x, mark.y, width, height);
-    if (x < -20 || y < -20 || x > width + 20 || y > height + 20) continue;
-    const colour = colourOfAgent(mark, palette);
-    context.strokeStyle = colour;
-    context.fillStyle = colour;
-    context.lineWidth = 2;
-    context.beginPath();
-    if (mark.kind === "static") {
-      context.moveTo(x, y - 7);
-      context.lineTo(x + 6, y + 5);
-      context.lineTo(x - 6, y + 5);
-      context.closePath();
-      context.fill();
-    } else {
-      context.arc(x, y, 6.5, 0, 7);
-      context.stroke();
-    }
-    if (mark.down) cross(context, x, y, 10, palette.ink);
-    if (mark.adversaries.length) {
-      context.strokeStyle = palette.adversary;
-      context.lineWidth = mark.lying ? 2.5 : 1.2;
-      context.setLineDash(mark.lying ? [] : [3, 3]);
-      context.beginPath();
-      context.arc(x, y, 12, 0, 7);
-      context.stroke();
-      context.setLineDash([]);
-    }
-    const trouble = troubleOf(mark);
-    const lines = trouble ? [mark.name, trouble] : [mark.name];
-    label(canvas, lines, x, y, mark.adversaries.length ? palette.adversary : colour, taken, mark.heading);
-  }
-}
-
-/** @param {CanvasRenderingContext2D} context */
-export function cross(context, x, y, size, colour) {
-  context.strokeStyle = colour;
-  context.lineWidth = 2;
-  context.beginPath();
-  context.moveTo(x - size / 2, y - size / 2);
-  context.lineTo(x + size / 2, y + size / 2);
-  context.moveTo(x - size / 2, y + size / 2);
-  context.lineTo(x + size / 2, y - size / 2);
-  context.stroke();
-}
-
-/** Write lines beside a place, where no earlier label is. @param {number[][]} taken left, top, right, bottom */
-function label({ context, width, height, palette }, lines, x, y, colour, taken, heading) {
-  context.font = "600 12px system-ui, sans-serif";
-  context.textBaseline = "top";
-  const wide = Math.max(...lines.map((text) => context.measureText(text).width));
-  const high = 14 * lines.length;
-  const behind = [Math.cos(heading) > 0 ? -wide - 15 : 15, Math.sin(heading) > 0 ? 8 : -high - 8];
-  const places = [behind, [15, -high - 4], [15, 6], [-wide - 15, -high - 4], [-wide - 15, 6], [-wide / 2, 16]];
-  const free = places.find(([dx, dy]) => {
-    const [left, top] = [x + dx, y + dy];
-    const inside = left >= 2 && top >= 2 && left + wide <= width - 2 && top + high <= height - 2;
-    return inside && !taken.some((box) => left < box[2] && box[0] < left + wide && top < box[3] && box[1] < top + high);
-  });
-  const [dx, dy] = free ?? places[1];
-  taken.push([x + dx, y + dy, x + dx + wide, y + dy + high]);
-  context.lineWidth = 3;
-  context.lineJoin = "round";
-  context.strokeStyle = palette.ground;
-  context.fillStyle = colour;
-  lines.forEach((text, index) => {
-    context.strokeText(text, x + dx, y + dy + 14 * index);
-    context.fillText(text, x + dx, y + dy + 14 * index);
-  });
+  return places;
 }
 
 /** The length of a grid cell, at the lower right. @param {Canvas} canvas */

@@ -1,13 +1,16 @@
 // What the viewer shows: one object that everything listens to.
 
-/** @typedef {{run: number, agent: string, estimate: string}} PanelChoice */
+import { wholeImage } from "./camerawindow.js";
 
-/** Names of the layers, in the order of their menu, and which are shown at first. */
+/** @typedef {{run: number, agent: string, estimate: string, eye?: "above" | "camera"}} PanelChoice eye: from where it is seen */
+
+/** @type {Record<string, [string, boolean]>} names of the layers, in the order of their menu, and which are shown at first */
 export const LAYERS = {
   ids: ["ids of objects", false],
   trails: ["trails", true],
   velocity: ["velocity, 1 s ahead", true],
   ellipses: ["uncertainty, 95 %", false],
+  links: ["links to the command centre", true],
   ranges: ["sensor ranges", true],
   space: ["space swept free", true],
   manipulations: ["what adversaries changed", true],
@@ -19,22 +22,32 @@ export class State extends EventTarget {
   constructor(runs, panels) {
     super();
     this.runs = runs;
-    this.frame = Math.min(runs[0].header.frame, runs[0].frames - 1);
+    /** Of the run that the slider follows: `timeline`. */
+    this.frame = 0;
     /** Of a running run: whether the newest frame is shown. */
     this.playing = runs[0].live !== null;
     this.speed = 1;
     this.follow = "";
     this.swipe = false;
+    /** The window of all camera views. */
+    this.lens = wholeImage();
     /** Of the width, where the divider of two swiped panels is. */
     this.share = 0.5;
     /** @type {"paper" | "safe"} */ this.palette = "paper";
     /** @type {"dark" | "light"} */
     this.theme = window.matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+    /** @type {Record<string, boolean>} */
     this.layers = Object.fromEntries(Object.entries(LAYERS).map(([name, [, shown]]) => [name, shown]));
     /** Whether the panels are as they were at first. */
     this.untouched = true;
     /** @type {PanelChoice[]} */ this.panels = [];
     this.showPanels(panels);
+    this.seekTime(runs[0].times[Math.min(runs[0].header.frame, runs[0].frames - 1)]);
+  }
+
+  /** The run that the slider follows: the one that ends last. */
+  get timeline() {
+    return this.runs.reduce((longest, run) => (run.end > longest.end + 1e-6 ? run : longest));
   }
 
   /** Change something, and tell all that listen. @param {Partial<State>} changes */
@@ -78,23 +91,23 @@ export class State extends EventTarget {
     this.set({ panels });
   }
 
-  /** s, of the frame of the first run */
+  /** s, of the frame */
   get time() {
-    return this.runs[0].times[this.frame];
+    return this.timeline.times[this.frame];
   }
 
   /** The frame of a run at the current time. @param {number} run */
   frameOf(run) {
-    return run === 0 ? this.frame : this.runs[run].frameAt(this.time);
+    return this.runs[run] === this.timeline ? this.frame : this.runs[run].frameAt(this.time);
   }
 
   /** @param {number} frame any whole number: kept within the run */
   seek(frame) {
-    this.set({ frame: Math.min(Math.max(Math.round(frame), 0), this.runs[0].frames - 1) });
+    this.set({ frame: Math.min(Math.max(Math.round(frame), 0), this.timeline.frames - 1) });
   }
 
   /** @param {number} seconds */
   seekTime(seconds) {
-    this.seek(this.runs[0].frameAt(Math.max(seconds, this.runs[0].times[0])));
+    this.seek(this.timeline.frameAt(Math.max(seconds, this.timeline.times[0])));
   }
 }

@@ -1,5 +1,6 @@
 // The viewer: panels, controls, charts and events around one state.
 
+import { wholeImage } from "./camerawindow.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
 import { element } from "./elements.js";
@@ -88,12 +89,11 @@ export class Viewer {
   /** Play from here, or from the beginning at the end. */
   begin() {
     const { state } = this;
-    const first = state.runs[0];
-    if (first.live) {
-      state.seek(first.frames - 1);
+    if (state.runs[0].live) {
+      state.seek(state.timeline.frames - 1);
       return;
     }
-    if (state.frame >= first.frames - 1) state.seek(0);
+    if (state.frame >= state.timeline.frames - 1) state.seek(0);
     let [time, before] = [state.time, performance.now()];
     const advance = (now) => {
       if (!state.playing) return;
@@ -101,7 +101,7 @@ export class Viewer {
       before = now;
       state.seekTime(time);
       if (Math.abs(state.time - time) > 0.5) time = state.time; // someone moved the slider
-      if (state.frame >= first.frames - 1) state.set({ playing: false });
+      if (state.frame >= state.timeline.frames - 1) state.set({ playing: false });
       else requestAnimationFrame(advance);
     };
     requestAnimationFrame(advance);
@@ -146,15 +146,15 @@ export class Viewer {
   /** Draw at once; `redraw` waits for the next frame of the screen. */
   draw() {
     const { state } = this;
-    const followed = agentMarks(state.runs[0], state.frame).find((agent) => agent.name === state.follow);
+    const followed = agentMarks(state.runs[0], state.frameOf(0)).find((agent) => agent.name === state.follow);
     if (followed) [this.viewport.x, this.viewport.y] = [followed.x, followed.y];
     const palette = this.palette();
-    const colours = JSON.stringify(palette);
-    if (this.colours !== colours) this.legend.replaceChildren(...legendOf(palette, state.runs));
-    this.colours = colours;
+    if (this.colours !== palette.name) this.legend.replaceChildren(...legendOf(palette, state.runs));
+    this.colours = palette.name;
     for (const panel of this.panels) panel.draw(palette);
-    this.swipe.handle.style.top = `${this.panels[0].stage.offsetTop}px`;
+    if (state.swipe) this.swipe.handle.style.top = `${this.panels[0].stage.offsetTop}px`;
     this.charts.draw(palette);
+    for (const panel of this.panels) panel.describe();
     this.controls.update();
     this.events.mark();
   }
@@ -163,22 +163,22 @@ export class Viewer {
   fit() {
     const { state } = this;
     const run = state.runs[0];
-    const marks = marksOf(run, state.frame, run.header.ego, "picture");
+    const marks = marksOf(run, state.frameOf(0), run.header.ego, "picture");
     const places = marks.boxes.filter((box) => box.outcome !== "false").map((box) => [box.x, box.y]);
     for (const { from, to } of marks.effects) places.push((to ?? from).slice(0, 2));
-    if (!places.length) for (const row of run.boxesByFrame[state.frame]) places.push([run.columns["box.x"][row], run.columns["box.y"][row]]);
+    if (!places.length) for (const row of run.boxesByFrame[state.frameOf(0)]) places.push([run.columns["box.x"][row], run.columns["box.y"][row]]);
     const ego = marks.agents.find((agent) => agent.name === run.header.ego);
     const { clientWidth, clientHeight } = this.panels[0].canvas;
     const agents = marks.agents.map((agent) => [agent.x, agent.y]);
     this.viewport.fit(agents, places, ego ? [ego.x, ego.y] : null, clientWidth / Math.max(clientHeight, 1));
-    state.set({ follow: "" });
+    state.set({ follow: "", lens: wholeImage() });
     this.redraw();
   }
 
   /** @param {number} factor */
   zoom(factor) {
     const { clientWidth: width, clientHeight: height } = this.panels[0].canvas;
-    this.viewport.zoomAt(factor, width / 2, height / 2, width, height);
+    this.panels[0].window.zoomAt(factor, width / 2, height / 2, width, height);
     this.redraw();
   }
 

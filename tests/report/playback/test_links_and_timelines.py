@@ -1,0 +1,113 @@
+"""Partitions are visible as cut links, and two runs are played to the end of the longer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import FRAMES, WatchedPage
+
+from mast_zenoh.report.playback.conduct import spans
+from mast_zenoh.report.playback.server import viewer_page
+from mast_zenoh.report.runfolder import RunFolder
+
+OpenPage = Callable[..., WatchedPage]
+
+AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
+
+
+@pytest.fixture(scope="session")
+def both(partitioned_run: Path, attacked_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with a short run, in which agents are cut off, and a longer one."""
+    path = tmp_path_factory.mktemp("pages") / "both.html"
+    path.write_text(viewer_page([partitioned_run, attacked_run], 25), "utf-8")
+    return path
+
+
+def links(page: WatchedPage, frame: int) -> dict[str, str]:
+    page.run("(frame) => viewer.state.seek(frame)", frame)
+    return {link["agent"]: link["state"] for link in page.run("viewer.marks(0)")["links"]["links"]}
+
+
+#: How many pixels of the first panel have a colour, and how many of them are within 3 px of a place in m.
+_COLOURED = """([colour, x, y]) => {
+  const { canvas } = viewer.panels[0];
+  const wanted = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const [px, py] = viewer.viewport.toScreen(x, y, canvas.clientWidth, canvas.clientHeight);
+  let [all, near] = [0, 0];
+  for (let i = 0; i < data.length; i += 4) {
+    if (wanted.some((value, channel) => Math.abs(data[i + channel] - value) > 12)) continue;
+    all++;
+    near += Math.hypot((i / 4) % width - px, Math.floor(i / 4 / width) - py) < 3;
+  }
+  return [all, near];
+}"""
+
+
+def test_a_partition_cuts_the_links_of_its_agents(both: Path, open_page: OpenPage) -> None:
+    page = open_page(both)
+    page.run("viewer.state.showPanels(1)")
+    assert links(page, 10) == dict.fromkeys(AGENTS, "up")
+    assert links(page, 25) == dict.fromkeys(AGENTS, "up") | {"infra_3": "cut", "infra_4": "cut"}
+    assert links(page, 33) == dict.fromkeys(AGENTS, "up")
+    cut = {agent["name"] for agent in page.run("viewer.marks(0).agents") if agent["cutOff"]}
+    assert cut == set()
+    legend = page.page.locator(".v-legend").inner_text()
+    assert "cut by a partition" in legend
+    assert "link to the command centre" in legend
+
+    links(page, 25)
+    page.settle()
+    marks = page.run("viewer.marks(0)")["links"]
+    fault = page.run("viewer.palette().fault")
+    for link in marks["links"]:
+        ends = np.array([[marks["x"], marks["y"]], [link["x"], link["y"]]])
+        middle = ends.mean(axis=0)
+        assert page.run(_COLOURED, [fault, *middle])[1] == 0, "a link has a gap, or another colour"
+    coloured = page.run(_COLOURED, [fault, 0, 0])[0]
+    assert coloured > 20
+    page.page.get_by_text("layers").click()
+    page.page.get_by_label("links to the command centre").uncheck()
+    page.settle()
+    assert page.run(_COLOURED, [fault, 0, 0])[0] < coloured / 2
+    page.screenshot("partition")
+
+
+def test_spans_name_the_agents_whose_links_are_cut_or_impaired(loaded_run: RunFolder) -> None:
+    def affected(type_: str, backend: str, nodes: list[str]) -> dict[str, Any]:
+        fault = {"label": type_, "kind": "fault", "type": type_, "at_s": 1.0, "until_s": 2.0}
+        scenario = loaded_run.scenario | {"timeline": [fault | {"nodes": nodes, "backend": backend}]}
+        run = replace(loaded_run, scenario=scenario)
+        (span,) = (each for each in spans(run, np.arange(FRAMES) * 0.1) if each["kind"] == "fault")
+        return {name: span[name] for name in ("cut", "impaired") if name in span}
+
+    assert affected("Partition", "links", ["infra_1"]) == {"cut": ["infra_1"]}
+    assert affected("Delay", "links", ["ego", "infra_2"]) == {"impaired": ["ego", "infra_2"]}
+    assert affected("HostPartition", "network", ["infra_3", "infra_4", "link_infra_3"]) == {
+        "cut": ["infra_3", "infra_4"]
+    }
+    assert affected("HostPartition", "network", ["command_center", "broker", "ego"]) == {"cut": list(AGENTS[1:])}
+    assert affected("Kill", "process", ["infra_1"]) == {}
+
+
+def test_two_runs_are_played_to_the_end_of_the_longer(both: Path, open_page: OpenPage) -> None:
+    page = open_page(both)
+    frames = "viewer.panels.map((panel) => panel.marks().frame)"
+    assert page.run(frames) == [25, 25], "the frame to show first"
+    slider = page.page.locator(".v-slider")
+    assert slider.get_attribute("max") == str(FRAMES - 1)
+    slider.fill(str(FRAMES - 1))
+    page.settle()
+    assert page.run(frames) == [35, FRAMES - 1]
+    counts = page.page.locator(".v-counts")
+    assert counts.nth(0).inner_text().startswith("ended at 3.6 s")
+    assert "ended" not in counts.nth(1).inner_text()
+    slider.fill("30")
+    page.settle()
+    assert page.run(frames) == [30, 30]
+    assert "ended" not in counts.nth(0).inner_text()
