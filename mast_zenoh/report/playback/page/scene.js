@@ -16,7 +16,7 @@ const groundsByRun = new WeakMap();
 export function drawGround(canvas) {
   const { context, width, height, viewport, palette, layers, run } = canvas;
   const ratio = context.getTransform().a;
-  const key = [width, height, ratio, viewport.x, viewport.y, viewport.half, palette.name, layers.paths, run.rows].join();
+  const key = [width, height, ratio, viewport.x, viewport.y, viewport.half, palette.name, layers.paths, run.rows, run.header.buildings.length].join();
   let ground = groundsByRun.get(run);
   if (!ground || ground.key !== key) {
     const image = ground?.image ?? document.createElement("canvas");
