@@ -102,9 +102,10 @@ function facesOf(lens, box) {
   return faces.filter((face) => face.polygon.length > 2);
 }
 
-function cornerOf(box, half, cos, sin, [along, across, up]) {
-  const [a, b] = [along * half[0], across * half[1]];
-  return [box.x + a * cos - b * sin, box.y + a * sin + b * cos, box.z + up * half[2]];
+/** @returns {number[]} m */
+function cornerOf(box, half, cos, sin, signs) {
+  const [a, b] = [signs[0] * half[0], signs[1] * half[1]];
+  return [box.x + a * cos - b * sin, box.y + a * sin + b * cos, box.z + signs[2] * half[2]];
 }
 
 /** The height of the ground: under the objects nearest to the camera. */
