@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -30,6 +30,7 @@ Size = Annotated[
     str | None, typer.Option(metavar="WIDTHxHEIGHT[px|in|cm|mm]", help="Of the picture: 1280x720, 18x10cm.")
 ]
 Dpi = Annotated[int, typer.Option(help="Pixels per inch; text keeps its size in points.")]
+Plain = Annotated[bool, typer.Option("--plain", help="Panels and legend alone: no title, numbers, strips or caption.")]
 Title = Annotated[str | None, typer.Option(help="In place of the run's name and the agent's.")]
 Captions = Annotated[
     list[str] | None, typer.Option("--caption", metavar="FRAME:TEXT", help="A caption from this frame on.")
@@ -47,6 +48,7 @@ def animate(
     theme: Theme = "dark",
     size: Size = None,
     dpi: Dpi = 100,
+    plain: Plain = False,
     title: Title = None,
     captions: Captions = None,
     start: Annotated[int | None, typer.Option("--from", metavar="FRAME", help="The first frame.")] = None,
@@ -57,7 +59,18 @@ def animate(
     """Write a film of a finished run."""
     from mast_zenoh.report.film import writing  # drawing libraries are slow to load
 
-    look = _look(agent, estimates, camera, window, theme, size, dpi, title, captions)
+    look = _look(
+        estimates,
+        captions,
+        agent=agent,
+        camera=camera,
+        window=window,
+        theme=theme,
+        size=size,
+        dpi=dpi,
+        plain=plain,
+        title=title,
+    )
     pictures = writing.animate(run_folder, out, look, against, start=start, end=end, speed=speed, fps=fps)
     _out.print(f"film: {out} ({pictures} pictures, {out.stat().st_size / 1e6:.1f} MB)", markup=False, highlight=False)
 
@@ -74,29 +87,30 @@ def snapshot(
     theme: Theme = "light",
     size: Size = None,
     dpi: Dpi = 100,
+    plain: Plain = False,
     title: Title = None,
     captions: Captions = None,
 ) -> None:
     """Write one frame of a finished run as a figure."""
     from mast_zenoh.report.film import writing
 
-    look = _look(agent, estimates, camera, window, theme, size, dpi, title, captions)
+    look = _look(
+        estimates,
+        captions,
+        agent=agent,
+        camera=camera,
+        window=window,
+        theme=theme,
+        size=size,
+        dpi=dpi,
+        plain=plain,
+        title=title,
+    )
     shown = writing.snapshot(run_folder, out, look, frame, against)
     _out.print(f"frame {shown}: {out}", markup=False, highlight=False)
 
 
-def _look(
-    agent: str | None,
-    estimates: list[str] | None,
-    camera: bool,
-    window: str,
-    theme: str,
-    size: str | None,
-    dpi: int,
-    title: str | None,
-    captions: list[str] | None,
-) -> Look:
+def _look(estimates: list[str] | None, captions: list[str] | None, **options: Any) -> Look:
     from mast_zenoh.report.film.look import Look
 
-    shown, words = tuple(estimates or ("picture",)), tuple(captions or ())
-    return Look(agent, shown, camera, window, theme, size, dpi, title, words)
+    return Look(estimates=tuple(estimates or ("picture",)), captions=tuple(captions or ()), **options)

@@ -19,30 +19,33 @@ from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.film.theme import Theme
 from mast_zenoh.report.playback.conduct import node_absences
 from mast_zenoh.report.trust_facts import states_at
+from mast_zenoh.sensing.lidar import LidarSensor
 
 #: Of a sensor's outline: its points, and how opaque it is.
 _POINTS, _OPACITY = 49, 0.35
 
 
 class AgentMarks:
-    """A triangle (roadside) or a circle (vehicle) with a name for each agent, and the limits of its sensor."""
+    """A triangle (roadside) or a circle (vehicle) with a name for each agent, and the limits of its sensor.
 
-    def __init__(self, axes: Axes, take: Take, theme: Theme) -> None:
+    scale: of marks and letters
+    """
+
+    def __init__(self, axes: Axes, take: Take, theme: Theme, scale: float) -> None:
         self._recording, self._run, self._theme = take.run.recording, take.run, theme
         self._absences = node_absences(take.run)
         agents = self._recording.agents if self._recording is not None else ()
-        self._ranges = LineCollection([], linewidths=0.9, zorder=2)
+        self._ranges = LineCollection([], linewidths=0.9 * scale, zorder=2)
         axes.add_collection(self._ranges)
         self.marks: list[Line2D] = []
         self.names: list[Annotation] = []
         for agent in agents:
             marker = "^" if agent.kind == "static" else "o"
-            self.marks += axes.plot([], [], marker, ms=8.5, mew=1.5, zorder=5)
+            self.marks += axes.plot([], [], marker, ms=8.5 * scale, mew=1.5 * scale, zorder=5)
             name = axes.annotate("", (0, 0), (0, 0), textcoords="offset points", zorder=6)
-            name.set(fontsize=9.5, linespacing=1.0, clip_on=True)
+            name.set(fontsize=max(9.5 * scale, 6.5), linespacing=1.0, clip_on=True)
             name.set_bbox({"facecolor": theme.ground, "edgecolor": "none", "alpha": 0.65, "pad": 0.6})
             self.names.append(name)
-        self._sides: dict[int, Floats] = {}
         self.artists: list[Artist] = [self._ranges, *self.marks, *self.names]
 
     def show(self, frame: int, window: Window, attacked: set[str]) -> None:
@@ -75,38 +78,34 @@ class AgentMarks:
             trouble = "down" if agent.name in down else state if state in ("faulty", "suspended") else ""
             label = f"{agent.name}\n{trouble}" if trouble else agent.name
             name.set(text=plain(label), color=adversary or colour, fontweight="bold" if adversary else "normal")
-            self._place(index, name, position, turn, window, occupied)
+            _place(name, position, turn, window, occupied)
         self._ranges.set_segments(outlines)
         self._ranges.set_color(colours)
 
-    def _place(
-        self,
-        index: int,
-        name: Annotation,
-        position: Floats,
-        turn: float,
-        window: Window,
-        occupied: list[tuple[float, float, float, float]],
-    ) -> None:
-        """Put a name behind the agent, where it stays if nothing is in its way."""
-        behind = -np.array([np.cos(turn), np.sin(turn)])
-        offset = np.abs(position[:2] + behind * 0.25 * window.half - [window.x, window.y])
-        fits = offset < [window.across, window.up]
-        preferred = self._sides.get(index, np.where(fits, behind, -behind) > 0)
-        letters = max(map(len, name.get_text().split("\n")))
-        right, above = free_side(occupied, position, letters, window.half, np.asarray(preferred, bool))
-        self._sides[index] = np.array([right, above])
-        name.xy = (float(position[0]), float(position[1]))
-        name.xyann = (7 if right else -7, 4 if above else -4)
-        name.set(ha="left" if right else "right", va="bottom" if above else "top")
+
+def _place(
+    name: Annotation,
+    position: Floats,
+    turn: float,
+    window: Window,
+    occupied: list[tuple[float, float, float, float]],
+) -> None:
+    """Put a name behind the agent, where no earlier name is. It depends on nothing but the frame."""
+    behind = -np.array([np.cos(turn), np.sin(turn)])
+    offset = np.abs(position[:2] + behind * 0.25 * window.half - [window.x, window.y])
+    preferred = np.where(offset < [window.across, window.up], behind, -behind) > 0
+    letters = max(map(len, name.get_text().split("\n")))
+    right, above = free_side(occupied, position, letters, window.half, preferred)
+    name.xy = (float(position[0]), float(position[1]))
+    name.xyann = (7 if right else -7, 4 if above else -4)
+    name.set(ha="left" if right else "right", va="bottom" if above else "top")
 
 
-def _sector(position: Floats, turn: float, sensor: object) -> Floats:
+def _sector(position: Floats, turn: float, sensor: LidarSensor) -> Floats:
     """(k, 2) m, the outline of what a sensor covers."""
-    start, end = (np.radians(getattr(sensor, f"azimuth_{side}_deg")) for side in ("min", "max"))
+    start, end = np.radians([sensor.azimuth_min_deg, sensor.azimuth_max_deg])
     bearings = turn + np.linspace(start, end, _POINTS)
-    distance = float(sensor.max_range_m)  # type: ignore[attr-defined]
-    arc = position[:2] + distance * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
+    arc = position[:2] + sensor.max_range_m * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
     if end - start > np.radians(359.0):
         return arc
     return np.concatenate([position[None, :2], arc, position[None, :2]])

@@ -27,6 +27,8 @@ SMALLEST_M = 1.4
 _AHEAD_M = 1.2
 #: m, distance of the lines of the grid.
 _GRID_M = 20.0
+#: Inches: in smaller panels marks are smaller; how much at most.
+_LARGE_INCHES, _LEAST_SCALE = 3.4, 0.55
 _DASHED = (0, (3.0, 2.0))
 
 
@@ -38,21 +40,22 @@ class BirdseyePanel:
 
     def __init__(self, axes: Axes, take: Take, attacks: Attacks, framing: Framing, theme: Theme) -> None:
         self.axes, self.take, self.attacks, self._framing = axes, take, attacks, framing
+        scale = _scale(axes)
         self._draw_ground(theme)
         self.outcomes = {
-            outcome: _BoxArtists(axes, colour, outcome, 3 + 0.1 * order)
+            outcome: _BoxArtists(axes, colour, outcome, 3 + 0.1 * order, scale)
             for order, (outcome, colour) in enumerate(theme.outcomes.items())
         }
         self._withheld = PolyCollection([], facecolors="none", edgecolors=theme.withheld, linewidths=1.2, zorder=3.6)
         self._withheld.set_linestyle(_DASHED)
         axes.add_collection(self._withheld)
-        self.inserted = _points(axes, "D", theme.adversary, 11.0, 1.3)
-        self.removed = _points(axes, "x", theme.adversary, 9.0, 2.0)
-        self.moved = LineCollection([], colors=theme.adversary, linewidths=1.5, zorder=4)
+        self.inserted = _points(axes, "D", theme.adversary, 11.0 * scale, 1.3 * scale)
+        self.removed = _points(axes, "x", theme.adversary, 9.0 * scale, 2.0 * scale)
+        self.moved = LineCollection([], colors=theme.adversary, linewidths=1.5 * scale, zorder=4)
         axes.add_collection(self.moved)
-        self.agents = AgentMarks(axes, take, theme)
+        self.agents = AgentMarks(axes, take, theme, scale)
         self._frame = Rectangle((0, 0), 1, 1, transform=axes.transAxes, fill=False, zorder=7)
-        self._frame.set(edgecolor=theme.adversary, linewidth=4.0)
+        self._frame.set(edgecolor=theme.adversary, linewidth=4.0 * scale)
         axes.add_patch(self._frame)
         self._over = axes.text(0.5, 0.5, "this run has ended", transform=axes.transAxes, zorder=8)
         self._over.set(ha="center", va="center", color=theme.ink, fontsize=12, fontweight="bold")
@@ -110,13 +113,13 @@ class BirdseyePanel:
 class _BoxArtists:
     """Outlines with a line ahead; errors are filled, and false tracks are crossed out for colour-blind readers."""
 
-    def __init__(self, axes: Axes, colour: str, outcome: str, zorder: float) -> None:
+    def __init__(self, axes: Axes, colour: str, outcome: str, zorder: float, scale: float) -> None:
         self.crossed = outcome == "track false"
         filled = outcome in ("truth missed", "track false")
-        width = 1.3 if outcome == "track matched" else 1.6
+        width = (1.3 if outcome == "track matched" else 1.6) * scale
         face = to_rgba(colour, 0.35 if filled else 0.0)
         self.outlines = PolyCollection([], facecolors=[face], edgecolors=colour, linewidths=width, zorder=zorder)
-        self.lines = LineCollection([], colors=colour, linewidths=1.1, zorder=zorder)
+        self.lines = LineCollection([], colors=colour, linewidths=1.1 * scale, zorder=zorder)
         self.artists = (self.outlines, self.lines)
         for artist in self.artists:
             axes.add_collection(artist)
@@ -131,6 +134,14 @@ class _BoxArtists:
         if self.crossed:
             lines += [corners[:, [0, 2]], corners[:, [1, 3]]]
         self.lines.set_segments(list(np.concatenate(lines)))
+
+
+def _scale(axes: Axes) -> float:
+    """Size of marks over that in a large panel."""
+    figure = axes.get_figure()
+    assert figure is not None
+    inches = min(axes.bbox.width, axes.bbox.height) / figure.dpi
+    return min(max(inches / _LARGE_INCHES, _LEAST_SCALE), 1.0)
 
 
 def _outlines(boxes: Boxes) -> Floats:

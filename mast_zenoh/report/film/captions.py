@@ -22,10 +22,10 @@ class Captions:
     def __init__(self, takes: list[Take], own: Mapping[int, str]) -> None:
         texts: dict[int, list[str]] = {}
         for take in takes:
-            label = f"{take.run.label}: " if len(takes) > 1 else ""
+            label = f" ({take.run.label})" if len(takes) > 1 else ""
             for frame, text in happenings(take):
                 shown = takes[0].frame_at(take.seconds(frame))
-                texts.setdefault(shown, []).append(label + text)
+                texts.setdefault(shown, []).append(text + label)
         merged = {frame: "; ".join(dict.fromkeys(each)) for frame, each in texts.items()} | dict(own)
         self._frames = sorted(merged)
         self._texts = [f"frame {frame}: {merged[frame]}" for frame in self._frames]
@@ -48,7 +48,8 @@ def happenings(take: Take) -> list[tuple[int, str]]:
         found.append((take.frame_at(float(each["from_s"])), f"the command centre suspends {each['agent']}"))
         if each["until_s"] is not None and not take.ended(float(each["until_s"])):
             found.append((take.frame_at(float(each["until_s"])), f"the suspension of {each['agent']} is lifted"))
-    return sorted((max(frame, take.first), text) for frame, text in found if frame <= take.last)
+    inside = [(max(frame, take.first), text) for frame, text in found if frame <= take.last]
+    return sorted(inside, key=lambda each: each[0])
 
 
 def _interceptions(run: RunFolder) -> list[tuple[int, str]]:

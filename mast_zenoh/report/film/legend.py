@@ -21,9 +21,10 @@ from mast_zenoh.report.trust_facts import states_at, withheld_at
 
 #: In the order of the legend.
 _OUTCOMES = ("truth matched", "track matched", "truth missed", "track false", "unevaluated")
-#: Inches: width of a letter, and of the symbol and the gaps of an entry.
-_LETTER, _ENTRY = 0.073, 0.5
-FONT_SIZE, LINE_INCHES = 9.0, 0.21
+#: Inches for each point of the font's size: width of a letter, of an entry's symbol and gaps; height of a line.
+_LETTER, _ENTRY, _LINE = 0.0081, 0.056, 0.0235
+#: Inches, least width of a figure with text of the ordinary size; points, that size and the one of narrow figures.
+_NARROW, _SIZE, _SMALL_SIZE = 5.0, 9.0, 7.0
 
 
 def entries(takes: Sequence[Take], attacks: Sequence[Attacks], frames: Sequence[int], theme: Theme) -> list[Artist]:
@@ -65,11 +66,24 @@ def _conduct(views: Sequence[tuple[Take, FrameView]], attacks: Sequence[Attacks]
 
 def lines(handles: Sequence[Artist], width: float) -> int:
     """Lines that entries need in a width in inches."""
-    return next((count for count in range(1, len(handles)) if _breadth(handles, count) <= width), len(handles))
+    points = width / _font_size(width)
+    return next((count for count in range(1, len(handles)) if _breadth(handles, count) <= points), len(handles))
+
+
+def height(handles: Sequence[Artist], width: float) -> float:
+    """Inches that entries need in a width in inches."""
+    return _LINE * _font_size(width) * lines(handles, width)
+
+
+def _font_size(width: float) -> float:
+    return _SIZE if width >= _NARROW else _SMALL_SIZE
 
 
 def _breadth(handles: Sequence[Artist], count: int) -> float:
-    """Inches, width of a legend of so many lines. Matplotlib fills it column by column, the first ones the fullest."""
+    """Width of a legend of so many lines, inches for each point of the font's size.
+
+    Matplotlib fills it column by column, the first ones the fullest.
+    """
     columns = -(-len(handles) // count)
     full, left = divmod(len(handles), columns)
     ends = [full * column + min(column, left) for column in range(columns + 1)]
@@ -86,7 +100,7 @@ def draw(figure: figures.Figure, handles: Sequence[Artist], theme: Theme) -> Non
         ncols=-(-len(handles) // count),
         frameon=False,
         labelcolor=theme.ink,
-        fontsize=FONT_SIZE,
+        fontsize=_font_size(figure.get_figwidth()),
         handlelength=1.3,
         columnspacing=1.3,
         labelspacing=0.4,

@@ -47,6 +47,7 @@ class Look:
     theme:     dark or light
     size:      `WIDTHxHEIGHT` with px (the default), in, cm or mm; None: depends on the number of panels
     dpi:       pixels per inch; text has a fixed size in points, so more dpi means larger text in a film of one size
+    plain:     panels and legend alone: no title, numbers, strips or caption
     title:     in place of the run's name and the agent
     captions:  `FRAME:TEXT`, in addition to what happens in the run
     """
@@ -58,6 +59,7 @@ class Look:
     theme: str = "dark"
     size: str | None = None
     dpi: int = 100
+    plain: bool = False
     title: str | None = None
     captions: Sequence[str] = ()
 

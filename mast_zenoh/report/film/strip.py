@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from mast_zenoh.report.film.attacks import Attacks
 from mast_zenoh.report.film.takes import Take
@@ -16,7 +16,7 @@ from mast_zenoh.report.playback.conduct import spans
 class Strip:
     """Missed and false objects over the time of the film.
 
-    changing: the artists that differ from frame to frame
+    changing: the artists that differ from frame to frame;  most: the greatest number of objects
     """
 
     def __init__(self, axes: Axes, take: Take, attacks: Attacks, limits: tuple[float, float], theme: Theme) -> None:
@@ -33,16 +33,16 @@ class Strip:
             spine.set_color(theme.building_edge)
         self._draw_bands(take, attacks, theme)
         series = take.series()
-        most = 1.0
+        self.most = 1.0
         if series is not None:
             times, missed, false = series
             inside = (times >= low - 1e-6) & (times <= high + 1e-6)
             for values, outcome in ((missed, "truth missed"), (false, "track false")):
                 axes.plot(times[inside], values[inside], color=theme.outcomes[outcome], linewidth=1.3, zorder=3)
-                most = max(most, *values[inside].tolist())
-        axes.set_ylim(-0.04 * most, 1.12 * most)
-        if series is None:
-            axes.set_yticks([])
+                self.most = max(self.most, *values[inside].tolist())
+        else:
+            axes.yaxis.set_major_locator(NullLocator())
+        self.set_most(self.most)
         self._now = axes.axvline(low, color=theme.ink, linewidth=1.4, zorder=4)
         self.changing: list[Artist] = [self._now]
 
@@ -58,6 +58,10 @@ class Strip:
             elif each["kind"] == "interception":
                 for edge in (each["from_s"], each["until_s"]):
                     self.axes.axvline(edge, color=theme.adversary, linewidth=1.2, linestyle=(0, (3, 2)), zorder=2)
+
+    def set_most(self, most: float) -> None:
+        """Set the greatest number of objects on the axis."""
+        self.axes.set_ylim(-0.04 * most, 1.12 * most)
 
     def show(self, seconds: float) -> None:
         """Move the line to a time, s."""
