@@ -61,7 +61,7 @@ def record_run(folder: Path) -> None:
         try:
             clock.wait(INSERT)
             settings = ("attack.type=UncoordinatedAttack", "attack.start_s=0",
-                        "attack.selection.type=UncoordinatedSelection", "attack.selection.n_false_positives=6",
+                        "attack.selection.type=UncoordinatedSelection", "attack.selection.n_false_positives=8",
                         "attack.selection.fraction_false_negatives=0")  # fmt: skip
             print(client.intercept(folder, WIRE, "adversary.py", name=NAME, settings=settings))
             clock.wait(RELEASE)
