@@ -21,8 +21,8 @@ from mast_zenoh.report.playback.conduct import node_absences
 from mast_zenoh.report.trust_facts import states_at
 from mast_zenoh.sensing.lidar import LidarSensor
 
-#: Of a sensor's outline: its points, and how opaque it is.
-_POINTS, _OPACITY = 49, 0.35
+#: Of a sensor's outline: its points, how opaque it is, and the number of agents above which it is fainter.
+_POINTS, _OPACITY, _MANY = 49, 0.35, 6
 
 
 class AgentMarks:
@@ -72,7 +72,7 @@ class AgentMarks:
             mark.set_data([position[0]], [position[1]])
             mark.set(markeredgecolor=colour, markerfacecolor=colour if agent.kind == "static" else "none")
             outlines.append(_sector(position, turn, agent.sensor))
-            colours.append(to_rgba(colour, _OPACITY))
+            colours.append(to_rgba(colour, _OPACITY * min(1.0, _MANY / len(recording.agents))))
             if not inside:
                 continue
             trouble = "down" if agent.name in down else state if state in ("faulty", "suspended") else ""

@@ -23,6 +23,8 @@ from mast_zenoh.report.trust_facts import withheld_at
 
 #: m, least length and width of drawn boxes, so that pedestrians are visible.
 SMALLEST_M = 1.4
+#: Outcomes that are marked at the edge if they are outside the window: the numbers below count them.
+ERRORS = ("truth missed", "track false")
 #: m, the line ahead of a box.
 _AHEAD_M = 1.2
 #: m, distance of the lines of the grid.
@@ -46,6 +48,11 @@ class BirdseyePanel:
             outcome: _BoxArtists(axes, colour, outcome, 3 + 0.1 * order, scale)
             for order, (outcome, colour) in enumerate(theme.outcomes.items())
         }
+        self.outside = {
+            outcome: _points(axes, "s", theme.outcomes[outcome], 5.0 * scale, 0.0, zorder=7.5) for outcome in ERRORS
+        }
+        for outcome, points in self.outside.items():
+            points.set(markerfacecolor=theme.outcomes[outcome], clip_on=False)
         self._withheld = PolyCollection([], facecolors="none", edgecolors=theme.withheld, linewidths=1.2, zorder=3.6)
         self._withheld.set_linestyle(_DASHED)
         axes.add_collection(self._withheld)
@@ -61,7 +68,7 @@ class BirdseyePanel:
         self._over.set(ha="center", va="center", color=theme.ink, fontsize=12, fontweight="bold")
         self._over.set_bbox({"facecolor": theme.ground, "edgecolor": theme.faint, "alpha": 0.9})
         boxes = [artist for each in self.outcomes.values() for artist in each.artists]
-        marks = [self._withheld, self.inserted, self.removed, self.moved]
+        marks = [*self.outside.values(), self._withheld, self.inserted, self.removed, self.moved]
         parts = [*boxes, *marks, *self.agents.artists, self._frame, self._over]
         self.changing: list[Artist] = [axes] if framing.follow else sorted(parts, key=lambda each: each.get_zorder())
 
@@ -98,6 +105,10 @@ class BirdseyePanel:
         view = self.take.view(frame)
         for outcome, boxes in view.boxes[self.take.estimate].items():
             self.outcomes[outcome].show(boxes)
+            if outcome in ERRORS:
+                at = boxes.position[:, :2]
+                edge = np.clip(at, *window.corners)
+                self.outside[outcome].set_data(*edge[(edge != at).any(axis=1)].T)
         position, size, yaw = withheld_at(view.run, frame)
         shown = self.take.estimate not in ("local", "received")
         self._withheld.set_verts(list(_outlines(Boxes(position, size, yaw))) if shown else [])
@@ -160,6 +171,6 @@ def _arrows(moved: Floats, window: Window) -> Floats:
     return np.concatenate([moved, *(np.stack([end + back + each, end], axis=1) for each in (sideways, -sideways))])
 
 
-def _points(axes: Axes, marker: str, colour: str, size: float, width: float) -> Line2D:
-    (line,) = axes.plot([], [], marker, ms=size, mfc="none", mec=colour, mew=width, zorder=4)
+def _points(axes: Axes, marker: str, colour: str, size: float, width: float, zorder: float = 4) -> Line2D:
+    (line,) = axes.plot([], [], marker, ms=size, mfc="none", mec=colour, mew=width, zorder=zorder)
     return line

@@ -34,6 +34,11 @@ class Window(NamedTuple):
         """m, half of the shorter side."""
         return min(self.across, self.up)
 
+    @property
+    def corners(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """m, the lower left corner and the upper right one."""
+        return (self.x - self.across, self.y - self.up), (self.x + self.across, self.y + self.up)
+
     def contains(self, position: Floats) -> bool:
         """Whether a position (2,) or (3,) m is inside."""
         return bool(abs(position[0] - self.x) <= self.across and abs(position[1] - self.y) <= self.up)

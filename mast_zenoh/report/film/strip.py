@@ -16,7 +16,7 @@ from mast_zenoh.report.playback.conduct import spans
 class Strip:
     """Missed and false objects over the time of the film.
 
-    changing: the artists that differ from frame to frame;  most: the greatest number of objects
+    changing: the artists that differ from frame to frame;  most: the greatest number of objects in a scored frame
     """
 
     def __init__(self, axes: Axes, take: Take, attacks: Attacks, limits: tuple[float, float], theme: Theme) -> None:
@@ -37,9 +37,13 @@ class Strip:
         if series is not None:
             times, missed, false = series
             inside = (times >= low - 1e-6) & (times <= high + 1e-6)
+            # The axis fits the scored frames: before them, everything is missed.
+            first, last = (take.seconds(frame) for frame in take.run.scored_frames or (take.first, take.last))
+            scored = inside & (times >= first - 1e-6) & (times <= last + 1e-6)
+            scored = scored if scored.any() else inside
             for values, outcome in ((missed, "truth missed"), (false, "track false")):
                 axes.plot(times[inside], values[inside], color=theme.outcomes[outcome], linewidth=1.3, zorder=3)
-                self.most = max(self.most, *values[inside].tolist())
+                self.most = max(self.most, *values[scored].tolist())
         else:
             axes.yaxis.set_major_locator(NullLocator())
         self.set_most(self.most)

@@ -143,17 +143,35 @@ def test_a_caption_of_ones_own_replaces_that_of_the_run(intercepted: Path) -> No
 
 
 def test_a_distant_false_track_does_not_widen_the_window(edited: Path) -> None:
-    before = sheet_of(edited).birdseye[0].axes
+    def limits() -> np.ndarray:
+        sheet = sheet_of(edited)
+        sheet.show(15)
+        return np.array([sheet.birdseye[0].axes.get_xlim(), sheet.birdseye[0].axes.get_ylim()])
+
+    before = limits()
+    assert np.diff(before)[0] > 40
     rows = rows_of(edited, "objects")
-    for distance in (90.0, 900.0):
-        moved = dict(next(row for row in rows if row["agent"] == "ego" and row["outcome"] == "false"))
-        moved["x"] = moved["x"] + distance  # type: ignore[operator]
-        rows.append(moved)
-    write_table(edited / "objects.parquet", {name: [row[name] for row in rows] for name in rows[0]})
-    after = sheet_of(edited).birdseye[0].axes
-    for sheet_axes in (before, after):
-        assert sheet_axes.get_xlim()[1] - sheet_axes.get_xlim()[0] < 220
-    assert abs(after.get_xlim()[1] - before.get_xlim()[1]) < 10
+    false = next(row for row in rows if row["agent"] == "ego" and row["outcome"] == "false")
+    moved = [{**false, "x": false["x"] + distance} for distance in (90.0, 900.0)]  # type: ignore[operator]
+    write_table(edited / "objects.parquet", {name: [row[name] for row in (*rows, *moved)] for name in rows[0]})
+    np.testing.assert_allclose(limits(), before, atol=3)
+
+
+def test_errors_outside_the_window_are_marked_at_its_edge(attacked: mast.Run) -> None:
+    sheet = sheet_of(attacked.path, Look(window="0,0,15"))
+    panel, marked = sheet.birdseye[0], 0
+    sheet.show(0)
+    (left, right), (bottom, top) = panel.axes.get_xlim(), panel.axes.get_ylim()
+    for frame in range(FRAMES):
+        sheet.show(frame)
+        for name, points in panel.outside.items():
+            at = centres(panel.outcomes[name].outlines)
+            inside = (at > [left, bottom]).all(axis=1) & (at < [right, top]).all(axis=1)
+            x, y = (np.asarray(axis) for axis in points.get_data())
+            assert len(x) == (~inside).sum()
+            assert np.all(np.isin(x, [left, right]) | np.isin(y, [bottom, top]))
+            marked += len(x)
+    assert marked > 0
 
 
 def test_a_window_that_follows_keeps_the_agent_in_the_middle(attacked: mast.Run) -> None:
