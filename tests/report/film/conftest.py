@@ -6,15 +6,10 @@ import json
 import shutil
 from pathlib import Path
 
-import pyarrow.parquet
 import pytest
+from film_samples import ATTACK, FRAMES
 
 import mast_zenoh as mast
-from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.sheet import Sheet
-from mast_zenoh.report.film.writing import open_takes
-
-FRAMES, ATTACK = 30, 8
 
 
 @pytest.fixture(scope="session")
@@ -48,17 +43,3 @@ def intercepted(edited: Path) -> Path:
     ]
     (edited / "run.json").write_text(json.dumps(record))
     return edited
-
-
-def sheet_of(run: Path, look: Look | None = None, against: Path | None = None, frames: range | None = None) -> Sheet:
-    """The figure of a film of all frames."""
-    look = look or Look()
-    takes = open_takes(run, look, against)
-    frames = frames or range(takes[0].first, takes[0].last + 1)
-    return Sheet(takes, look, frames, (frames[0], frames[-1]))
-
-
-def rows_of(run: Path, table: str, **values: object) -> list[dict[str, object]]:
-    """Rows of a table of the run with these values."""
-    content = pyarrow.parquet.read_table(run / f"{table}.parquet").to_pylist()
-    return [row for row in content if all(row[name] == value for name, value in values.items())]

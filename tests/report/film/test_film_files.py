@@ -12,7 +12,7 @@ import imageio_ffmpeg
 import numpy as np
 import pypdf
 import pytest
-from conftest import sheet_of
+from film_samples import sheet_of
 from PIL import Image, ImageSequence
 from typer.testing import CliRunner
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ATTACK, FRAMES, rows_of, sheet_of
+from film_samples import ATTACK, FRAMES, rows_of, sheet_of
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from PIL import Image
