@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run dev test fuzz insiders lint bench docs lock dist clean
+.PHONY: run dev test fuzz insiders lint bench docs pictures lock dist clean
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 run: .venv/installed
@@ -42,6 +42,10 @@ bench: .venv/ready
 
 docs: .venv/ready
 	$(BIN)/python tools/generate_docs.py docs
+
+# All pictures of docs/ and README.md, or some: `make pictures PICTURES=interception.gif`.
+pictures: .venv/ready
+	$(BIN)/python tools/pictures.py $(PICTURES)
 
 # Run this after changing dependencies in pyproject.toml. `make lock UPGRADE=--upgrade` updates all packages.
 # The lock file for running is a subset of the one for development, with the same versions and hashes.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterator
+from dataclasses import fields
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 import pyarrow
 
 from mast_zenoh.api import messages as recorded
+from mast_zenoh.api.agents import Agent
 from mast_zenoh.api.messages import WireMessage
-from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.launch import folder, liveness
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.tables import read_arrow
-from mast_zenoh.scenes.recording import Recording
 
 if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.api.plots import Plots
+    from mast_zenoh.report.film.look import Look
     from mast_zenoh.report.runfolder import RunFolder
     from mast_zenoh.viewer.export import Exported
 
@@ -196,6 +197,44 @@ class Run:
 
         return export(self.path, to, Path(out))
 
+    def animate(
+        self,
+        out: str | Path,
+        *,
+        against: Run | None = None,
+        start: int | None = None,
+        end: int | None = None,
+        speed: float = 1.0,
+        fps: float | None = None,
+        **look: Any,
+    ) -> Path:
+        """Write a film of the finished run (docs/animations.md); returns its path.
+
+        out:        a new file that ends with .mp4, .gif or .webm;  against: another run to show beside it
+        start, end: first and last frame;  speed: over that of the scene;  fps: pictures per second
+        look:       agent, estimates, camera, window, theme, size, dpi, plain, title, captions
+
+        Raises ExportError for the file or without ffmpeg, RunFolderError for a run in progress or a frame that the run
+        does not have, ConfigurationError for an invalid option.
+        """
+        from mast_zenoh.report.film import writing
+
+        options: dict[str, Any] = {"start": start, "end": end, "speed": speed, "fps": fps}
+        writing.animate(self.path, Path(out), _look(look), None if against is None else against.path, **options)
+        return Path(out)
+
+    def snapshot(self, out: str | Path, frame: int | None = None, *, against: Run | None = None, **look: Any) -> Path:
+        """Write one frame of the finished run as a figure, on light ground; returns its path.
+
+        out:   a new file that ends with .pdf, .svg or .png;  frame: None: the one that the report shows
+        Further parameters and errors are those of `animate`.
+        """
+        from mast_zenoh.report.film import writing
+
+        other = None if against is None else against.path
+        writing.snapshot(self.path, Path(out), _look({"theme": "light", **look}), frame, other)
+        return Path(out)
+
     def _folder(self) -> RunFolder:
         """The folder as the report reads it; reloaded while the run is in progress."""
         from mast_zenoh.report.runfolder import RunFolder
@@ -234,49 +273,13 @@ class Run:
         return f"<p><b>{html.escape(record['id'])}</b> ({html.escape(facts)})<br>{words}</p>"
 
 
-class Agent:
-    """The messages that one agent of a run sent and received, by frame."""
+def _look(options: dict[str, Any]) -> Look:
+    """The options of a film; raises ConfigurationError for an unknown one."""
+    from mast_zenoh.report.film.look import Look
 
-    def __init__(self, path: Path, name: str) -> None:
-        self.path = path
-        self.name = name
-
-    @property
-    def tracks(self) -> pyarrow.Table:
-        """Tracks by frame, as the broker receives them: columns of `Run.truth`, and score."""
-        return self._rows("tracks", recorded.states)
-
-    @property
-    def mission(self) -> pyarrow.Table:
-        """Objects of the mission estimate (own tracks and picture) by frame, as `tracks`."""
-        return self._rows("mission", recorded.states)
-
-    @property
-    def detections(self) -> pyarrow.Table:
-        """Received detections by frame, in the sensor's frame: columns of `tracks`, no id.
-
-        `time_s` is the time of the measurement. Of several sensors: those of the first.
-        """
-        return self._rows("detections", recorded.detections)
-
-    def detections_of(self, sensor: str) -> pyarrow.Table:
-        """As `detections`, of one of several sensors. Raises ConfigurationError for a name that none has."""
-        agents = {agent.name: agent for agent in Recording.load(self.path / RECORDING).agents}
-        names = [each.name for each in agents[self.name].sensors]
-        if sensor not in names:
-            raise ConfigurationError(f"{self.name}: no sensor {sensor!r}{nearest(sensor, names)}")
-        return self._rows(f"detections/{sensor}" if names.index(sensor) else "detections", recorded.detections)
-
-    @property
-    def pose(self) -> pyarrow.Table:
-        """A row per frame: the agent's pose and velocity in the world frame.
-
-        Columns: x y z (m), vx vy vz (m/s) and the quaternion qw qx qy qz.
-        """
-        return self._rows("pose", recorded.pose)
-
-    def _rows(self, port: str, rows: Any) -> pyarrow.Table:
-        return recorded.table_of(self.path, f"agent/{self.name}/{port}", rows)
-
-    def __repr__(self) -> str:
-        return f"<Agent {self.name}: tracks, mission, detections, pose; {self.path}>"
+    known = [field.name for field in fields(Look)]
+    if unknown := [name for name in options if name not in known]:
+        raise ConfigurationError(f"no option {unknown[0]!r}{nearest(unknown[0], known)}")
+    if isinstance(options.get("estimates"), str):
+        options = options | {"estimates": (options["estimates"],)}
+    return Look(**options)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from mast_zenoh import scenario
-from mast_zenoh.cli import deploy, export, intercept, listing, replay, scene, view
+from mast_zenoh.cli import animate, deploy, export, intercept, listing, replay, scene, view
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -227,6 +227,8 @@ app.command("list")(listing.list_kind)
 app.command()(export.export)
 app.command(cls=SecureCommand)(replay.replay)
 app.command()(view.view)
+app.command()(animate.animate)
+app.command()(animate.snapshot)
 app.command()(intercept.intercept)
 app.command()(intercept.release)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.launch import liveness
 from mast_zenoh.report import files
 from mast_zenoh.report.fault_tables import with_faults
@@ -50,6 +50,7 @@ class RunFolder:
     driving:   driving.parquet: a row per frame, vehicle and estimate
     results:   by node, the names of its files under results/
     trust, trust_objects: trust.parquet, trust_objects.parquet: of a command centre that judges agents
+    viewer:    the agent whose boxes these are, if not those of the main agent
     """
 
     path: Path
@@ -68,6 +69,7 @@ class RunFolder:
     results: tuple[tuple[str, tuple[str, ...]], ...] = ()
     trust: Table | None = None
     trust_objects: Table | None = None
+    viewer: str = ""
 
     @classmethod
     def load(cls, path: Path) -> RunFolder:
@@ -118,7 +120,22 @@ class RunFolder:
     @cached_property
     def ego(self) -> str | None:
         """The agent whose view the report shows: `ego` or else the first; None: unknown."""
-        return _ego(self.metrics, self.counts, self.recording)
+        return self.viewer or _ego(self.metrics, self.counts, self.recording)
+
+    def seen_by(self, agent: str) -> RunFolder:
+        """The same run with another agent in the place of the ego.
+
+        Raises ConfigurationError if the run has no such agent.
+        """
+        known = list(self.recording.agent_names) if self.recording else list(self.metrics.get("agents", ()))
+        if agent not in known:
+            raise ConfigurationError(f"{self.path}: no agent {agent!r} in this run{nearest(agent, known)}")
+        if agent == self.ego:
+            return self
+        reader = Reader(self.path)
+        boxes = files.table(_OBJECTS, agent, optional=("cause", "by"))
+        objects = reader.read("objects.parquet", boxes, "no bird's-eye and camera views", None)
+        return replace(self, objects=objects, viewer=agent)
 
     def node_spec(self, node: str) -> dict[str, Any]:
         """A node in scenario.json; of a replay's played node, the recorded one."""

@@ -59,6 +59,8 @@ MEMBERS = {
             "plot",
             "report",
             "export",
+            "animate",
+            "snapshot",
         ),
     },
     "Comparison": {"table", "headline", "plot", "markdown"},

@@ -216,7 +216,15 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 }
 
 #: Pages whose files are run by tests of their own.
-WALK_THROUGHS = ("extending.md", "interception.md", "replay.md", "stone_soup.md", "tutorial.md", "tutorial_defence.md")
+WALK_THROUGHS = (
+    "animations.md",
+    "extending.md",
+    "interception.md",
+    "replay.md",
+    "stone_soup.md",
+    "tutorial.md",
+    "tutorial_defence.md",
+)
 
 
 def test_every_python_block_is_run_by_a_test() -> None:

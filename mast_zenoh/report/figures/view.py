@@ -123,12 +123,18 @@ def frame_view(run: RunFolder, frame: int, chosen_by: str = "picture") -> FrameV
     """
     if run.objects is None or not np.any(run.objects["frame"] == frame):
         return None
-    table = rows(run.objects, run.objects["frame"] == frame)
-    boxes = {}
     replaced = _IN_PLACE_OF.get(chosen_by) if has_boxes(run, chosen_by) else None
-    for estimate in (chosen_by if name == replaced else name for name in PANELS):
-        estimate_rows = rows(table, table["estimator"] == run.original(estimate))
-        if estimate != "mission" or has_boxes(run, estimate):
+    estimates = (chosen_by if name == replaced else name for name in PANELS)
+    return view_of(run, frame, [name for name in estimates if name != "mission" or has_boxes(run, name)])
+
+
+def view_of(run: RunFolder, frame: int, estimates: Sequence[str]) -> FrameView:
+    """The view of a frame with these estimates; without boxes where the run has none."""
+    boxes = {}
+    if run.objects is not None:
+        table = rows(run.objects, run.objects["frame"] == frame)
+        for estimate in estimates:
+            estimate_rows = rows(table, table["estimator"] == run.original(estimate))
             boxes[estimate] = {outcome: _boxes(estimate_rows, outcome) for outcome in OUTCOME_COLOURS}
     before, behind = Marks.none(), Marks.none()
     if run.attacks is not None:

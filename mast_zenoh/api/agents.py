@@ -1,0 +1,61 @@
+"""The messages of one agent of a run as tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow
+
+from mast_zenoh.api import messages as recorded
+from mast_zenoh.config.resolved import RECORDING
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.scenes.recording import Recording
+
+
+class Agent:
+    """The messages that one agent of a run sent and received, by frame."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.path = path
+        self.name = name
+
+    @property
+    def tracks(self) -> pyarrow.Table:
+        """Tracks by frame, as the broker receives them: columns of `Run.truth`, and score."""
+        return self._rows("tracks", recorded.states)
+
+    @property
+    def mission(self) -> pyarrow.Table:
+        """Objects of the mission estimate (own tracks and picture) by frame, as `tracks`."""
+        return self._rows("mission", recorded.states)
+
+    @property
+    def detections(self) -> pyarrow.Table:
+        """Received detections by frame, in the sensor's frame: columns of `tracks`, no id.
+
+        `time_s` is the time of the measurement. Of several sensors: those of the first.
+        """
+        return self._rows("detections", recorded.detections)
+
+    def detections_of(self, sensor: str) -> pyarrow.Table:
+        """As `detections`, of one of several sensors. Raises ConfigurationError for a name that none has."""
+        agents = {agent.name: agent for agent in Recording.load(self.path / RECORDING).agents}
+        names = [each.name for each in agents[self.name].sensors]
+        if sensor not in names:
+            raise ConfigurationError(f"{self.name}: no sensor {sensor!r}{nearest(sensor, names)}")
+        return self._rows(f"detections/{sensor}" if names.index(sensor) else "detections", recorded.detections)
+
+    @property
+    def pose(self) -> pyarrow.Table:
+        """A row per frame: the agent's pose and velocity in the world frame.
+
+        Columns: x y z (m), vx vy vz (m/s) and the quaternion qw qx qy qz.
+        """
+        return self._rows("pose", recorded.pose)
+
+    def _rows(self, port: str, rows: Any) -> pyarrow.Table:
+        return recorded.table_of(self.path, f"agent/{self.name}/{port}", rows)
+
+    def __repr__(self) -> str:
+        return f"<Agent {self.name}: tracks, mission, detections, pose; {self.path}>"

@@ -1,0 +1,82 @@
+"""Colours of films and stills, on dark and on light ground."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mast_zenoh.report.figures.style import (
+    ADVERSARY,
+    ADVERSARY_ON_LIGHT,
+    AGENT,
+    BUILDING,
+    BUILDING_EDGE,
+    FAINT,
+    FAULT_ON_LIGHT,
+    GRID,
+    GROUND,
+    OUTCOME_COLOURS,
+    STATES,
+    WITHHELD,
+)
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Colours, `#rrggbb`.
+
+    outcomes: of boxes, by the keys of OUTCOME_COLOURS;  states: of judged agents
+    ink: text;  faint: secondary text and the outlines of sensors
+    """
+
+    ground: str
+    building: str
+    building_edge: str
+    grid: str
+    faint: str
+    ink: str
+    outcomes: Mapping[str, str]
+    adversary: str
+    fault: str
+    agent: str
+    states: Mapping[str, str]
+    withheld: str
+
+
+DARK = Theme(
+    GROUND,
+    BUILDING,
+    BUILDING_EDGE,
+    GRID,
+    FAINT,
+    "#f2f5f9",
+    OUTCOME_COLOURS,
+    ADVERSARY,
+    "#d9a441",
+    AGENT,
+    STATES,
+    WITHHELD,
+)
+#: The paper's key with black for matched truth; the other colours are darker, so that they are readable on white.
+LIGHT = Theme(
+    "#ffffff",
+    "#dfe3ea",
+    "#b4bcc9",
+    "#e9edf2",
+    "#566070",
+    "#1b1f24",
+    {
+        "unevaluated": "#128a37",
+        "truth matched": "#1b1f24",
+        "track matched": "#1766e0",
+        "truth missed": "#bd8b00",
+        "track false": "#d31818",
+    },
+    ADVERSARY_ON_LIGHT,
+    FAULT_ON_LIGHT,
+    "#00728f",
+    {"unknown": "#6b7280", "trusted": "#00728f", "faulty": "#a86400", "suspended": "#c8401c"},
+    "#566070",
+)
+#: By name.
+THEMES = {"dark": DARK, "light": LIGHT}

@@ -1,0 +1,132 @@
+"""Writes films and stills of finished runs: `mast animate` and `mast snapshot`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib import figure as figures
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.report.figures.view import choose_frame
+from mast_zenoh.report.film import gif, video
+from mast_zenoh.report.film.look import Look
+from mast_zenoh.report.film.output import kind_of, write_complete
+from mast_zenoh.report.film.pixels import pictures
+from mast_zenoh.report.film.schedule import check_frame, schedule
+from mast_zenoh.report.film.sheet import Sheet
+from mast_zenoh.report.film.takes import TITLES, Take
+from mast_zenoh.report.runfolder import RunFolder
+
+#: What the names of films end with.
+FILMS = ("mp4", "gif", "webm")
+#: What the names of stills end with, and their canvases.
+STILLS = {"pdf": FigureCanvasPdf, "svg": FigureCanvasSVG, "png": FigureCanvasAgg}
+#: Text stays text, in TrueType fonts that any printer takes, and ids are reproducible.
+_TEXT: dict[Any, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "mast-zenoh"}
+#: Without dates, so that equal stills are equal files.
+_METADATA: dict[str, dict[str, None]] = {
+    "pdf": {"CreationDate": None, "ModDate": None},
+    "svg": dict.fromkeys(("Date", "Creator", "Format", "Type")),
+    "png": {"Software": None},
+}
+
+
+def animate(
+    run: Path,
+    out: Path,
+    look: Look,
+    against: Path | None = None,
+    *,
+    start: int | None = None,
+    end: int | None = None,
+    speed: float = 1.0,
+    fps: float | None = None,
+) -> int:
+    """Write a film of a finished run; returns the number of its pictures.
+
+    out:        a new file that ends with .mp4, .gif or .webm; it is complete or not there at all
+    against:    another run to show beside it
+    start, end: first and last frame;  speed: over that of the scene;  fps: pictures per second
+
+    Raises ExportError for the file, RunFolderError for the run or a frame that it does not have, ConfigurationError for
+    an option, DiskFull.
+    """
+    kind = kind_of(out, dict.fromkeys(FILMS))
+    if kind != "gif":
+        video.ffmpeg()
+    takes = open_takes(run, look, against)
+    plan = schedule(takes[0], start, end, speed, fps)
+    shown = sorted(set(plan.frames))
+    sheet = Sheet(takes, look, shown, (shown[0], shown[-1]))
+
+    def write(path: Path) -> None:
+        if kind == "gif":
+            theme = look.colours
+            key = (theme.ground, theme.ink, theme.adversary, theme.building, *theme.outcomes.values())
+            gif.write_gif(path, lambda frames: pictures(sheet, frames), plan.frames, plan.fps, key)
+        else:
+            video.write_video(path, pictures(sheet, plan.frames), look.pixels(len(takes)), plan.fps)
+
+    write_complete(out, write)
+    return len(plan.frames)
+
+
+def snapshot(run: Path, out: Path, look: Look, frame: int | None = None, against: Path | None = None) -> int:
+    """Write one frame of a finished run; returns which.
+
+    out:   a new file that ends with .pdf, .svg or .png;  frame: None: the one that the report shows
+    Raises as `animate` does.
+    """
+    kind = kind_of(out, STILLS)
+    takes = open_takes(run, look, against)
+    if frame is None:
+        chosen = choose_frame(takes[0].run)
+        frame = takes[0].first if chosen is None else chosen
+    check_frame(takes[0], frame)
+    figure = still(takes, look, frame)
+
+    def write(path: Path) -> None:
+        STILLS[kind](figure)
+        with rc_context(_TEXT):
+            figure.savefig(path, format=kind, facecolor=figure.get_facecolor(), metadata=_METADATA[kind])
+
+    write_complete(out, write)
+    return frame
+
+
+def still(takes: Sequence[Take], look: Look, frame: int) -> figures.Figure:
+    """One frame as a figure; its strips show the whole run."""
+    sheet = Sheet(takes, look, [frame], (takes[0].first, takes[0].last))
+    sheet.show(frame)
+    return sheet.figure
+
+
+def open_takes(run: Path, look: Look, against: Path | None = None) -> list[Take]:
+    """The panels of a film, checked: estimates of one run, or one estimate of two.
+
+    Raises RunFolderError for a run that is in progress or has nothing to show, ConfigurationError for an option.
+    """
+    if against is not None and len(look.estimates) != 1:
+        raise ConfigurationError(f"found {len(look.estimates)} estimates of two runs, expected one")
+    look.check(2 if against is not None else len(look.estimates))
+    folders = [_opened(path, look.agent) for path in (run, *([against] if against is not None else []))]
+    if against is None:
+        return [Take(folders[0], estimate) for estimate in look.estimates]
+    alike = folders[0].label == folders[1].label
+    names = [folder.path.name if alike else folder.label for folder in folders]
+    title = TITLES[look.estimates[0]]
+    return [Take(folder, look.estimates[0], f"{name}: {title}") for folder, name in zip(folders, names, strict=True)]
+
+
+def _opened(path: Path, agent: str | None) -> RunFolder:
+    folder = RunFolder.load(path)
+    if folder.run.get("status") == RUNNING:
+        raise RunFolderError(f"{path}: the run is still in progress: expected a finished run")
+    return folder if agent is None else folder.seen_by(agent)

@@ -1,0 +1,28 @@
+"""The frames of the runs of which tests make films, their figures, and rows of their tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow.parquet
+
+from mast_zenoh.report.film.look import Look
+from mast_zenoh.report.film.sheet import Sheet
+from mast_zenoh.report.film.writing import open_takes
+
+#: Number of frames of the attacked run, and the first one under attack.
+FRAMES, ATTACK = 30, 8
+
+
+def sheet_of(run: Path, look: Look | None = None, against: Path | None = None, frames: range | None = None) -> Sheet:
+    """The figure of a film of all frames."""
+    look = look or Look()
+    takes = open_takes(run, look, against)
+    frames = frames or range(takes[0].first, takes[0].last + 1)
+    return Sheet(takes, look, frames, (frames[0], frames[-1]))
+
+
+def rows_of(run: Path, table: str, **values: object) -> list[dict[str, object]]:
+    """Rows of a table of the run with these values."""
+    content = pyarrow.parquet.read_table(run / f"{table}.parquet").to_pylist()
+    return [row for row in content if all(row[name] == value for name, value in values.items())]
