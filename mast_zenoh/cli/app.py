@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh import scenario
-from mast_zenoh.cli import deploy, export, intercept, listing, replay, scene, view
+from mast_zenoh.cli import completion, deploy, export, intercept, listing, logs, replay, scene, view
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="mast-zenoh: attack, break and defend collaborative sensor fusion on a Zenoh mesh.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 app.add_typer(deploy.app, name="deploy")
@@ -74,6 +72,7 @@ def run(
     against: Against = None,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
+    from mast_zenoh import scenario
     from mast_zenoh.launch import run as launcher
 
     if against not in (None, "twin"):
@@ -90,7 +89,12 @@ def run(
 
 @app.command()
 def study(
-    study_file: Annotated[str, typer.Argument(help="A study file, or the name of a shipped one: case_study, …")],
+    study_file: Annotated[
+        str,
+        typer.Argument(
+            help="A study file, or the name of a shipped one: case_study, …", autocompletion=completion.studies
+        ),
+    ],
     settings: Settings = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Seeds for each configuration and scene.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Concurrent trials; all cores if dask is installed.")] = None,
@@ -182,6 +186,8 @@ def wiring(
     format: Annotated[Literal["text", "json", "mermaid"], typer.Option(help="How to print it.")] = "text",
 ) -> None:
     """Show the publishers and subscribers of every key, with rewrites marked."""
+    from mast_zenoh import scenario
+
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, record=True)
     resolved_wiring = Wiring.from_json(resolved.wiring)
@@ -193,8 +199,11 @@ def wiring(
 
 @app.command()
 def diff(
-    run_a: Annotated[Path, typer.Argument(metavar="A", help="The folder of a run, or a recording.")],
-    run_b: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    run_a: Annotated[
+        Path,
+        typer.Argument(metavar="A", help="The folder of a run, or a recording.", autocompletion=completion.run_folders),
+    ],
+    run_b: Annotated[Path, typer.Argument(metavar="B", help="Another one.", autocompletion=completion.run_folders)],
     wire: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to compare: cc/picture.")] = None,
     ignore: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to leave out: 'attack/*'.")] = None,
     taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
@@ -225,13 +234,14 @@ app.command("list")(listing.list_kind)
 app.command()(export.export)
 app.command(cls=SecureCommand)(replay.replay)
 app.command()(view.view)
+app.command()(logs.logs)
 app.command()(intercept.intercept)
 app.command()(intercept.release)
 
 
 @app.command()
 def report(
-    run_folder: Annotated[Path, typer.Argument(help="The folder of a run.")],
+    run_folder: Annotated[Path, typer.Argument(help="The folder of a run.", autocompletion=completion.run_folders)],
     frame: Annotated[int | None, typer.Option(min=0, help="The frame that figures show.")] = None,
     against: Against = None,
     measure: Annotated[bool, typer.Option("--measure", help="Measure the run again, from its recording.")] = False,
@@ -263,7 +273,7 @@ def carry_out() -> int:
     """Run the command; returns its exit code (docs/exit_codes.md)."""
     os.umask(os.umask(0o022) | 0o022)  # only this user may change a run's files; its nodes inherit the umask
     try:
-        app()
+        app(prog_name="mast")
     except SystemExit as exit_:
         if exit_.code == Interrupted.exit_code:  # Typer's, for a KeyboardInterrupt
             return _show(Interrupted("stopped before anything was started, or left running"))

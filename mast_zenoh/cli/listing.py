@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import out as _out
 
 _HELP = (
@@ -16,7 +17,7 @@ _HELP = (
 
 
 def list_kind(
-    kind: Annotated[str | None, typer.Argument(help=_HELP)] = None,
+    kind: Annotated[str | None, typer.Argument(help=_HELP, autocompletion=completion.kinds)] = None,
     name: Annotated[str | None, typer.Argument(help="One entry of this kind; shows only that entry.")] = None,
     file: Annotated[Path | None, typer.Option(help="Your own Python file: its definitions are listed too.")] = None,
 ) -> None:

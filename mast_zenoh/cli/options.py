@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperCommand
 
+from mast_zenoh.cli import completion
 from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.launch import ending
@@ -29,6 +30,11 @@ if TYPE_CHECKING:
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
+def escaped(text: str) -> str:
+    """A line from a node, without characters that control a terminal: `\\x1b` instead of an escape."""
+    return _CONTROL.sub(lambda match: match.group().encode("unicode_escape").decode("ascii"), text)
+
+
 class PlainConsole(Console):
     """A console that replaces control characters from a node's output by �."""
 
@@ -40,10 +46,20 @@ out = PlainConsole(soft_wrap=True)
 err = PlainConsole(stderr=True, soft_wrap=True)
 
 Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="A launch-time parameter, or a dotted path.",
+        autocompletion=completion.settings,
+    ),
 ]
 Scenario = Annotated[
-    str, typer.Argument(help="A scenario file, or the name of a shipped one: baseline, uncoordinated, …")
+    str,
+    typer.Argument(
+        help="A scenario file, or the name of a shipped one: baseline, uncoordinated, …",
+        autocompletion=completion.scenarios,
+    ),
 ]
 Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
 Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
@@ -57,7 +73,11 @@ Runtime = Annotated[Literal["mesh", "inproc"], typer.Option(help="Processes on a
 Rate = Annotated[float | None, typer.Option(help="Real time: speed relative to the wall clock.")]
 Against = Annotated[
     str | None,
-    typer.Option(metavar="RUN|twin", help="Compare with another run, or with the same run without its adversaries."),
+    typer.Option(
+        metavar="RUN|twin",
+        help="Compare with another run, or with the same run without its adversaries.",
+        autocompletion=completion.against,
+    ),
 ]
 Report = Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")]
 AllowChurn = Annotated[

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import (
     AllowChurn,
     AllowFailures,
@@ -27,7 +28,9 @@ from mast_zenoh.cli.options import out as _out
 
 
 def replay(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a recorded run.")],
+    run_folder: Annotated[
+        Path, typer.Argument(metavar="RUN", help="The folder of a recorded run.", autocompletion=completion.run_folders)
+    ],
     place: Annotated[
         Literal["agents", "simulator"],
         typer.Option("--from", help="Play what the agents sent, or what the simulator sent. All after it is live."),
