@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh.cli import completion, deploy, export, intercept, listing, logs, replay, scene, view
+from mast_zenoh.cli import completion, deploy, export, intercept, listing, logs, replay, scene, view, wiring
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -18,6 +17,7 @@ from mast_zenoh.cli.options import (
     Frames,
     Mode,
     Out,
+    Quiet,
     Rate,
     Record,
     Report,
@@ -28,17 +28,17 @@ from mast_zenoh.cli.options import (
     Seed,
     Settings,
     check_environment,
-    check_run_folder,
+    check_reference,
     conclude,
     reference_folder,
     reporting,
     show_notices,
+    silenced,
 )
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, Interrupted, MastError
 from mast_zenoh.launch import ending
-from mast_zenoh.wiring.model import Wiring, to_mermaid, to_text
 
 if TYPE_CHECKING:
     from mast_zenoh.study.definition import Study
@@ -70,21 +70,21 @@ def run(
     allow_failures: AllowFailures = False,
     allow_churn: AllowChurn = False,
     against: Against = None,
+    quiet: Quiet = False,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh import scenario
     from mast_zenoh.launch import run as launcher
 
-    if against not in (None, "twin"):
-        check_run_folder(Path(against))
-
+    check_reference(against)
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
     check_environment(runtime, resolved.mode, secure, endpoint)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    finished = launcher.run(resolved, out, **environment, **allowed, console=_out)
-    conclude(finished, report=report, against=against, allow_failures=allow_failures)
+    with silenced(quiet):
+        finished = launcher.run(resolved, out, **environment, **allowed, console=_err if quiet else _out, quiet=quiet)
+        conclude(finished, report=report, against=against, allow_failures=allow_failures)
 
 
 @app.command()
@@ -180,24 +180,6 @@ def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
 
 
 @app.command()
-def wiring(
-    scenario_file: Scenario,
-    settings: Settings = None,
-    format: Annotated[Literal["text", "json", "mermaid"], typer.Option(help="How to print it.")] = "text",
-) -> None:
-    """Show the publishers and subscribers of every key, with rewrites marked."""
-    from mast_zenoh import scenario
-
-    path, loaded = scenario.load(scenario_file, settings or ())
-    resolved = scenario.resolve(path, loaded, record=True)
-    resolved_wiring = Wiring.from_json(resolved.wiring)
-    if format == "json":
-        sys.stdout.write(json.dumps(resolved_wiring.to_json(), indent=2) + "\n")
-    else:
-        sys.stdout.write((to_text if format == "text" else to_mermaid)(resolved_wiring) + "\n")
-
-
-@app.command()
 def diff(
     run_a: Annotated[
         Path,
@@ -230,6 +212,7 @@ def diff(
     raise typer.Exit(0 if difference.first is None else 1)
 
 
+app.command()(wiring.wiring)
 app.command("list")(listing.list_kind)
 app.command()(export.export)
 app.command(cls=SecureCommand)(replay.replay)
@@ -254,6 +237,7 @@ def report(
     from mast_zenoh.launch import measurement
     from mast_zenoh.report import html, terminal
 
+    check_reference(against)
     if missing := next((file for file in figures or () if not file.is_file()), None):
         raise ConfigurationError(f"no file {str(missing)!r}: --figures expects a Python file")
     if measure or measurement.can_fill_in(run_folder):

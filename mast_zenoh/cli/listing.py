@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import out as _out
 
+_WIDTH = 80
 _HELP = (
     "attacks, trackers, fusion, defences, scenes, links, faults, metrics, messages, scenarios or studies. "
     "Default: all their names."
@@ -29,7 +31,9 @@ def list_kind(
         loading.module(file)
     if kind is None:
         for each in catalogue.KINDS:
-            _out.print(f"{each}: {', '.join(catalogue.list_kind(each).names)}", markup=False, highlight=False)
+            names = ", ".join(catalogue.list_kind(each).names)
+            lines = textwrap.wrap(f"{each}: {names}", _WIDTH, subsequent_indent="    ", break_on_hyphens=False)
+            _out.print("\n".join(lines), markup=False, highlight=False)
         return
     listing = catalogue.list_kind(kind)
     _out.print(str(listing if name is None else listing[name]), markup=False, highlight=False)

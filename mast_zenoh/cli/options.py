@@ -87,6 +87,11 @@ AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn
 Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
 
 
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Print warnings and errors only, to standard error; name the --out.")
+]
+
+
 class SecureCommand(TyperCommand):
     """A command whose option `--secure` may have no value."""
 
@@ -134,6 +139,16 @@ def conclude(finished: Run, *, report: bool, against: str | None = None, allow_f
         raise refusal
     if reference is not None and against == "twin" and not allow_failures:
         _raise_failure(reference)
+
+
+@contextmanager
+def silenced(quiet: bool) -> Iterator[None]:
+    """Print nothing to standard output in this block, if `quiet`."""
+    out.quiet = quiet
+    try:
+        yield
+    finally:
+        out.quiet = False
 
 
 @contextmanager
@@ -193,10 +208,22 @@ def _raise_failure(reference: Reference) -> None:
         raise HandlerFailed(f"{reference.name} ({reference.run.path}): {record.get('message')}")
 
 
-def check_run_folder(folder: Path) -> None:
-    """Raise NotComparable unless a folder has the results of a run."""
+def check_reference(against: str | None) -> None:
+    """Raise NotComparable unless `--against` is missing, `twin`, or the folder of a run with results."""
+    if against is None or against == "twin":
+        return
+    from mast_zenoh.launch.folder import json_or_empty
+
+    folder = Path(against)
+    expected = "expected the folder of a run with results, or twin"
+    if not folder.is_dir():
+        raise NotComparable(f"{folder}: found {'a file' if folder.exists() else 'no such folder'}: {expected}")
+    if not any((folder / name).is_file() for name in ("run.json", "scenario.json")):
+        raise NotComparable(f"{folder}: has no run.json: {expected}")
     if not (folder / "metrics.json").is_file():
-        raise NotComparable(f"{folder}: has no metrics.json: expected the folder of a run with results, or twin")
+        raise NotComparable(f"{folder}: has no metrics.json: {expected}")
+    if not json_or_empty(folder / "metrics.json").get("agents"):
+        raise NotComparable(f"{folder}: has a damaged metrics.json: {expected}")
 
 
 def reference_folder(run_folder: Path, against: str) -> Path:
@@ -207,12 +234,15 @@ def reference_folder(run_folder: Path, against: str) -> Path:
 
 
 def show_notices(finished: Run, label: str = "") -> None:
-    """Print a run's notices, and handler failures that its error does not name."""
+    """Print a run's notices, and handler failures that its error does not name.
+
+    Notices are warnings: if nothing else is printed, they go to standard error.
+    """
     notices = [f"{notice['kind']}: {notice['text']}" for notice in finished.record.get("notices", ())]
     if finished.record["message"] and not finished.error:
         notices.append(f"note: {finished.record['message']}")
     for notice in notices:
-        out.print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
+        (err if out.quiet else out).print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
     if finished.failures and not isinstance(finished.error, HandlerFailed):
         warning = failures.summary(finished.failures, finished.logs)
         err.print(f"{label}warning: {warning}", style="bold yellow", markup=False, highlight=False)

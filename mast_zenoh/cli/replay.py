@@ -20,7 +20,7 @@ from mast_zenoh.cli.options import (
     Runtime,
     Secure,
     check_environment,
-    check_run_folder,
+    check_reference,
     conclude,
 )
 from mast_zenoh.cli.options import err as _err
@@ -72,8 +72,7 @@ def replay(
         raise typer.BadParameter(
             "a replay has no twin: expected the recorded run, or another one", param_hint="--against"
         )
-    if against is not None:
-        check_run_folder(Path(against))
+    check_reference(against)
     if mode == "lockstep" and rate is not None:
         raise typer.BadParameter("lock-step waits for every node: expected --mode realtime", param_hint="--rate")
     chosen = mode or ("lockstep" if rate is None else "realtime")
