@@ -16,7 +16,7 @@ import zenoh
 from mast_zenoh.runtime.mesh.stamp import stamp_of
 from mast_zenoh.wiring.model import TAP, Wiring
 
-_CAPACITY = 64  # messages of a key between two calls of `read`; with more, missing ones are not counted
+_CAPACITY = 32  # messages of a key between two calls of `read`; with more, missing ones are not counted
 _WINDOW_S = 2.0  # over which rates are measured
 _SHORTEST_S = 0.2  # for a rate
 

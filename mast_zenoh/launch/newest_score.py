@@ -27,9 +27,10 @@ from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.mesh.stamp import stamp_of
 from mast_zenoh.wiring.model import TAP, Wiring
 
-_TRUTHS = 32  # frames by which a picture may be late and still be scored
-_PICTURES = 32  # whose latencies are measured at once
-_CLOCKS = 512
+_TRUTHS = 16  # frames by which a picture may be late and still be scored
+_PICTURES = 16  # whose latencies are measured at once
+_CLOCKS = 256
+_MAX_BYTES = 1 << 20  # of a scored message, about 1,000 objects: the launcher must not be kept busy by a hostile one
 
 
 class NewestScore(NamedTuple):
@@ -139,14 +140,18 @@ class MeshScores:
     def newest(self) -> NewestScore | None:
         """The score of the newest picture; None if there is none, or its truth is not known any more."""
         for sample in _taken(self._truth):
-            self._truths.append((_step(sample), sample))
+            if len(sample.payload) <= _MAX_BYTES:
+                self._truths.append((_step(sample), sample))
         if self._clock is None:
             self._arrivals.extend((0, sample) for sample in _taken(self._picture))
         arrivals = list(self._arrivals)
         if not arrivals:
             return None
         try:
-            picture = codec.decode(arrivals[-1][1].payload.to_bytes(), "picture")
+            newest = arrivals[-1][1].payload
+            if len(newest) > _MAX_BYTES:
+                return None
+            picture = codec.decode(newest.to_bytes(), "picture")
             truth = dict(self._truths).get(picture.header.frame)
             scored = (
                 None if truth is None else score(self._keys, codec.decode(truth.payload.to_bytes(), "truth"), picture)
