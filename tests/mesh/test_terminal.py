@@ -17,9 +17,9 @@ pytestmark = pytest.mark.mesh
 SILENT = {"evaluator", "recorder"}
 
 
-@pytest.mark.parametrize(("mode", "secure"), [("lockstep", "acl"), ("realtime", "open")])
+@pytest.mark.parametrize(("mode", "secure", "frames"), [("lockstep", "acl", 240), ("realtime", "open", 60)])
 def test_rates_lags_and_the_score_are_those_of_the_run(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, mode: str, secure: str
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, mode: str, secure: str, frames: int
 ) -> None:
     monkeypatch.setattr(display, "_PERIOD_S", 0.0)
     monkeypatch.setattr(display, "_SHARE", 1e9)
@@ -28,8 +28,10 @@ def test_rates_lags_and_the_score_are_those_of_the_run(
     drawn: list[Status] = []
     lines = Display.lines
     monkeypatch.setattr(Display, "lines", lambda self, *words: drawn.append(words[0]) or lines(self, *words))
-    path, loaded = scenario.load("coordinated", ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=1"))
-    resolved = scenario.resolve(path, loaded, frames=60, mode=mode, rate=2.0, record=True)
+    path, loaded = scenario.load(
+        "coordinated", ("n_infrastructure=2", "n_adversaries=1", f"attack_start_s={frames / 20}")
+    )
+    resolved = scenario.resolve(path, loaded, frames=frames, mode=mode, rate=2.0, record=True)
     console = Console(force_terminal=True, width=80, height=24, file=StringIO())
     ended = run.run(resolved, tmp_path / "run", secure=secure, console=console)
     assert ended.error is None
@@ -42,7 +44,9 @@ def test_rates_lags_and_the_score_are_those_of_the_run(
     assert all(each.activities[name].rate_hz is None for each in playing for name in SILENT)
     if mode == "lockstep":
         assert all(each.activities[name].drops == 0 for each in heard for name in ("simulator", "ego", "broker"))
-    states = {(each.frame >= 11, each.states["adversary_1"]) for each in playing if each.states["ego"] == "running"}
+    states = {
+        (each.frame > frames // 2, each.states["adversary_1"]) for each in playing if each.states["ego"] == "running"
+    }
     assert states >= {(False, "running"), (True, "attack")}
     table = pq.read_table(ended.folder / "metrics.parquet").to_pylist()
     rows = [row for row in table if (row["agent"], row["estimator"]) == ("ego", "picture_received")]
