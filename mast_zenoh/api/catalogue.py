@@ -60,6 +60,9 @@ _FILES = {"scenarios": "scenario", "studies": "study"}
 
 KINDS = (*_BASES, "messages", *_FILES)
 
+_WIDTH = 80  # of the text of an entry
+_MAX_ASSIGNMENT = 34  # of a parameter with its default, beside its meaning
+
 _MEASURES = {
     "fn": "Objects in range of the agent that no track matches, per frame",
     "fp": "Tracks in range of the agent that match no object, per frame",
@@ -106,12 +109,12 @@ class Entry:
     parameters: tuple[Parameter, ...] = ()
 
     def __str__(self) -> str:
-        lines = textwrap.wrap(self.description, 112, initial_indent="  ", subsequent_indent="  ")
+        lines = textwrap.wrap(self.description, _WIDTH, initial_indent="  ", subsequent_indent="  ")
         written = [_as_assignment(each) for each in self.parameters]
-        width = min(max((len(text) for text in written), default=0), 44)
+        width = min(max((len(text) for text in written), default=0), _MAX_ASSIGNMENT)
         for text, each in zip(written, self.parameters, strict=True):
             room = " " * (width + 6)
-            words = textwrap.wrap(each.words, 116 - len(room)) or [""]
+            words = textwrap.wrap(each.words, _WIDTH - len(room)) or [""]
             first = f"    {text:{width}}  {words[0]}" if len(text) <= width else f"    {text}\n{room}{words[0]}"
             lines += [first.rstrip(), *(room + line for line in words[1:])]
         return "\n".join([self.name, *lines])

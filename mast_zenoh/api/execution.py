@@ -11,7 +11,7 @@ from mast_zenoh import scenario as scenarios
 from mast_zenoh.api.runs import Run
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, NodeLost
 from mast_zenoh.launch import run as launcher
 
 #: Types of the argument `scenario`: a name or file, a dict, or a function that returns one.
@@ -70,10 +70,11 @@ def run(
     )
     result = Run(finished.folder)
     if finished.error is not None:
-        finished.error.add_note(
-            f"The results so far are in {finished.folder}: read them with mast_zenoh.open(…). Command-line options "
-            "are keyword arguments in Python: allow_failures=True"
-        )
+        note = f"The results so far are in {finished.folder}: read them with mast_zenoh.open(…)"
+        if isinstance(finished.error, (HandlerFailed, NodeLost)):  # their messages name an option of the command line
+            option = "allow_failures" if isinstance(finished.error, HandlerFailed) else "allow_churn"
+            note += f". Command-line options are keyword arguments in Python: {option}=True"
+        finished.error.add_note(note)
         raise finished.error
     if report:
         result.report()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from pathlib import Path
@@ -10,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh import scenario
-from mast_zenoh.cli import animate, deploy, export, intercept, listing, replay, scene, view
+from mast_zenoh.cli import animate, completion, deploy, export, intercept, listing, logs, replay, scene, view, wiring
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -19,6 +17,7 @@ from mast_zenoh.cli.options import (
     Frames,
     Mode,
     Out,
+    Quiet,
     Rate,
     Record,
     Report,
@@ -29,17 +28,17 @@ from mast_zenoh.cli.options import (
     Seed,
     Settings,
     check_environment,
-    check_run_folder,
+    check_reference,
     conclude,
     reference_folder,
     reporting,
     show_notices,
+    silenced,
 )
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, Interrupted, MastError
 from mast_zenoh.launch import ending
-from mast_zenoh.wiring.model import Wiring, to_mermaid, to_text
 
 if TYPE_CHECKING:
     from mast_zenoh.study.definition import Study
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="mast-zenoh: attack, break and defend collaborative sensor fusion on a Zenoh mesh.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 app.add_typer(deploy.app, name="deploy")
@@ -73,26 +71,32 @@ def run(
     allow_churn: AllowChurn = False,
     against: Against = None,
     shown: Annotated[bool, typer.Option("--view", help="Show the run in a browser while it is running.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
+    from mast_zenoh import scenario
     from mast_zenoh.launch import run as launcher
 
-    if against not in (None, "twin"):
-        check_run_folder(Path(against))
-
+    check_reference(against)
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
     check_environment(runtime, resolved.mode, secure, endpoint, viewed=shown)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    with view.viewer(shown) as prepare:
-        finished = launcher.run(resolved, out, **environment, **allowed, prepare=prepare, console=_out)
+    with silenced(quiet), view.viewer(shown) as prepare:
+        console = _err if quiet else _out
+        finished = launcher.run(resolved, out, **environment, **allowed, prepare=prepare, console=console, quiet=quiet)
         conclude(finished, report=report, against=against, allow_failures=allow_failures)
 
 
 @app.command()
 def study(
-    study_file: Annotated[str, typer.Argument(help="A study file, or the name of a shipped one: case_study, …")],
+    study_file: Annotated[
+        str,
+        typer.Argument(
+            help="A study file, or the name of a shipped one: case_study, …", autocompletion=completion.studies
+        ),
+    ],
     settings: Settings = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Seeds for each configuration and scene.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Concurrent trials; all cores if dask is installed.")] = None,
@@ -178,25 +182,12 @@ def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
 
 
 @app.command()
-def wiring(
-    scenario_file: Scenario,
-    settings: Settings = None,
-    format: Annotated[Literal["text", "json", "mermaid"], typer.Option(help="How to print it.")] = "text",
-) -> None:
-    """Show the publishers and subscribers of every key, with rewrites marked."""
-    path, loaded = scenario.load(scenario_file, settings or ())
-    resolved = scenario.resolve(path, loaded, record=True)
-    resolved_wiring = Wiring.from_json(resolved.wiring)
-    if format == "json":
-        sys.stdout.write(json.dumps(resolved_wiring.to_json(), indent=2) + "\n")
-    else:
-        sys.stdout.write((to_text if format == "text" else to_mermaid)(resolved_wiring) + "\n")
-
-
-@app.command()
 def diff(
-    run_a: Annotated[Path, typer.Argument(metavar="A", help="The folder of a run, or a recording.")],
-    run_b: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    run_a: Annotated[
+        Path,
+        typer.Argument(metavar="A", help="The folder of a run, or a recording.", autocompletion=completion.run_folders),
+    ],
+    run_b: Annotated[Path, typer.Argument(metavar="B", help="Another one.", autocompletion=completion.run_folders)],
     wire: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to compare: cc/picture.")] = None,
     ignore: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to leave out: 'attack/*'.")] = None,
     taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
@@ -223,19 +214,21 @@ def diff(
     raise typer.Exit(0 if difference.first is None else 1)
 
 
+app.command()(wiring.wiring)
 app.command("list")(listing.list_kind)
 app.command()(export.export)
 app.command(cls=SecureCommand)(replay.replay)
 app.command()(view.view)
 app.command()(animate.animate)
 app.command()(animate.snapshot)
+app.command()(logs.logs)
 app.command()(intercept.intercept)
 app.command()(intercept.release)
 
 
 @app.command()
 def report(
-    run_folder: Annotated[Path, typer.Argument(help="The folder of a run.")],
+    run_folder: Annotated[Path, typer.Argument(help="The folder of a run.", autocompletion=completion.run_folders)],
     frame: Annotated[int | None, typer.Option(min=0, help="The frame that figures show.")] = None,
     against: Against = None,
     measure: Annotated[bool, typer.Option("--measure", help="Measure the run again, from its recording.")] = False,
@@ -248,6 +241,7 @@ def report(
     from mast_zenoh.launch import measurement
     from mast_zenoh.report import html, terminal
 
+    check_reference(against)
     if missing := next((file for file in figures or () if not file.is_file()), None):
         raise ConfigurationError(f"no file {str(missing)!r}: --figures expects a Python file")
     if measure or measurement.can_fill_in(run_folder):
@@ -267,7 +261,7 @@ def carry_out() -> int:
     """Run the command; returns its exit code (docs/exit_codes.md)."""
     os.umask(os.umask(0o022) | 0o022)  # only this user may change a run's files; its nodes inherit the umask
     try:
-        app()
+        app(prog_name="mast")
     except SystemExit as exit_:
         if exit_.code == Interrupted.exit_code:  # Typer's, for a KeyboardInterrupt
             return _show(Interrupted("stopped before anything was started, or left running"))

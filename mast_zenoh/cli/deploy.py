@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from mast_zenoh import scenario
+from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import (
     AllowChurn,
     AllowFailures,
@@ -36,7 +36,9 @@ Engine = Annotated[
     str,
     typer.Option(metavar="NAME|FILE", help="Where the nodes run: compose, swarm, ssh, or the file of your own engine."),
 ]
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
+RunFolder = Annotated[
+    Path, typer.Argument(metavar="RUN", help="The folder of a run.", autocompletion=completion.run_folders)
+]
 
 
 @app.command(cls=SecureCommand)
@@ -69,6 +71,7 @@ def up(
     allow_churn: AllowChurn = False,
 ) -> None:
     """Run a scenario in containers or on other hosts, collect results and clean up."""
+    from mast_zenoh import scenario
     from mast_zenoh.deploy import engines, space
     from mast_zenoh.launch import run
 

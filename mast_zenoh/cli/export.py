@@ -7,12 +7,15 @@ from typing import Annotated, Literal
 
 import typer
 
+from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 
 
 def export(
-    run_folder: Annotated[Path, typer.Argument(help="The folder of a finished run.")],
+    run_folder: Annotated[
+        Path, typer.Argument(help="The folder of a finished run.", autocompletion=completion.run_folders)
+    ],
     to: Annotated[
         Literal["csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2", "rrd"],
         typer.Option(help="The format, see docs/exports.md."),

@@ -7,9 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
+from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import out as _out
 
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a running run.")]
+RunFolder = Annotated[
+    Path, typer.Argument(metavar="RUN", help="The folder of a running run.", autocompletion=completion.run_folders)
+]
 
 
 def intercept(

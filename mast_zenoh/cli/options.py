@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperCommand
 
+from mast_zenoh.cli import completion
 from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.launch import ending
@@ -29,6 +30,11 @@ if TYPE_CHECKING:
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
+def escaped(text: str) -> str:
+    """A line from a node, without characters that control a terminal: `\\x1b` instead of an escape."""
+    return _CONTROL.sub(lambda match: match.group().encode("unicode_escape").decode("ascii"), text)
+
+
 class PlainConsole(Console):
     """A console that replaces control characters from a node's output by �."""
 
@@ -40,10 +46,20 @@ out = PlainConsole(soft_wrap=True)
 err = PlainConsole(stderr=True, soft_wrap=True)
 
 Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="A launch-time parameter, or a dotted path.",
+        autocompletion=completion.settings,
+    ),
 ]
 Scenario = Annotated[
-    str, typer.Argument(help="A scenario file, or the name of a shipped one: baseline, uncoordinated, …")
+    str,
+    typer.Argument(
+        help="A scenario file, or the name of a shipped one: baseline, uncoordinated, …",
+        autocompletion=completion.scenarios,
+    ),
 ]
 Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
 Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
@@ -57,7 +73,11 @@ Runtime = Annotated[Literal["mesh", "inproc"], typer.Option(help="Processes on a
 Rate = Annotated[float | None, typer.Option(help="Real time: speed relative to the wall clock.")]
 Against = Annotated[
     str | None,
-    typer.Option(metavar="RUN|twin", help="Compare with another run, or with the same run without its adversaries."),
+    typer.Option(
+        metavar="RUN|twin",
+        help="Compare with another run, or with the same run without its adversaries.",
+        autocompletion=completion.against,
+    ),
 ]
 Report = Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")]
 AllowChurn = Annotated[
@@ -65,6 +85,11 @@ AllowChurn = Annotated[
 ]
 AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn when a handler of a node fails.")]
 Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
+
+
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Print warnings and errors only, to standard error; name the --out.")
+]
 
 
 class SecureCommand(TyperCommand):
@@ -119,6 +144,16 @@ def conclude(finished: Run, *, report: bool, against: str | None = None, allow_f
         raise refusal
     if reference is not None and against == "twin" and not allow_failures:
         _raise_failure(reference)
+
+
+@contextmanager
+def silenced(quiet: bool) -> Iterator[None]:
+    """Print nothing to standard output in this block, if `quiet`."""
+    out.quiet = quiet
+    try:
+        yield
+    finally:
+        out.quiet = False
 
 
 @contextmanager
@@ -178,10 +213,22 @@ def _raise_failure(reference: Reference) -> None:
         raise HandlerFailed(f"{reference.name} ({reference.run.path}): {record.get('message')}")
 
 
-def check_run_folder(folder: Path) -> None:
-    """Raise NotComparable unless a folder has the results of a run."""
+def check_reference(against: str | None) -> None:
+    """Raise NotComparable unless `--against` is missing, `twin`, or the folder of a run with results."""
+    if against is None or against == "twin":
+        return
+    from mast_zenoh.launch.folder import json_or_empty
+
+    folder = Path(against)
+    expected = "expected the folder of a run with results, or twin"
+    if not folder.is_dir():
+        raise NotComparable(f"{folder}: found {'a file' if folder.exists() else 'no such folder'}: {expected}")
+    if not any((folder / name).is_file() for name in ("run.json", "scenario.json")):
+        raise NotComparable(f"{folder}: has no run.json: {expected}")
     if not (folder / "metrics.json").is_file():
-        raise NotComparable(f"{folder}: has no metrics.json: expected the folder of a run with results, or twin")
+        raise NotComparable(f"{folder}: has no metrics.json: {expected}")
+    if not json_or_empty(folder / "metrics.json").get("agents"):
+        raise NotComparable(f"{folder}: has a damaged metrics.json: {expected}")
 
 
 def reference_folder(run_folder: Path, against: str) -> Path:
@@ -192,12 +239,15 @@ def reference_folder(run_folder: Path, against: str) -> Path:
 
 
 def show_notices(finished: Run, label: str = "") -> None:
-    """Print a run's notices, and handler failures that its error does not name."""
+    """Print a run's notices, and handler failures that its error does not name.
+
+    Notices are warnings: if nothing else is printed, they go to standard error.
+    """
     notices = [f"{notice['kind']}: {notice['text']}" for notice in finished.record.get("notices", ())]
     if finished.record["message"] and not finished.error:
         notices.append(f"note: {finished.record['message']}")
     for notice in notices:
-        out.print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
+        (err if out.quiet else out).print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
     if finished.failures and not isinstance(finished.error, HandlerFailed):
         warning = failures.summary(finished.failures, finished.logs)
         err.print(f"{label}warning: {warning}", style="bold yellow", markup=False, highlight=False)

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import (
     AllowChurn,
     AllowFailures,
@@ -19,7 +20,7 @@ from mast_zenoh.cli.options import (
     Runtime,
     Secure,
     check_environment,
-    check_run_folder,
+    check_reference,
     conclude,
 )
 from mast_zenoh.cli.options import err as _err
@@ -27,7 +28,9 @@ from mast_zenoh.cli.options import out as _out
 
 
 def replay(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a recorded run.")],
+    run_folder: Annotated[
+        Path, typer.Argument(metavar="RUN", help="The folder of a recorded run.", autocompletion=completion.run_folders)
+    ],
     place: Annotated[
         Literal["agents", "simulator"],
         typer.Option("--from", help="Play what the agents sent, or what the simulator sent. All after it is live."),
@@ -69,8 +72,7 @@ def replay(
         raise typer.BadParameter(
             "a replay has no twin: expected the recorded run, or another one", param_hint="--against"
         )
-    if against is not None:
-        check_run_folder(Path(against))
+    check_reference(against)
     if mode == "lockstep" and rate is not None:
         raise typer.BadParameter("lock-step waits for every node: expected --mode realtime", param_hint="--rate")
     chosen = mode or ("lockstep" if rate is None else "realtime")

@@ -57,6 +57,12 @@ def failed_output() -> OSError | None:
     return None if failure is None or failure.errno == errno.EPIPE else failure
 
 
+def is_read() -> bool:
+    """Whether standard output still accepts text: nobody has closed the pipe."""
+    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    return not isinstance(raw, _Lossy) or raw.failure is None
+
+
 def _stream(descriptor: int, former: TextIO | None) -> TextIO:
     raw = _Lossy(descriptor, "w", closefd=False)
     encoding = former.encoding if former is not None else None

@@ -31,6 +31,8 @@ def module(path: Path) -> ModuleType:
     name = _name_of(path)
     if name in sys.modules and _unchanged(sys.modules[name]):
         return sys.modules[name]
+    if not path.is_file():
+        raise ConfigurationError(f"{path}: no such file: expected a Python file")
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise ConfigurationError(f"{path}: not a Python file, expected the suffix .py")

@@ -31,11 +31,13 @@ class Mesh(NamedTuple):
 
     session: the launcher's; supervisor: starts, watches and ends the nodes
     deployment: the credentials of this run; None without security
+    has_router: whether the session is the router's own, so that what it subscribes to crosses no link
     """
 
     session: zenoh.Session
     supervisor: Supervisor[Any]
     deployment: Deployment | None = None
+    has_router: bool = False
 
 
 class Stop:

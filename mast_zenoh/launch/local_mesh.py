@@ -65,4 +65,4 @@ def _open_router(context: RunContext, stack: ExitStack, listen: str) -> Mesh:
     session, endpoint = open_router(listen, security=deployment.router, patient=resolved.patient)
     context.record["endpoint"] = endpoint
     processes = Processes(context.folder, run, endpoint, extra_arguments=extra_arguments)
-    return Mesh(stack.enter_context(session), processes, deployment)
+    return Mesh(stack.enter_context(session), processes, deployment, has_router=True)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.control.failures import described
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
@@ -58,10 +59,14 @@ def measure(folder: Path) -> list[str]:
 
 def scenario_of(folder: Path) -> Resolved:
     """The scenario of a run; raises RunFolderError if it cannot be read."""
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "no such folder"
+        raise RunFolderError(f"{folder}: found {found}, expected the folder of a run")
     try:
         return Resolved.read(folder)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RunFolderError(f"{folder}: scenario.json and wiring.json cannot be read: {error!r}") from None
+        problem = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else described(error)
+        raise RunFolderError(f"{folder}: scenario.json and wiring.json cannot be read: {problem}") from None
 
 
 class Incomplete(NamedTuple):

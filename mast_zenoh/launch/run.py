@@ -24,6 +24,7 @@ from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.nodelogs import NodeLogs
+from mast_zenoh.launch.observation import InProcessObservation
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messages import user_types
 from mast_zenoh.runtime.inproc import InProcess
@@ -62,6 +63,7 @@ def run(
     allow_churn: bool = False,
     prepare: Callable[[RunContext], None] = lambda context: None,
     console: Console | None = None,
+    quiet: bool = False,
     command: Sequence[str] | str | None = None,
     replay: Mapping[str, Any] | None = None,
 ) -> Run:
@@ -73,6 +75,7 @@ def run(
     allow_failures: whether a run in which a handler failed is still "ok"; otherwise its error is HandlerFailed
     allow_churn: whether a lock-step run in which a node was lost is still "ok"; otherwise its error is NodeLost
     prepare:  called with the context of a run on a mesh before it starts: to set detours, and to observe the run
+    quiet:    print no progress, only what deserves attention
     command:  what started the run, for run.json; None: this process's command line
     replay:   of a replay: what it replays, for run.json and metrics.json, with `notices`, a sentence for each thing
               that is missing
@@ -114,7 +117,7 @@ def run(
         try:
             if received:
                 raise ending.from_signals(received)
-            with Display(console, resolved.name, resolved.frames) as display:
+            with Display(console, resolved.name, resolved.frames, quiet=quiet) as display:
                 if runtime == "inproc":
                     _run_inproc(resolved, folder, record, display, received)
                 else:
@@ -148,14 +151,14 @@ def _run_inproc(
     """Run all nodes in this process."""
     if resolved.network.get("faults"):
         raise BackendError("host faults need hosts: one process has no network between its nodes; use runtime 'mesh'")
-    states = dict.fromkeys(resolved.nodes, "running")
+    observation = InProcessObservation(resolved, scored=display.live)
     with NodeLogs(folder / "logs") as logs:
 
         def progress(frame: int) -> bool:
-            display.update(frame, states)
+            display.update(frame, lambda: observation.status(frame, process.hosts))
             return not received
 
-        process = InProcess(resolved.in_folder(folder), progress=progress)
+        process = InProcess(resolved.in_folder(folder), progress=progress, tap=observation.tap)
         outcomes: dict[str, dict[str, Any]] = {}
         try:
             with stop_signals.second_interrupts(received):

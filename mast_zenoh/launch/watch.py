@@ -23,6 +23,7 @@ from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.file_server import FileServer
 from mast_zenoh.launch.interception.server import Interceptions
 from mast_zenoh.launch.netns.hosts import Hosts
+from mast_zenoh.launch.observation import Observation
 from mast_zenoh.launch.reports import Report, Reports
 from mast_zenoh.launch.steps import StepRequests, Steps
 from mast_zenoh.launch.supervisor import Child
@@ -63,9 +64,17 @@ class Watch:
         self._file_server = file_server
         self._hosts = hosts
         self._interrupts = 0  # stop signals that have been handled
+        observing = display.live and mesh.has_router  # elsewhere, what is observed would cross the network
+        self._observation = Observation(context, mesh.session if observing else None)
 
     def run(self) -> None:
         """Watch until every process has ended, or the grace period of a stop is over."""
+        try:
+            self._watch()
+        finally:
+            self._observation.close()
+
+    def _watch(self) -> None:
         while self._supervisor.running():
             self._requests.serve(_POLL_S, stopping=self._stop.requested)
             self._check_file_server()
@@ -81,7 +90,8 @@ class Watch:
             self._check_network()
             if self._stop.since is not None and self._ask_to_stop(self._stop.since):
                 return
-            self._display.update(self._context.frame + 1, self._states())
+            self._observation.advance()
+            self._display.update(self._context.frame + 1, lambda: self._observation.status(self._supervisor.children))
 
     def take_reports(self) -> None:
         """Take the nodes' reports: results, and failures of handlers, which are shown."""
@@ -174,17 +184,3 @@ class Watch:
         self._context.show(f"[red]{escape(line)}")
         if report.failure["handler"] == "start":
             self._stop.fail(ending.from_failed_start(line, report.failure["exception"]), "a node did not start")
-
-    def _states(self) -> dict[str, str]:
-        """The state of every node, for the display."""
-
-        def state(child: Child) -> str:
-            if child.exit is not None:
-                return "done" if child.exit == 0 and child.handed_in else "away" if child.exit_expected else "dead"
-            if child.paused:
-                return "paused"
-            if child.cut_off:
-                return "cut off"
-            return "running" if self._context.frame >= 0 else "starting"
-
-        return {name: state(child) for name, child in self._supervisor.children.items()}

@@ -112,7 +112,7 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
             n_workers=jobs,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # it cannot be left out, and warns of another study on its usual port
             silence_logs=logging.CRITICAL,
             memory_limit=0,
         )

@@ -121,7 +121,7 @@ def test_parameter_descriptions_are_read_from_lines_and_from_sentences() -> None
 
 
 def test_listings_show_defaults_units_and_descriptions() -> None:
-    listing = str(mast.list("scenarios")["coordinated"])
+    listing = " ".join(str(mast.list("scenarios")["coordinated"]).split())
     assert "attack_start_s = 4.0 s" in listing
     assert "interval at which the coordinator selects new targets" in listing, "has its own description"
     assert "mean number added by each (Poisson)" in listing, "has the description of `uncoordinated`"
@@ -150,7 +150,7 @@ def test_the_command_line_prints_the_same_listings() -> None:
 
     for kind in KINDS:
         assert printed(kind).strip() == str(mast.list(kind)).strip()
-        assert f"{kind}: {', '.join(mast.list(kind).names)}" in printed()
+        assert f"{kind}: {', '.join(mast.list(kind).names)}" in " ".join(printed().split())
     assert printed("attacks", "ConflictSelection").strip() == str(mast.list("attacks")["ConflictSelection"])
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunFolderError
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunFolderError
+from mast_zenoh.launch.display import Display
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.scenario import load
 
@@ -112,9 +115,18 @@ class Failing(Node):
     with pytest.raises(HandlerFailed) as failed:
         mast.run(tmp_path / "mine.py", frames=2, out=tmp_path / "run")
     assert str(tmp_path / "run") in failed.value.__notes__[0]
+    assert "allow_failures=True" in failed.value.__notes__[0]
     assert mast.open(tmp_path / "run").status == "handler_failures"
     allowed = mast.run(tmp_path / "mine.py", frames=2, out=tmp_path / "allowed", allow_failures=True)
     assert allowed.status == "ok"
+
+
+def test_an_interrupted_run_names_its_folder_and_no_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Display, "update", lambda self, frame, status: os.kill(os.getpid(), signal.SIGINT))
+    with pytest.raises(Interrupted) as stopped:
+        mast.run("baseline", frames=4, out=tmp_path / "run", **SMALL)
+    (note,) = stopped.value.__notes__
+    assert note == f"The results so far are in {tmp_path / 'run'}: read them with mast_zenoh.open(\u2026)"
 
 
 @pytest.mark.mesh

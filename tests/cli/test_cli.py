@@ -73,6 +73,12 @@ def test_without_out_the_run_folder_is_named_automatically(mast, tmp_path: Path)
         (("study", "case_stdy"), 10, "did you mean 'case_study.py'"),
         (("study", "case_study", "--set", "n_adversary=1"), 10, "did you mean 'n_adversaries'"),
         (("wiring", "baseline", "--format", "xml"), 2, "--format"),
+        (
+            ("study", "defences", "--set", "adversaries=nosuch.py:Liar"),
+            10,
+            "nosuch.py: no such file: expected a Python",
+        ),
+        (("replay", __file__), 15, "test_cli.py: found a file, expected the folder of a run"),
         (("report", "nowhere"), 15, "nowhere"),
         (("diff", "nowhere", "nowhere"), 2, "cannot compare: nowhere: no such folder"),
     ],
@@ -227,11 +233,29 @@ def test_a_report_of_a_failed_run_warns(mast, tmp_path: Path) -> None:
     assert "warning: Handlers of eve failed in 3 frames: the numbers may be wrong" in err
 
 
-def test_an_impossible_comparison_is_refused_before_the_run(mast, tmp_path: Path) -> None:
-    code, _, err = mast("run", "baseline", *SHORT, "--out", "here", "--against", "nosuch")
-    assert code == 17
-    assert "nosuch: has no metrics.json" in err.replace("\n", " ")
+@pytest.mark.parametrize("words", [("run", "baseline", *SHORT), ("replay", "recorded"), ("report", "recorded")])
+def test_an_impossible_comparison_is_refused_before_anything_is_done(mast, tmp_path: Path, words) -> None:
+    for name in ("empty", "unscored", "damaged"):
+        (tmp_path / name).mkdir()
+        if name != "empty":
+            (tmp_path / name / "run.json").write_text("{}")
+    (tmp_path / "damaged" / "metrics.json").write_text("{")
+    (tmp_path / "file").touch()
+    out = () if words[0] == "report" else ("--out", "here")
+    for name, problem in {
+        "nosuch": "found no such folder",
+        "file": "found a file",
+        "file/metrics.json": "found no such folder",
+        "empty": "has no run.json",
+        "unscored": "has no metrics.json",
+        "damaged": "has a damaged metrics.json",
+    }.items():
+        code, _, err = mast(*words, *out, "--against", name)
+        assert (code, f"{name}: {problem}: expected the folder of a run" in err.replace("\n", " ")) == (17, True), err
     assert not (tmp_path / "here").exists()
+
+
+def test_runs_of_different_length_are_not_compared(mast) -> None:
     assert mast("run", "baseline", *SHORT, "--no-report", "--out", "short")[0] == 0
     assert mast("run", "baseline", "--frames", "5", "--runtime", "inproc", "--no-report", "--out", "long")[0] == 0
     code, _, err = mast("report", "long", "--against", "short")

@@ -35,7 +35,7 @@ def test_it_says_what_is_played_what_is_live_and_what_is_missing(mast: Command, 
     )
     assert err == "warning: the recorded run ended as 'stalled'\n"
     assert "replay: the recorded run ended as 'stalled'" in out
-    assert "in brackets: more than baseline" in out
+    assert "in brackets: more than baseline" in " ".join(out.split())
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["replay"]["changed"] == {"broker": ["patience"]}
 
 

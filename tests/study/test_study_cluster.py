@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -18,7 +20,7 @@ import pytest
 from small_study import tables, write_small
 
 from mast_zenoh.errors import StartError
-from mast_zenoh.study import definition, trials
+from mast_zenoh.study import definition, execution, trials
 
 pytest.importorskip("distributed", reason="dask is not installed")
 
@@ -35,6 +37,18 @@ def reference(study_file: Path, tmp_path_factory: pytest.TempPathFactory) -> dic
     """The tables of the study run by one process, one trial after the other."""
     outcome = trials.run(definition.load(str(study_file)), tmp_path_factory.mktemp("reference") / "out", count=4)
     return tables(outcome.out)
+
+
+def test_a_second_study_on_a_machine_gives_no_warning_of_ports_and_is_reachable_from_nowhere_else() -> None:
+    with socket.socket() as other, warnings.catch_warnings():
+        with suppress(OSError):  # Dask's own port: another study may have it already
+            other.bind(("127.0.0.1", 8787))
+            other.listen()
+        warnings.simplefilter("error")
+        with execution._client(1, None) as client:
+            assert client.scheduler_info()["services"]["dashboard"] != 8787
+            listening = psutil.Process().net_connections("tcp")
+    assert {each.laddr.ip for each in listening if each.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:

@@ -77,13 +77,8 @@ def _of_defences(matrix: DefenceMatrix) -> Iterator[tuple[str, str, Measured]]:
 def _summary_as_rich(matrix: DefenceMatrix) -> Table:
     """The summary with a line per number: it has too many columns for a terminal."""
     source = summary(matrix)
-    table = Table(title=source.title, title_justify="left", caption=source.about, caption_justify="left")
-    table.add_column(source.headings[0])
-    for line in source.lines:
-        table.add_column(line[0], justify="right")
-    for heading, *values in zip(source.headings[1:], *(line[1:] for line in source.lines), strict=True):
-        table.add_row(heading, *values)
-    return table
+    headings, *lines = zip(source.headings, *source.lines, strict=True)
+    return text_table.rich_table(source.title, source.about, headings, lines)
 
 
 def _digits(each: Measured) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -254,6 +255,7 @@ def as_rich(table: ScoreTable) -> Group:
 
 def _terminal_table(table: ScoreTable, estimates: Sequence[str], title: str) -> Table:
     several = len(table.runs) > 1
+    title = textwrap.fill(title, 79)
     result = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     result.add_column("")
     if several:

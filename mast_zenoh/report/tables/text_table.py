@@ -5,15 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import math
+import textwrap
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from mast_zenoh.report.defence_rows import Measured
 from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.report.tables.study_rows import MIN_SEEDS, number
 
+_TERMINAL = 80  # columns
 _NOT_REACHED = "not reached"
 
 
@@ -60,12 +63,43 @@ def as_latex(size: str, tables: Iterable[TextTable]) -> str:
 
 def as_rich(table: TextTable) -> Table:
     """A table for the terminal, with the sentences below."""
-    result = Table(title=table.title, title_justify="left", caption=table.about or None, caption_justify="left")
-    for index, heading in enumerate(table.headings):
-        result.add_column(heading, justify="left" if index == 0 else "right")
-    for line in table.lines:
+    return rich_table(table.title, table.about, table.headings, table.lines)
+
+
+def rich_table(title: str, about: str, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> Table:
+    """A table for a terminal of 80 columns: its cells are wrapped between words, which are never cut."""
+    result = Table(
+        title=wrapped(title),
+        title_justify="left",
+        caption=wrapped(about) or None,
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    columns = list(zip(headings, *lines, strict=True))
+    for index, (heading, width) in enumerate(zip(headings, _widths(columns), strict=True)):
+        result.add_column(heading, justify="left" if index == 0 else "right", width=width)
+    for line in lines:
         result.add_row(*line)
     return result
+
+
+def _widths(columns: Sequence[Sequence[str]]) -> list[int]:
+    """Widths of columns that fit a terminal of 80 columns, none less than its longest word if that is possible.
+
+    Rich would share the width out without regard to words.
+    """
+    widths = [max(map(len, cells)) for cells in columns]
+    least = [max((len(word) for cell in cells for word in cell.split()), default=0) for cells in columns]
+    while sum(widths) + 2 * len(widths) + 1 > _TERMINAL and widths != least:
+        widest = max((index for index in range(len(widths)) if widths[index] > least[index]), key=widths.__getitem__)
+        widths[widest] -= 1
+    return widths
+
+
+def wrapped(sentences: str) -> str:
+    """Sentences above or below a table, for a terminal of 80 columns."""
+    return "\n".join(textwrap.wrap(sentences, _TERMINAL))
 
 
 def as_csv(headings: Sequence[str], lines: Iterable[Sequence[object]]) -> str:

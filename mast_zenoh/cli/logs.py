@@ -1,0 +1,48 @@
+"""`mast logs RUN [NODE]`: what the nodes of a run have logged."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mast_zenoh.cli import completion, standard_streams
+from mast_zenoh.cli.options import err as _err
+from mast_zenoh.cli.options import escaped
+
+_POLL_S = 0.2
+
+
+def logs(
+    run_folder: Annotated[
+        Path, typer.Argument(metavar="RUN", help="The folder of a run.", autocompletion=completion.run_folders)
+    ],
+    node: Annotated[
+        str | None,
+        typer.Argument(metavar="[NODE]", help="The node. Default: all.", autocompletion=completion.logged_nodes),
+    ] = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Continue with new lines until the run ends, or Ctrl-C.")
+    ] = False,
+) -> None:
+    """Print the logs of a run's nodes, in the order of time; of all nodes with their names."""
+    from mast_zenoh.launch.log_reading import RunLogs
+
+    run_logs = RunLogs(run_folder, node)
+    try:
+        running = True
+        while running and standard_streams.is_read():
+            running = follow and run_logs.running  # asked first: a node may log until the run ends
+            for line in run_logs.new_lines(partial=not running):
+                prefix = f"{line.node}  " if node is None else ""
+                sys.stdout.write(f"{prefix}{escaped(line.text)}\n")
+            sys.stdout.flush()
+            if running:
+                threading.Event().wait(_POLL_S)
+    except KeyboardInterrupt:
+        sys.stdout.flush()
+    for log, problem in run_logs.problems.items():
+        _err.print(f"warning: {run_folder / log}: {problem}", style="bold yellow", markup=False, highlight=False)

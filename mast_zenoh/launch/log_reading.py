@@ -1,0 +1,110 @@
+"""Reads the logs in a run folder, of a finished run or of one that goes on."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import re
+from collections.abc import Iterator
+from operator import itemgetter
+from pathlib import Path
+from typing import NamedTuple
+
+from mast_zenoh.errors import RunFolderError, nearest
+from mast_zenoh.launch import liveness
+from mast_zenoh.launch.ending import RUNNING
+
+#: Bytes of a line; a longer one is continued on the next.
+MAX_LINE = 1 << 16
+#: The beginning of an entry: `2026-11-22 10:58:43,888`. Lines without belong to the entry before, such as tracebacks.
+_TIME = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} ")
+
+
+class Line(NamedTuple):
+    """A line of a node's log; bytes that are not UTF-8 are replaced by their codes, `\\xff`."""
+
+    node: str
+    text: str
+
+
+class RunLogs:
+    """The logs of one run folder.
+
+    folder: of the run;  node: only this one's log; None: all, also of nodes that join later
+    problems: by log, why it could not be read
+    Raises RunFolderError for a folder that is no run folder, and for an unknown node.
+    """
+
+    def __init__(self, folder: Path, node: str | None = None) -> None:
+        self.problems: dict[str, str] = {}
+        self._folder = folder
+        self._node = node
+        self._logs: dict[str, _Log] = {}
+        if not (folder / "logs").is_dir() and not (folder / "run.json").is_file():
+            raise RunFolderError(f"{folder}: has no logs and no run.json: expected the folder of a run")
+        known = {path.stem for path in self._paths()} | self._nodes()
+        if node is not None and node not in known:
+            raise RunFolderError(f"{folder}: has no node {node!r}{nearest(node, known)}")
+
+    @property
+    def running(self) -> bool:
+        """Whether the run goes on; False if that cannot be known."""
+        record = self._record()
+        return liveness.current_record(record).get("status") == RUNNING
+
+    def new_lines(self, *, partial: bool) -> Iterator[Line]:
+        """The lines since the last call, in the order of their times.
+
+        partial: also what follows the last line feed of a log
+        """
+        for path in self._paths():
+            if self._node in (None, path.stem):
+                self._logs.setdefault(path.stem, _Log(path))
+        entries = [self._entries(node, log, partial=partial) for node, log in sorted(self._logs.items())]
+        for _, node, line in heapq.merge(*entries, key=itemgetter(0)):
+            yield Line(node, line.decode("utf-8", "backslashreplace"))
+
+    def _entries(self, node: str, log: _Log, *, partial: bool) -> Iterator[tuple[bytes, str, bytes]]:
+        try:
+            for time, line in log.new_lines(partial=partial):
+                yield time, node, line
+        except OSError as error:
+            self.problems[f"logs/{log.path.name}"] = error.strerror or str(error)
+
+    def _paths(self) -> list[Path]:
+        return [path for path in (self._folder / "logs").glob("*.log") if path.is_file()]
+
+    def _record(self) -> dict[str, object]:
+        try:
+            record = json.loads((self._folder / "run.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return record if isinstance(record, dict) else {}
+
+    def _nodes(self) -> set[str]:
+        nodes = self._record().get("nodes")
+        return set(nodes) if isinstance(nodes, dict) else set()
+
+
+class _Log:
+    """A log file, read from where the last call stopped.
+
+    time: of the entry that was read last
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.time = b""
+        self._position = 0
+
+    def new_lines(self, *, partial: bool) -> Iterator[tuple[bytes, bytes]]:
+        """(time, line) of each line since the last call."""
+        with self.path.open("rb") as file:
+            file.seek(self._position)
+            while line := file.readline(MAX_LINE):
+                if not line.endswith(b"\n") and len(line) < MAX_LINE and not partial:
+                    return  # the rest of it comes later
+                self._position += len(line)
+                if begun := _TIME.match(line):
+                    self.time = begun.group()
+                yield self.time, line.removesuffix(b"\n")
