@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,8 +18,8 @@ from mast_zenoh.errors import MastError, MessageError, RunFolderError
 from mast_zenoh.launch import folder, liveness, measurement
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.tables import from_arrow, read_arrow
-from mast_zenoh.messagelog.events import REWIRED
-from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
+from mast_zenoh.launch.wirings import recorded_wirings
+from mast_zenoh.messagelog.reader import Recorded, file_of, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
@@ -96,18 +97,18 @@ class RunFrames:
         file_of(path)
         if path.is_file():
             raise RunFolderError(f"{path}: found a file, expected the folder of a run")
-        run = liveness.current_record(_json_object(path / "run.json"))
-        if run.get("status") == RUNNING:
-            raise RunFolderError(f"{path}: the run is still in progress: expected a finished run")
+        run = liveness.finished_record(path, _json_object(path / "run.json"))
         missing = [] if run.get("status") == "ok" else [f"the run is {run.get('status')}: {run.get('message')}"]
+        if run.get("status") == RUNNING:
+            missing = ["run.json says that the run is in progress; whether it is cannot be known from here"]
         if (incomplete := measurement.incomplete_recording(path)) is not None:
             missing.append(f"messages.mcap: {incomplete}: later frames are missing")
-        wirings = _wirings(path)
+        wirings = recorded_wirings(path)
         agents = _agents(path, wirings)
         topics: dict[Series, str] = {}
         for _, wiring in wirings:
             topics |= routes.topics(wiring, agents)
-        read = _Reader(path, missing).read
+        read = partial(_read_or_note, path, missing)
         metrics = read("metrics.json", _json_object, "estimates that equal others may lack outcomes", {})
         same_as = metrics.get("same_as") or {}
         no_outcomes = "no object is marked as matched, missed or false"
@@ -229,17 +230,6 @@ def _states(series: Series, body: Body) -> ObjectStates:
     return states_to_world(states, body["origin"], body["rotation"]) if "origin" in body else states
 
 
-def _wirings(path: Path) -> list[tuple[int, Wiring]]:
-    """The wirings of a run, each with the frame after which it holds."""
-    changes = [(event.frame, event.wiring) for event in events(path) if event.what == REWIRED]
-    try:
-        if not changes or changes[0][0] >= 0:
-            changes.insert(0, (-1, folder.read_json(path / "wiring.json")))
-        return [(frame, Wiring.from_json(wiring)) for frame, wiring in changes]
-    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-        raise RunFolderError(f"{path}: the wiring of the run cannot be read: {error!r}") from None
-
-
 def _agents(path: Path, wirings: Sequence[tuple[int, Wiring]]) -> tuple[str, ...]:
     """The names of the agents, the main one first: nodes that send tracks which a broker collates."""
     names = dict.fromkeys(
@@ -253,25 +243,22 @@ def _agents(path: Path, wirings: Sequence[tuple[int, Wiring]]) -> tuple[str, ...
     return tuple(sorted(names, key=lambda name: name != "ego"))
 
 
-class _Reader:
-    """Reads files of a run folder; notes what is missing instead of failing."""
-
-    def __init__(self, path: Path, missing: list[str]) -> None:
-        self.path, self.missing = path, missing
-
-    def read(self, name: str, read_file: Callable[[Path], Any], consequence: str, default: Any) -> Any:
-        file = self.path / name
-        try:
-            if not file.is_file():
-                raise FileNotFoundError
-            return read_file(file)
-        except FileNotFoundError:
-            self.missing.append(f"{name} is absent: {consequence}")
-        except KeyError as error:
-            self.missing.append(f"{name} cannot be read (found no column {error}): {consequence}")
-        except (OSError, ValueError, TypeError, MastError, pyarrow.ArrowException) as error:
-            self.missing.append(f"{name} cannot be read ({str(error).removeprefix(f'{file}: ')}): {consequence}")
-        return default
+def _read_or_note(
+    path: Path, missing: list[str], name: str, read_file: Callable[[Path], Any], consequence: str, default: Any
+) -> Any:
+    """Read a file of a run folder; notes what is missing instead of failing."""
+    file = path / name
+    try:
+        if not file.is_file():
+            raise FileNotFoundError
+        return read_file(file)
+    except FileNotFoundError:
+        missing.append(f"{name} is absent: {consequence}")
+    except KeyError as error:
+        missing.append(f"{name} cannot be read (found no column {error}): {consequence}")
+    except (OSError, ValueError, TypeError, MastError, pyarrow.ArrowException) as error:
+        missing.append(f"{name} cannot be read ({str(error).removeprefix(f'{file}: ')}): {consequence}")
+    return default
 
 
 def _json_object(path: Path) -> dict[str, Any]:
