@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import getpass
-import socket
 from collections.abc import Sequence
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-from mast_zenoh.errors import ConfigurationError, NotComparable, RunFolderError
+from mast_zenoh.errors import NotComparable, RunFolderError
 from mast_zenoh.report.page import page_text
 from mast_zenoh.report.playback.block import run_block
 from mast_zenoh.report.playback.inline import policy, viewer_parts
 from mast_zenoh.report.runfolder import RunFolder
-
-#: The server listens on no other address, so that nobody else on the network can read runs.
-LOOPBACK = "127.0.0.1"
-_HOSTS = (LOOPBACK, "localhost")
+from mast_zenoh.viewer.loopback import LoopbackHandler, LoopbackServer
 
 
 def viewer_page(folders: Sequence[Path], frame: int | None = None) -> str:
@@ -47,54 +41,24 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> str:
     return page_text("viewer.html.j2", {"title": title, "headline": title, "viewer": viewer_parts(blocks)})
 
 
-class ViewerServer(ThreadingHTTPServer):
+class ViewerServer(LoopbackServer):
     """Serves one page.
 
     page: as from `viewer_page`;  port: 0 for any free one
     Raises ConfigurationError if the port cannot be used.
     """
 
-    daemon_threads = True
-
     def __init__(self, page: str, port: int = 0) -> None:
         self.content = page.encode("utf-8", "surrogateescape")
-        try:
-            super().__init__((LOOPBACK, port), _Handler)
-        except OSError as error:
-            problem = f"found {port}, which cannot be used ({error.strerror})"
-            raise ConfigurationError(f"--port: {problem}: expected a free port, or 0 for any") from None
-
-    @property
-    def url(self) -> str:
-        """Where the page is."""
-        return f"http://{LOOPBACK}:{self.server_port}/"
-
-    @property
-    def tunnel(self) -> str:
-        """The command that brings the page to another computer."""
-        return f"ssh -L {self.server_port}:{LOOPBACK}:{self.server_port} {getpass.getuser()}@{socket.gethostname()}"
+        super().__init__(port, _Handler)
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(LoopbackHandler):
     server: ViewerServer
 
-    def do_GET(self) -> None:
+    def answer(self, path: str) -> None:
         """Send the page; anything else is not found."""
-        name = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
-        if name not in _HOSTS:  # a page of another host, whose name was made to lead here
-            self.send_error(HTTPStatus.FORBIDDEN, "expected the host 127.0.0.1 or localhost")
-        elif self.path.partition("?")[0] != "/":
+        if path != "/":
             self.send_error(HTTPStatus.NOT_FOUND)
         else:
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(self.server.content)))
-            self.send_header("Content-Security-Policy", policy() + "; frame-ancestors 'none'")
-            self.send_header("X-Content-Type-Options", "nosniff")
-            self.send_header("Referrer-Policy", "no-referrer")
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
-            self.wfile.write(self.server.content)
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Log nothing: the terminal shows where the page is."""
+            self.send_content(self.server.content, "text/html; charset=utf-8", policy() + "; frame-ancestors 'none'")

@@ -14,6 +14,7 @@ from mast_zenoh.metrics.record import PICTURE, Series
 from mast_zenoh.viewer.export import foxglove_topics as topics
 from mast_zenoh.viewer.export.cameras import WORLD
 from mast_zenoh.viewer.frame_source import FrameSource
+from mast_zenoh.viewer.palette import GROUND
 from mast_zenoh.viewer.routes import TRUTH
 
 _FROM_ABOVE, _CAMERA, _FALSE, _MISSED, _LOG = (
@@ -37,7 +38,7 @@ def layout(run: FrameSource) -> dict[str, Any]:
             "grid": {"layerId": "foxglove.Grid", "instanceId": "grid", "visible": True, "size": 200, "divisions": 10}
         },
         "transforms": {},
-        "scene": {"backgroundColor": "#10141b"},
+        "scene": {"backgroundColor": GROUND},
     }
     panels: dict[str, Any] = {
         _FROM_ABOVE: scene

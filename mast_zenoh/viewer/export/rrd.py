@@ -17,7 +17,7 @@ from mast_zenoh.viewer.export.cameras import cameras
 from mast_zenoh.viewer.export.columns import class_names, colours, missed, quaternions, wall_lines
 from mast_zenoh.viewer.frame_source import FrameSource
 from mast_zenoh.viewer.frames import Frame
-from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS, rgb
+from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb
 from mast_zenoh.viewer.routes import TRUTH
 
 APPLICATION = "mast-zenoh"
@@ -133,10 +133,13 @@ def blueprint(run: FrameSource) -> views.Blueprint:
         )
         for title, name in (("false objects", "fp"), ("missed objects", "fn"))
     ]
-    camera = views.Spatial2DView(name=run.ego, origin=f"/{pose_entity(run.ego)}/camera", contents=contents)
+    ground = list(rgb(GROUND))  # boxes of the truth are white
+    camera = views.Spatial2DView(
+        name=run.ego, origin=f"/{pose_entity(run.ego)}/camera", contents=contents, background=ground
+    )
     return views.Blueprint(
         views.Horizontal(
-            views.Spatial3DView(name="scene", origin="/", contents=contents),
+            views.Spatial3DView(name="scene", origin="/", contents=contents, background=ground),
             views.Vertical(camera, *charts, views.TextLogView(name="changes", origin=f"/{LOG}")),
             column_shares=[3, 2],
         ),
