@@ -37,6 +37,7 @@ def test_each_adversary_has_a_sentence_with_its_place_its_effects_and_its_time(r
 
 def test_a_run_without_adversaries_says_so_and_names_its_faults(run_folder: RunFolderFixture) -> None:
     folder = run_folder("baseline")
+    (folder / "wiring.json").unlink()  # names adversaries, in every run of these tests
     run = edited(folder, "metrics.json", lambda content: content.pop("interposers"))
     assert attack_description(run) == ["No adversary took part in this run."]
     faults = [{"label": f"loss {n}", "kind": "fault", "at_s": float(n), "until_s": None} for n in range(5)]

@@ -36,9 +36,11 @@ def layout(run: FrameSource) -> dict[str, Any]:
         "topics": {topic: {"visible": visible} for topic, visible in shown.items()},
         "layers": {
             "grid": {"layerId": "foxglove.Grid", "instanceId": "grid", "visible": True, "size": 200, "divisions": 10}
+            | {"color": "#2a3340ff"}
         },
         "transforms": {},
-        "scene": {"backgroundColor": GROUND},
+        # without lines from the world's origin to every agent
+        "scene": {"backgroundColor": GROUND, "transforms": {"lineWidth": 0}},
     }
     panels: dict[str, Any] = {
         _FROM_ABOVE: scene
