@@ -156,7 +156,7 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         if sector < 359.0:
             start = np.degrees(turn) + agent.sensor.azimuth_min_deg
             wedge = Wedge((position[0], position[1]), agent.sensor.max_range_m, start, start + sector)
-            wedge.set(facecolor="none", edgecolor=to_rgba(colour, 0.45), linewidth=0.8, zorder=2)
+            wedge.set(facecolor="none", edgecolor=to_rgba(colour, 0.3), linewidth=0.8, zorder=2)
             axes.add_patch(wedge)
         marker, face = ("^", colour) if agent.kind == "static" else ("o", "none")
         axes.plot(position[0], position[1], marker, ms=9, mfc=face, mec=colour, mew=1.5, zorder=5)
