@@ -188,7 +188,7 @@ class Run:
     def export(self, to: str, out: str | Path) -> Exported:
         """Write the finished run in another format (docs/exports.md).
 
-        to: csv, parquet, kitti, mot, openlabel, foxglove, rosbag2 or rrd;  out: a new file or folder
+        to: a format of that page;  out: a new file or folder
 
         Returns the paths that were written, and what the run's record lacks. Raises ExportError for a package that is
         not installed or a path that exists, RunFolderError for a run in progress or a damaged recording.

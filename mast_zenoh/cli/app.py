@@ -9,7 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh.cli import animate, completion, deploy, export, intercept, listing, logs, replay, scene, view, wiring
+from mast_zenoh.cli import (
+    animate,
+    completion,
+    deploy,
+    export,
+    intercept,
+    listing,
+    logs,
+    replay,
+    scene,
+    view,
+    viewer_process,
+    wiring,
+)
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -83,7 +96,7 @@ def run(
     check_environment(runtime, resolved.mode, secure, endpoint, viewed=shown)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    with silenced(quiet), view.viewer(shown) as prepare:
+    with silenced(quiet), viewer_process.viewer(shown) as prepare:
         console = _err if quiet else _out
         finished = launcher.run(resolved, out, **environment, **allowed, prepare=prepare, console=console, quiet=quiet)
         conclude(finished, report=report, against=against, allow_failures=allow_failures)

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
+from mast_zenoh.viewer.formats import FormatName
 
 
 def export(
     run_folder: Annotated[
         Path, typer.Argument(help="The folder of a finished run.", autocompletion=completion.run_folders)
     ],
-    to: Annotated[
-        Literal["csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2", "rrd"],
-        typer.Option(help="The format, see docs/exports.md."),
-    ],
+    to: Annotated[FormatName, typer.Option(help="The format, see docs/exports.md.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="The new file or folder.")],
 ) -> None:
     """Write a finished run in another format."""

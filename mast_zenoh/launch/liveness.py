@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.ending import KILLED, RUNNING
 
 
@@ -40,6 +41,19 @@ def current_record(record: Mapping[str, Any]) -> dict[str, Any]:
         message = "its launcher was killed: what was recorded up to then is kept"
         return {**record, "status": KILLED, "message": record.get("message") or message}
     return dict(record)
+
+
+def finished_record(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
+    """run.json as of now, of a run that has ended.
+
+    It may still say `running` if whether the launcher lives cannot be known from here: on another machine.
+    Raises RunFolderError if the launcher is alive.
+    """
+    current = current_record(record)
+    launcher = current.get("launcher")
+    if current.get("status") == RUNNING and isinstance(launcher, Mapping) and lives(launcher):
+        raise RunFolderError(f"{folder}: the run is still in progress: expected a finished run")
+    return current
 
 
 def _began(pid: int) -> str | None:

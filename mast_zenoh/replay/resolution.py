@@ -11,13 +11,12 @@ from typing import Any
 from mast_zenoh.config import loading
 from mast_zenoh.config.process_steps import REALTIME, ProcessStep
 from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node
-from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError
+from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.launch import liveness
-from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.folder import json_or_empty
 from mast_zenoh.launch.measurement import scenario_of
-from mast_zenoh.messagelog.events import REWIRED
-from mast_zenoh.messagelog.reader import events, file_of
+from mast_zenoh.launch.wirings import recorded_wirings
+from mast_zenoh.messagelog.reader import file_of
 from mast_zenoh.messagelog.script import Script
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
@@ -83,14 +82,12 @@ def resolve(
     for changed nodes that do not fit the recorded wires.
     """
     file_of(folder)  # names what is missing
-    run = liveness.current_record(json_or_empty(folder / "run.json"))
-    if run.get("status") == RUNNING and liveness.lives(run.get("launcher") or {}):
-        raise RunFolderError(f"{folder}: is still running, expected a run that has ended")
+    run = liveness.finished_record(folder, json_or_empty(folder / "run.json"))
     recorded = scenario_of(folder)
     if not 0 < rate < float("inf"):
         raise ConfigurationError(f"rate: found {rate}, expected a number above 0")
     user_types.use(recorded.messages)
-    wiring, rewired = _initial_wiring(folder, recorded)
+    wiring, rewired = _initial_wiring(folder)
     roles = {name: spec.role for name, spec in recorded.nodes.items() if name not in rewired}
     division = cut(wiring, roles, place)
     kept = division.live if record else {name for name in division.live if roles[name] != "recorder"}
@@ -151,16 +148,12 @@ def resolve(
     return Replay(resolved, origin, notices)
 
 
-def _initial_wiring(folder: Path, recorded: Resolved) -> tuple[Wiring, set[str]]:
+def _initial_wiring(folder: Path) -> tuple[Wiring, set[str]]:
     """The wiring that a run began with, without nodes that came or went during the run; and these.
 
     Subscribers keep their keys when a node is inserted, so what they received is on the same keys throughout.
     """
-    wirings = [event.wiring for event in events(folder) if event.what == REWIRED] or [recorded.wiring]
-    try:
-        known = [Wiring.from_json(wiring) for wiring in wirings]
-    except (KeyError, TypeError, IndexError, AttributeError) as error:
-        raise RunFolderError(f"{folder}: the recorded wiring cannot be read: {error!r}") from None
+    known = [wiring for _, wiring in recorded_wirings(folder)]
     interposers = [{name for wire in wiring.wires for name in wire.interposers} for wiring in known]
     rewired = {name for names in interposers for name in names if not all(name in each for each in interposers)}
     return never_inserted(known[0], rewired), rewired

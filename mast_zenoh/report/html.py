@@ -28,6 +28,7 @@ from mast_zenoh.report.figures.view import (
     has_boxes,
     settled,
 )
+from mast_zenoh.report.narrative.attack_description import attack_description
 from mast_zenoh.report.narrative.changes import largest_change
 from mast_zenoh.report.narrative.circumstances import reference_status
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
@@ -168,6 +169,7 @@ def _write_run(
     content = {
         "title": f"Run {run.run.get('id', run.label)}",
         "headline": headline(run, reference),
+        "attack": attack_description(run),
         "reading": reading(run, reference),
         "facts": facts(run) + ([f"compared with {reference.name}"] if reference else []),
         "status": run.run.get("status", "unknown"),

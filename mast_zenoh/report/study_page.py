@@ -13,6 +13,8 @@ from mast_zenoh.report.study_facts import StudyFacts, plural
 from mast_zenoh.report.tables.study_rows import StudyRow
 from mast_zenoh.report.tables.study_sections import sections, side_by_side
 
+#: Files of the study's folder that the page links to, if they are there.
+_TABLES = ("table.csv", "table.md", "table.tex", "results.parquet", "frames.parquet")
 #: This many failed trials are listed; the others are collapsed.
 _SHOWN_AT_ONCE = 10
 
@@ -48,6 +50,7 @@ def write_page(
         ],
         "baseline": facts.baseline,
         "scenes": facts.scenes,
+        "tables": [name for name in _TABLES if (folder / name).is_file()],
         "environment": facts.environment,
     }
     return render("study_trials.html.j2", content, folder)

@@ -4,65 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import pyarrow
 
-from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import MastError, MessageError, RunFolderError
 from mast_zenoh.launch import folder, liveness, measurement
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.tables import from_arrow, read_arrow
-from mast_zenoh.messagelog.events import REWIRED
-from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
+from mast_zenoh.launch.wirings import recorded_wirings
+from mast_zenoh.messagelog.reader import Recorded, file_of, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.scenes.recording import Recording, truth_states
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.viewer import routes
-from mast_zenoh.viewer.evaluated import Changes, ChangeTable, Judgements, Outcomes, Score, ScoreTable, Table
-from mast_zenoh.viewer.routes import CLOCK, POSE, TRUTH
+from mast_zenoh.viewer.evaluated import ChangeTable, Judgements, ScoreTable, Table
+from mast_zenoh.viewer.frame import Frame, frame_of
+from mast_zenoh.viewer.routes import CLOCK, TRUTH
 from mast_zenoh.wiring.model import Wiring
-
-
-class Pose(NamedTuple):
-    """Where an agent is. position: (3,) m;  rotation: (3, 3) active, agent to world"""
-
-    position: Floats
-    rotation: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """One frame of a run.
-
-    index:    its number;  time_ns: its time, ns since the scene began
-    objects:  by series, the objects of the first valid message about this frame; a series without one is absent. Those
-              of the truth have no covariance and no score
-    outcomes: by series (also the truth), how the evaluator judged its objects: around its agent, or around the main
-              agent if all agents share it. The truth is judged by the picture
-    truth_outcomes: by series, how the evaluator judged the objects of the truth by it
-    points:   (n, a) lidar returns of each object of the truth at each agent of the run
-    own:      by agent, the id of its own object in the truth; -1: none
-    poses:    by agent, its true pose
-    scores:   by agent and estimate
-    changes:  what interposers changed
-    """
-
-    index: int
-    time_ns: int
-    objects: Mapping[Series, ObjectStates]
-    outcomes: Mapping[Series, Outcomes]
-    truth_outcomes: Mapping[Series, Outcomes]
-    points: Ints
-    own: Mapping[str, int]
-    poses: Mapping[str, Pose]
-    scores: Mapping[Series, Score]
-    changes: Changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +59,18 @@ class RunFrames:
         file_of(path)
         if path.is_file():
             raise RunFolderError(f"{path}: found a file, expected the folder of a run")
-        run = liveness.current_record(_json_object(path / "run.json"))
-        if run.get("status") == RUNNING:
-            raise RunFolderError(f"{path}: the run is still in progress: expected a finished run")
+        run = liveness.finished_record(path, _json_object(path / "run.json"))
         missing = [] if run.get("status") == "ok" else [f"the run is {run.get('status')}: {run.get('message')}"]
+        if run.get("status") == RUNNING:
+            missing = ["run.json says that the run is in progress; whether it is cannot be known from here"]
         if (incomplete := measurement.incomplete_recording(path)) is not None:
             missing.append(f"messages.mcap: {incomplete}: later frames are missing")
-        wirings = _wirings(path)
+        wirings = recorded_wirings(path)
         agents = _agents(path, wirings)
         topics: dict[Series, str] = {}
         for _, wiring in wirings:
             topics |= routes.topics(wiring, agents)
-        read = _Reader(path, missing).read
+        read = partial(_read_or_note, path, missing)
         metrics = read("metrics.json", _json_object, "estimates that equal others may lack outcomes", {})
         same_as = metrics.get("same_as") or {}
         no_outcomes = "no object is marked as matched, missed or false"
@@ -154,7 +117,7 @@ class RunFrames:
                 continue
             count += 1
             without_truth += TRUTH not in chosen
-            yield self._frame(index, time_ns, chosen)
+            yield frame_of(self, index, time_ns, chosen, self._judgements, self._scores, self._changes)
         if not count:
             raise RunFolderError(f"{file_of(self.path)}: found no whole frame, expected one at least")
         if dropped:
@@ -189,56 +152,6 @@ class RunFrames:
         """The series by key in a frame of the run."""
         return next(of for frame, of in reversed(self._wirings) if frame < step or frame < 0)
 
-    def _frame(self, index: int, time_ns: int, chosen: Mapping[Series, Body]) -> Frame:
-        objects = {series: _states(series, chosen[series]) for series in self.topics if series in chosen}
-        ids = objects[TRUTH].id if TRUTH in objects else np.zeros(0, np.int64)
-        truth = chosen.get(TRUTH, {})
-        points = np.zeros((len(ids), len(self.agents)), np.int64)
-        for column, agent in enumerate(truth["agents"].tolist() if truth else ()):
-            if agent in self.agents:
-                points[:, self.agents.index(agent)] = truth["points"][:, column]
-        judged = {series: Series(series.agent or self.ego, series.estimator) for series in self.topics}
-        by_truth = {series: self._judgements.of(index, judged[series], "truth", ids) for series in self.topics}
-        by_truth[TRUTH] = next((by_truth[each] for each in by_truth if each.estimator == "picture"), by_truth[TRUTH])
-        outcomes = {
-            series: self._judgements.of(index, judged[series], "track", states.id) for series, states in objects.items()
-        }
-        return Frame(
-            index,
-            time_ns,
-            objects,
-            outcomes | {TRUTH: by_truth[TRUTH]},
-            by_truth,
-            points,
-            dict(zip(truth["agents"].tolist(), truth["agent_object"].tolist(), strict=True)) if truth else {},
-            {
-                agent: Pose(body["position"], rotation_from_quaternion(body["rotation"]))
-                for agent in self.agents
-                if (body := chosen.get(Series(agent, POSE))) is not None
-            },
-            {series: score for series in self.scored if (score := self._scores.of(index, series)) is not None},
-            self._changes.of(index),
-        )
-
-
-def _states(series: Series, body: Body) -> ObjectStates:
-    """The objects of a message in the world frame."""
-    if series == TRUTH:
-        return truth_states(body)
-    states = ObjectStates.from_columns(body)
-    return states_to_world(states, body["origin"], body["rotation"]) if "origin" in body else states
-
-
-def _wirings(path: Path) -> list[tuple[int, Wiring]]:
-    """The wirings of a run, each with the frame after which it holds."""
-    changes = [(event.frame, event.wiring) for event in events(path) if event.what == REWIRED]
-    try:
-        if not changes or changes[0][0] >= 0:
-            changes.insert(0, (-1, folder.read_json(path / "wiring.json")))
-        return [(frame, Wiring.from_json(wiring)) for frame, wiring in changes]
-    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-        raise RunFolderError(f"{path}: the wiring of the run cannot be read: {error!r}") from None
-
 
 def _agents(path: Path, wirings: Sequence[tuple[int, Wiring]]) -> tuple[str, ...]:
     """The names of the agents, the main one first: nodes that send tracks which a broker collates."""
@@ -253,25 +166,22 @@ def _agents(path: Path, wirings: Sequence[tuple[int, Wiring]]) -> tuple[str, ...
     return tuple(sorted(names, key=lambda name: name != "ego"))
 
 
-class _Reader:
-    """Reads files of a run folder; notes what is missing instead of failing."""
-
-    def __init__(self, path: Path, missing: list[str]) -> None:
-        self.path, self.missing = path, missing
-
-    def read(self, name: str, read_file: Callable[[Path], Any], consequence: str, default: Any) -> Any:
-        file = self.path / name
-        try:
-            if not file.is_file():
-                raise FileNotFoundError
-            return read_file(file)
-        except FileNotFoundError:
-            self.missing.append(f"{name} is absent: {consequence}")
-        except KeyError as error:
-            self.missing.append(f"{name} cannot be read (found no column {error}): {consequence}")
-        except (OSError, ValueError, TypeError, MastError, pyarrow.ArrowException) as error:
-            self.missing.append(f"{name} cannot be read ({str(error).removeprefix(f'{file}: ')}): {consequence}")
-        return default
+def _read_or_note(
+    path: Path, missing: list[str], name: str, read_file: Callable[[Path], Any], consequence: str, default: Any
+) -> Any:
+    """Read a file of a run folder; notes what is missing instead of failing."""
+    file = path / name
+    try:
+        if not file.is_file():
+            raise FileNotFoundError
+        return read_file(file)
+    except FileNotFoundError:
+        missing.append(f"{name} is absent: {consequence}")
+    except KeyError as error:
+        missing.append(f"{name} cannot be read (found no column {error}): {consequence}")
+    except (OSError, ValueError, TypeError, MastError, pyarrow.ArrowException) as error:
+        missing.append(f"{name} cannot be read ({str(error).removeprefix(f'{file}: ')}): {consequence}")
+    return default
 
 
 def _json_object(path: Path) -> dict[str, Any]:

@@ -12,6 +12,8 @@ OUTCOME_COLOURS = {
 }
 #: Adversaries, their wires and their effects, in every figure.
 ADVERSARY = "#ff4fd8"
+#: The ground of other viewers, on which white boxes are visible.
+GROUND = "#10141b"
 BUILDING_EDGE, AGENT = "#465062", "#7fe3ff"
 
 

@@ -162,7 +162,7 @@ def run_it(folder: Path) -> None:
         (lambda folder: (folder / "messages.mcap").unlink(), "expected the recording in"),
         (lambda folder: (folder / "scenario.json").unlink(), "scenario.json and wiring.json cannot be read"),
         (damage, "damaged"),
-        (run_it, "is still running"),
+        (run_it, "is still in progress"),
         (lambda folder: rewrite(folder, lambda message: False), "found no whole frame"),
         (lambda folder: rewrite(folder, lambda message: message.message != "clock"), "on the clock's wire"),
         (lambda folder: rewrite(folder, lambda message: message.message != "tracks"), "receives as 'tracks'"),

@@ -247,7 +247,6 @@ def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Pa
     assert {path.name for path in (tmp_path / "figures").glob("*.png")} == {
         "side_by_side.png",
         "counts.png",
-        "means.png",
     }
     frames = {image["alt"].partition("(frame ")[2][:3] for image in study.images if "(frame " in (image["alt"] or "")}
     assert len(frames) == 1

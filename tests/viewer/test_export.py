@@ -14,7 +14,8 @@ import mast_zenoh as mast
 from mast_zenoh.cli import app
 from mast_zenoh.cli import export as command
 from mast_zenoh.errors import ExportError, RunFolderError
-from mast_zenoh.viewer.export import FORMATS, export
+from mast_zenoh.viewer.export import export
+from mast_zenoh.viewer.formats import FORMATS
 
 Mast = Callable[..., tuple[int, str, str]]
 

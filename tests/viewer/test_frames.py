@@ -16,6 +16,7 @@ from pyarrow import parquet
 
 import mast_zenoh as mast
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch import liveness
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.viewer import frames
@@ -148,9 +149,11 @@ def test_a_recording_that_was_cut_off_gives_its_whole_frames_and_says_so(copy: P
 
 def test_a_run_in_progress_is_refused_and_a_failed_one_is_named(copy: Path) -> None:
     record = json.loads((copy / "run.json").read_text())
-    (copy / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": {}}))
+    (copy / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": liveness.identity()}))
     with pytest.raises(RunFolderError, match="still in progress"):
         RunFrames.load(copy)
+    (copy / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": {"machine": "another"}}))
+    assert "cannot be known from here" in RunFrames.load(copy).missing[0]
     (copy / "run.json").write_text(json.dumps(record | {"status": "stalled", "message": "waited for ego"}))
     assert RunFrames.load(copy).missing == ["the run is stalled: waited for ego"]
 

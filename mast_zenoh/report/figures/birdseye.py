@@ -37,9 +37,9 @@ from mast_zenoh.report.trust_facts import states_at, withheld_at
 
 #: Minimum length and width of drawn boxes, m, so that pedestrians are visible.
 _SMALLEST = 1.4
-#: Length of the wedge of a sector sensor, m; its actual range would cover the scene.
-_WEDGE = 22.0
 
+#: Drawing order of marks of adversaries: above buildings, below boxes.
+_MARKS = 2.5
 #: Line style of withheld objects.
 _DASHED = (0, (3.0, 2.0))
 
@@ -124,13 +124,14 @@ def _draw_withheld(axes: Axes, view: FrameView) -> None:
 
 
 def _draw_attack(axes: Axes, marks: Marks) -> None:
+    # Larger than most boxes and below them, so that marks hide nothing.
     if len(marks.added):
-        axes.plot(*marks.added[:, :2].T, "D", ms=12, mfc="none", mec=ADVERSARY, mew=1.3, zorder=4)
+        axes.plot(*marks.added[:, :2].T, "D", ms=14, mfc="none", mec=ADVERSARY, mew=1.2, zorder=_MARKS)
     if len(marks.removed):
-        axes.plot(*marks.removed[:, :2].T, "x", ms=10, color=ADVERSARY, mew=2.0, zorder=4)
+        axes.plot(*marks.removed[:, :2].T, "x", ms=16, color=ADVERSARY, mew=1.4, zorder=_MARKS)
     for before, after in marks.moved:
         arrow = {"arrowstyle": "->", "color": ADVERSARY, "lw": 1.5}
-        axes.annotate("", after[:2], before[:2], arrowprops=arrow, annotation_clip=True, zorder=4)
+        axes.annotate("", after[:2], before[:2], arrowprops=arrow, annotation_clip=True, zorder=_MARKS)
 
 
 def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]) -> None:
@@ -154,12 +155,12 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         turn = float(heading(facing))
         if sector < 359.0:
             start = np.degrees(turn) + agent.sensor.azimuth_min_deg
-            wedge = Wedge((position[0], position[1]), _WEDGE, start, start + sector)
-            wedge.set(facecolor=to_rgba(colour, 0.10), edgecolor=to_rgba(colour, 0.35), linewidth=0.8, zorder=2)
+            wedge = Wedge((position[0], position[1]), agent.sensor.max_range_m, start, start + sector)
+            wedge.set(facecolor="none", edgecolor=to_rgba(colour, 0.3), linewidth=0.8, zorder=2)
             axes.add_patch(wedge)
         marker, face = ("^", colour) if agent.kind == "static" else ("o", "none")
         axes.plot(position[0], position[1], marker, ms=9, mfc=face, mec=colour, mew=1.5, zorder=5)
-        # The name goes behind the agent, away from its wedge and the observed traffic.
+        # The name goes behind the agent, away from where it looks and the observed traffic.
         behind = -np.array([np.cos(turn), np.sin(turn)])
         inside = np.abs(position[:2] + behind * 0.25 * half - [x, y]) < half
         letters = max(map(len, label.split("\n")))

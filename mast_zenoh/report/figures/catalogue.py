@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mast_zenoh.report.figures.charts import counts_over_time, means
+from mast_zenoh.report.figures.charts import counts_over_time
 from mast_zenoh.report.figures.drawing import RenderedFigure, render, side_by_side_figure
 from mast_zenoh.report.figures.of_run import counts_caption, tally
 from mast_zenoh.report.figures.view import FrameView
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.scores import ESTIMATES, MEASURES, ScoreTable, number
+from mast_zenoh.report.tables.scores import ESTIMATES, ScoreTable
 
 _CHOICE_ATTACKED = (
     "The frame is the scored one, since the first change by an adversary, with the most errors {where}{beyond}"
 )
 _CHOICE_CLEAN = "The frame is the scored one in which the picture spares the ego the most errors"
 _FULL_NAMES = {"local": "The ego alone", "picture": "The common picture", "mission": "The ego with the picture"}
-_WORDS = (("fn", "missed"), ("fp", "false"), ("tp", "matched"))
 
 
 def study_figures(
@@ -42,15 +41,6 @@ def study_figures(
     if over_time is not None:
         alt = f"Missed objects, false objects and RMSE over time: ego alone, and {ESTIMATES[estimate]} of every run."
         figures.append(render("counts", over_time, alt, counts_caption(list(runs.values()))))
-    if any(row.cells for row in table.rows):
-        keys = {measure.key: measure for measure in MEASURES}
-        texts = [
-            f"{run}: "
-            + ", ".join(f"{number(table.cell(key, run, estimate).value, keys[key])} {word}" for key, word in _WORDS)
-            for run in table.runs
-        ]
-        caption = "Means per frame; whiskers: \u00b1 one standard deviation over frames."
-        figures.append(render("means", means(table, estimate), f"Bar chart. {'; '.join(texts)}.", caption))
     return {each.name: each for each in figures}
 
 

@@ -1,4 +1,4 @@
-"""Charts of counts over time for one run or several, and bar charts of means."""
+"""Charts of counts over time for one run or several."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from mast_zenoh.report.figures.timeaxis import padded, rows_over_time
 from mast_zenoh.report.files import Table
 from mast_zenoh.report.narrative.changes import scored
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.scores import ESTIMATES, ScoreTable, shown_estimates
+from mast_zenoh.report.tables.scores import ESTIMATES, shown_estimates
 
-_BARS = (("fn", "missed objects"), ("fp", "false objects"), ("tp", "matched objects"))
 _LABELS = {
     "fn": "missed objects\nper frame",
     "fp": "false objects\nper frame",
@@ -135,50 +134,3 @@ def _line(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: _Lin
     total = np.concatenate([[0.0], np.cumsum(y)])
     smooth = (total[last] - total[since]) / (last - since)
     axis.plot(x, smooth, color=look.colour, linewidth=look.width, linestyle=look.style, label=plain(label))
-
-
-def means(table: ScoreTable, estimate: str = "picture") -> Figure:
-    """Bars of means per frame: the ego alone in the first run, `estimate` of each.
-
-    Whiskers are one standard deviation over frames.
-    """
-    figure = Figure(figsize=(11.5, 3.6), facecolor="white")
-    axis = figure.subplots()
-    figure.subplots_adjust(left=0.065, right=0.985, top=0.86, bottom=0.10)
-    light_axes(axis)
-    bars = [(f"ego alone, {table.runs[0]}", LOCAL, table.runs[0], "local")]
-    bars += [(run, RUN_COLOURS[i % len(RUN_COLOURS)], run, estimate) for i, run in enumerate(table.runs)]
-    width = 0.8 / len(bars)
-    for index, (label, colour, run, estimate) in enumerate(bars):
-        values = [table.cell(column, run, estimate).value for column, _ in _BARS]
-        at = np.arange(3) + (index - (len(bars) - 1) / 2) * width
-        heights = [np.nan if value.mean is None else value.mean for value in values]
-        spread = [0.0 if value.std is None else value.std for value in values]
-        below = np.minimum(spread, np.nan_to_num(heights))
-        axis.bar(
-            at,
-            heights,
-            width * 0.9,
-            yerr=np.stack([below, spread]),
-            color=colour,
-            ecolor=INK,
-            error_kw={"elinewidth": 0.9, "capsize": 2.5, "alpha": 0.7},
-            label=plain(label),
-        )
-        for x, height, up in zip(at, heights, spread, strict=True):
-            if np.isfinite(height):
-                axis.annotate(
-                    f"{height:.2f}",
-                    (x, height + up),
-                    (0, 2),
-                    textcoords="offset points",
-                    ha="center",
-                    va="bottom",
-                    fontsize=9 if len(bars) <= 5 else 7,
-                    color=INK,
-                )
-    axis.set_xticks(range(3), [label for _, label in _BARS], fontsize=11)
-    axis.set_ylabel("mean per frame", fontsize=10, color=INK)
-    axis.margins(y=0.12)
-    figure.legend(loc="upper left", bbox_to_anchor=(0.055, 1.0), ncols=7, frameon=False, fontsize=10)
-    return figure

@@ -43,8 +43,8 @@ class Birdseye(RunFigure):
         assert context.view is not None
         caption = (
             f"From above, around the ego: what it tracks from its own sensors, {_the_picture(context.view)}, and both "
-            "together, on which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, "
-            "not how far."
+            "together, on which it acts. The tick on a box points ahead; thin lines are the limits and "
+            "the range of a roadside sensor."
         )
         if states_at(context.view.run, context.view.frame):
             caption += (

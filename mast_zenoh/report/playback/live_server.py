@@ -13,11 +13,10 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.sync.server import Server, ServerConnection, serve
 
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.report.page import page_text
 from mast_zenoh.report.playback.feed import Feed
 from mast_zenoh.report.playback.inline import live_parts
-from mast_zenoh.report.playback.server import HOSTS, LOOPBACK, page_headers, tunnel
+from mast_zenoh.viewer.loopback import HOSTS, LOOPBACK, page_headers, tunnel, unusable_port
 
 FRAMES = "/frames"
 _WAKE_S = 1.0
@@ -47,8 +46,7 @@ class LiveServer:
                 server_header=None,
             )
         except OSError as error:
-            problem = f"found {port}, which cannot be used ({error.strerror})"
-            raise ConfigurationError(f"--port: {problem}: expected a free port, or 0 for any") from None
+            raise unusable_port(port, error) from None
         self.port = int(self._server.socket.getsockname()[1])
         self._thread = threading.Thread(target=self._server.serve_forever, name="viewer", daemon=True)
 
@@ -91,7 +89,8 @@ class LiveServer:
             return None
         if path != "/":
             return _refusal(HTTPStatus.NOT_FOUND, "not found")
-        headers = Headers(page_headers(len(self._page), self._policy))
+        kind, policy = "text/html; charset=utf-8", f"{self._policy}; frame-ancestors 'none'"
+        headers = Headers(page_headers(kind, policy, len(self._page)))
         return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, headers, self._page)
 
     def _send_frames(self, connection: ServerConnection) -> None:

@@ -17,14 +17,12 @@ from mast_zenoh.report.playback.live_block import LiveBlocks
 from mast_zenoh.report.playback.live_server import LiveServer
 from mast_zenoh.report.playback.server import viewer_page
 from mast_zenoh.viewer.live.observed import ObservedRun
-from mast_zenoh.viewer.live.observer import Observer
+from mast_zenoh.viewer.live.observer import MOST_FRAMES_PER_S, POLL_S, Observer
 
-#: Most frames a second that are measured: more would take processor time that the run may need.
-MOST_FRAMES_PER_S = 12.0
 #: Niceness of the viewer: no frame waits for it.
 _NICENESS = 10
-#: s between two looks at what has arrived, and in which a finished run must have its results.
-_POLL_S, _RESULTS_S = 0.03, 60.0
+#: s in which a finished run must have its results.
+_RESULTS_S = 60.0
 #: s after which a page that does not read is taken as stopped.
 _PATIENCE_S = 2.0
 
@@ -77,7 +75,7 @@ def _follow(observer: Observer, feed: Feed, stop: threading.Event) -> None:
                 observer.note(f"frame {frame.number} cannot be shown: {error}")
         if observer.is_over():
             return
-        stop.wait(_POLL_S)
+        stop.wait(POLL_S)
 
 
 def _finished_page(folder: Path, stop: threading.Event) -> str | None:

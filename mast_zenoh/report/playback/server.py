@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import getpass
-import socket
 from collections.abc import Sequence
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-from mast_zenoh.errors import ConfigurationError, NotComparable, RunFolderError
+from mast_zenoh.errors import NotComparable, RunFolderError
 from mast_zenoh.report.page import page_text
 from mast_zenoh.report.playback.block import run_block
 from mast_zenoh.report.playback.inline import policy, viewer_parts
 from mast_zenoh.report.runfolder import RunFolder
-
-#: The server listens on no other address, so that nobody else on the network can read runs.
-LOOPBACK = "127.0.0.1"
-HOSTS = (LOOPBACK, "localhost")
+from mast_zenoh.viewer.loopback import LoopbackHandler, LoopbackServer
 
 
 def viewer_page(folders: Sequence[Path], frame: int | None = None) -> str:
@@ -47,67 +41,24 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> str:
     return page_text("viewer.html.j2", {"title": title, "headline": title, "viewer": viewer_parts(blocks)})
 
 
-def tunnel(port: int) -> str:
-    """The command that brings a port to another computer."""
-    return f"ssh -L {port}:{LOOPBACK}:{port} {getpass.getuser()}@{socket.gethostname()}"
-
-
-def page_headers(length: int, policy: str) -> list[tuple[str, str]]:
-    """The headers of a page of `length` bytes, which may do nothing but what the policy says."""
-    return [
-        ("Content-Type", "text/html; charset=utf-8"),
-        ("Content-Length", str(length)),
-        ("Content-Security-Policy", policy + "; frame-ancestors 'none'"),
-        ("X-Content-Type-Options", "nosniff"),
-        ("Referrer-Policy", "no-referrer"),
-        ("Cache-Control", "no-store"),
-    ]
-
-
-class ViewerServer(ThreadingHTTPServer):
+class ViewerServer(LoopbackServer):
     """Serves one page.
 
     page: as from `viewer_page`;  port: 0 for any free one
     Raises ConfigurationError if the port cannot be used.
     """
 
-    daemon_threads = True
-
     def __init__(self, page: str, port: int = 0) -> None:
         self.content = page.encode("utf-8", "surrogateescape")
-        try:
-            super().__init__((LOOPBACK, port), _Handler)
-        except OSError as error:
-            problem = f"found {port}, which cannot be used ({error.strerror})"
-            raise ConfigurationError(f"--port: {problem}: expected a free port, or 0 for any") from None
-
-    @property
-    def url(self) -> str:
-        """Where the page is."""
-        return f"http://{LOOPBACK}:{self.server_port}/"
-
-    @property
-    def tunnel(self) -> str:
-        """The command that brings the page to another computer."""
-        return tunnel(self.server_port)
+        super().__init__(port, _Handler)
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(LoopbackHandler):
     server: ViewerServer
 
-    def do_GET(self) -> None:
+    def answer(self, path: str) -> None:
         """Send the page; anything else is not found."""
-        name = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
-        if name not in HOSTS:  # a page of another host, whose name was made to lead here
-            self.send_error(HTTPStatus.FORBIDDEN, "expected the host 127.0.0.1 or localhost")
-        elif self.path.partition("?")[0] != "/":
+        if path != "/":
             self.send_error(HTTPStatus.NOT_FOUND)
         else:
-            self.send_response(HTTPStatus.OK)
-            for header, value in page_headers(len(self.server.content), policy()):
-                self.send_header(header, value)
-            self.end_headers()
-            self.wfile.write(self.server.content)
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Log nothing: the terminal shows where the page is."""
+            self.send_content(self.server.content, "text/html; charset=utf-8", policy() + "; frame-ancestors 'none'")

@@ -11,31 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mast_zenoh.errors import DiskFull, ExportError, is_disk_full, nearest
+from mast_zenoh.viewer.formats import FORMATS, Format
 from mast_zenoh.viewer.frames import RunFrames
-
-
-class Format(NamedTuple):
-    """A format.
-
-    writer: module and function (run, path) that creates the file or folder `path`, and perhaps others next to it
-    extra:  the optional packages that it needs, "": none
-    """
-
-    writer: str
-    extra: str = ""
-
-
-#: By name.
-FORMATS: dict[str, Format] = {
-    "csv": Format("tables.write_csv"),
-    "parquet": Format("tables.write_parquet"),
-    "kitti": Format("kitti.write"),
-    "mot": Format("mot.write"),
-    "openlabel": Format("openlabel.write"),
-    "foxglove": Format("foxglove.write", "foxglove"),
-    "rosbag2": Format("rosbag2.write", "rosbag2"),
-    "rrd": Format("rrd.write", "rerun"),
-}
 
 
 class Exported(NamedTuple):
@@ -79,6 +56,14 @@ def export(run: Path, to: str, out: Path) -> Exported:
     return Exported(targets, tuple(frames.missing))
 
 
+def not_installed(error: ModuleNotFoundError, extra: str) -> Exception:
+    """The error to raise where a module is missing: an ExportError if it belongs to optional packages."""
+    package = (error.name or "").partition(".")[0]
+    if not extra or package == "mast_zenoh":
+        return error
+    return ExportError(f"{package} is not installed: pip install 'mast-zenoh[{extra}]'")
+
+
 def _check_free(target: Path) -> None:
     """Raise ExportError unless something can be created at a path."""
     if target.exists() or target.is_symlink():
@@ -95,8 +80,5 @@ def _writer(form: Format) -> Callable[[RunFrames, Path], None]:
             importlib.import_module(f"mast_zenoh.viewer.export.{module}"), name
         )
     except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if not form.extra or package == "mast_zenoh":
-            raise
-        raise ExportError(f"{package} is not installed: pip install 'mast-zenoh[{form.extra}]'") from None
+        raise not_installed(error, form.extra) from None
     return writer

@@ -9,7 +9,7 @@ from mast_zenoh.arrays.states import CLASSES, Floats, ObjectStates
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.viewer.frames import Frame
+from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.palette import OUTCOME_COLOURS, rgb
 from mast_zenoh.viewer.routes import TRUTH
 

@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.metrics.record import PICTURE, Series
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.export import foxglove_topics as topics
+from mast_zenoh.viewer.export.cameras import WORLD
+from mast_zenoh.viewer.frame import FrameSource
+from mast_zenoh.viewer.palette import GROUND
 from mast_zenoh.viewer.routes import TRUTH
 
 _FROM_ABOVE, _CAMERA, _FALSE, _MISSED, _LOG = (
@@ -23,27 +26,27 @@ _FROM_ABOVE, _CAMERA, _FALSE, _MISSED, _LOG = (
 )
 
 
-def layout(run: RunFrames) -> dict[str, Any]:
+def layout(run: FrameSource) -> dict[str, Any]:
     """A layout with the truth, the picture and what it misses from above and in the main agent's camera; and series."""
-    shown = {f"/{topic}": series.estimator in (PICTURE, TRUTH.estimator) for series, topic in run.topics.items()}
-    shown |= {f"/{run.topics[series]}/missed": series.estimator == PICTURE for series in run.topics if series != TRUTH}
-    shown |= {"/scene/buildings": True, "/changes": True}
-    topics = {topic: {"visible": visible} for topic, visible in shown.items()}
+    shown = {topic: series.estimator in (PICTURE, TRUTH.estimator) for series, topic in topics.objects(run).items()}
+    shown |= {topic: series.estimator == PICTURE for series, topic in topics.missed(run).items()}
+    shown |= {topics.BUILDINGS: True, topics.CHANGES: True}
     centre, distance = _view(run)
     scene = {
-        "topics": topics,
+        "topics": {topic: {"visible": visible} for topic, visible in shown.items()},
         "layers": {
             "grid": {"layerId": "foxglove.Grid", "instanceId": "grid", "visible": True, "size": 200, "divisions": 10}
+            | {"color": "#2a3340ff"}
         },
         "transforms": {},
-        "scene": {"backgroundColor": "#10141b"},
+        # without lines from the world's origin to every agent
+        "scene": {"backgroundColor": GROUND, "transforms": {"lineWidth": 0}},
     }
-    camera = f"/agent/{run.ego}/camera"
     panels: dict[str, Any] = {
         _FROM_ABOVE: scene
         | {
             "followMode": "follow-none",
-            "followTf": "world",
+            "followTf": WORLD,
             "cameraState": {
                 "perspective": False,
                 "distance": distance,
@@ -57,10 +60,11 @@ def layout(run: RunFrames) -> dict[str, Any]:
                 "targetOffset": [*centre, 0],
             },
         },
-        _CAMERA: scene | {"imageMode": {"calibrationTopic": camera, "imageTopic": f"{camera}/image"}},
+        _CAMERA: scene
+        | {"imageMode": {"calibrationTopic": topics.camera(run.ego), "imageTopic": topics.image(run.ego)}},
         _FALSE: _plot(run, "false objects", "fp"),
         _MISSED: _plot(run, "missed objects", "fn"),
-        _LOG: {"topicToRender": "/log", "minLogLevel": 1},
+        _LOG: {"topicToRender": topics.LOG, "minLogLevel": 1},
     }
     right = _split("column", _CAMERA, _split("column", _FALSE, _split("column", _MISSED, _LOG, 50), 33), 40)
     return {
@@ -76,18 +80,18 @@ def _split(direction: str, first: Any, second: Any, percentage: int) -> dict[str
     return {"direction": direction, "first": first, "second": second, "splitPercentage": percentage}
 
 
-def _plot(run: RunFrames, title: str, field: str) -> dict[str, Any]:
+def _plot(run: FrameSource, title: str, field: str) -> dict[str, Any]:
     """A plot of a score of the main agent's estimates over time."""
     series: list[Series] = [each for each in run.scored if each.agent == run.ego]
     paths = [
-        {"value": f"/scores/{each.agent}/{each.estimator}.{field}", "label": each.estimator, "enabled": True}
+        {"value": f"{topics.scores(each)}.{field}", "label": each.estimator, "enabled": True}
         | {"timestampMethod": "receiveTime"}
         for each in series
     ]
     return {"title": title, "paths": paths, "showLegend": True, "xAxisVal": "timestamp", "isSynced": True}
 
 
-def _view(run: RunFrames) -> tuple[list[float], float]:
+def _view(run: FrameSource) -> tuple[list[float], float]:
     """The centre of the view, m, and a distance from which it holds all agents, m."""
     if run.scene is None:
         return [0.0, 0.0], 150.0

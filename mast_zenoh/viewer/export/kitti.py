@@ -19,7 +19,8 @@ from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.sensing import Camera, LidarSensor
 from mast_zenoh.viewer.export.cameras import AXES, cameras
 from mast_zenoh.viewer.export.columns import class_names, stem
-from mast_zenoh.viewer.frames import Frame, Pose, RunFrames
+from mast_zenoh.viewer.frame import Frame, Pose
+from mast_zenoh.viewer.frames import RunFrames
 from mast_zenoh.viewer.routes import TRUTH
 
 SEQUENCE = "0000"

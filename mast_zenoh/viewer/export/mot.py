@@ -12,7 +12,8 @@ from mast_zenoh.arrays.geometry import box_corners
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.viewer.export.columns import stem
-from mast_zenoh.viewer.frames import Frame, RunFrames
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.frames import RunFrames
 from mast_zenoh.viewer.routes import TRUTH
 
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.viewer.export.columns import class_names, quaternions, standard_deviations, stem
-from mast_zenoh.viewer.frames import Frame, Pose, RunFrames
+from mast_zenoh.viewer.frame import Frame, Pose
+from mast_zenoh.viewer.frames import RunFrames
 from mast_zenoh.viewer.routes import TRUTH
 
 #: Name of the data with an object's box.

@@ -15,7 +15,8 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.viewer.export.cameras import WORLD, cameras, transforms_of
 from mast_zenoh.viewer.export.columns import class_names, colours, quaternions
-from mast_zenoh.viewer.frames import Frame, RunFrames
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.frames import RunFrames
 
 #: Appended to the topic of an estimate.
 MARKERS = "/markers"

@@ -1,6 +1,6 @@
 """A recording for the Rerun viewer, with a blueprint.
 
-It is written to a file only: Rerun's `log` may block, so that no process that a run depends on may call it.
+It is written to files and to memory only. Rerun's `log` may block: no process that a run depends on may call it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.metrics.record import PICTURE, Series
 from mast_zenoh.viewer.export.cameras import cameras
 from mast_zenoh.viewer.export.columns import class_names, colours, missed, quaternions, wall_lines
-from mast_zenoh.viewer.frames import Frame, RunFrames
-from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS, rgb
+from mast_zenoh.viewer.frame import Frame, FrameSource
+from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb
 from mast_zenoh.viewer.routes import TRUTH
 
 APPLICATION = "mast-zenoh"
@@ -25,17 +25,15 @@ FRAME, TIME = "frame", "scene_time"
 BUILDINGS, CHANGES, LOG, SCORES, MISSED = "scene/buildings", "changes", "log", "scores", "missed"
 
 
-def write(run: RunFrames, path: Path) -> None:
+def write(run: FrameSource, path: Path) -> None:
     """Write the file: an entity for each estimate, named by its key expression, with a batch of boxes a frame."""
     stream = rerun.RecordingStream(APPLICATION, recording_id=run.name)
     stream.set_log_time_enabled(False)  # the time of the export
-    stream.save(path, default_blueprint=_blueprint(run))
+    stream.save(path, default_blueprint=blueprint(run))
     try:
-        _write_static(run, stream)
+        write_static(run, stream)
         for frame in run:
-            stream.set_time(FRAME, sequence=frame.index)
-            stream.set_time(TIME, duration=np.timedelta64(frame.time_ns, "ns"))
-            _write_frame(run, frame, stream)
+            write_frame(run, frame, stream)
     finally:
         stream.disconnect()
 
@@ -45,7 +43,7 @@ def pose_entity(agent: str) -> str:
     return f"agent/{agent}/pose"
 
 
-def _write_static(run: RunFrames, stream: rerun.RecordingStream) -> None:
+def write_static(run: FrameSource, stream: rerun.RecordingStream) -> None:
     """What does not change: axes, cameras, buildings, names of series."""
     stream.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for agent, camera in cameras(run).items():
@@ -65,7 +63,10 @@ def _write_static(run: RunFrames, stream: rerun.RecordingStream) -> None:
             stream.log(_score(series, name), rerun.SeriesLines(names=[label]), static=True)
 
 
-def _write_frame(run: RunFrames, frame: Frame, stream: rerun.RecordingStream) -> None:
+def write_frame(run: FrameSource, frame: Frame, stream: rerun.RecordingStream) -> None:
+    """What a frame holds, at its time."""
+    stream.set_time(FRAME, sequence=frame.index)
+    stream.set_time(TIME, duration=np.timedelta64(frame.time_ns, "ns"))
     for agent, pose in frame.poses.items():
         stream.log(pose_entity(agent), rerun.Transform3D(translation=pose.position, mat3x3=pose.rotation))
     for series in run.topics:
@@ -117,7 +118,7 @@ def _score(series: Series, name: str) -> str:
     return f"{SCORES}/{series.agent}/{series.estimator}/{name}"
 
 
-def _blueprint(run: RunFrames) -> views.Blueprint:
+def blueprint(run: FrameSource) -> views.Blueprint:
     """3D view and the main agent's camera with the truth, the picture and what it misses; two charts; the log."""
     shown = [topic for series, topic in run.topics.items() if series.estimator in (PICTURE, TRUTH.estimator)]
     shown += [f"{topic}/{MISSED}" for series, topic in run.topics.items() if series.estimator == PICTURE]
@@ -131,10 +132,13 @@ def _blueprint(run: RunFrames) -> views.Blueprint:
         )
         for title, name in (("false objects", "fp"), ("missed objects", "fn"))
     ]
-    camera = views.Spatial2DView(name=run.ego, origin=f"/{pose_entity(run.ego)}/camera", contents=contents)
+    ground = list(rgb(GROUND))  # boxes of the truth are white
+    camera = views.Spatial2DView(
+        name=run.ego, origin=f"/{pose_entity(run.ego)}/camera", contents=contents, background=ground
+    )
     return views.Blueprint(
         views.Horizontal(
-            views.Spatial3DView(name="scene", origin="/", contents=contents),
+            views.Spatial3DView(name="scene", origin="/", contents=contents, background=ground),
             views.Vertical(camera, *charts, views.TextLogView(name="changes", origin=f"/{LOG}")),
             column_shares=[3, 2],
         ),

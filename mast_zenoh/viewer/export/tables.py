@@ -14,7 +14,8 @@ import pyarrow.parquet
 
 from mast_zenoh.arrays.states import COVARIANCE_ORDER
 from mast_zenoh.viewer.export.columns import class_names, standard_deviations
-from mast_zenoh.viewer.frames import Frame, RunFrames
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.frames import RunFrames
 from mast_zenoh.viewer.routes import TRUTH
 
 #: Frames that are written together.

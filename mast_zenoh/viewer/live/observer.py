@@ -19,6 +19,10 @@ from mast_zenoh.viewer.live.observed import ObservedRun
 from mast_zenoh.viewer.live.reception import Reception
 from mast_zenoh.viewer.live.wires import WireMeter, WireState
 
+#: Most frames a second that are measured: more would take processor time that the run may need.
+MOST_FRAMES_PER_S = 12.0
+#: s between two looks at what has arrived.
+POLL_S = 0.03
 #: Frames behind the clock: by then, the messages about a frame have arrived.
 _BEHIND = 2
 #: s without a clock after which the last frame is taken as whole: the run has paused or ended.

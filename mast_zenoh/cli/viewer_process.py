@@ -1,0 +1,173 @@
+"""The process that shows a running run: started by `mast view` and `mast run --view`, and what it does."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mast_zenoh.cli.options import out as _out
+
+if TYPE_CHECKING:
+    from mast_zenoh.launch.context import RunContext
+
+_START_S = 60.0  # for a run to start its nodes
+_END_S = 5.0  # for the viewer to end
+_LAST_LINE = "Ctrl-C ends it."
+
+
+def record_of(folder: Path) -> dict[str, Any]:
+    """run.json of a run as of now; {}: there is none."""
+    from mast_zenoh.launch import folder as run_folder
+    from mast_zenoh.launch import liveness
+
+    return liveness.current_record(run_folder.json_or_empty(folder / "run.json"))
+
+
+# -- in the process that starts it -------------------------------------------------------------------------------------
+
+
+@contextmanager
+def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
+    """What prepares a run on a mesh: if wanted, a viewer in a process of its own.
+
+    On a terminal the context waits for Ctrl-C when the run has succeeded; the viewer ends with the context.
+    """
+    children: list[subprocess.Popen[bytes]] = []
+
+    def prepare(context: RunContext) -> None:
+        if not wanted:
+            return
+        context.viewer = True
+        child = start(str(context.folder), stdout=subprocess.PIPE)
+        children.append(child)
+        assert child.stdout is not None
+        for line in child.stdout:  # until the page can be opened, or the viewer has failed
+            _out.print(line.decode().rstrip(), markup=False, highlight=False)
+            if line.startswith(_LAST_LINE.encode()):
+                break
+
+    try:
+        yield prepare
+        if children and children[0].poll() is None and _out.is_terminal:
+            _out.print("the whole run is in the viewer now; Ctrl-C ends it", highlight=False)
+            wait(children[0])
+    finally:
+        for child in children:
+            _end(child)
+
+
+def start(target: str, *options: str, stdout: int | None = None) -> subprocess.Popen[bytes]:
+    """Start a viewer of a running run.
+
+    It has a session of its own: signals of the terminal are for its parent, and its processor time is shared out apart
+    from the run's. It ends when its standard input does, so also with its parent.
+    """
+    command = [sys.executable, "-P", "-m", "mast_zenoh", "view", target, "--attached", *options]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=stdout, start_new_session=True)
+
+
+def wait(child: subprocess.Popen[bytes]) -> int:
+    """Wait for a viewer, or for Ctrl-C, which ends it; returns its exit code."""
+    try:
+        return child.wait()
+    except KeyboardInterrupt:
+        _end(child)
+        return 0
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    assert child.stdin is not None
+    with suppress(BrokenPipeError):
+        child.stdin.close()
+    try:
+        child.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+
+
+# -- in the process itself ---------------------------------------------------------------------------------------------
+
+
+def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, foxglove: bool, rerun: bool) -> None:
+    """Show a running run until standard input ends.
+
+    target: the folder of a run or, `remote`, a router with a run of this id, "": its only one
+    foxglove, rerun: to these viewers instead of a browser
+    """
+    from mast_zenoh.report.playback import live_view
+    from mast_zenoh.report.playback.feed import Feed
+    from mast_zenoh.report.playback.live_server import LiveServer
+    from mast_zenoh.runtime.mesh import hosting
+    from mast_zenoh.runtime.mesh.session import open_client
+    from mast_zenoh.viewer.live import observed
+    from mast_zenoh.viewer.live.observer import Observer
+    from mast_zenoh.viewer.live.source import LiveFrames
+    from mast_zenoh.viewer.servers import live
+
+    with ExitStack() as stack:
+        stop = stack.enter_context(_stopped())
+        if remote:
+            observed.check_reachable(target)
+            session = stack.enter_context(open_client(target))
+            running = observed.ObservedRun.of_mesh(session, target, run)
+        in_browser = not (foxglove or rerun)
+        if in_browser:
+            title = running.resolved.name if remote else str(record_of(Path(target)).get("name") or target)
+            server = stack.enter_context(LiveServer(title, Feed(), port))
+            announce(server, browser)
+        live_view.yield_processors()
+        if not remote:
+            running = live_view.await_start(Path(target), _START_S, stop)
+            session = stack.enter_context(hosting.join(running.endpoint, running.credentials))
+        if in_browser:
+            live_view.show(running, session, server, stop)
+            return
+        observer = Observer(running, session)
+        stack.callback(observer.close)
+        serve = live.serve_to_foxglove if foxglove else live.serve_to_rerun
+        serve(LiveFrames(observer, stop), port, stop, tell)
+
+
+@contextmanager
+def _stopped() -> Iterator[threading.Event]:
+    """An event that is set by SIGTERM and by the end of standard input."""
+    stop = threading.Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
+
+    def follow_input() -> None:
+        # Not through sys.stdin: a thread that waits for its lock makes the interpreter crash when it exits.
+        with suppress(OSError):
+            while os.read(0, 4096):
+                pass
+        stop.set()
+
+    threading.Thread(target=follow_input, daemon=True).start()
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def announce(server: Any, browser: bool) -> None:
+    """Print where the page is, and open it if wanted. server: with `url` and `tunnel`"""
+    tell(f"view: {server.url}")
+    tell(f"from another computer: {server.tunnel}")
+    tell(_LAST_LINE)
+    if browser:
+        import webbrowser
+
+        webbrowser.open(server.url)
+
+
+def tell(line: str) -> None:
+    """Print a line at once, also into a pipe."""
+    _out.print(line, markup=False, highlight=False, soft_wrap=True)
+    sys.stdout.flush()

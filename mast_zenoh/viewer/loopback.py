@@ -1,0 +1,99 @@
+"""HTTP on the loopback address alone, so that nobody else on the network can read runs."""
+
+from __future__ import annotations
+
+import getpass
+import socket
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from mast_zenoh.errors import ConfigurationError
+
+LOOPBACK = "127.0.0.1"
+HOSTS = (LOOPBACK, "localhost")
+
+
+def tunnel(port: int) -> str:
+    """The command that brings a port of this computer to another computer."""
+    return f"ssh -L {port}:{LOOPBACK}:{port} {getpass.getuser()}@{socket.gethostname()}"
+
+
+def unusable_port(port: int, error: OSError) -> ConfigurationError:
+    """The error to raise for a port that cannot be listened on."""
+    problem = f"found {port}, which cannot be used ({error.strerror or error})"
+    return ConfigurationError(f"--port: {problem}: expected a free port, or 0 for any")
+
+
+def page_headers(kind: str, policy: str, length: int | None) -> list[tuple[str, str]]:
+    """The headers of an answer.
+
+    kind: its media type;  policy: its content security policy;  length: None for a stream
+    """
+    return [
+        ("Content-Type", kind),
+        *([] if length is None else [("Content-Length", str(length))]),
+        ("Content-Security-Policy", policy),
+        ("X-Content-Type-Options", "nosniff"),
+        ("Referrer-Policy", "no-referrer"),
+        ("Cache-Control", "no-store"),
+    ]
+
+
+class LoopbackServer(ThreadingHTTPServer):
+    """An HTTP server on the loopback address.
+
+    port: 0 for any free one
+    Raises ConfigurationError if the port cannot be used.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, port: int, handler: type[LoopbackHandler]) -> None:
+        try:
+            super().__init__((LOOPBACK, port), handler)
+        except OSError as error:
+            raise unusable_port(port, error) from None
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{LOOPBACK}:{self.server_port}/"
+
+    @property
+    def tunnel(self) -> str:
+        """The command that brings the page to another computer."""
+        return tunnel(self.server_port)
+
+
+class LoopbackHandler(BaseHTTPRequestHandler):
+    """Answers requests to this computer's own names, and refuses others."""
+
+    def do_GET(self) -> None:
+        """Check the host, then answer."""
+        name = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
+        if name not in HOSTS:  # a page of another host, whose name was made to lead here
+            self.send_error(HTTPStatus.FORBIDDEN, "expected the host 127.0.0.1 or localhost")
+        else:
+            self.answer(self.path.partition("?")[0])
+
+    def answer(self, path: str) -> None:
+        """Answer a request for a path."""
+        raise NotImplementedError
+
+    def send_content(self, content: bytes, kind: str, policy: str) -> None:
+        """Send a whole answer.
+
+        kind: its media type;  policy: its content security policy
+        """
+        self.begin(kind, policy, len(content))
+        self.wfile.write(content)
+
+    def begin(self, kind: str, policy: str, length: int | None = None) -> None:
+        """Send the headers of an answer; length: None for a stream that ends with the connection."""
+        self.send_response(HTTPStatus.OK)
+        for name, value in page_headers(kind, policy, length):
+            self.send_header(name, value)
+        self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Log nothing: the terminal shows where the page is."""
