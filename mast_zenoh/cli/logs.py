@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ import typer
 from mast_zenoh.cli import completion, standard_streams
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import escaped
+from mast_zenoh.launch import stop_signals
 
 _POLL_S = 0.2
 
@@ -32,17 +34,18 @@ def logs(
     from mast_zenoh.launch.log_reading import RunLogs
 
     run_logs = RunLogs(run_folder, node)
-    try:
+    received: list[int] = []  # no exception: it could come while a line is being written, and repeat it
+    with suppress(KeyboardInterrupt), stop_signals.second_interrupts(received):
         running = True
-        while running and standard_streams.is_read():
+        while running and not received and standard_streams.is_read():
             running = follow and run_logs.running  # asked first: a node may log until the run ends
             for line in run_logs.new_lines(partial=not running):
                 prefix = f"{line.node}  " if node is None else ""
                 sys.stdout.write(f"{prefix}{escaped(line.text)}\n")
+                if received:
+                    break
             sys.stdout.flush()
-            if running:
+            if running and not received:
                 threading.Event().wait(_POLL_S)
-    except KeyboardInterrupt:
-        sys.stdout.flush()
     for log, problem in run_logs.problems.items():
         _err.print(f"warning: {run_folder / log}: {problem}", style="bold yellow", markup=False, highlight=False)
