@@ -104,3 +104,8 @@ def from_arrow(table: Any, rows: NDArray[Any] | slice = slice(None)) -> dict[str
         else:
             columns[name] = np.array([*column.dictionary.to_pylist(), ""], str)[column.indices.to_numpy()[rows]]
     return columns
+
+
+def as_read(columns: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Columns as `read_table` would return them from a file."""
+    return from_arrow(to_arrow(columns))

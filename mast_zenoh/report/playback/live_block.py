@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import Detections, Floats
-from mast_zenoh.launch.tables import from_arrow, to_arrow
+from mast_zenoh.launch.tables import as_read, to_arrow
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.report.playback.block import pack_frames
@@ -108,13 +108,13 @@ class LiveBlocks:
             scenario=resolved.to_json(),
             wiring=self.observer.wiring.to_json(),
             metrics={"agents": dict.fromkeys(self.observer.meter.agents), "same_as": frame.same_as},
-            counts=_table(tables["metrics"]),
+            counts=as_read(tables["metrics"]),
             objects=None,
-            effects=_table(tables["attacks"]),
+            effects=as_read(tables["attacks"]),
             recording=self._scene(frame),
             missing=(),
-            trust=None if self.trust is None else _table(self.trust),
-            trust_objects=_table(tables["trust_objects"]) if "trust_objects" in tables else None,
+            trust=None if self.trust is None else as_read(self.trust),
+            trust_objects=as_read(tables["trust_objects"]) if "trust_objects" in tables else None,
         )
 
     def _scene(self, frame: MeasuredFrame) -> Recording | None:
@@ -149,8 +149,3 @@ class LiveBlocks:
 def _renumbered(table: Mapping[str, Any]) -> dict[str, Any]:
     """A table whose rows are all of frame 0."""
     return {**table, "frame": np.zeros(len(table["frame"]), np.int64)}
-
-
-def _table(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns as they are read from a file of a run folder."""
-    return from_arrow(to_arrow(columns))

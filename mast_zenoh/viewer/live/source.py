@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 
+from mast_zenoh.launch.tables import as_read
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Series
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.viewer import routes
@@ -64,7 +65,7 @@ class LiveFrames:
             self._stop.wait(max(POLL_S, due - time.monotonic()) if measured is not None else POLL_S)
 
     def _frame(self, measured: MeasuredFrame) -> Frame:
-        tables = measured.tables
+        tables = {name: as_read(columns) for name, columns in measured.tables.items()}
         return frame_of(
             self,
             measured.number,

@@ -1,0 +1,82 @@
+"""Other viewers get the same frames of a run while it is running as after it."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.live.measurement import FrameMeter, MeasuredFrame
+from mast_zenoh.viewer.live.reception import Sample
+from mast_zenoh.viewer.live.source import LiveFrames
+from mast_zenoh.wiring.model import Wiring
+
+NUMBERS = (9, 10, 22)
+
+
+class RecordedObserver:
+    """An observer that measures the frames of a recording."""
+
+    def __init__(self, run: mast.Run) -> None:
+        resolved = Resolved.read(run.path)
+        self.wiring = Wiring.from_json(resolved.wiring)
+        self.meter = FrameMeter(resolved)
+        self.run = SimpleNamespace(scene=RunFrames.load(run.path).scene, id="run-1")
+        messages = [(m.frame, (m.key, Sample(m.step, m.payload))) for m in read(run.path)]
+        roles = {name: spec.role for name, spec in resolved.nodes.items()}
+        self.waiting: deque[MeasuredFrame | None] = deque([None])
+        for number in NUMBERS:
+            own = [sample for frame, sample in messages if frame == number]
+            self.waiting += [self.meter.measure(number, own, self.wiring, roles), None]
+
+    def advance(self) -> MeasuredFrame | None:
+        return self.waiting.popleft() if self.waiting else None
+
+    def is_over(self) -> bool:
+        return not self.waiting
+
+
+@pytest.fixture(scope="module")
+def source(recorded: mast.Run) -> LiveFrames:
+    observer: Any = RecordedObserver(recorded)
+    return LiveFrames(observer, threading.Event())
+
+
+def test_the_frames_of_a_running_run_are_those_of_the_finished_one(source: LiveFrames, recorded: mast.Run) -> None:
+    finished = RunFrames.load(recorded.path)
+    assert (source.agents, source.ego, source.topics) == (finished.agents, finished.ego, finished.topics)
+    expected = {frame.index: frame for frame in finished}
+    live = list(source)
+    assert [frame.index for frame in live] == list(NUMBERS)
+    outcomes = 0
+    for frame in live:
+        other = expected[frame.index]
+        assert frame.objects.keys() == other.objects.keys()
+        assert frame.time_ns == other.time_ns
+        for series, states in frame.objects.items():
+            assert np.array_equal(states.id, other.objects[series].id)
+            assert np.array_equal(states.position, other.objects[series].position)
+            assert frame.outcomes[series].names == other.outcomes[series].names
+            outcomes += len(states)
+        for series, score in frame.scores.items():
+            assert score[:3] == other.scores[series][:3], series
+        assert {series.estimator for series in frame.scores} >= {"local", "picture", "mission"}
+        assert sorted(frame.changes.sentences()) == sorted(other.changes.sentences())
+    assert outcomes > 300
+
+
+def test_a_live_source_ends_when_it_is_stopped(recorded: mast.Run) -> None:
+    stop = threading.Event()
+    observer: Any = RecordedObserver(recorded)
+    frames = iter(LiveFrames(observer, stop))
+    assert next(frames).index == NUMBERS[0]
+    stop.set()
+    assert list(frames) == []
