@@ -55,6 +55,8 @@ def page(kind: str, url: str, stop: threading.Event) -> Iterator[list[int]]:
             try:
                 for message in connection:
                     received[0] += len(message)
+                    if isinstance(message, bytes):
+                        connection.send("shown")
             except ConnectionClosed:
                 pass
 

@@ -79,6 +79,12 @@ class LiveRun:
         return "".join(self.lines)
 
 
+@pytest.fixture(autouse=True)
+def equal_rights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give viewers the rights of other processes: other tests may run at the same time, and would starve them."""
+    monkeypatch.setenv("MAST_VIEWER_NICENESS", "0")
+
+
 @pytest.fixture
 def show(launch: Callable[..., Launched], browser: Any) -> Callable[..., LiveRun]:
     return lambda *words: LiveRun(launch(*words, "--view"), browser)

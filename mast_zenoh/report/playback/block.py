@@ -135,12 +135,13 @@ def _add_series(packer: Packer, run: RunFolder, frames: int) -> list[dict[str, s
     if run.counts is None:
         return []
     table = run.counts
-    pairs = sorted(set(zip(table["agent"].tolist(), table["estimator"].tolist(), strict=True)))
-    columns = {name: np.full((len(pairs), frames), -1.0) for name in ("fn", "fp", "tp", "rmse_m")}
-    for index, (agent, estimate) in enumerate(pairs):
-        own = rows(table, (table["agent"] == agent) & (table["estimator"] == estimate) & (table["frame"] < frames))
-        for name, values in columns.items():
-            values[index, own["frame"].astype(np.int64)] = np.nan_to_num(column(own, name), nan=-1.0)
-    for name, values in columns.items():
+    table = rows(table, table["frame"] < frames)
+    of_rows = list(zip(table["agent"].tolist(), table["estimator"].tolist(), strict=True))
+    pairs = sorted(set(of_rows))
+    number = {pair: index for index, pair in enumerate(pairs)}
+    series = np.array([number[pair] for pair in of_rows], np.int64)
+    for name in ("fn", "fp", "tp", "rmse_m"):
+        values = np.full((len(pairs), frames), -1.0)
+        values[series, table["frame"].astype(np.int64)] = np.nan_to_num(column(table, name), nan=-1.0)
         packer.add(f"series.{name}", values, scale=0.001 if name == "rmse_m" else 1.0)
     return [{"agent": agent, "estimate": estimate} for agent, estimate in pairs]

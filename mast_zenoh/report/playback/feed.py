@@ -49,19 +49,18 @@ class Listener:
             self._closed = True
             self._changed.notify()
 
-    def take(self, timeout_s: float) -> tuple[list[str | bytes], bool]:
-        """Wait for messages; returns them, and whether more may come."""
+    def take(self, most: int, timeout_s: float) -> tuple[list[str | bytes], bool]:
+        """Wait for messages; returns them, with at most so many frames, and whether more may come."""
         with self._changed:
             if not (self._texts or self._frames or self._closed):
                 self._changed.wait(timeout_s)
             messages: list[str | bytes] = [*self._texts]
             if self._dropped:
                 messages.append(json.dumps({"kind": "dropped", "count": self._dropped}))
-            messages += [frame for _, frame in self._frames]
+            messages += [self._frames.popleft()[1] for _ in range(min(most, len(self._frames)))]
             self._texts.clear()
-            self._frames.clear()
             self._dropped = 0
-            return messages, not self._closed
+            return messages, bool(self._frames) or not self._closed
 
 
 class Feed:

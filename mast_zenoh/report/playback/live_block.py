@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from mast_zenoh.scenes.recording import Recording, truth_states
 from mast_zenoh.viewer.live.measurement import MeasuredFrame
 from mast_zenoh.viewer.live.observer import Observer
 from mast_zenoh.viewer.routes import POSE, TRUTH
+from mast_zenoh.wiring.model import Wiring
 
 #: Parts of the header that rarely change: the page gets them once, and again when they change.
 LASTING = (
@@ -43,6 +45,7 @@ class LiveBlocks:
     observer: Observer
     poses: dict[str, tuple[Floats, Floats]]
     trust: Mapping[str, Any] | None = None
+    _written: tuple[Wiring, dict[str, Any]] | None = None
 
     @classmethod
     def of(cls, observer: Observer) -> LiveBlocks:
@@ -105,8 +108,8 @@ class LiveBlocks:
         return RunFolder(
             path=Path(),
             run={"id": self.observer.run.id, "name": resolved.name, "steps": down},
-            scenario=resolved.to_json(),
-            wiring=self.observer.wiring.to_json(),
+            scenario=self._scenario,
+            wiring=self._wiring_json(),
             metrics={"agents": dict.fromkeys(self.observer.meter.agents), "same_as": frame.same_as},
             counts=as_read(tables["metrics"]),
             objects=None,
@@ -116,6 +119,17 @@ class LiveBlocks:
             trust=None if self.trust is None else as_read(self.trust),
             trust_objects=as_read(tables["trust_objects"]) if "trust_objects" in tables else None,
         )
+
+    @cached_property
+    def _scenario(self) -> dict[str, Any]:
+        return self.observer.run.resolved.to_json()
+
+    def _wiring_json(self) -> dict[str, Any]:
+        """The current wiring as in wiring.json; made anew when it has changed."""
+        current = self.observer.wiring
+        if self._written is None or self._written[0] is not current:
+            self._written = current, current.to_json()
+        return self._written[1]
 
     def _scene(self, frame: MeasuredFrame) -> Recording | None:
         """The scene of a frame as the messages have it, with the sensors and buildings of the prepared one."""

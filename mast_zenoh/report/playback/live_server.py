@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from http import HTTPStatus
 from types import TracebackType
 from urllib.parse import urlsplit
@@ -20,6 +21,8 @@ from mast_zenoh.viewer.loopback import HOSTS, LOOPBACK, page_headers, tunnel, un
 
 FRAMES = "/frames"
 _WAKE_S = 1.0
+#: Frames that a page may not have shown yet. It confirms each: the buffers of its connection would hold hundreds.
+_UNSHOWN = 2
 
 
 class LiveServer:
@@ -42,7 +45,7 @@ class LiveServer:
                 port,
                 process_request=self._answer,
                 compression=None,  # frames are compressed
-                max_size=1024,  # the page sends nothing
+                max_size=1024,  # the page only confirms frames
                 server_header=None,
             )
         except OSError as error:
@@ -99,12 +102,18 @@ class LiveServer:
             if listener is None:
                 connection.close(1013, "too many pages")
                 return
-            more = True
+            more, unshown = True, 0
             try:
                 while more and not self._over.is_set() and connection.protocol.state is State.OPEN:
-                    messages, more = listener.take(_WAKE_S)
+                    if unshown == _UNSHOWN:
+                        with suppress(TimeoutError):
+                            connection.recv(timeout=_WAKE_S)
+                            unshown -= 1
+                        continue
+                    messages, more = listener.take(_UNSHOWN - unshown, _WAKE_S)
                     for message in messages:
                         connection.send(message)
+                        unshown += isinstance(message, bytes)
             except ConnectionClosed:
                 pass
 

@@ -19,10 +19,13 @@ from mast_zenoh.viewer.live.observed import ObservedRun
 from mast_zenoh.viewer.live.reception import Reception
 from mast_zenoh.viewer.live.wires import WireMeter, WireState
 
-#: Most frames a second that are measured: more would take processor time that the run may need.
-MOST_FRAMES_PER_S = 12.0
+#: Most frames a second that are measured.
+_MOST_FRAMES_PER_S = 10.0
+#: Most of a processor that measuring may take, by mode. In lock-step every frame waits for the slowest node, so that
+#: whatever else runs on this computer slows the run.
+_PROCESSOR_SHARE = {"lockstep": 0.05, "realtime": 0.3}
 #: s between two looks at what has arrived.
-POLL_S = 0.03
+POLL_S = 0.05
 #: Frames behind the clock: by then, the messages about a frame have arrived.
 _BEHIND = 2
 #: s without a clock after which the last frame is taken as whole: the run has paused or ended.
@@ -69,6 +72,7 @@ class Observer:
         self._listening = True
         self._settled = False  # whether all publishers know of the subscriptions
         self._last = -1
+        self._due = 0.0
         self._time_s = 0.0
         self._newest, self._since = -1, time.monotonic()
         self._asked = self._since
@@ -103,11 +107,17 @@ class Observer:
         """Take what has arrived, and measure the newest whole frame; None if there is no newer one."""
         self.keep_up()
         now, newest = time.monotonic(), self._newest
-        self._wires.note(now, self._types)
+        if now < self._due:
+            return None
         number = newest if now - self._since > _SILENCE_S else newest - _BEHIND
         if number <= self._last or number < 0:
             return None
+        begun = time.process_time()
         measured = self.meter.measure(number, self._reception.sent_since(number), self.wiring, self.roles)
+        self._wires.note(now, self._types)
+        # What is done with a frame takes about as long as measuring it.
+        effort_s = 2.0 * (time.process_time() - begun)
+        self._due = now + max(1.0 / _MOST_FRAMES_PER_S, effort_s / _PROCESSOR_SHARE[self.run.resolved.mode])
         if measured is not None:
             self.skipped += number - self._last - 1
             self._last, self._time_s = number, measured.time_ns * 1e-9

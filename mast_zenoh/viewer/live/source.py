@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator, Mapping
 
 from mast_zenoh.launch.tables import as_read
@@ -13,7 +12,7 @@ from mast_zenoh.viewer import routes
 from mast_zenoh.viewer.evaluated import ChangeTable, Judgements, ScoreTable
 from mast_zenoh.viewer.frame import Frame, frame_of
 from mast_zenoh.viewer.live.measurement import MeasuredFrame
-from mast_zenoh.viewer.live.observer import MOST_FRAMES_PER_S, POLL_S, Observer
+from mast_zenoh.viewer.live.observer import POLL_S, Observer
 
 
 class LiveFrames:
@@ -56,13 +55,12 @@ class LiveFrames:
     def __iter__(self) -> Iterator[Frame]:
         """All frames that are measured, until the run ends."""
         while not self._stop.is_set():
-            due = time.monotonic() + 1.0 / MOST_FRAMES_PER_S
             measured = self._observer.advance()
             if measured is not None:
                 yield self._frame(measured)
             elif self._observer.is_over():
                 return
-            self._stop.wait(max(POLL_S, due - time.monotonic()) if measured is not None else POLL_S)
+            self._stop.wait(POLL_S)
 
     def _frame(self, measured: MeasuredFrame) -> Frame:
         tables = {name: as_read(columns) for name, columns in measured.tables.items()}

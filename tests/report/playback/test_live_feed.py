@@ -29,7 +29,7 @@ def test_a_slow_listener_keeps_the_newest_frames_and_is_told_how_many_it_missed(
         assert listener is not None
         for number in range(10):
             feed.publish(LASTING, bytes([number]))
-        messages, more = listener.take(1.0)
+        messages, more = listener.take(9, 1.0)
     assert more
     assert json.loads(messages[0]) == {"kind": "lasting", "header": LASTING}
     assert json.loads(messages[1]) == {"kind": "dropped", "count": 10 - QUEUED}
@@ -42,10 +42,10 @@ def test_a_frame_never_meets_the_header_of_another_one() -> None:
         assert listener is not None
         feed.publish(LASTING, b"old")
         feed.publish({"label": "rewired"}, b"new")
-        messages, _ = listener.take(1.0)
+        messages, _ = listener.take(9, 1.0)
         assert [json.loads(messages[0])["header"]["label"], messages[1]] == ["rewired", b"new"]
         feed.publish({"label": "rewired"}, b"newer")
-        assert listener.take(1.0)[0] == [b"newer"], "the header is sent once"
+        assert listener.take(9, 1.0)[0] == [b"newer"], "the header is sent once"
 
 
 def test_a_page_that_opens_late_gets_the_newest_frame_and_the_end() -> None:
@@ -54,7 +54,7 @@ def test_a_page_that_opens_late_gets_the_newest_frame_and_the_end() -> None:
     feed.close(reload=True)
     with feed.listener() as listener:
         assert listener is not None
-        messages, more = listener.take(1.0)
+        messages, more = listener.take(9, 1.0)
     assert not more
     assert b"frame" in messages
     assert {"kind": "over", "reload": True} in [json.loads(each) for each in messages if isinstance(each, str)]
@@ -74,6 +74,7 @@ def test_a_page_that_does_not_read_does_not_stop_the_others(server: LiveServer) 
                 server.feed.publish(LASTING, frame + bytes([number]))
                 while (message := reading.recv(timeout=20)) != frame + bytes([number]):
                     assert isinstance(message, str) or message < frame + bytes([number])
+                reading.send("shown")
 
 
 def test_other_pages_and_other_hosts_may_not_read_frames(server: LiveServer) -> None:
@@ -105,3 +106,21 @@ def test_more_pages_than_the_limit_are_refused(server: LiveServer) -> None:
         refused.recv(timeout=20)
     for page in open_pages:
         page.close()
+
+
+def test_a_page_that_confirms_nothing_gets_two_frames_and_is_waited_for_by_nobody(server: LiveServer) -> None:
+    with connect(f"ws://127.0.0.1:{server.port}{FRAMES}") as page:
+        frames: list[bytes] = []
+        while len(frames) < 2:
+            server.feed.publish(LASTING, b"frame")
+            frames += [message for message in [page.recv(timeout=20)] if isinstance(message, bytes)]
+        for _ in range(5):
+            server.feed.publish(LASTING, b"later frame")
+        assert not server.feed.is_wanted
+        with pytest.raises(TimeoutError):
+            while True:
+                assert page.recv(timeout=0.2) != b"later frame"
+        page.send("shown")
+        told = [page.recv(timeout=20) for _ in range(2)]
+        assert json.loads(told[0])["kind"] == "dropped"
+        assert told[1] == b"later frame"

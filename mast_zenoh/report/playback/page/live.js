@@ -8,8 +8,6 @@ import { WireTable } from "./wires.js";
 
 /** ms before a lost connection is tried again. */
 const RETRY_MS = 1000;
-/** Frames that wait for this page; more are left out. */
-const WAITING = 4;
 /** ms over which the rate is measured. */
 const RATE_MS = 3000;
 
@@ -42,7 +40,7 @@ class LiveView {
     const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${this.root.dataset.live}`;
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
-    socket.onmessage = ({ data }) => this.take(data);
+    socket.onmessage = ({ data }) => this.take(data, socket);
     socket.onclose = () => {
       if (this.over) return;
       this.say("The connection is lost; trying again.");
@@ -50,23 +48,21 @@ class LiveView {
     };
   }
 
-  /** @param {string | ArrayBuffer} data */
-  take(data) {
-    this.queue.push(data);
-    const blocks = this.queue.filter((each) => typeof each !== "string");
-    if (blocks.length > WAITING) {
-      this.queue.splice(this.queue.indexOf(blocks[0]), 1);
-      this.dropped += 1;
-    }
+  /** @param {string | ArrayBuffer} data @param {WebSocket} socket from which it came */
+  take(data, socket) {
+    this.queue.push({ data, socket });
     if (!this.busy) this.work();
   }
 
   async work() {
     this.busy = true;
     while (this.queue.length) {
-      const data = this.queue.shift();
+      const { data, socket } = this.queue.shift();
       if (typeof data === "string") this.obey(JSON.parse(data));
-      else await this.extend(data);
+      else {
+        await this.extend(data);
+        if (socket.readyState === WebSocket.OPEN) socket.send("shown"); // the server sends two frames ahead
+      }
     }
     this.busy = false;
   }
