@@ -106,7 +106,7 @@ def memory(minutes: float) -> None:
     """Print the memory of the viewer every half minute."""
     with tempfile.TemporaryDirectory() as folder:
         frames = str(round(minutes * 600) + 300)
-        command = [sys.executable, "-m", "mast_zenoh", "run", "highway", "--frames", frames, "--mode", "realtime"]
+        command = [sys.executable, "-m", "mast_zenoh", "run", "baseline", "--frames", frames, "--mode", "realtime"]
         command += ["--no-report", "--no-record", "--view", "--out", f"{folder}/run"]
         run = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert run.stdout is not None

@@ -118,8 +118,7 @@ def test_a_page_that_confirms_nothing_gets_two_frames_and_is_waited_for_by_nobod
             server.feed.publish(LASTING, b"later frame")
         assert not server.feed.is_wanted
         with pytest.raises(TimeoutError):
-            while True:
-                assert page.recv(timeout=0.2) != b"later frame"
+            page.recv(timeout=0.2)
         page.send("shown")
         told = [page.recv(timeout=20) for _ in range(2)]
         assert json.loads(told[0])["kind"] == "dropped"
