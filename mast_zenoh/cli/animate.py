@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import out as _out
 
 if TYPE_CHECKING:
     from mast_zenoh.report.film.look import Look
 
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a finished run.")]
+RunFolder = Annotated[
+    Path,
+    typer.Argument(metavar="RUN", help="The folder of a finished run.", autocompletion=completion.run_folders),
+]
 Agent = Annotated[str | None, typer.Option(help="Whose estimates to show. Default: the main agent.")]
 Estimates = Annotated[
     list[str] | None,

@@ -10,7 +10,7 @@ import typer
 
 from mast_zenoh.cli import completion, viewer_process
 from mast_zenoh.cli.options import out as _out
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, RunFolderError
 
 _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
 
@@ -50,11 +50,19 @@ def view(
     """
     if foxglove and rerun:
         raise typer.BadParameter("found --foxglove and --rerun, expected one of them")
+    if not foxglove and (rate != 1.0 or loop):
+        raise typer.BadParameter("--rate and --loop are for --foxglove")
     folder = Path(target)
     remote = "/" in target and target.partition("/")[0] in _PROTOCOLS and not folder.exists()
     if attached:
         viewer_process.observe(target, run, port, remote=remote, browser=browser, foxglove=foxglove, rerun=rerun)
-    elif remote or (other is None and viewer_process.record_of(folder).get("status") == "running"):
+    elif not remote and folder.is_dir() and not viewer_process.record_of(folder):
+        raise RunFolderError(f"{folder}: found no run.json: the run has not begun, or this is not the folder of a run")
+    elif other is not None and (busy := [str(each) for each in (folder, other) if _is_running(each)]):
+        raise RunFolderError(f"{busy[0]}: the run is still in progress: expected two finished runs")
+    elif remote or (other is None and _is_running(folder)):
+        if frame is not None or rate != 1.0 or loop:
+            raise typer.BadParameter("found a running run, expected a finished one for --frame, --rate and --loop")
         if other is not None:
             raise ConfigurationError("two runs on one timeline: expected the folders of two finished runs")
         chosen = {"--open": browser, "--foxglove": foxglove, "--rerun": rerun}
@@ -67,9 +75,15 @@ def view(
     elif foxglove or rerun:
         if other is not None:
             raise typer.BadParameter("found two runs, expected one: other viewers show one run")
+        if frame is not None or browser:
+            raise typer.BadParameter("--frame and --open are for this testbed's own page")
         _serve_to_other_viewers(folder, port, foxglove=foxglove, rate=rate, loop=loop)
     else:
         _show_finished([folder] if other is None else [folder, other], frame, port, browser)
+
+
+def _is_running(folder: Path) -> bool:
+    return viewer_process.record_of(folder).get("status") == "running"
 
 
 def _show_finished(folders: list[Path], frame: int | None, port: int, browser: bool) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,9 +50,10 @@ def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
         children.append(child)
         assert child.stdout is not None
         for line in child.stdout:  # until the page can be opened, or the viewer has failed
-            _out.print(line.decode().rstrip(), markup=False, highlight=False)
             if line.startswith(_LAST_LINE.encode()):
+                tell("Ctrl-C ends the run, and then the viewer.")
                 break
+            tell(line.decode().rstrip())
 
     try:
         yield prepare
@@ -113,7 +115,8 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
     from mast_zenoh.viewer.servers import live
 
     with ExitStack() as stack:
-        stop = stack.enter_context(_stopped())
+        secrets: list[Path] = []
+        stop = stack.enter_context(_stopped(secrets))
         if remote:
             observed.check_reachable(target)
             session = stack.enter_context(open_client(target))
@@ -126,6 +129,7 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
         live_view.yield_processors()
         if not remote:
             running = live_view.await_start(Path(target), _START_S, stop)
+            secrets += [running.credentials] if running.credentials else []
             session = stack.enter_context(hosting.join(running.endpoint, running.credentials))
         if in_browser:
             live_view.show(running, session, server, stop)
@@ -137,8 +141,11 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
 
 
 @contextmanager
-def _stopped() -> Iterator[threading.Event]:
-    """An event that is set by SIGTERM and by the end of standard input."""
+def _stopped(secrets: Sequence[Path]) -> Iterator[threading.Event]:
+    """An event that is set by SIGTERM and by the end of standard input, soon after which the process ends.
+
+    secrets: folders to delete then
+    """
     stop = threading.Event()
     before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
 
@@ -148,6 +155,12 @@ def _stopped() -> Iterator[threading.Event]:
             while os.read(0, 4096):
                 pass
         stop.set()
+        threading.Event().wait(_END_S - 1.0)  # what waits for the mesh may not look at `stop`
+        if secrets:
+            shutil.rmtree(secrets[0], ignore_errors=True)  # the launcher may have been killed
+            with suppress(OSError):
+                secrets[0].parent.rmdir()
+        os._exit(0)
 
     threading.Thread(target=follow_input, daemon=True).start()
     try:

@@ -1,4 +1,4 @@
-"""`mast wiring SCENARIO`: who talks to whom on which key."""
+"""`mast wiring SCENARIO`: the publishers and subscribers of every key."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ fields         strict readers of parts: numbers, names, keys, strings
 flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change
 files          fetch, file: files between a node on another host and the launcher
 interception   intercept, release: requests of a user
-description    describe: what an observer must know of a run
+description    what an observer must know of a run: a query that changes nothing, so not one of the controls
 reports        failed, result: reports of a node to the launcher
 results        the results themselves, packed;  failures: of handlers, counted, merged, formatted
 stop_reasons   why a run stops
@@ -70,6 +70,5 @@ CONTROLS = {
         Control("drain", (NODE,), False, 4 * _KIB),
         Control("rewire", (LAUNCHER,), False, 16 * _MIB),
         Control("intercept", (USER,), False, 4 * _MIB),
-        Control("describe", (USER,), False, _KIB),
     )
 }

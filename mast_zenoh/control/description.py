@@ -14,8 +14,8 @@ from mast_zenoh.errors import MessageError
 #: Most bytes of an answer, with the scene.
 MAX_BYTES = 256 << 20
 
-#: Key below @control/, and the request for a description without the scene.
-DESCRIBE, WITHOUT_SCENE = "describe", b"without scene"
+#: Key below the run's prefix, and the request for a description without the scene.
+DESCRIBE, WITHOUT_SCENE = "@description", b"without scene"
 
 
 class Description(NamedTuple):

@@ -219,7 +219,7 @@ class _Results:
                     scores.pairs, scores.series, data.record.agents, data.ego, scored, data.period_s
                 ),
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
-                "latency_ms": {"sim_to_picture": percentiles(data.latencies_ns())},
+                "latency_ms": {"sim_to_picture": data.latency_percentiles_ms()},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **integrity,
             },
@@ -285,13 +285,6 @@ class _Results:
             if (agent := agent_of(passage.subject)) in agents:
                 victims.setdefault(passage.node, set()).add(agents.index(agent))
         return victims
-
-
-def percentiles(latency_ns: Sequence[int]) -> dict[str, float | None]:
-    """p50, p95 and p99 in ms of latencies in ns; None without latencies."""
-    if not latency_ns:
-        return {"p50": None, "p95": None, "p99": None}
-    return {f"p{p}": float(np.percentile(np.array(latency_ns) * 1e-6, p)) for p in (50, 95, 99)}
 
 
 def _nested(same_as: Mapping[tuple[str, str], tuple[str, str]]) -> dict[str, dict[str, str]]:

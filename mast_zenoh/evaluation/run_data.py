@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from mast_zenoh.effects import Meter, Pose
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import Presence, Record
@@ -58,3 +60,11 @@ class RunData:
             for frame, sent in sorted(self.picture_sent.items())
             if {frame, sent} <= times.keys()
         ]
+
+    def latency_percentiles_ms(self) -> dict[str, float | None]:
+        """p50, p95 and p99 in ms of `latencies_ns`; None without latencies."""
+        latencies = self.latencies_ns()
+        names = (50, 95, 99)
+        if not latencies:
+            return {f"p{p}": None for p in names}
+        return {f"p{p}": float(np.percentile(np.array(latencies) * 1e-6, p)) for p in names}

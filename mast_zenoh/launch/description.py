@@ -8,7 +8,7 @@ from typing import Any
 import zenoh
 
 from mast_zenoh.config.resolved import RECORDING
-from mast_zenoh.control import control_prefix
+from mast_zenoh.control import prefix
 from mast_zenoh.control.description import DESCRIBE, WITHOUT_SCENE, encode_description
 from mast_zenoh.launch.context import RunContext
 
@@ -16,9 +16,9 @@ from mast_zenoh.launch.context import RunContext
 def declare(context: RunContext, session: zenoh.Session) -> Any:
     """Answer queries for a description of the run; returns the queryable.
 
-    On a mesh with access rights nobody has the right to ask: observers there need the run folder.
+    On a mesh with access rights no viewer may query: observers there need the run folder.
     """
-    key = f"{control_prefix(context.run_id)}/{DESCRIBE}"
+    key = f"{prefix(context.run_id)}/{DESCRIBE}"
 
     def answer(query: zenoh.Query) -> None:
         resolved = context.resolved

@@ -65,7 +65,8 @@ class Display:
         self._live: Live | None = None
         self._next_s = 0.0
         self._printed_frame = 0
-        self._first_s: float | None = None  # when the first frame was seen
+        self._first_s: float | None = None  # when a frame was seen first
+        self._first_frame = 0  # which
         self._switch_s = sys.getswitchinterval()
 
     def __enter__(self) -> Display:
@@ -90,7 +91,7 @@ class Display:
         """Show the run at a frame; `status` is only called when it is time for a new picture."""
         now = time.monotonic()
         if frame > 0 and self._first_s is None:
-            self._first_s = now
+            self._first_s, self._first_frame = now, frame
         if self._live:
             if now >= self._next_s:
                 width, height = self.console.size
@@ -111,7 +112,7 @@ class Display:
 
     def _rate(self, frame: int) -> str:
         elapsed_s = time.monotonic() - self._first_s if self._first_s is not None else 0.0
-        return f"{frame / elapsed_s:.0f}/s" if elapsed_s > 0.2 else ""
+        return f"{(frame - self._first_frame) / elapsed_s:.0f}/s" if elapsed_s > 0.2 else ""
 
     def _progress(self, frame: int, width: int) -> Text:
         """Title, bar and number of frames in one line."""

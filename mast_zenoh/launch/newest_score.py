@@ -172,7 +172,12 @@ class MeshScores:
         began = {_step(sample): at_ns for at_ns, sample in reversed(list(self._clocks))}
         latencies = []
         for at_ns, sample in arrivals:
-            frame = codec.decode_header_only(sample.payload.to_bytes(), "picture").frame
+            if len(sample.payload) > _MAX_BYTES:
+                continue
+            try:
+                frame = codec.decode_header_only(sample.payload.to_bytes(), "picture").frame
+            except MastError:  # anybody may send anything on an open mesh
+                continue
             if frame in began:
                 latencies.append((at_ns - began[frame]) * 1e-6)
         return median(latencies) if latencies else None

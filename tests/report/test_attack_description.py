@@ -95,5 +95,5 @@ def test_a_coordinator_is_named_and_many_adversaries_are_summed_up(run_folder: R
     )
     run.run["nodes"]["boss"] = {"role": "coordinator"}
     sentences = attack_description(run)
-    assert sentences[3] == "Five other adversaries did the like: see the table of interposers."
+    assert sentences[3] == "Five other adversaries did the same kind of thing: see the table of interposers."
     assert sentences[4] == "boss directed the adversaries."

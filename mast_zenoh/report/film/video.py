@@ -80,7 +80,7 @@ def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], f
             for picture in pictures:
                 process.stdin.write(picture.tobytes())
             process.stdin.close()
-        except BrokenPipeError:  # it has ended: its own words say why
+        except BrokenPipeError:  # it has ended: its error output says why
             pass
         except BaseException:
             process.kill()

@@ -24,7 +24,7 @@ _PLACES = {
 }
 _OBJECTS = {
     "inserted": "inserted {} that did not exist",
-    "removed": "hid {}",
+    "removed": "removed {}",
     "moved": "moved {}",
     "altered": "altered {}",
 }
@@ -40,7 +40,7 @@ _MESSAGES = {
 
 
 def attack_description(run: RunFolder) -> list[str]:
-    """Sentences: what each adversary did, where and when; who directed them; the faults of the scenario."""
+    """Sentences: what each adversary did, where and when; which coordinators directed it; faults of the scenario."""
     adversaries = [each for each in interposers(run) if not each.is_link]
     active = [each for each in adversaries if each.changed]
     sentences = [_sentence(run, each) for each in active[:_DESCRIBED]]
@@ -48,7 +48,7 @@ def attack_description(run: RunFolder) -> list[str]:
         names = join_names([each.name for each in others])
         if len(others) > _NAMED:
             names = f"{capital(count(len(others)))} other adversaries"
-        sentences.append(f"{names} did the like: see the table of interposers.")
+        sentences.append(f"{names} did the same kind of thing: see the table of interposers.")
     unmeasured = [each.name for each in adversaries if each.effects is None]
     idle = [each.name for each in adversaries if each.effects is not None and not each.changed]
     if idle:

@@ -44,6 +44,8 @@ def run_block(run: RunFolder, frame: int | None = None, label: str = "") -> byte
     if not len(boxes.frame):
         return None
     frames = int(boxes.frame.max()) + 1
+    if frame is not None and frame >= frames:
+        raise ValueError(f"found frame {frame}, expected one of 0 to {frames - 1}")
     times = _times(run, frames)
     packer = Packer()
     packer.add("time", times, scale=1e-3)

@@ -22,7 +22,7 @@ class Listener:
         self._frames: deque[tuple[int, bytes]] = deque()
         self._lasting = 0  # version of the lasting header that the page has
         self._dropped = 0
-        self._closed = False
+        self._last_words = ""
 
     def put(self, version: int, lasting: str, frame: bytes) -> None:
         """Add a frame. version, lasting: of the part of the header that it lacks"""
@@ -45,14 +45,13 @@ class Listener:
     def close(self, text: str) -> None:
         """End with a last message."""
         with self._changed:
-            self._texts.append(text)
-            self._closed = True
+            self._last_words = text
             self._changed.notify()
 
     def take(self, most: int, timeout_s: float) -> tuple[list[str | bytes], bool]:
         """Wait for messages; returns them, with at most so many frames, and whether more may come."""
         with self._changed:
-            if not (self._texts or self._frames or self._closed):
+            if not (self._texts or self._frames or self._last_words):
                 self._changed.wait(timeout_s)
             messages: list[str | bytes] = [*self._texts]
             if self._dropped:
@@ -60,7 +59,8 @@ class Listener:
             messages += [self._frames.popleft()[1] for _ in range(min(most, len(self._frames)))]
             self._texts.clear()
             self._dropped = 0
-            return messages, bool(self._frames) or not self._closed
+            over = bool(self._last_words) and not self._frames
+            return [*messages, self._last_words] if over else messages, not over
 
 
 class Feed:

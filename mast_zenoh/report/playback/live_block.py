@@ -87,7 +87,6 @@ class LiveBlocks:
         return {
             "number": frame.number,
             "spans": sorted(periods, key=lambda each: (each["from_s"], each["label"])),
-            "skipped": observer.skipped,
             "newest": observer.frame,
             "refused": frame.refused,
             "down": observer.down,

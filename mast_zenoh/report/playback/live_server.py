@@ -35,8 +35,8 @@ class LiveServer:
     def __init__(self, title: str, feed: Feed, port: int = 0) -> None:
         self.feed = feed
         parts = live_parts(FRAMES)
-        self._page = page_text("viewer.html.j2", {"title": title, "headline": title, "viewer": parts}).encode()
-        self._policy = str(parts["policy"])
+        page = page_text("viewer.html.j2", {"title": title, "headline": title, "viewer": parts}).encode()
+        self._content = page, str(parts["policy"])
         self._over = threading.Event()
         try:
             self._server: Server = serve(
@@ -75,7 +75,7 @@ class LiveServer:
 
     def show_finished(self, page: str, policy: str) -> None:
         """Serve another page from now on, and tell all that are open to load it."""
-        self._page, self._policy = page.encode("utf-8", "surrogateescape"), policy
+        self._content = page.encode("utf-8", "surrogateescape"), policy
         self.feed.close(reload=True)
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
@@ -92,9 +92,9 @@ class LiveServer:
             return None
         if path != "/":
             return _refusal(HTTPStatus.NOT_FOUND, "not found")
-        kind, policy = "text/html; charset=utf-8", f"{self._policy}; frame-ancestors 'none'"
-        headers = Headers(page_headers(kind, policy, len(self._page)))
-        return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, headers, self._page)
+        page, policy = self._content
+        headers = Headers(page_headers("text/html; charset=utf-8", f"{policy}; frame-ancestors 'none'", len(page)))
+        return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, headers, page)
 
     def _send_frames(self, connection: ServerConnection) -> None:
         """Send what the feed has, in a thread for each page; a page that does not read blocks only this thread."""

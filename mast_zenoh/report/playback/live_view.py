@@ -10,13 +10,13 @@ from pathlib import Path
 
 import zenoh
 
-from mast_zenoh.errors import ConfigurationError, MastError, NotRunning
+from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.report.playback.feed import Feed
 from mast_zenoh.report.playback.inline import policy
 from mast_zenoh.report.playback.live_block import LiveBlocks
 from mast_zenoh.report.playback.live_server import LiveServer
 from mast_zenoh.report.playback.server import viewer_page
-from mast_zenoh.viewer.live.observed import ObservedRun
+from mast_zenoh.viewer.live.observed import NotStarted, ObservedRun
 from mast_zenoh.viewer.live.observer import POLL_S, Observer
 
 #: Niceness of the viewer, the greatest: no frame waits for it. An environment variable changes it.
@@ -78,8 +78,8 @@ def _follow(observer: Observer, feed: Feed, stop: threading.Event) -> None:
         elif (frame := observer.advance()) is not None:
             try:
                 feed.publish(*blocks.header_and_block(frame))
-            except ValueError as error:  # numbers that no page can draw
-                observer.note(f"frame {frame.number} cannot be shown: {error}")
+            except Exception as error:  # such as numbers that no page can draw: one frame is lost, and the page says so
+                observer.note(f"frame {frame.number} cannot be shown: {error!r:.200}")
         if observer.is_over():
             return
         stop.wait(POLL_S)
@@ -96,12 +96,12 @@ def _finished_page(folder: Path, stop: threading.Event) -> str | None:
 
 
 def await_start(folder: Path, timeout_s: float, stop: threading.Event) -> ObservedRun:
-    """The run of a folder, once it has started its nodes; raises NotRunning if it does not."""
+    """The run of a folder, once it has started its nodes; raises NotRunning if it does not, or cannot be viewed."""
     deadline = time.monotonic() + timeout_s
     while True:
         try:
             return ObservedRun.of_folder(folder)
-        except NotRunning:
+        except NotStarted:
             if time.monotonic() > deadline or stop.is_set():
                 raise
         stop.wait(0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,9 @@ from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 #: Parameters of the evaluator that decide how a frame is measured; the others only concern summaries of runs.
 _PARAMETERS = ("agents", "scorer", "attribution", "cut_off", "picture_age_s", "picture_ages_s")
 _NAME = "evaluator"
+#: The run's own nodes log what they refuse; the page counts it.
+_SILENT = logging.getLogger("mast.viewer.silent")
+_SILENT.disabled = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +88,7 @@ class FrameMeter:
         host, node = self._host(wiring)
         types = {leg.key: wire.message for wire, leg in wiring.legs()}
         series_by_key = routes(wiring, self.agents)
+        timespan = self._resolved.timespan
         bodies: dict[Series, Body] = {}
         time_ns, refused = -1, 0
         for name, role in roles.items():
@@ -99,7 +104,10 @@ class FrameMeter:
             except MessageError:
                 refused += sample.step == number
                 continue
-            if CLOCK in series_by_key.get(key, ()):
+            if timespan is not None and timespan.refusal(message.header, sample.step):
+                refused += 1
+                continue
+            if CLOCK in series_by_key.get(key, ()) and time_ns < 0:
                 time_ns = message.header.time_ns
             for series in series_by_key.get(key, ()):
                 bodies.setdefault(series, message.body)
@@ -129,5 +137,6 @@ class FrameMeter:
             wiring=observed,
             timespan=resolved.timespan,
         )
+        host.log = _SILENT
         host.start({})
         return host, node

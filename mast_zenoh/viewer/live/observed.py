@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,10 @@ import zenoh
 
 from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.control import control_prefix
+from mast_zenoh.control import fields, prefix
 from mast_zenoh.control.description import DESCRIBE, WITHOUT_SCENE, Description, decode_description
 from mast_zenoh.control.flow import wiring_of
-from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError, nearest
+from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.context import VIEWER_CREDENTIALS
@@ -25,8 +26,12 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring
 
-_ANSWER_S = 10.0
+_ANSWER_S = 3.0
 _CONNECT_S = 3.0
+
+
+class NotStarted(NotRunning):
+    """A run that may start its nodes soon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +63,7 @@ class ObservedRun:
         if record.get("runtime") != "mesh":
             raise NotRunning(f"{path}: the run is in one process: expected a run on a mesh, or a finished run")
         if not record.get("endpoint"):
-            raise NotRunning(f"{path}: the run has not started its nodes yet")
+            raise NotStarted(f"{path}: the run has not started its nodes yet")
         credentials = None
         if record.get("security", "open") != "open":
             if not record.get(VIEWER_CREDENTIALS):
@@ -81,13 +86,15 @@ class ObservedRun:
         run: its id, needed if there are several
         Raises NotRunning if none answers, ConfigurationError if several do, or none with this id.
         """
-        found = {each.run: each for each in _descriptions(session, f"{control_prefix(run or '*')}/{DESCRIBE}")}
-        if not found:
+        runs: dict[str, Description] = {}
+        for each in _descriptions(session, f"{prefix(run or '*')}/{DESCRIBE}"):
+            runs.setdefault(each.run, each)
+        if not runs:
             which = f"run {run!r}" if run else "run"
             raise NotRunning(f"{endpoint}: no {which} answers: expected the router of a running run (mast run --help)")
-        if len(found) > 1:
-            raise ConfigurationError(f"{endpoint}: several runs: choose one with --run{nearest('', found)}")
-        (description,) = found.values()
+        if len(runs) > 1:
+            raise ConfigurationError(f"{endpoint}: several runs: expected --run with one of {', '.join(sorted(runs))}")
+        (description,) = runs.values()
         try:
             resolved = Resolved.from_json(description.scenario, description.wiring)
             user_types.use(resolved.messages)
@@ -96,23 +103,31 @@ class ObservedRun:
             raise NotRunning(f"{endpoint}: the run describes itself in a way that cannot be read: {error!r}") from None
         return cls(description.run, endpoint, resolved, _scene(description.scene, endpoint))
 
-    def current_wiring(self, session: zenoh.Session) -> Wiring:
-        """The wiring now: with nodes that were inserted since the run began."""
-        if self.credentials is None:
-            key = f"{control_prefix(self.id)}/{DESCRIBE}"
-            for description in _descriptions(session, key, WITHOUT_SCENE):
-                try:
-                    return wiring_of(description.wiring, DESCRIBE)
-                except MessageError:
-                    break
-        return Wiring.from_json(self.resolved.wiring)
+    @property
+    def roles(self) -> dict[str, str]:
+        """The roles of the nodes that it began with, by name."""
+        return {name: spec.role for name, spec in self.resolved.nodes.items()}
+
+    def current_wiring(self, session: zenoh.Session) -> tuple[Wiring, dict[str, str]] | None:
+        """The wiring now, and the roles of all nodes, also of those inserted live; None: the run does not answer.
+
+        The wiring of a secure run does not change.
+        """
+        if self.credentials is not None:
+            return Wiring.from_json(self.resolved.wiring), self.roles
+        for description in _descriptions(session, f"{prefix(self.id)}/{DESCRIBE}", WITHOUT_SCENE):
+            with suppress(MessageError):
+                nodes = fields.mapping(description.scenario.get("nodes"), f"{DESCRIBE}: nodes")
+                roles = {name: fields.mapping(spec, DESCRIBE).get("role") for name, spec in nodes.items()}
+                return wiring_of(description.wiring, DESCRIBE), fields.roles(roles, f"{DESCRIBE}: roles")
+        return None
 
     def is_over(self, session: zenoh.Session) -> bool:
         """Whether the run has ended."""
         if self.folder is not None:
             record = liveness.current_record(run_folder.json_or_empty(self.folder / "run.json"))
             return record.get("status") != RUNNING
-        return not any(_descriptions(session, f"{control_prefix(self.id)}/{DESCRIBE}", WITHOUT_SCENE))
+        return not any(_descriptions(session, f"{prefix(self.id)}/{DESCRIBE}", WITHOUT_SCENE))
 
 
 def check_reachable(endpoint: str) -> None:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import queue
+import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any, NamedTuple
 
 import zenoh
 
 from mast_zenoh.config.resolved import driver_of
-from mast_zenoh.control import flow, prefix
-from mast_zenoh.errors import MessageError
-from mast_zenoh.runtime.mesh import hosting
+from mast_zenoh.control import prefix
 from mast_zenoh.viewer.live.measurement import FrameMeter, MeasuredFrame
 from mast_zenoh.viewer.live.observed import ObservedRun
 from mast_zenoh.viewer.live.reception import Reception
 from mast_zenoh.viewer.live.wires import WireMeter, WireState
+from mast_zenoh.wiring.model import Wiring
 
 #: Most frames a second that are measured.
 _MOST_FRAMES_PER_S = 10.0
@@ -35,7 +33,9 @@ _SETTLING = 3
 #: s between two questions whether a silent run is over.
 _ASK_S = 2.0
 _MOST_NOTES = 10
-_MAX_UPDATES = 100  #: control messages that wait
+#: s for which the wiring is asked for after an epoch, and between two questions.
+_SETTLED_S, _ASK_WIRING_S = 3.0, 0.5
+_MOST_INSERTIONS = 100
 
 
 class Insertion(NamedTuple):
@@ -48,24 +48,23 @@ class Insertion(NamedTuple):
 
 
 class Observer:
-    """Receives a run passively: it is no member of the mesh, answers nothing and is waited for by nobody.
+    """Receives a run passively: it is no member of the mesh, and no node waits for it.
 
     session: a client of the run's router, with the viewer's credentials if the mesh is secure
 
-    agents, scene, run: of the observed run;  insertions: nodes inserted since the observer joined
-    skipped: number of frames that were played but not measured
+    run:    the observed run;  insertions: nodes inserted since the observer joined
+    wiring: the current one;  meter: measures its frames
     """
 
     def __init__(self, run: ObservedRun, session: zenoh.Session) -> None:
         self.run = run
         self.session = session
-        self.wiring = run.current_wiring(session)
         self.meter = FrameMeter(run.resolved)
-        self.roles = {name: spec.role for name, spec in run.resolved.nodes.items()}
+        self.roles = run.roles
         self.insertions: list[Insertion] = []
-        self.skipped = 0
         self._base = prefix(run.id)
-        self._reception = Reception(session, self._base)
+        timespan = run.resolved.timespan
+        self._reception = Reception(session, self._base, None if timespan is None else max(1, timespan.frames))
         self._wires = WireMeter(self._reception)
         self._types: dict[str, str] = {}
         self._clock = ""
@@ -76,10 +75,10 @@ class Observer:
         self._time_s = 0.0
         self._newest, self._since = -1, time.monotonic()
         self._asked = self._since
-        self._alive: set[str] = set()
-        self._ever_alive: set[str] = set()
-        self._updates: queue.Queue[tuple[str, Any]] = queue.Queue(_MAX_UPDATES)
-        self._signatures = hosting.signatures(run.id, run.credentials)
+        #: Whether each node is there, of those that have been: set in Zenoh's thread.
+        self._presence: dict[str, bool] = {}
+        self._epoch_began = threading.Event()
+        self._ask_wiring_until = self._ask_wiring_at = 0.0
         direct: Callable[..., Any] = zenoh.handlers.Callback
         self._declared = [
             session.liveliness().declare_subscriber(
@@ -90,12 +89,17 @@ class Observer:
             self._declared.append(
                 session.declare_subscriber(f"{self._base}/@control/epoch", direct(self._on_epoch, indirect=False))
             )
+        # After the subscription: a change between the two would be missed.
+        self.wiring = Wiring.from_json(run.resolved.wiring)
+        if (current := run.current_wiring(session)) is not None:
+            self.wiring, self.roles = current
         self._follow()
 
     @property
     def down(self) -> list[str]:
         """Nodes that were there, and are not any more; none when the run is ending."""
-        down = self._ever_alive - self._alive
+        inserted = {each.node for each in self.insertions}  # whose wires heal, which is shown
+        down = {node for node, there in self._presence.copy().items() if not there} - inserted
         return [] if driver_of(self.run.resolved.nodes) in down else sorted(down)
 
     @property
@@ -113,13 +117,16 @@ class Observer:
         if number <= self._last or number < 0:
             return None
         begun = time.process_time()
-        measured = self.meter.measure(number, self._reception.sent_since(number), self.wiring, self.roles)
+        try:
+            measured = self.meter.measure(number, self._reception.sent_since(number), self.wiring, self.roles)
+        except Exception as error:  # of an open mesh anything may come: one frame is lost, and the page says so
+            self.note(f"frame {number} cannot be measured: {error!r:.200}")
+            measured, self._last = None, number
         self._wires.note(now, self._types)
         # What is done with a frame takes about as long as measuring it.
         effort_s = 2.0 * (time.process_time() - begun)
         self._due = now + max(1.0 / _MOST_FRAMES_PER_S, effort_s / _PROCESSOR_SHARE[self.run.resolved.mode])
         if measured is not None:
-            self.skipped += number - self._last - 1
             self._last, self._time_s = number, measured.time_ns * 1e-9
         return measured
 
@@ -172,37 +179,34 @@ class Observer:
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]
-        with suppress(queue.Full):
-            self._updates.put_nowait(("alive" if sample.kind == zenoh.SampleKind.PUT else "dead", node))
+        if node in self.roles:  # anybody may announce any name on an open mesh
+            self._presence[node] = sample.kind == zenoh.SampleKind.PUT
 
-    def _on_epoch(self, sample: zenoh.Sample) -> None:
-        with suppress(queue.Full):
-            self._updates.put_nowait(("epoch", sample.payload.to_bytes()))
+    def _on_epoch(self, _: zenoh.Sample) -> None:
+        self._epoch_began.set()
 
     def _take_updates(self) -> None:
-        while not self._updates.empty():
-            what, content = self._updates.get_nowait()
-            if what == "alive":
-                self._alive.add(content)
-                self._ever_alive.add(content)
-            elif what == "dead":
-                self._alive.discard(content)
-            else:
-                with suppress(MessageError):
-                    self._enter(self._signatures.open("epoch", content, flow.decode_epoch))
+        """Ask for the wiring for some time after each epoch: epochs are not signed on an open mesh, so only hints."""
+        now = time.monotonic()
+        if self._epoch_began.is_set():
+            self._epoch_began.clear()
+            self._ask_wiring_until = now + _SETTLED_S
+        if self._ask_wiring_at <= now < self._ask_wiring_until:
+            self._ask_wiring_at = now + _ASK_WIRING_S
+            current = self.run.current_wiring(self.session)
+            if current is not None and current[0] != self.wiring and self.meter.clock_key(current[0]):
+                self.roles |= current[1]
+                self._rewire(current[0])
 
-    def _enter(self, epoch: flow.Epoch) -> None:
-        """Follow a change of members or of the wiring."""
-        self.roles |= epoch.members
-        if epoch.update is None or not epoch.update.active:
-            return
-        before, after = ({p.node for p in wiring.passages()} for wiring in (self.wiring, epoch.update.wiring))
+    def _rewire(self, wiring: Wiring) -> None:
+        """Follow a change of the wiring, and note which nodes were inserted or removed."""
+        before, after = ({passage.node for passage in each.passages()} for each in (self.wiring, wiring))
         for node in sorted(after - before):
-            wires = tuple(sorted({p.wire for p in epoch.update.wiring.passages() if p.node == node}))
+            wires = tuple(sorted({passage.wire for passage in wiring.passages() if passage.node == node}))
             self.insertions.append(Insertion(node, wires, self._time_s, None))
         for index, each in enumerate(self.insertions):
             if each.node in before - after and each.until_s is None:
                 self.insertions[index] = each._replace(until_s=self._time_s)
-        self._ever_alive -= set(epoch.update.leaving)
-        self.wiring = epoch.update.wiring
+        del self.insertions[:-_MOST_INSERTIONS]
+        self.wiring = wiring
         self._follow()

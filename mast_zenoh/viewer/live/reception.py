@@ -29,10 +29,12 @@ class Reception:
     """The newest messages of some keys.
 
     prefix: of all keys of the run
+    frames: number of frames that the run can have: a message with a later step is forged; None: not known
     """
 
-    def __init__(self, session: zenoh.Session, prefix: str) -> None:
+    def __init__(self, session: zenoh.Session, prefix: str, frames: int | None = None) -> None:
         self._session = session
+        self._end = 1 << 62 if frames is None else frames
         self._prefix = prefix
         self._subscribers: dict[str, Any] = {}
         self._kept: dict[str, deque[tuple[int, Any]]] = {}
@@ -55,7 +57,7 @@ class Reception:
             kept = self._kept[key]
             while (sample := subscriber.handler.try_recv()) is not None:
                 _, step = stamp_of(sample.attachment.to_bytes() if sample.attachment else None)
-                if step >= 0:
+                if 0 <= step < self._end:
                     kept.append((step, sample.payload))
 
     def newest_step(self, key: str) -> int:

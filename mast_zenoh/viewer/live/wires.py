@@ -20,7 +20,7 @@ _UNDER_WAY = 2
 class LegState(NamedTuple):
     """A leg of a wire.
 
-    node:    its publisher;  role: of it;  key: its key
+    node:    its publisher;  role: the publisher's role;  key: the leg's key
     rate_hz: messages per s, from the numbers in their headers; None: not known yet
     lag:     frames between the clock and the newest message; None: none has arrived
     lost:    share of the recent messages that came in but did not leave the publisher in the same frame; 0 for the
@@ -102,4 +102,4 @@ class WireMeter:
             return None if not received else 1.0
         # Each ring holds its own newest messages: compare where both have some.
         common = [each for each in received if sent[0] <= each <= step - _UNDER_WAY]
-        return 1.0 - sum(each in set(sent) for each in common) / len(common) if common else None
+        return 1.0 - len({*common} & {*sent}) / len({*common}) if common else None

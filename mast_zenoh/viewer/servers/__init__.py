@@ -1,6 +1,7 @@
 """Serves runs to other viewers, on the loopback address alone.
 
 finished    serves finished runs until Ctrl-C, for the command line
+live        serves running runs until they end
 playback    where a finished run is being played: pace, pause, seek
 foxglove    the WebSocket server of Foxglove and Lichtblick
 rerun       recordings for the Rerun viewer over HTTP, and its web viewer

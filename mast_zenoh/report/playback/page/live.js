@@ -2,12 +2,14 @@
 
 import { decodeBlock } from "./columns.js";
 import { element } from "./elements.js";
-import { LiveFrames } from "./live_run.js";
+import { FrameHistory } from "./live_run.js";
 import { Viewer } from "./viewer.js";
 import { WireTable } from "./wires.js";
 
 /** ms before a lost connection is tried again. */
 const RETRY_MS = 1000;
+/** The code with which the server refuses a page. */
+const TOO_MANY = 1013;
 /** ms over which the rate is measured. */
 const RATE_MS = 3000;
 
@@ -27,7 +29,7 @@ class LiveView {
     this.root = root;
     this.status = status;
     this.started = started;
-    this.frames = new LiveFrames();
+    this.frames = new FrameHistory();
     this.wires = new WireTable();
     /** @type {Viewer | null} */ this.viewer = null;
     /** @type {{number: number, at: number}[]} */ this.shown = [];
@@ -41,8 +43,12 @@ class LiveView {
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => this.take(data, socket);
-    socket.onclose = () => {
+    socket.onclose = ({ code, reason }) => {
       if (this.over) return;
+      if (code === TOO_MANY) {
+        this.say(`Nothing is shown here: ${reason}.`);
+        return;
+      }
       this.say("The connection is lost; trying again.");
       setTimeout(() => this.connect(), RETRY_MS);
     };
@@ -58,11 +64,13 @@ class LiveView {
     this.busy = true;
     while (this.queue.length) {
       const { data, socket } = this.queue.shift();
-      if (typeof data === "string") this.obey(JSON.parse(data));
-      else {
-        await this.extend(data);
-        if (socket.readyState === WebSocket.OPEN) socket.send("shown"); // the server sends two frames ahead
+      try {
+        if (typeof data === "string") this.obey(JSON.parse(data));
+        else await this.extend(data);
+      } catch (error) {
+        this.say(`A frame cannot be shown: ${error}`);
       }
+      if (typeof data !== "string" && socket.readyState === WebSocket.OPEN) socket.send("shown"); // two are sent ahead
     }
     this.busy = false;
   }
@@ -97,6 +105,7 @@ class LiveView {
 
   /** Say how much of the run is shown. @param {import("./live_run.js").LiveRun} run */
   count(run) {
+    if (this.over) return;
     const now = performance.now();
     const { number, newest, down, refused, notes } = run.live;
     this.shown.push({ number, at: now });

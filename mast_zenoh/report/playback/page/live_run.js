@@ -14,18 +14,20 @@ const MOST_PLACES = 20000;
  */
 
 /** Collects frames. */
-export class LiveFrames {
+export class FrameHistory {
   constructor() {
     /** @type {Part[]} */ this.parts = [];
     this.lasting = null;
     /** @type {Map<number, {width: number, places: number[][]}>} by id of the object */ this.paths = new Map();
     this.places = 0;
     /** @type {Map<string, any>} what happened, by its words */ this.events = new Map();
+    /** @type {Set<string>} nodes that are down */ this.down = new Set();
   }
 
   /** Use another lasting part of the header; frames of another scene are dropped. @param {any} lasting */
   begin(lasting) {
-    if (this.lasting && JSON.stringify(this.lasting.agents) !== JSON.stringify(lasting.agents)) this.parts = [];
+    const shape = (/** @type {any} */ header) => JSON.stringify(header.agents.map((agent) => [agent.name, agent.sectors]));
+    if (this.lasting && shape(this.lasting) !== shape(lasting)) this.parts = [];
     this.lasting = lasting;
   }
 
@@ -66,7 +68,10 @@ export class LiveFrames {
       this.paths.clear();
       this.places = 0;
     }
-    for (const event of this.happened(header, columns)) if (!this.events.has(event.text)) this.events.set(event.text, event);
+    for (const event of this.happened(header, columns)) {
+      const key = event.again ? `${event.time} ${event.text}` : event.text;
+      if (!this.events.has(key)) this.events.set(key, event);
+    }
   }
 
   /** What this frame adds to the list of events. */
@@ -83,9 +88,11 @@ export class LiveFrames {
       const name = this.lasting.effects[effect[row]];
       const at = name === "removed" ? "before" : "after";
       const [x, y] = ["x", "y"].map((axis) => columns[`effects.${at}_${axis}`][row]);
-      events.push({ kind: "effect", text: `${header.adversaries[by[row]]}: first object ${name}`, time, x, y });
+      events.push({ kind: "effect", text: `${header.adversaries[by[row]]}: object ${name} (the first that this page has shown)`, time, x, y });
     }
-    for (const node of header.down) events.push({ kind: "fault", text: `${node} is down`, time });
+    for (const node of header.down) if (!this.down.has(node)) events.push({ kind: "fault", text: `${node} is down`, time, again: true });
+    for (const node of this.down) if (!header.down.includes(node)) events.push({ kind: "fault", text: `${node} is back`, time, again: true });
+    this.down = new Set(header.down);
     return events;
   }
 
@@ -126,7 +133,7 @@ const WITHHELD = ["id", "x", "y", "z", "l", "w", "h", "yaw"];
 
 /** The kept frames of a running run. */
 export class LiveRun extends Run {
-  /** @param {LiveFrames} frames */
+  /** @param {FrameHistory} frames */
   constructor(frames) {
     const parts = [...frames.parts];
     const { header: newest } = parts[parts.length - 1];

@@ -1,5 +1,6 @@
 // What the viewer shows: one object that everything listens to.
 
+import { TRUTH } from "./run.js";
 import { wholeImage } from "./camerawindow.js";
 
 /** @typedef {{run: number, agent: string, estimate: string, eye?: "above" | "camera"}} PanelChoice eye: from where it is seen */
@@ -71,7 +72,9 @@ export class State extends EventTarget {
       return { ...first, run: index % this.runs.length };
     }
     const order = [["mission", "picture"], ["picture"], ["local"]][index] ?? [];
-    return { run: 0, agent: this.runs[0].header.ego, estimate: this.first(0, order) };
+    const shown = this.panels.map((panel) => panel.estimate);
+    const free = [...order, "local", TRUTH].filter((each) => !shown.includes(each));
+    return { run: 0, agent: this.runs[0].header.ego, estimate: this.first(0, free) };
   }
 
   /** The first estimate that the ego of a run has. @param {number} run @param {string[]} wanted */

@@ -1,4 +1,4 @@
-// The wires of a running run: who sits on them, how fast they are, and what is lost.
+// The wires of a running run: the nodes on them, their rates, lags and losses.
 
 import { element } from "./elements.js";
 
