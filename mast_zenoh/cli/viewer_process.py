@@ -110,10 +110,12 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
     from mast_zenoh.runtime.mesh import hosting
     from mast_zenoh.runtime.mesh.session import open_client
     from mast_zenoh.viewer.live import observed
+    from mast_zenoh.viewer.live.measurement import evaluator_class
     from mast_zenoh.viewer.live.observer import Observer
     from mast_zenoh.viewer.live.source import LiveFrames
     from mast_zenoh.viewer.servers import live
 
+    evaluator_class()  # before the run begins
     with ExitStack() as stack:
         secrets: list[Path] = []
         stop = stack.enter_context(_stopped(secrets))

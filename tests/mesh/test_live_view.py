@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -15,6 +16,8 @@ from browser import chromium
 from launched import MAST, Launched, eventually
 from websockets.sync.client import connect
 
+from mast_zenoh import scenario
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.difference import compare
 
@@ -35,6 +38,12 @@ _DRAWN = """() => {
 def becomes_true(page: Any, expression: str) -> None:
     """Wait for an expression; playwright's own waiting evaluates text in the page, which its policy forbids."""
     eventually(lambda: page.evaluate(expression), expression)
+
+
+def keep_screenshot(page: Any, name: str) -> None:
+    """Keep a screenshot, if $MAST_TEST_SCREENSHOTS names a folder."""
+    if folder := os.environ.get("MAST_TEST_SCREENSHOTS"):
+        page.screenshot(path=f"{folder}/live_{name}.png")
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +115,7 @@ def test_the_page_of_a_running_run_draws_what_is_recorded(show: Callable[..., Li
         becomes_true(page, "viewer.marks(0).effects.length > 0")
         page.keyboard.press(" ")  # stays at this frame
         drawn = page.evaluate(_DRAWN)
+        keep_screenshot(page, "five")
         path = page.locator(".v-wires tr", has_text="agent/infra_1/tracks").inner_text()
         assert "infra_1 → adversary_1 → broker" in path
         live.ended()
@@ -124,6 +134,7 @@ def test_the_page_of_a_running_run_draws_what_is_recorded(show: Callable[..., Li
 def test_thirty_agents_are_shown_while_they_run(show: Callable[..., LiveRun]) -> None:
     live = show("baseline", "--set", "n_infrastructure=15", "--set", "n_mobile=14", "--frames", "60")
     live.frames(3)
+    keep_screenshot(live.page, "thirty")
     agents = live.page.evaluate("viewer.marks(0).agents.map((agent) => agent.name)")
     assert len(agents) == 30
     assert "frames/s" in eventually(lambda: live.page.inner_text(".v-live"), "the state of the run is shown")
@@ -139,6 +150,7 @@ def test_a_viewer_of_a_secure_run_has_a_certificate_of_its_own_and_changes_nothi
     assert live.page.evaluate("viewer.marks(0).boxes.length") > 5
     credentials = Path(live.run.record()["viewer_credentials"])
     assert credentials.name == "@viewer"
+    keep_screenshot(live.page, "secure")
     live.ended()
     assert not credentials.exists(), "keys end with the run"
     alone = launch(*words, "--runtime", "inproc")
@@ -166,6 +178,30 @@ def test_a_router_shows_its_run_without_the_run_folder(launch: Callable[..., Lau
         becomes_true(page, "document.querySelector('.v-live').textContent.includes('has ended')")
         page.close()
     finally:
+        viewer.send_signal(signal.SIGINT)
+        assert viewer.wait(20) == 0
+        viewer.stdout.close()
+
+
+def test_a_replay_is_shown_while_it_is_running(start: Callable[..., Launched], browser: Any, tmp_path: Path) -> None:
+    path, loaded = scenario.load("coordinated", ["n_infrastructure=2", "attack_start_s=0.5"])
+    resolved = scenario.resolve(path, loaded, frames=30, record=True)
+    recorded_run = launcher.run(resolved, tmp_path / "recorded", runtime="inproc").folder
+    replay = start(*MAST, "replay", str(recorded_run), "--loop", "--rate", "1", "--no-report", "--out")
+    replay.started()
+    viewer = subprocess.Popen([*MAST, "view", str(replay.out)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert viewer.stdout is not None
+        page = browser.new_page()
+        page.goto(viewer.stdout.readline().split()[-1])
+        page.wait_for_selector(".viewer.v-ready", timeout=_TIMEOUT_MS)
+        becomes_true(page, "viewer.state.runs[0].frames >= 3")
+        assert page.evaluate("viewer.marks(0).boxes.length") > 3
+        keep_screenshot(page, "replay")
+        page.close()
+    finally:
+        replay.process.send_signal(signal.SIGINT)
+        replay.end()
         viewer.send_signal(signal.SIGINT)
         assert viewer.wait(20) == 0
         viewer.stdout.close()

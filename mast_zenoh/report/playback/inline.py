@@ -22,25 +22,27 @@ _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const)\b)", re.MU
 _NAME = re.compile(r"^(?:async )?(?:function|class|const|let) (\w+)", re.MULTILINE)
 
 
+#: The modules with which the scripts begin: of pages with finished runs, and of the page of a running run.
+_FINISHED, _LIVE = "main.js", "live_page.js"
+
+
 def viewer_parts(blocks: Iterable[bytes]) -> dict[str, Any]:
     """What a template needs for one viewer: script, style, policy and the data of its runs.
 
     blocks: from `run_block`, one or two
     """
-    return {**_page(), "policy": policy(), "live": "", "blocks": [as_text(each) for each in blocks]}
+    parts = {"script": script(), "style": style(), "policy": policy()}
+    return {**parts, "live": "", "blocks": [as_text(each) for each in blocks]}
 
 
 def live_parts(frames: str) -> dict[str, Any]:
     """The same for a running run. frames: path of the WebSocket, on the server of the page"""
-    return {**_page(), "policy": f"{policy()}; connect-src 'self'", "live": frames, "blocks": []}
-
-
-def _page() -> dict[str, str]:
-    return {"script": script(), "style": style()}
+    parts = {"script": script(_LIVE), "style": style(), "policy": f"{policy(_LIVE)}; connect-src 'self'"}
+    return {**parts, "live": frames, "blocks": []}
 
 
 @cache
-def script(entry: str = "main.js") -> str:
+def script(entry: str = _FINISHED) -> str:
     """All modules that an entry needs, as one module.
 
     Raises ValueError if a name is declared in two files, or if an import or export remains.
@@ -77,9 +79,9 @@ def style() -> str:
 
 
 @cache
-def policy() -> str:
+def policy(entry: str = _FINISHED) -> str:
     """The content security policy of a page: this script alone, and nothing from any network."""
-    digest = base64.b64encode(hashlib.sha256(script().encode()).digest()).decode()
+    digest = base64.b64encode(hashlib.sha256(script(entry).encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; "
         "base-uri 'none'; form-action 'none'"

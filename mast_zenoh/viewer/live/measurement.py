@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from mast_zenoh.config import bundle, loading, registry
@@ -46,6 +47,14 @@ class MeasuredFrame:
     refused: int
 
 
+@cache
+def evaluator_class() -> type[Any]:
+    """The shipped evaluator; the first call takes some time, as it loads what an evaluation needs."""
+    file = bundle.find("nodes", "evaluator.py")
+    assert file is not None  # it is part of the package
+    return loading.node_class(file, "Evaluator")
+
+
 class FrameMeter:
     """Measures frames of a run, each on its own: what changes over time, such as id switches, it does not know.
 
@@ -56,9 +65,7 @@ class FrameMeter:
     def __init__(self, resolved: Resolved) -> None:
         self._resolved = resolved
         self.notes: list[str] = []
-        file = bundle.find("nodes", "evaluator.py")
-        assert file is not None  # it is part of the package
-        self._evaluator = loading.node_class(file, "Evaluator")
+        self._evaluator = evaluator_class()
         config = resolved.nodes[_NAME].config if _NAME in resolved.nodes else {}
         self._config = {name: value for name, value in config.items() if name in _PARAMETERS}
         self.agents = tuple(str(name) for name in self._config.get("agents", ()))

@@ -21,7 +21,7 @@ from mast_zenoh.wiring.model import Wiring
 _MOST_FRAMES_PER_S = 10.0
 #: Most of a processor that measuring may take, by mode. In lock-step every frame waits for the slowest node, so that
 #: whatever else runs on this computer slows the run.
-_PROCESSOR_SHARE = {"lockstep": 0.05, "realtime": 0.3}
+_PROCESSOR_SHARE = {"lockstep": 0.03, "realtime": 0.3}
 #: s between two looks at what has arrived.
 POLL_S = 0.05
 #: Frames behind the clock: by then, the messages about a frame have arrived.

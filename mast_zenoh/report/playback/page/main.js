@@ -1,13 +1,11 @@
 // Finds the places for viewers in the page, reads their data, and starts them.
 
 import { decodeText } from "./columns.js";
-import { showLive } from "./live.js";
 import { Run } from "./run.js";
 import { Viewer } from "./viewer.js";
 
 /** @param {HTMLElement} root @returns {Promise<Viewer>} */
 async function start(root) {
-  if (root.dataset.live !== undefined) return showLive(root);
   const sources = [...root.querySelectorAll("script[data-run]")];
   const blocks = await Promise.all(sources.map((source) => decodeText(source.textContent ?? "")));
   const labels = blocks.map(({ header }) => header.label);
