@@ -34,6 +34,7 @@ def logs(
     from mast_zenoh.launch.log_reading import RunLogs
 
     run_logs = RunLogs(run_folder, node)
+    printed = False
     received: list[int] = []  # no exception: it could come while a line is being written, and repeat it
     with suppress(KeyboardInterrupt), stop_signals.second_interrupts(received):
         running = True
@@ -42,10 +43,14 @@ def logs(
             for line in run_logs.new_lines(partial=not running):
                 prefix = f"{line.node}  " if node is None else ""
                 sys.stdout.write(f"{prefix}{escaped(line.text)}\n")
+                printed = True
                 if received:
                     break
             sys.stdout.flush()
             if running and not received:
                 threading.Event().wait(_POLL_S)
+    if not (printed or run_logs.problems or received):
+        sentence = "no node has written to its log" if node is None else f"{node} has not written to its log"
+        _err.print(sentence, markup=False, highlight=False)
     for log, problem in run_logs.problems.items():
         _err.print(f"warning: {run_folder / log}: {problem}", style="bold yellow", markup=False, highlight=False)

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,8 +117,7 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
 
     evaluator_class()  # before the run begins
     with ExitStack() as stack:
-        secrets: list[Path] = []
-        stop = stack.enter_context(_stopped(secrets))
+        stop = stack.enter_context(_stopped(lambda: None if remote else _delete_keys_of_the_dead(Path(target))))
         if remote:
             observed.check_reachable(target)
             session = stack.enter_context(open_client(target))
@@ -131,7 +130,6 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
         live_view.yield_processors()
         if not remote:
             running = live_view.await_start(Path(target), _START_S, stop)
-            secrets += [running.credentials] if running.credentials else []
             session = stack.enter_context(hosting.join(running.endpoint, running.credentials))
         if in_browser:
             live_view.show(running, session, server, stop)
@@ -142,11 +140,26 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
         serve(LiveFrames(observer, stop), port, stop, tell)
 
 
+def _delete_keys_of_the_dead(folder: Path) -> None:
+    """Delete the viewer's credentials if the launcher, which else does so, was killed."""
+    from mast_zenoh.launch.context import VIEWER_CREDENTIALS
+    from mast_zenoh.security.credentials import VIEWER
+    from mast_zenoh.security.deployment import KEYS
+
+    record = record_of(folder)
+    credentials = Path(str(record.get(VIEWER_CREDENTIALS, "")))
+    ours = credentials.name == VIEWER and credentials.parent.name.startswith(KEYS)  # a file may say anything
+    if ours and record.get("status") != "running":
+        shutil.rmtree(credentials, ignore_errors=True)
+        with suppress(OSError):
+            credentials.parent.rmdir()
+
+
 @contextmanager
-def _stopped(secrets: Sequence[Path]) -> Iterator[threading.Event]:
+def _stopped(clean_up: Callable[[], None]) -> Iterator[threading.Event]:
     """An event that is set by SIGTERM and by the end of standard input, soon after which the process ends.
 
-    secrets: folders to delete then
+    clean_up: called at the end, in any case
     """
     stop = threading.Event()
     before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
@@ -158,10 +171,7 @@ def _stopped(secrets: Sequence[Path]) -> Iterator[threading.Event]:
                 pass
         stop.set()
         threading.Event().wait(_END_S - 1.0)  # what waits for the mesh may not look at `stop`
-        if secrets:
-            shutil.rmtree(secrets[0], ignore_errors=True)  # the launcher may have been killed
-            with suppress(OSError):
-                secrets[0].parent.rmdir()
+        clean_up()
         os._exit(0)
 
     threading.Thread(target=follow_input, daemon=True).start()
@@ -169,6 +179,7 @@ def _stopped(secrets: Sequence[Path]) -> Iterator[threading.Event]:
         yield stop
     finally:
         signal.signal(signal.SIGTERM, before)
+        clean_up()
 
 
 def announce(server: Any, browser: bool) -> None:

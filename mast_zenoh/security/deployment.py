@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from mast_zenoh.security.authority import Authority
 
 
+#: What the names of folders with credentials begin with.
+KEYS = "mast-keys-"
+
+
 class Deployment:
     """Certificates and control keys of a run's processes, and the router's settings.
 
@@ -66,7 +70,7 @@ class Deployment:
         self.launcher = self._issue(LAUNCHER)
         control = control_keys.make()
         self.control = control[control_keys.LAUNCHER]
-        self.folder = folder or Path(tempfile.mkdtemp(prefix="mast-keys-"))
+        self.folder = folder or Path(tempfile.mkdtemp(prefix=KEYS))
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.folder.chmod(0o700)
         for name in clients:

@@ -51,7 +51,7 @@ def test_logs_of_all_nodes_are_in_the_order_of_time_with_their_names(mast, run_f
 
 def test_the_log_of_one_node_is_printed_as_it_is(mast, run_folder: Path) -> None:
     assert mast("logs", str(run_folder), "broker")[1].splitlines()[1:] == ["Traceback:", "  File x"]
-    assert mast("logs", str(run_folder), "idle") == (0, "", "")
+    assert mast("logs", str(run_folder), "idle") == (0, "", "idle has not written to its log\n")
 
 
 def test_an_unknown_node_is_refused_with_the_nearest_name(mast, run_folder: Path) -> None:

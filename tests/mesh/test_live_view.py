@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from browser import chromium
 from launched import MAST, Launched, eventually
@@ -158,6 +159,19 @@ def test_a_viewer_of_a_secure_run_has_a_certificate_of_its_own_and_changes_nothi
     difference = compare(alone.out, live.run.out, taps=True)
     assert difference.first is None
     assert difference.equal > 1000
+
+
+def test_a_killed_launcher_leaves_neither_its_viewer_nor_the_viewers_keys(launch: Callable[..., Launched]) -> None:
+    words = ("--set", "n_infrastructure=1", "--mode", "realtime", "--frames", "600", "--secure", "--view")
+    run = launch("baseline", *words)
+    assert run.process.stdout is not None
+    assert any("Ctrl-C ends the run" in line for line in run.process.stdout)
+    credentials = Path(run.until(lambda: run.record().get("viewer_credentials"), "the viewer has credentials"))
+    run.until(run.recorded, "frames are played")
+    viewer = next(each for each in psutil.Process(run.process.pid).children() if "view" in each.cmdline())
+    run.kill()
+    eventually(lambda: not viewer.is_running() or viewer.status() == psutil.STATUS_ZOMBIE, "the viewer has ended")
+    eventually(lambda: not credentials.parent.exists(), "the keys are deleted")
 
 
 def test_a_router_shows_its_run_without_the_run_folder(launch: Callable[..., Launched], browser: Any) -> None:

@@ -80,14 +80,17 @@ class LiveServer:
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page, a refusal, or None for the WebSocket of the frames."""
-        host = request.headers.get("Host", "")
+        try:
+            host = request.headers.get("Host", "").lower()
+            # Browsers let any page open a WebSocket here, but say which page it is.
+            origin = urlsplit(request.headers.get("Origin", f"http://{host}")).netloc.lower()
+        except (ValueError, LookupError):  # no address, or several
+            return _refusal(HTTPStatus.FORBIDDEN, "expected one host and one origin")
         if (host.rpartition(":")[0] or host) not in HOSTS:  # a page of another host, whose name was made to lead here
             return _refusal(HTTPStatus.FORBIDDEN, "expected the host 127.0.0.1 or localhost")
         path = request.path.partition("?")[0]
         if path == FRAMES:
-            # Browsers let any page open a WebSocket here, but say which page it is.
-            origin = request.headers.get("Origin")
-            if origin is not None and urlsplit(origin).netloc != host:
+            if origin != host:
                 return _refusal(HTTPStatus.FORBIDDEN, "expected a page of this server")
             return None
         if path != "/":

@@ -36,6 +36,7 @@ class LiveView {
     /** @type {any[]} */ this.queue = [];
     this.dropped = 0;
     this.busy = false;
+    this.counted = false;
   }
 
   connect() {
@@ -108,7 +109,9 @@ class LiveView {
     if (this.over) return;
     const now = performance.now();
     const { number, newest, down, refused, notes } = run.live;
-    this.shown.push({ number, at: now });
+    if (this.counted) this.shown.push({ number, at: now });
+    this.counted = true; // the first frame waited for this page
+    if (!this.shown.length) return;
     while (now - this.shown[0].at > RATE_MS) this.shown.shift();
     const first = this.shown[0];
     const parts = [`running · frame ${newest}`];
