@@ -20,17 +20,25 @@ _FLAGS = (
 )
 
 
+_RUNNING: list[Any] = []
+
+
 @contextmanager
 def chromium() -> Iterator[Any]:
     """A browser; skips the test, with the reason, where there is none."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not CHROMIUM.is_file():
         pytest.skip(f"no browser: expected {CHROMIUM} (apt-get install chromium)")
+    if _RUNNING:  # of another fixture: playwright runs once in a thread
+        yield _RUNNING[0]
+        return
     with playwright.sync_playwright() as engine:
         browser = engine.chromium.launch(executable_path=str(CHROMIUM), args=list(_FLAGS))
+        _RUNNING.append(browser)
         try:
             yield browser
         finally:
+            _RUNNING.clear()
             browser.close()
 
 

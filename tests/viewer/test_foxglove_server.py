@@ -7,6 +7,7 @@ import json
 import struct
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import psutil
@@ -23,6 +24,12 @@ from mast_zenoh.viewer.servers.playback import Playback, Status
 
 PLAYING, PAUSED, ENDED = 0, 1, 3
 MESSAGE, TIME, STATE = 1, 2, 5
+
+
+def run_apart(work: Any) -> None:
+    """Run a coroutine in a thread of its own: playwright may have an event loop in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(asyncio.run, work).result()
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +122,7 @@ def test_a_client_gets_every_frame_and_may_go_back_when_it_has_ended(
             if data[0] == MESSAGE:
                 seen.add(late.topics[struct.unpack("<I", data[1:5])[0]])
 
-    asyncio.run(scenario())
+    run_apart(scenario())
 
 
 def test_a_client_that_stops_reading_is_disconnected_and_memory_does_not_grow(
@@ -143,7 +150,7 @@ def test_a_client_that_stops_reading_is_disconnected_and_memory_does_not_grow(
         assert count < len(frames) * 8 * len(run.topics)
 
     try:
-        asyncio.run(stalled())
+        run_apart(stalled())
     finally:
         server.close()
 

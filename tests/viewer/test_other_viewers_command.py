@@ -64,4 +64,4 @@ def test_rerun_gets_a_recording_and_a_page(recorded: mast.Run) -> None:
 @pytest.mark.parametrize("words", [{"foxglove": True, "rerun": True}, {"other": Path("other"), "rerun": True}])
 def test_a_viewer_shows_one_run(recorded: mast.Run, words: dict[str, Any]) -> None:
     with pytest.raises(typer.BadParameter, match="expected one"):
-        view.view(recorded.path, **words)
+        view.view(str(recorded.path), **words)

@@ -16,7 +16,7 @@ from mast_zenoh.report.playback.inline import policy
 from mast_zenoh.report.playback.live_block import LiveBlocks
 from mast_zenoh.report.playback.live_server import LiveServer
 from mast_zenoh.report.playback.server import viewer_page
-from mast_zenoh.viewer.live.observed import NotStarted, ObservedRun
+from mast_zenoh.viewer.live.observed import ObservedRun, is_starting
 from mast_zenoh.viewer.live.observer import POLL_S, Observer
 
 #: Niceness of the viewer, the greatest: no frame waits for it. An environment variable changes it.
@@ -98,10 +98,6 @@ def _finished_page(folder: Path, stop: threading.Event) -> str | None:
 def await_start(folder: Path, timeout_s: float, stop: threading.Event) -> ObservedRun:
     """The run of a folder, once it has started its nodes; raises NotRunning if it does not, or cannot be viewed."""
     deadline = time.monotonic() + timeout_s
-    while True:
-        try:
-            return ObservedRun.of_folder(folder)
-        except NotStarted:
-            if time.monotonic() > deadline or stop.is_set():
-                raise
+    while is_starting(folder) and time.monotonic() < deadline and not stop.is_set():
         stop.wait(0.1)
+    return ObservedRun.of_folder(folder)

@@ -30,10 +30,6 @@ _ANSWER_S = 3.0
 _CONNECT_S = 3.0
 
 
-class NotStarted(NotRunning):
-    """A run that may start its nodes soon."""
-
-
 @dataclass(frozen=True, eq=False)
 class ObservedRun:
     """A running run.
@@ -63,7 +59,7 @@ class ObservedRun:
         if record.get("runtime") != "mesh":
             raise NotRunning(f"{path}: the run is in one process: expected a run on a mesh, or a finished run")
         if not record.get("endpoint"):
-            raise NotStarted(f"{path}: the run has not started its nodes yet")
+            raise NotRunning(f"{path}: the run has not started its nodes yet")
         credentials = None
         if record.get("security", "open") != "open":
             if not record.get(VIEWER_CREDENTIALS):
@@ -128,6 +124,12 @@ class ObservedRun:
             record = liveness.current_record(run_folder.json_or_empty(self.folder / "run.json"))
             return record.get("status") != RUNNING
         return not any(_descriptions(session, f"{prefix(self.id)}/{DESCRIBE}", WITHOUT_SCENE))
+
+
+def is_starting(path: Path) -> bool:
+    """Whether the run in a folder has not started its nodes yet, and may do so soon."""
+    record = liveness.current_record(run_folder.json_or_empty(path / "run.json"))
+    return record.get("status") == RUNNING and record.get("runtime") == "mesh" and not record.get("endpoint")
 
 
 def check_reachable(endpoint: str) -> None:
