@@ -35,7 +35,7 @@ from mast_zenoh.security.credentials import Credentials
 #: Default time that a node continues without a launcher, s.
 PATIENCE_S = 30.0
 
-#: Minimum time that a node tries to reach the router, s: everything is still starting.
+#: Minimum time that a node tries to reach the router, and a router waits for the launcher, s: all is still starting.
 JOIN_S = 60.0
 
 _GRACE_S = 2.0  # for a node to end without a launcher; the router leaves that much later
@@ -74,11 +74,13 @@ def _route(arguments: argparse.Namespace) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: leave.set())
     session, endpoint = open_router(arguments.listen, security=security, links_may_be_cut=True)
-    with session, LauncherWatch(session, arguments.run, arguments.patience + _GRACE_S, leave.set) as watch:
+    patience_s = arguments.patience + _GRACE_S
+    watched = LauncherWatch(session, arguments.run, patience_s, leave.set, arrival_s=max(JOIN_S, patience_s))
+    with session, watched as watch:
         log.info("mast-zenoh %s: router at %s", version.version_string(), endpoint)
         leave.wait()
         if watch.gone:
-            log.warning("no launcher for %.0f s: leaving", watch.patience_s)
+            log.warning("no launcher for %.0f s: leaving", watch.limit_s)
 
 
 def _host(arguments: argparse.Namespace) -> None:

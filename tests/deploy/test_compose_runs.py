@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -165,6 +166,23 @@ def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up)
     assert sum(1 for _ in read(recording)) > 0
     assert not [path for path in run.out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
     assert not (run.out / "credentials").exists()
+
+
+def test_a_foreign_container_on_a_network_of_a_run_does_not_prevent_its_removal(up) -> None:
+    run = up("baseline", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
+    run.until(run.recorded, "the run continues")
+    record = run.record()
+    project = f"mast-{record['id']}"
+    words = ("--network", f"{project}_wired", "--entrypoint", "sleep", built(), "600")
+    foreign = docker("run", "--detach", "--name", f"foreign-{os.getpid()}", *words).strip()
+    try:
+        run.process.send_signal(signal.SIGINT)
+        code, output = run.end()
+        assert code == 130, output
+        assert not remnants_of(record["id"])
+        assert docker("inspect", "--format", "{{.State.Running}}", foreign).strip() == "true", "it is not ours to end"
+    finally:
+        docker("rm", "--force", foreign)
 
 
 def test_nodes_of_a_killed_launcher_exit_and_down_removes_the_remainder(up) -> None:

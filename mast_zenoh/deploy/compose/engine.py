@@ -27,6 +27,7 @@ from mast_zenoh.security import levels
 
 _ROUTER_S = 60.0  # for the router to come up
 _MAKE_S = 600.0  # for docker-compose to make networks and containers
+_ATTACHED = "{{range .Containers}}{{.Name}} {{end}}"
 _REMOVAL_TIMEOUT_S = 20.0  # for networks and volumes to become unused and be removed
 
 
@@ -115,9 +116,19 @@ class Compose(Engine):
         deadline = time.monotonic() + _REMOVAL_TIMEOUT_S
         for kind in ("network", "volume"):
             while left := docker(kind, "ls", "--quiet", "--filter", label).split():
+                if kind == "network":
+                    _detach_all(left)
                 # A container that ended a moment ago may still be on its networks.
                 docker(kind, "rm", *left, check=time.monotonic() > deadline)
                 threading.Event().wait(0.2)
+
+
+def _detach_all(networks: list[str]) -> None:
+    """Force everything off these networks: the engine can keep the endpoint of a container that no longer exists."""
+    for network in networks:
+        attached = docker("network", "inspect", "--format", _ATTACHED, network, check=False)
+        for name in attached.split():
+            docker("network", "disconnect", "--force", network, name, check=False)
 
 
 def command() -> list[str]:

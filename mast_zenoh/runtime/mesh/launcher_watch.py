@@ -20,11 +20,21 @@ UP = "mast-up"
 class LauncherWatch:
     """A context that watches whether the launcher is present.
 
-    patience_s: how long it may be absent, s, also at the beginning; then `leave` is called, once, in a thread
+    patience_s: how long it may be absent, s; then `leave` is called, once, in a thread
+    arrival_s:  how long it may take to appear at the beginning, s, if not `patience_s`
     """
 
-    def __init__(self, session: zenoh.Session, run: str, patience_s: float, leave: Callable[[], None]) -> None:
-        self.patience_s = patience_s
+    def __init__(
+        self,
+        session: zenoh.Session,
+        run: str,
+        patience_s: float,
+        leave: Callable[[], None],
+        *,
+        arrival_s: float | None = None,
+    ) -> None:
+        self.limit_s = patience_s if arrival_s is None else arrival_s
+        self._patience_s = patience_s
         self.gone = False
         self._leave = leave
         self._present = False
@@ -49,6 +59,7 @@ class LauncherWatch:
     def _note(self, token: zenoh.Sample) -> None:
         with self._changed:
             self._present = token.kind == zenoh.SampleKind.PUT
+            self.limit_s = self._patience_s
             self._changed.notify()
 
     def _watch(self) -> None:
@@ -59,7 +70,7 @@ class LauncherWatch:
                     up.touch() if self._present else up.unlink(missing_ok=True)
                 if self._present:
                     self._changed.wait()
-                elif not self._changed.wait_for(lambda: self._present or self._closing, self.patience_s):
+                elif not self._changed.wait_for(lambda: self._present or self._closing, self.limit_s):
                     self.gone = True
                     break
         if self.gone:

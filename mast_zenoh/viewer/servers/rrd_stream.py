@@ -95,7 +95,7 @@ class RrdStream:
             with self._changed:
                 if portion:
                     self._portions.append(portion)
-                while len(self._portions) > 1 and self.kept_bytes > self._limit:
+                while self.kept_bytes > self._limit:
                     self._portions.popleft()
                     self._dropped += 1
                 self._complete = last
