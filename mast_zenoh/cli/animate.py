@@ -30,9 +30,7 @@ Window = Annotated[
     str, typer.Option(metavar="fit|follow[:HALF]|X,Y,HALF", help="Which part of the scene; half of its height in m.")
 ]
 Theme = Annotated[str, typer.Option(metavar="dark|light", help="The ground.")]
-Size = Annotated[
-    str | None, typer.Option(metavar="WIDTHxHEIGHT[px|in|cm|mm]", help="Of the picture: 1280x720, 18x10cm.")
-]
+Size = Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT[px|in|cm|mm]", help="Of the image: 1280x720, 18x10cm.")]
 Dpi = Annotated[int, typer.Option(help="Pixels per inch; text keeps its size in points.")]
 Plain = Annotated[bool, typer.Option("--plain", help="Panels and legend alone: no title, numbers, strips or caption.")]
 Title = Annotated[str | None, typer.Option(help="In place of the run's name and the agent's.")]
@@ -58,7 +56,7 @@ def animate(
     start: Annotated[int | None, typer.Option("--from", metavar="FRAME", help="The first frame.")] = None,
     end: Annotated[int | None, typer.Option("--to", metavar="FRAME", help="The last frame.")] = None,
     speed: Annotated[float, typer.Option(help="Speed over that of the scene.")] = 1.0,
-    fps: Annotated[float | None, typer.Option(help="Pictures per second. Default: every frame, at most 30.")] = None,
+    fps: Annotated[float | None, typer.Option(help="Images per second. Default: every frame, at most 30.")] = None,
 ) -> None:
     """Write a film of a finished run."""
     from mast_zenoh.report.film import writing  # drawing libraries are slow to load
@@ -75,8 +73,8 @@ def animate(
         plain=plain,
         title=title,
     )
-    pictures = writing.animate(run_folder, out, look, against, start=start, end=end, speed=speed, fps=fps)
-    _out.print(f"film: {out} ({pictures} pictures, {out.stat().st_size / 1e6:.1f} MB)", markup=False, highlight=False)
+    images = writing.animate(run_folder, out, look, against, start=start, end=end, speed=speed, fps=fps)
+    _out.print(f"film: {out} ({images} images, {out.stat().st_size / 1e6:.1f} MB)", markup=False, highlight=False)
 
 
 def snapshot(

@@ -93,7 +93,7 @@ class _Key:
         """Take what has arrived."""
         steps: list[int] = []
         while (sample := self.subscriber.try_recv()) is not None:
-            steps.append(stamp_of(sample.attachment.to_bytes() if sample.attachment else None)[1])
+            steps.append(stamp_of(sample.attachment)[1])
         # A step beyond the scene is forged. Its clock may arrive here a moment after the message.
         newest = max((step for step in steps if step <= frame() + 1), default=-1)
         if newest > self._newest:

@@ -102,7 +102,7 @@ def _declare(context: RunContext, session: zenoh.Session, requests: StepRequests
     base = prefix(context.run_id)
 
     def on_clock(sample: zenoh.Sample) -> None:
-        _, frame = stamp_of(sample.attachment.to_bytes() if sample.attachment else None)
+        _, frame = stamp_of(sample.attachment)
         timespan = context.resolved.timespan  # None: a user's simulator, which may play longer
         if frame < 0 or (timespan is not None and frame >= max(1, timespan.frames)):
             return

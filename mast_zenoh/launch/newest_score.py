@@ -197,4 +197,4 @@ def _taken(subscriber: Any) -> list[zenoh.Sample]:
 
 
 def _step(sample: zenoh.Sample) -> int:
-    return stamp_of(sample.attachment.to_bytes() if sample.attachment else None)[1]
+    return stamp_of(sample.attachment)[1]

@@ -27,12 +27,13 @@ def unusable_port(port: int, error: OSError) -> ConfigurationError:
 def page_headers(kind: str, policy: str, length: int | None) -> list[tuple[str, str]]:
     """The headers of an answer.
 
-    kind: its media type;  policy: its content security policy;  length: None for a stream
+    kind: its media type;  length: None for a stream
+    policy: its content security policy; no page may show it in a frame of its own
     """
     return [
         ("Content-Type", kind),
         *([] if length is None else [("Content-Length", str(length))]),
-        ("Content-Security-Policy", policy),
+        ("Content-Security-Policy", f"{policy}; frame-ancestors 'none'"),
         ("X-Content-Type-Options", "nosniff"),
         ("Referrer-Policy", "no-referrer"),
         ("Cache-Control", "no-store"),

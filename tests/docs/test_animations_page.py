@@ -25,5 +25,5 @@ def test_every_command_of_the_page_works_as_written(tmp_path: Path) -> None:
     assert "<svg" in (folder / "figure.svg").read_text()
     assert (folder / "figure.png").stat().st_size > 10_000
     printed = (folder / "printed").read_text()
-    assert "film: film.mp4 (16 pictures" in printed
+    assert "film: film.mp4 (16 images" in printed
     assert "frame 45: figure.svg" in printed

@@ -125,11 +125,12 @@ def test_a_subscriber_sees_the_same_messages_with_and_without_the_node(going) ->
     stop(run)
     samples = [sample for key, sample in observer.samples if key == TRACKS]
     kinds = set()
-    for sample in samples:
+    for sample in samples:  # when they come is not compared: in real time a busy machine makes steps late
         frame = codec.decode_header(sample.payload.to_bytes(), "tracks").frame
         mark, _, step = ATTACHMENT.unpack(sample.attachment.to_bytes())
+        assert step >= frame
         quality = (sample.priority, sample.congestion_control, sample.express)
-        seen = (mark, step - frame, sample.encoding, *quality, sample.source_info, sample.timestamp, sample.kind)
+        seen = (mark, sample.encoding, *quality, sample.source_info, sample.timestamp, sample.kind)
         kinds.add(tuple(map(str, seen)))
     assert len(kinds) == 1
     assert [codec.decode_header(s.payload.to_bytes(), "tracks").seq for s in samples][-1] > on["frame"]
@@ -146,6 +147,7 @@ def test_in_lock_step_the_stream_equals_that_of_an_undisturbed_run(going) -> Non
     recorded: dict[str, list[bytes]] = defaultdict(list)
     for message in read(run.out):
         recorded[message.key].append(message.payload)
+        assert message.step == message.frame, "an inserted node delays nothing"
     frames = len(recorded["clock"])
     taps = {key: len(recorded.pop(key)) for key in list(recorded) if "@tap" in key}
     path, loaded = scenario.load(str(LIVE / "quiet.py"))

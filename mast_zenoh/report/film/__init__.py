@@ -6,10 +6,10 @@ takes      what one panel shows: an estimate of an agent in a run, frame by fram
 attacks    when attacks are on, and what they do in a frame
 captions   what happens in a run, in words
 framing    which part of the scene panels show
-schedule   which frame of the run each picture of a film shows
-layout     where the parts of a picture are
-sheet      the whole picture, of these parts: birdseye_panel, agent_marks, camera_panel, strip, legend, theme
-pixels     draws only what changes from one picture to the next
-gif, video    encode pictures
+schedule   which frame of the run each image of a film shows
+layout     where the parts of an image are
+sheet      the whole image, of these parts: birdseye_panel, agent_marks, camera_panel, strip, legend, theme
+pixels     draws only what changes from one image to the next
+gif, video    encode images
 output     a file that is complete, or not there at all
 """

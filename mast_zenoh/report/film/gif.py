@@ -1,4 +1,4 @@
-"""Animated GIF: one palette for all pictures, and of each picture only what differs from the one before."""
+"""Animated GIF: one palette for all images, and of each image only what differs from the one before."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from mast_zenoh.report.film.pixels import Pixels
 
 #: Browsers play faster films slowly: their shortest duration is 0.02 s.
 MOST_FPS = 50.0
-#: The index that stands for the colour in the picture before.
+#: The index that stands for the colour in the image before.
 _SAME = 255
-#: Number of pictures from which the palette is made; of each, every second pixel of every second line.
+#: Number of images from which the palette is made; of each, every second pixel of every second line.
 _SAMPLES = 12
 
 #: (height, width) rows of the palette.
@@ -29,8 +29,8 @@ def write_gif(
 ) -> None:
     """Write a film that repeats for ever.
 
-    draw: the pictures of some frames;  key: colours that are kept exactly
-    Raises ConfigurationError for more than 50 pictures per second.
+    draw: the images of some frames;  key: colours that are kept exactly
+    Raises ConfigurationError for more than 50 images per second.
     """
     if fps > MOST_FPS:
         raise ConfigurationError(f"fps: found {fps:g}, expected at most {MOST_FPS:g} in a GIF")
@@ -39,8 +39,8 @@ def write_gif(
     before: _Indices | None = None
     with path.open("wb") as file:
         for number, pixels in enumerate(draw(frames)):
-            picture = _indices(pixels, palette)
-            changed, corner = (picture, (0, 0)) if before is None else _difference(picture, before)
+            indices = _indices(pixels, palette)
+            changed, corner = (indices, (0, 0)) if before is None else _difference(indices, before)
             image = Image.fromarray(changed, mode="P")
             image.putpalette(palette.getpalette() or [])
             if before is None:
@@ -52,14 +52,14 @@ def write_gif(
             if before is not None:
                 options["transparency"] = _SAME
             file.writelines(GifImagePlugin.getdata(image, corner, **options))
-            before = picture
+            before = indices
         file.write(b";")
 
 
-def _palette(pictures: Iterable[Pixels], key: Iterable[str]) -> Image.Image:
+def _palette(images: Iterable[Pixels], key: Iterable[str]) -> Image.Image:
     """An image with the palette of a film: the key, then the commonest colours, and the last for `_SAME`."""
     exact = np.array([np.round(np.multiply(to_rgb(colour), 255)) for colour in dict.fromkeys(key)], np.uint8)
-    sampled = np.concatenate([picture[::2, ::2].reshape(-1, 3) for picture in pictures])
+    sampled = np.concatenate([image[::2, ::2].reshape(-1, 3) for image in images])
     common = Image.fromarray(sampled[None]).quantize(_SAME - len(exact), Image.Quantize.MEDIANCUT)
     colours = np.array(common.getpalette() or [], np.uint8).reshape(-1, 3)[: _SAME - len(exact)]
     table = np.concatenate([exact, colours])
@@ -77,11 +77,11 @@ def _indices(pixels: Pixels, palette: Image.Image) -> _Indices:
     return indices
 
 
-def _difference(picture: _Indices, before: _Indices) -> tuple[_Indices, tuple[int, int]]:
-    """The part of a picture that differs from the one before, and its upper left corner (x, y) in px."""
-    differs = picture != before
+def _difference(image: _Indices, before: _Indices) -> tuple[_Indices, tuple[int, int]]:
+    """The part of an image that differs from the one before, and its upper left corner (x, y) in px."""
+    differs = image != before
     rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
     if not len(rows):
         return np.full((1, 1), _SAME, np.uint8), (0, 0)
     part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    return np.where(differs[part], picture[part], np.uint8(_SAME)), (int(columns[0]), int(rows[0]))
+    return np.where(differs[part], image[part], np.uint8(_SAME)), (int(columns[0]), int(rows[0]))

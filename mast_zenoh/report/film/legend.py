@@ -1,4 +1,4 @@
-"""The legend of a film: everything that appears in one of its pictures."""
+"""The legend of a film: everything that appears in one of its images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pictures of a film as pixels. What never changes is drawn once, the rest is drawn on top of a copy of it."""
+"""The images of a film as pixels. What never changes is drawn once, the rest is drawn on top of a copy of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mast_zenoh.report.film.sheet import Sheet
 Pixels = NDArray[np.uint8]
 
 
-def pictures(sheet: Sheet, frames: Iterable[int]) -> Iterator[Pixels]:
+def images(sheet: Sheet, frames: Iterable[int]) -> Iterator[Pixels]:
     """Draw frames one after the other."""
     canvas = FigureCanvasAgg(sheet.figure)
     for artist in sheet.changing:

@@ -1,4 +1,4 @@
-"""Which frame of the run each picture of a film shows, and how fast the film is."""
+"""Which frame of the run each image of a film shows, and how fast the film is."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import NamedTuple
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.report.film.takes import Take
 
-#: Pictures per second at most, unless the user asks for more.
+#: Images per second at most, unless the user asks for more.
 _SMOOTH_FPS = 30.0
 _MOST_FPS = 120.0
 
 
 class Schedule(NamedTuple):
-    """frames: of the run, one for each picture of the film;  fps: pictures per second"""
+    """frames: of the run, one for each image of the film;  fps: images per second"""
 
     frames: Sequence[int]
     fps: float
@@ -25,7 +25,7 @@ def schedule(take: Take, start: int | None, end: int | None, speed: float, fps: 
     """The frames of a film.
 
     start, end: first and last frame, None: of the run;  speed: of the film over that of the scene
-    fps:        pictures per second; None: every frame once, but at most 30
+    fps:        images per second; None: every frame once, but at most 30
 
     Raises RunFolderError for frames that the run does not have, ConfigurationError for an invalid speed or rate.
     """

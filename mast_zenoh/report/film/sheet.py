@@ -1,4 +1,4 @@
-"""The whole picture of a film: panels, title, time, numbers, strips, caption and legend."""
+"""The whole image of a film: panels, title, time, numbers, strips, caption and legend."""
 
 from __future__ import annotations
 

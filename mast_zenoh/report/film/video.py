@@ -31,7 +31,7 @@ _ENCODERS = {
         "2",
     ),
 }
-#: Neither dates nor versions, so that equal pictures give equal files.
+#: Neither dates nor versions, so that equal images give equal files.
 _NO_METADATA = ("-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact")
 
 
@@ -54,7 +54,7 @@ def ffmpeg() -> str:
     return path
 
 
-def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
+def write_video(path: Path, images: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
     """Write a film. size: width and height in px, both even
 
     Raises ExportError if ffmpeg is absent or fails, for example because it lacks the encoder.
@@ -77,8 +77,8 @@ def write_video(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], f
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
         assert process.stdin is not None
         try:
-            for picture in pictures:
-                process.stdin.write(picture.tobytes())
+            for image in images:
+                process.stdin.write(image.tobytes())
             process.stdin.close()
         except BrokenPipeError:  # it has ended: its error output says why
             pass

@@ -12,17 +12,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.errors import ConfigurationError, ExportError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.report.figures.view import choose_frame
 from mast_zenoh.report.film import gif, video
 from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.output import kind_of, write_complete
-from mast_zenoh.report.film.pixels import pictures
+from mast_zenoh.report.film.pixels import images
 from mast_zenoh.report.film.schedule import check_frame, schedule
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import TITLES, Take
 from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.new_files import check_free, write_new
 
 #: What the names of films end with.
 FILMS = ("mp4", "gif", "webm")
@@ -49,16 +49,16 @@ def animate(
     speed: float = 1.0,
     fps: float | None = None,
 ) -> int:
-    """Write a film of a finished run; returns the number of its pictures.
+    """Write a film of a finished run; returns the number of its images.
 
     out:        a new file that ends with .mp4, .gif or .webm; it is complete or not there at all
     against:    another run to show beside it
-    start, end: first and last frame;  speed: over that of the scene;  fps: pictures per second
+    start, end: first and last frame;  speed: over that of the scene;  fps: images per second
 
     Raises ExportError for the file, RunFolderError for the run or a frame that it does not have, ConfigurationError for
     an option, DiskFull.
     """
-    kind = kind_of(out, dict.fromkeys(FILMS))
+    kind = _kind_of(out, FILMS)
     if kind != "gif":
         video.ffmpeg()
     takes = open_takes(run, look, against)
@@ -70,11 +70,11 @@ def animate(
         if kind == "gif":
             theme = look.colours
             key = (theme.ground, theme.ink, theme.adversary, theme.building, *theme.outcomes.values())
-            gif.write_gif(path, lambda frames: pictures(sheet, frames), plan.frames, plan.fps, key)
+            gif.write_gif(path, lambda frames: images(sheet, frames), plan.frames, plan.fps, key)
         else:
-            video.write_video(path, pictures(sheet, plan.frames), look.pixels(len(takes)), plan.fps)
+            video.write_video(path, images(sheet, plan.frames), look.pixels(len(takes)), plan.fps)
 
-    write_complete(out, write)
+    write_new(out, write)
     return len(plan.frames)
 
 
@@ -84,7 +84,7 @@ def snapshot(run: Path, out: Path, look: Look, frame: int | None = None, against
     out:   a new file that ends with .pdf, .svg or .png;  frame: None: the one that the report shows
     Raises as `animate` does.
     """
-    kind = kind_of(out, STILLS)
+    kind = _kind_of(out, tuple(STILLS))
     takes = open_takes(run, look, against)
     if frame is None:
         chosen = choose_frame(takes[0].run)
@@ -97,7 +97,7 @@ def snapshot(run: Path, out: Path, look: Look, frame: int | None = None, against
         with rc_context(_TEXT):
             figure.savefig(path, format=kind, facecolor=figure.get_facecolor(), metadata=_METADATA[kind])
 
-    write_complete(out, write)
+    write_new(out, write)
     return frame
 
 
@@ -123,6 +123,16 @@ def open_takes(run: Path, look: Look, against: Path | None = None) -> list[Take]
     names = [folder.path.name if alike else folder.label for folder in folders]
     title = TITLES[look.estimates[0]]
     return [Take(folder, look.estimates[0], f"{name}: {title}") for folder, name in zip(folders, names, strict=True)]
+
+
+def _kind_of(out: Path, kinds: Sequence[str]) -> str:
+    """The kind of a new file by its name, one of `kinds`; raises ExportError for another, or if it is not new."""
+    kind = out.suffix.lower().removeprefix(".")
+    if kind not in kinds:
+        names = [f".{name}" for name in kinds]
+        raise ExportError(f"{out}: expected a name that ends with {', '.join(names[:-1])} or {names[-1]}")
+    check_free(out)
+    return kind
 
 
 def _opened(path: Path, agent: str | None) -> RunFolder:

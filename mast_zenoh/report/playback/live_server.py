@@ -96,7 +96,7 @@ class LiveServer:
         if path != "/":
             return _refusal(HTTPStatus.NOT_FOUND, "not found")
         page, policy = self._content
-        headers = Headers(page_headers("text/html; charset=utf-8", f"{policy}; frame-ancestors 'none'", len(page)))
+        headers = Headers(page_headers("text/html; charset=utf-8", policy, len(page)))
         return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, headers, page)
 
     def _send_frames(self, connection: ServerConnection) -> None:

@@ -61,4 +61,4 @@ class _Handler(LoopbackHandler):
         if path != "/":
             self.send_error(HTTPStatus.NOT_FOUND)
         else:
-            self.send_content(self.server.content, "text/html; charset=utf-8", policy() + "; frame-ancestors 'none'")
+            self.send_content(self.server.content, "text/html; charset=utf-8", policy())

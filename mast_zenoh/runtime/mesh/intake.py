@@ -52,8 +52,7 @@ class Intake:
         put = self._inbox.put_sample
 
         def on_sample(sample: zenoh.Sample) -> None:
-            attachment = sample.attachment
-            epoch, step = stamp_of(attachment.to_bytes() if attachment else None)
+            epoch, step = stamp_of(sample.attachment)
             arrived = key, sample.payload.to_bytes(), epoch, step
             if self.prompt and self._handle_promptly(*arrived):
                 return

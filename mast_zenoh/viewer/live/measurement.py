@@ -122,7 +122,8 @@ class FrameMeter:
         if time_ns < 0:
             return None
         tables = node.evaluation.frame_tables(node.data)
-        return MeasuredFrame(number, time_ns, bodies, tables, tables.pop("same_as"), refused)
+        same_as = tables.pop("same_as")
+        return MeasuredFrame(number, time_ns, bodies, tables, same_as, refused)
 
     def _build(self) -> Any:
         return registry.construct(self._evaluator, self._config, f"scenario.json: {_NAME}")

@@ -56,7 +56,7 @@ class Reception:
         for key, subscriber in self._subscribers.items():
             kept = self._kept[key]
             while (sample := subscriber.handler.try_recv()) is not None:
-                _, step = stamp_of(sample.attachment.to_bytes() if sample.attachment else None)
+                _, step = stamp_of(sample.attachment)
                 if 0 <= step < self._end:
                     kept.append((step, sample.payload))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mast_zenoh.errors import ExportError
@@ -38,7 +38,7 @@ def serve_to_foxglove(path: Path, port: int, *, rate: float, loop: bool, tell: T
         try:
             tell(f"foxglove: {server.url}")
             tell(f"layout: {layout}")
-            _tell_end(server.tunnel, run.missing, tell)
+            tell_end(server.tunnel, run.missing, tell)
             server.serve()
         except KeyboardInterrupt:
             tell("")
@@ -57,16 +57,11 @@ def serve_to_rerun(path: Path, port: int, *, tell: Tell) -> None:
     try:
         from mast_zenoh.viewer.export import rrd
         from mast_zenoh.viewer.servers.rerun import RerunServer
-        from mast_zenoh.viewer.servers.web_viewer import web_viewer_files
     except ModuleNotFoundError as error:
         raise not_installed(error, "rerun") from None
 
     run = RunFrames.load(path)
-    try:
-        viewer = web_viewer_files()
-    except ExportError as error:
-        tell(f"no page: {error}")
-        viewer = {}
+    viewer = web_viewer(tell)
     with tempfile.TemporaryDirectory(prefix="mast-rerun-") as folder:
         recording = Path(folder) / "run.rrd"
         rrd.write(run, recording)
@@ -74,14 +69,25 @@ def serve_to_rerun(path: Path, port: int, *, tell: Tell) -> None:
             if viewer:
                 tell(f"view: {server.url}")
             tell(f"native viewer: rerun {server.recording_url}")
-            _tell_end(server.tunnel, run.missing, tell)
+            tell_end(server.tunnel, run.missing, tell)
             try:
                 server.serve_forever()
             except KeyboardInterrupt:
                 tell("")
 
 
-def _tell_end(tunnel: str, missing: list[str], tell: Tell) -> None:
+def web_viewer(tell: Tell) -> dict[str, bytes]:
+    """The files of Rerun's web viewer; empty, and a line for the user, if they cannot be found."""
+    from mast_zenoh.viewer.servers.web_viewer import web_viewer_files
+
+    try:
+        return web_viewer_files()
+    except ExportError as error:
+        tell(f"no page: {error}")
+        return {}
+
+
+def tell_end(tunnel: str, missing: Sequence[str], tell: Tell) -> None:
     """The last lines that every server prints."""
     tell(f"from another computer: {tunnel}")
     for sentence in missing:

@@ -6,10 +6,9 @@ import tempfile
 import threading
 from pathlib import Path
 
-from mast_zenoh.errors import ExportError
 from mast_zenoh.viewer.export import not_installed
 from mast_zenoh.viewer.frame import FrameSource
-from mast_zenoh.viewer.servers.finished import Tell
+from mast_zenoh.viewer.servers.finished import Tell, tell_end, web_viewer
 
 
 def serve_to_foxglove(run: FrameSource, port: int, stop: threading.Event, tell: Tell) -> None:
@@ -31,8 +30,7 @@ def serve_to_foxglove(run: FrameSource, port: int, stop: threading.Event, tell: 
         try:
             tell(f"foxglove: {server.url}")
             tell(f"layout: {layout}")
-            tell(f"from another computer: {server.tunnel}")
-            tell("Ctrl-C ends it.")
+            tell_end(server.tunnel, (), tell)
             server.serve()
             stop.wait()
         finally:
@@ -49,21 +47,15 @@ def serve_to_rerun(run: FrameSource, port: int, stop: threading.Event, tell: Tel
     try:
         from mast_zenoh.viewer.servers.rerun import RerunServer, serve_live
         from mast_zenoh.viewer.servers.rrd_stream import RrdStream
-        from mast_zenoh.viewer.servers.web_viewer import web_viewer_files
     except ModuleNotFoundError as error:
         raise not_installed(error, "rerun") from None
-    try:
-        viewer = web_viewer_files()
-    except ExportError as error:
-        tell(f"no page: {error}")
-        viewer = {}
+    viewer = web_viewer(tell)
     stream = RrdStream(run)
     with RerunServer(stream, viewer, port, tell) as server:
         if viewer:
             tell(f"view: {server.url}")
         tell(f"native viewer: rerun {server.recording_url}")
-        tell(f"from another computer: {server.tunnel}")
-        tell("Ctrl-C ends it.")
+        tell_end(server.tunnel, (), tell)
 
         def end() -> None:
             stop.wait()

@@ -20,8 +20,7 @@ from mast_zenoh.viewer.servers.web_viewer import FILES
 RECORDING = "run.rrd"
 _POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; connect-src 'self'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data: blob:; font-src data:; worker-src 'none'; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'"
+    "img-src 'self' data: blob:; font-src data:; worker-src 'none'; base-uri 'none'; form-action 'none'"
 )
 _PAGE = Path(__file__).with_name("rerun_page")
 _PAGE_FILES = {"": "text/html; charset=utf-8", "page.js": "text/javascript", "page.css": "text/css"}

@@ -21,7 +21,7 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ExportError
 from mast_zenoh.report.film import writing
 from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.pixels import pictures
+from mast_zenoh.report.film.pixels import images
 
 SMALL = Look(size="480x480", dpi=60)
 
@@ -29,7 +29,7 @@ SMALL = Look(size="480x480", dpi=60)
 def test_a_gif_has_every_frame_at_its_time_with_its_pixels(attacked: mast.Run, tmp_path: Path) -> None:
     options: dict[str, Any] = {"size": "480x480", "dpi": 60, "speed": 0.7, "start": 2, "end": 15}
     out = attacked.animate(tmp_path / "film.gif", **options)
-    drawn = list(pictures(sheet_of(attacked.path, SMALL, frames=range(2, 16)), range(2, 16)))
+    drawn = list(images(sheet_of(attacked.path, SMALL, frames=range(2, 16)), range(2, 16)))
     with Image.open(out) as film:
         assert film.info["loop"] == 0
         shown = [
@@ -58,9 +58,9 @@ def test_a_video_has_every_frame_at_the_asked_rate_with_its_pixels(
     shown = [np.frombuffer(frame, np.uint8).reshape(480, 480, 3).astype(int) for frame in reader]
     assert len(shown) == 32
     frames = [5 + k // 2 for k in range(32)]
-    for ours, theirs in zip(shown, pictures(sheet_of(attacked.path, SMALL, frames=range(5, 21)), frames), strict=True):
+    for ours, theirs in zip(shown, images(sheet_of(attacked.path, SMALL, frames=range(5, 21)), frames), strict=True):
         assert np.abs(ours - theirs).mean() < 6.0
-    ahead = next(iter(pictures(sheet_of(attacked.path, SMALL, frames=range(5, 21)), [20])))
+    ahead = next(iter(images(sheet_of(attacked.path, SMALL, frames=range(5, 21)), [20])))
     assert np.abs(shown[-1] - ahead).mean() < np.abs(shown[0] - ahead).mean()
 
 
@@ -119,7 +119,7 @@ def test_the_commands_name_what_they_wrote(attacked: mast.Run, unattacked: mast.
     options = ["--against", str(unattacked.path), "--from", "5", "--to", "9", "--theme", "light", "--size", "640x480"]
     result = CliRunner().invoke(app, ["animate", str(attacked.path), "-o", str(film), *options])
     assert result.exit_code == 0, result.output
-    assert "film.gif (5 pictures, 0." in result.output.replace("\n", "")
+    assert "film.gif (5 images, 0." in result.output.replace("\n", "")
     with Image.open(film) as image:
         assert (image.size, image.n_frames) == ((640, 480), 5)
 
@@ -161,7 +161,7 @@ def test_nothing_is_left_behind_by_a_film_that_is_interrupted(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(subprocess, "Popen", start)
-    monkeypatch.setattr(writing, "pictures", interrupted)
+    monkeypatch.setattr(writing, "images", interrupted)
     with pytest.raises(KeyboardInterrupt):
         writing.animate(attacked.path, tmp_path / "film.mp4", SMALL)
     assert list(tmp_path.iterdir()) == []

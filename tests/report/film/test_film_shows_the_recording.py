@@ -15,7 +15,7 @@ from PIL import Image
 import mast_zenoh as mast
 from mast_zenoh.launch.tables import write_table
 from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.pixels import pictures
+from mast_zenoh.report.film.pixels import images
 from mast_zenoh.report.film.writing import snapshot
 
 
@@ -102,7 +102,7 @@ def test_a_false_track_is_red_in_the_file_at_its_place(attacked: mast.Run, tmp_p
 
 @pytest.mark.parametrize("look", [Look(), Look(window="follow", estimates=("local", "picture")), Look(camera=True)])
 def test_drawing_only_what_changes_gives_the_same_pixels_as_drawing_everything(attacked: mast.Run, look: Look) -> None:
-    *_, quick = pictures(sheet_of(attacked.path, look), (2, 15, 27))
+    *_, quick = images(sheet_of(attacked.path, look), (2, 15, 27))
     whole = sheet_of(attacked.path, look)
     whole.show(27)
     canvas = FigureCanvasAgg(whole.figure)

@@ -151,7 +151,6 @@ export class LiveRun extends Run {
     const header = {
       ...frames.lasting, ...newest, frames: parts.length, frame: parts.length - 1, adversaries, subscribers, name: frames.lasting.label,
       events: [...frames.events.values()], views: [...views.values()].map((view, row) => ({ ...view, row })), meanings: [...meanings.values()],
-      label: frames.lasting.label,
     };
     super({ header, columns });
     this.parts = parts;
@@ -253,8 +252,7 @@ export class LiveRun extends Run {
 /** A column of all parts. @param {Part[]} parts @param {string} name */
 function chained(parts, name) {
   const length = parts.reduce((sum, part) => sum + part.columns[name].length, 0);
-  const joined = new Float32Array(length);
-  const whole = name.endsWith(".id") ? new Int32Array(length) : joined;
+  const whole = name.endsWith(".id") ? new Int32Array(length) : new Float32Array(length);
   let at = 0;
   for (const part of parts) {
     whole.set(part.columns[name], at);
