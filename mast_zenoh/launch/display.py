@@ -23,6 +23,8 @@ from mast_zenoh.launch.newest_score import NewestScore
 _PERIOD_S = 0.25  # between two pictures of the terminal
 _SHARE = 0.02  # of the launcher's time that the display takes at most
 _SWITCH_S = 0.0005  # after which Python lets Zenoh's threads in while the display is drawn; its default is 5 ms
+_LINE_S = 60.0  # without a terminal: between two lines at most
+_ENDLESS = 10**8  # frames that no run reaches: a replay that repeats until Ctrl-C
 _DASH = "\u2013"
 _NAME, _LONG_NAME = 14, 30  # characters, with two columns of nodes and with one
 _NUMBERS = 23  # characters beside the name
@@ -65,6 +67,7 @@ class Display:
         self._live: Live | None = None
         self._next_s = 0.0
         self._printed_frame = 0
+        self._printed_s = 0.0
         self._first_s: float | None = None  # when a frame was seen first
         self._first_frame = 0  # which
         self._switch_s = sys.getswitchinterval()
@@ -92,6 +95,7 @@ class Display:
         now = time.monotonic()
         if frame > 0 and self._first_s is None:
             self._first_s, self._first_frame = now, frame
+            self._printed_s = now
         if self._live:
             if now >= self._next_s:
                 width, height = self.console.size
@@ -99,9 +103,10 @@ class Display:
                 self._live.update(Text("\n").join(lines), refresh=True)
                 done = time.monotonic()
                 self._next_s = max(now + _PERIOD_S, done + (done - now) / _SHARE)
-        elif not self._quiet and self._printed_frame + max(1, self._frames // 4) <= frame <= self._frames:
-            self._printed_frame = frame
-            self.say(f"{self._title}: frame {frame} of {self._frames} {self._rate(frame)}")
+        elif not self._quiet and self._is_line_due(frame, now):
+            self._printed_frame, self._printed_s = frame, now
+            of = f" of {self._frames}" if self._frames < _ENDLESS else ""
+            self.say(f"{self._title}: frame {frame}{of} {self._rate(frame)}")
 
     def lines(self, status: Status, width: int, height: int) -> list[Text]:
         """What is shown on a terminal of this size."""
@@ -110,13 +115,20 @@ class Display:
         room = max(_MIN_NODES, height - len(head) - len(below) - 2)  # headings, and a line for those left out
         return [*head, *_node_lines(status, width, room), *below]
 
+    def _is_line_due(self, frame: int, now: float) -> bool:
+        """Whether a quarter of the run or a minute has passed since the last line."""
+        passed = frame - self._printed_frame
+        is_due = passed >= max(1, self._frames // 4) or now - self._printed_s >= _LINE_S
+        return passed > 0 and frame <= self._frames and is_due
+
     def _rate(self, frame: int) -> str:
         elapsed_s = time.monotonic() - self._first_s if self._first_s is not None else 0.0
         return f"{(frame - self._first_frame) / elapsed_s:.0f}/s" if elapsed_s > 0.2 else ""
 
     def _progress(self, frame: int, width: int) -> Text:
         """Title, bar and number of frames in one line."""
-        numbers = f" {frame}/{self._frames} frames {self._rate(frame)}"
+        of = f"/{self._frames}" if self._frames < _ENDLESS else ""
+        numbers = f" {frame}{of} frames {self._rate(frame)}"
         title = _cut(self._title, max(8, width - len(numbers) - 12)) + " "
         length = max(0, width - len(title) - len(numbers))
         filled = min(length, length * frame // max(1, self._frames))

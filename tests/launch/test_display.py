@@ -7,6 +7,7 @@ from io import StringIO
 
 import pyarrow.parquet as pq
 import pytest
+import zenoh
 from rich.console import Console
 
 from mast_zenoh import scenario
@@ -80,6 +81,17 @@ def test_without_a_terminal_there_are_four_lines_and_with_quiet_none() -> None:
         assert [line.strip() for line in file.getvalue().splitlines()] == expected
 
 
+def test_without_a_terminal_a_slow_run_has_a_line_every_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(display.time, "monotonic", lambda: now[0])
+    file = StringIO()
+    with Display(Console(file=file, width=80), "a_run", 10**9) as plain:
+        for frame in range(1400):
+            now[0] = 0.1 * frame
+            plain.update(frame, lambda: pytest.fail("nothing is computed"))
+    assert file.getvalue().splitlines() == ["a_run: frame 601 10/s", "a_run: frame 1201 10/s"]
+
+
 def test_the_table_is_drawn_at_most_four_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     times = itertools.count(100.0, 0.001)
     monkeypatch.setattr(display.time, "monotonic", lambda: next(times))
@@ -111,8 +123,7 @@ class Ring:
 
 class Sample:
     def __init__(self, attachment: bytes | None) -> None:
-        self.attachment = self if attachment is not None else None
-        self.to_bytes = lambda: attachment
+        self.attachment = None if attachment is None else zenoh.ZBytes(attachment)
 
 
 def wiring_of(name: str, *settings: str) -> Wiring:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import tracks
@@ -174,9 +175,8 @@ def on_no_mesh(node: Node) -> MeshNode:
 
 def arrives(mesh: MeshNode, key: str, payload: bytes, epoch: int, step: int = -1) -> None:
     """Deliver a sample like Zenoh does."""
-    stamp = ATTACHMENT.pack(MARK, epoch, step)
-    sample = {"payload": lambda: payload, "attachment": lambda: stamp}
-    mesh.intake.callback(key)(SimpleNamespace(**{name: SimpleNamespace(to_bytes=get) for name, get in sample.items()}))
+    stamp = zenoh.ZBytes(ATTACHMENT.pack(MARK, epoch, step))
+    mesh.intake.callback(key)(SimpleNamespace(payload=zenoh.ZBytes(payload), attachment=stamp))
 
 
 def handle_all(mesh: MeshNode) -> None:
