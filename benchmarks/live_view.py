@@ -5,7 +5,7 @@ Each window with a viewer is compared with the windows without one just before a
 load, nor the start of a run, nor what the scene does at a time counts. The page is a WebSocket client, as if the
 browser were on another computer; `--browser` adds Chromium on this one, which draws without a graphics card.
 
-    python benchmarks/live_view.py [--repeats 12] [--seconds 8] [--browser]
+    python benchmarks/live_view.py [--runs 3] [--repeats 6] [--seconds 8] [--browser]
     python benchmarks/live_view.py --minutes 10
 
 --minutes: instead, how the memory of the viewer develops while a page reads, in real time
@@ -21,9 +21,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import psutil
@@ -35,7 +36,7 @@ from mast_zenoh.launch.folder import read_json
 
 CHROMIUM = "/usr/bin/chromium"
 _FLAGS = ("--headless", "--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader")
-_FLAGS = (*_FLAGS, "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+_DRAWING = (*_FLAGS, "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 _MAST = (sys.executable, "-m", "mast_zenoh")
 _SETTLE_S = 2.0  # until a viewer that came or went no longer loads anything
 _FRAMES = 20_000  # of the run; its scene takes minutes to prepare, once
@@ -68,7 +69,7 @@ def page(kind: str, url: str) -> Iterator[list[int]]:
     if kind == "browser":
         with tempfile.TemporaryDirectory() as profile:
             browser = subprocess.Popen(
-                [CHROMIUM, *_FLAGS, f"--user-data-dir={profile}", "--remote-debugging-port=0", url],
+                [CHROMIUM, *_DRAWING, f"--user-data-dir={profile}", "--remote-debugging-port=0", url],
                 stderr=subprocess.DEVNULL,
             )
             try:
@@ -100,63 +101,93 @@ def page(kind: str, url: str) -> Iterator[list[int]]:
 
 
 @contextmanager
-def viewer(kind: str, out: Path) -> Iterator[None]:
-    """A viewer of a run with a page of that kind; kind none: nothing."""
+def viewer(kind: str, out: Path) -> Iterator[list[psutil.Process]]:
+    """A viewer of a run with a page of that kind; yields its processes. kind none: nothing"""
+    processes: list[psutil.Process] = []
     with ExitStack() as stack:
         if kind != "none":
             process = subprocess.Popen([*_MAST, "view", str(out)], stdout=subprocess.PIPE, text=True)
             stack.callback(process.communicate)
             stack.callback(process.terminate)
             stack.enter_context(page(kind, url_of(process)))
-        yield
+            own = psutil.Process(process.pid)
+            processes = [own, *own.children(recursive=True)]
+        yield processes
 
 
-def compare(repeats: int, seconds: float, kinds: list[str]) -> None:
-    """Print how the frame rate with each kind of viewer differs from that without, in percent, with a 95 % interval."""
-    ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
-    plain: list[float] = []
-    with running("--frames", str(_FRAMES)) as (run, out), ExitStack() as stack:
-        while not (out / "run.json").is_file() or "endpoint" not in read_json(out / "run.json"):
-            time.sleep(0.1)
-        record = read_json(out / "run.json")
-        configuration = zenoh.Config()
-        configuration.insert_json5("mode", '"client"')
-        configuration.insert_json5("connect/endpoints", f'["{record["endpoint"]}"]')
-        session = stack.enter_context(zenoh.open(configuration))
-        played = 0
+def processor_s(processes: list[psutil.Process]) -> float:
+    """Processor time that processes have used, s."""
+    times = [process.cpu_times() for process in processes]
+    return float(sum(each.user + each.system for each in times))
 
-        def count(_: zenoh.Sample) -> None:
-            nonlocal played
-            played += 1
 
+class Window(NamedTuple):
+    """A window of a run: frames/s, and the share of a processor that the viewer used, %."""
+
+    rate: float
+    share: float
+
+
+@contextmanager
+def counted_frames(out: Path) -> Iterator[Callable[[], int]]:
+    """The number of frames of a run that have begun since now; waits until it plays."""
+    while not (out / "run.json").is_file() or "endpoint" not in read_json(out / "run.json"):
+        time.sleep(0.1)
+    record = read_json(out / "run.json")
+    configuration = zenoh.Config()
+    configuration.insert_json5("mode", '"client"')
+    configuration.insert_json5("connect/endpoints", f'["{record["endpoint"]}"]')
+    played = 0
+
+    def count(_: zenoh.Sample) -> None:
+        nonlocal played
+        played += 1
+
+    with zenoh.open(configuration) as session:
         session.declare_subscriber(f"mast/{record['id']}/clock", count)
         while played < 20:
-            assert run.poll() is None
             time.sleep(0.1)
+        yield lambda: played
 
-        def rate(kind: str) -> float:
-            with viewer(kind, out):
+
+def windows(kinds: Sequence[str], repeats: int, seconds: float) -> Iterator[tuple[str, Window]]:
+    """Measure one run: none, a kind, none, another kind, none, ..."""
+    order = ["none"]
+    for repeat in range(repeats):
+        for kind in kinds if repeat % 2 == 0 else kinds[::-1]:
+            order += [kind, "none"]
+    with running("--frames", str(_FRAMES)) as (run, out), counted_frames(out) as played:
+        for kind in order:
+            with viewer(kind, out) as processes:
                 time.sleep(_SETTLE_S)
-                begin, frames = time.monotonic(), played
+                begin, frames, used = time.monotonic(), played(), processor_s(processes)
                 time.sleep(seconds)
-                measured = (played - frames) / (time.monotonic() - begin)
-            assert run.poll() is None
-            return measured
+                passed = time.monotonic() - begin
+                window = Window((played() - frames) / passed, 100 * (processor_s(processes) - used) / passed)
+            assert run.poll() is None, "the run has ended: expected fewer repeats, or shorter windows"
+            yield kind, window
 
-        plain.append(rate("none"))
-        for repeat in range(repeats):
-            for kind in kinds if repeat % 2 == 0 else kinds[::-1]:
-                own = rate(kind)
-                plain.append(rate("none"))
-                ratios[kind].append(2 * own / (plain[-2] + plain[-1]))
-                print(f"  {kind}: {own:.1f} frames/s, {plain[-2]:.1f} before, {plain[-1]:.1f} after", flush=True)
+
+def compare(runs: int, repeats: int, seconds: float, kinds: list[str]) -> None:
+    """Print how the frame rate with each kind of viewer differs from that without, in percent, with a 95 % interval."""
+    ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
+    shares: dict[str, list[float]] = {kind: [] for kind in kinds}
+    plain: list[float] = []
+    for _ in range(runs):
+        measured = list(windows(kinds, repeats, seconds))
+        plain += [window.rate for kind, window in measured if kind == "none"]
+        for (_, before), (kind, own), (_, after) in zip(measured[::2], measured[1::2], measured[2::2], strict=False):
+            ratios[kind].append(2 * own.rate / (before.rate + after.rate))
+            shares[kind].append(own.share)
+            print(f"  {kind}: {own.rate:.1f} frames/s, {before.rate:.1f} before, {after.rate:.1f} after", flush=True)
     print(f"without a viewer: median {statistics.median(plain):.1f} frames/s")
     chance = np.random.default_rng(0)
-    for kind, measured in ratios.items():
-        samples = np.median(chance.choice(measured, (10_000, len(measured))), axis=1)
+    for kind in kinds:
+        samples = np.median(chance.choice(ratios[kind], (10_000, len(ratios[kind]))), axis=1)
         low, high = (100 * (value - 1) for value in np.quantile(samples, (0.025, 0.975)))
-        exact = 100 * (statistics.median(measured) - 1)
-        print(f"{kind:>8}: median {exact:+.1f} % ({low:+.1f} to {high:+.1f}) of {len(measured)}")
+        median = 100 * (statistics.median(ratios[kind]) - 1)
+        print(f"{kind:>8}: median {median:+.1f} % ({low:+.1f} to {high:+.1f}) of {len(ratios[kind])} windows,")
+        print(f"          with {statistics.median(shares[kind]):.1f} % of a processor for the viewer")
 
 
 def memory(minutes: float) -> None:
@@ -174,7 +205,8 @@ def memory(minutes: float) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=12)
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--repeats", type=int, default=6, help="windows of each kind in a run")
     parser.add_argument("--seconds", type=float, default=8.0, help="length of a window")
     parser.add_argument("--browser", action="store_true")
     parser.add_argument("--minutes", type=float)
@@ -183,4 +215,4 @@ if __name__ == "__main__":
         memory(arguments.minutes)
     else:
         names = ["reading", "stopped", *(["browser"] if arguments.browser else [])]
-        compare(arguments.repeats, arguments.seconds, names)
+        compare(arguments.runs, arguments.repeats, arguments.seconds, names)

@@ -1,7 +1,7 @@
 """What the nodes of a run send, measured on the mesh while it plays.
 
 Nothing here is a node's own account: messages that arrive are counted, and the steps in their stamps are read. Zenoh
-keeps the newest messages of a key without running Python, so a watched message costs the launcher about 2 µs.
+keeps the newest messages of a key without running Python, so a watched message costs the launcher a microsecond or two.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from mast_zenoh.scenes.measurements import NO_MEASUREMENT
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 
 _MAX_SPEED_MPS = 70.0
+_FARTHEST_M = 1e100  # whose square is a number
 _MAX_JUMP_M = 2.0  # of a position against the mean of its velocities before and after
 _UNEVEN = 1.5  # periods between two frames
 _SHOWN = 3  # objects with one kind of problem
@@ -131,7 +132,8 @@ def _inside_others(recording: Recording) -> Bools:
         if len(truth) < 2:
             continue
         reach = float(np.hypot(truth.size[:, 0], truth.size[:, 1]).max() / 2)
-        i, j = KDTree(truth.position[:, :2]).query_pairs(reach, output_type="ndarray").T
+        place = np.clip(truth.position[:, :2], -_FARTHEST_M, _FARTHEST_M)
+        i, j = KDTree(place).query_pairs(min(reach, _FARTHEST_M), output_type="ndarray").T
         first = int(recording.truth_start[frame])
         for a, b in ((i, j), (j, i)):
             offset = truth.position[a] - truth.position[b]

@@ -154,3 +154,13 @@ def test_any_change_of_a_saved_file_is_read_or_refused(
                 played.detections_at(frame, agent)
         contents(played)
         problems(played)
+
+
+def test_positions_whose_squares_are_not_numbers_are_read_and_named(saved: Path, tmp_path: Path) -> None:
+    with np.load(saved) as file:
+        arrays = {name: file[name] for name in file.files}
+    arrays["truth.position"] = arrays["truth.position"].copy()
+    arrays["truth.position"][0, 0] = 1.4e154
+    np.savez(tmp_path / "far.npz", **arrays)
+    with np.errstate(all="ignore"):
+        assert problems(RecordingFile(path=str(tmp_path / "far.npz")).record(0, None))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -22,6 +22,7 @@ class Listener:
         self._frames: deque[tuple[int, bytes]] = deque()
         self._lasting = 0  # version of the lasting header that the page has
         self._dropped = 0
+        self._notes = ""
         self._last_words = ""
 
     def put(self, version: int, lasting: str, frame: bytes) -> None:
@@ -42,6 +43,12 @@ class Listener:
         """Whether the page has taken what was sent before."""
         return len(self._frames) < QUEUED
 
+    def note(self, text: str) -> None:
+        """Set what is to be said of the view."""
+        with self._changed:
+            self._notes = text
+            self._changed.notify()
+
     def close(self, text: str) -> None:
         """End with a last message."""
         with self._changed:
@@ -51,14 +58,15 @@ class Listener:
     def take(self, most: int, timeout_s: float) -> tuple[list[str | bytes], bool]:
         """Wait for messages; returns them, with at most so many frames, and whether more may come."""
         with self._changed:
-            if not (self._texts or self._frames or self._last_words):
+            if not (self._texts or self._frames or self._notes or self._last_words):
                 self._changed.wait(timeout_s)
-            messages: list[str | bytes] = [*self._texts]
+            messages: list[str | bytes] = [*self._texts, *([self._notes] if self._notes else [])]
             if self._dropped:
                 messages.append(json.dumps({"kind": "dropped", "count": self._dropped}))
             messages += [self._frames.popleft()[1] for _ in range(min(most, len(self._frames)))]
             self._texts.clear()
             self._dropped = 0
+            self._notes = ""
             over = bool(self._last_words) and not self._frames
             return [*messages, self._last_words] if over else messages, not over
 
@@ -72,6 +80,7 @@ class Feed:
         self._lasting: dict[str, Any] = {}
         self._version = 0
         self._newest: bytes | None = None
+        self._notes: list[str] = []
         self._last_words = ""
 
     @property
@@ -89,6 +98,8 @@ class Feed:
                 self._listeners.append(listener)
                 if self._newest is not None:
                     listener.put(self._version, self._lasting_text, self._newest)
+                if self._notes:
+                    listener.note(self._notes_text)
                 if self._last_words:
                     listener.close(self._last_words)
         try:
@@ -108,12 +119,24 @@ class Feed:
             for listener in self._listeners:
                 listener.put(self._version, self._lasting_text, frame)
 
+    def note(self, notes: Sequence[str]) -> None:
+        """Give all listeners what is to be said of the view, if it has changed: frames may fail to say it."""
+        with self._lock:
+            if self._notes != [*notes]:
+                self._notes = [*notes]
+                for listener in self._listeners:
+                    listener.note(self._notes_text)
+
     def close(self, *, reload: bool) -> None:
         """Tell all pages that the run is over. reload: whether the page then shows all of it"""
         with self._lock:
             self._last_words = json.dumps({"kind": "over", "reload": reload})
             for listener in self._listeners:
                 listener.close(self._last_words)
+
+    @property
+    def _notes_text(self) -> str:
+        return json.dumps({"kind": "notes", "notes": self._notes})
 
     @property
     def _lasting_text(self) -> str:

@@ -141,7 +141,7 @@ class LiveBlocks:
         poses = [self.poses[name] for name in scene.agent_names]
         truth_body: Body = frame.bodies.get(TRUTH, {})
         truth = truth_states(truth_body) if truth_body else scene.truth.select(slice(0, 0))
-        within = frame.number < len(scene)
+        number = min(frame.number, len(scene) - 1)  # a shorter scene keeps its last sweeps
         return replace(
             scene,
             times_ns=np.zeros(1, np.int64),
@@ -154,7 +154,7 @@ class LiveBlocks:
             detections=Detections.empty(),
             detection_start=np.zeros(1 + len(scene.sensor_names), np.int64),
             detection_truth_id=np.zeros(0, np.int64),
-            sweeps=tuple(sweep[frame.number : frame.number + 1] for sweep in scene.sweeps) if within else (),
+            sweeps=tuple(sweep[number : number + 1] for sweep in scene.sweeps),
             measurements=None,
         )
 

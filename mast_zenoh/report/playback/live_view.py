@@ -80,6 +80,7 @@ def _follow(observer: Observer, feed: Feed, stop: threading.Event) -> None:
                 feed.publish(*blocks.header_and_block(frame))
             except Exception as error:  # such as numbers that no page can draw: one frame is lost, and the page says so
                 observer.note(f"frame {frame.number} cannot be shown: {error!r:.200}")
+        feed.note(observer.meter.notes)
         if observer.is_over():
             return
         stop.wait(POLL_S)

@@ -34,8 +34,9 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> str:
     if len(runs) > 1:
         agents = [set(run.recording.agent_names if run.recording else run.metrics.get("agents", ())) for run in runs]
         if not agents[0] & agents[1]:
+            names = " and ".join(", ".join(sorted(each)) for each in agents)
             raise NotComparable(
-                f"{runs[0].path} and {runs[1].path}: found no common agent, expected runs of the same scene"
+                f"{runs[0].path} and {runs[1].path}: found the agents {names}, expected runs with a common agent"
             )
     title = " and ".join(run.label if run.label != runs[0].label or run is runs[0] else run.path.name for run in runs)
     return page_text("viewer.html.j2", {"title": title, "headline": title, "viewer": viewer_parts(blocks)})

@@ -18,13 +18,13 @@ SWEPT, TURN = 0.5, 0.002
 
 
 def add_surroundings(packer: Packer, run: RunFolder, frames: int) -> dict[str, Any]:
-    """Add the columns `agents.*` and `swept`, and return `buildings` and `agents` of the header.
+    """Add the columns `agents.*` and `swept`, and return `buildings`, their `tops` and `agents` of the header.
 
     frames: number of frames of the run; a scene that is shorter keeps its last poses
     """
     recording = run.recording
     if recording is None:
-        return {"buildings": [], "agents": []}
+        return {"buildings": [], "tops": [], "agents": []}
     shown = np.minimum(np.arange(frames), len(recording) - 1)
     attacked = adversaries_by_agent(interposers(run))
     agents = [_agent(agent) | {"adversaries": attacked.get(agent.name, ())} for agent in recording.agents]

@@ -32,9 +32,11 @@ _SILENCE_S = 0.5
 _SETTLING = 3
 #: s between two questions whether a silent run is over.
 _ASK_S = 2.0
+#: Questions without an answer after which a run elsewhere has ended: one can get lost.
+_QUESTIONS = 3
 _MOST_NOTES = 10
 #: s for which the wiring is asked for after an epoch, and between two questions.
-_SETTLED_S, _ASK_WIRING_S = 3.0, 0.5
+_ASK_WIRING_FOR_S, _ASK_WIRING_EVERY_S = 3.0, 0.5
 _MOST_INSERTIONS = 100
 
 
@@ -74,7 +76,7 @@ class Observer:
         self._due = 0.0
         self._time_s = 0.0
         self._newest, self._since = -1, time.monotonic()
-        self._asked = self._since
+        self._asked, self._unanswered = self._since, 0
         #: Whether each node is there, of those that have been: set in Zenoh's thread.
         self._presence: dict[str, bool] = {}
         self._epoch_began = threading.Event()
@@ -158,12 +160,17 @@ class Observer:
         return self._wires.states(self.wiring, self._types, self.roles, self._newest)
 
     def is_over(self) -> bool:
-        """Whether the run has ended; asks only if it has been silent for some time."""
+        """Whether the run has ended; asks only if it has been silent for some time.
+
+        Of a run without a folder, no answer counts as the end if several questions in a row have none.
+        """
         now = time.monotonic()
-        if now - self._since < _SILENCE_S or now - self._asked < _ASK_S:
-            return False
-        self._asked = now
-        return self.run.is_over(self.session)
+        if now - self._since < _SILENCE_S:
+            self._unanswered = 0
+        elif now - self._asked >= _ASK_S:
+            self._asked = now
+            self._unanswered = self._unanswered + 1 if self.run.is_over(self.session) else 0
+        return self._unanswered >= (1 if self.run.folder is not None else _QUESTIONS)
 
     def close(self) -> None:
         """Unsubscribe from everything."""
@@ -190,9 +197,9 @@ class Observer:
         now = time.monotonic()
         if self._epoch_began.is_set():
             self._epoch_began.clear()
-            self._ask_wiring_until = now + _SETTLED_S
+            self._ask_wiring_until = now + _ASK_WIRING_FOR_S
         if self._ask_wiring_at <= now < self._ask_wiring_until:
-            self._ask_wiring_at = now + _ASK_WIRING_S
+            self._ask_wiring_at = now + _ASK_WIRING_EVERY_S
             current = self.run.current_wiring(self.session)
             if current is not None and current[0] != self.wiring and self.meter.clock_key(current[0]):
                 self.roles |= current[1]

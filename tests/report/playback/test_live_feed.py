@@ -48,6 +48,27 @@ def test_a_frame_never_meets_the_header_of_another_one() -> None:
         assert listener.take(9, 1.0)[0] == [b"newer"], "the header is sent once"
 
 
+def test_notes_reach_pages_also_if_no_frame_does() -> None:
+    feed = Feed()
+    with feed.listener() as early:
+        assert early is not None
+        for _ in range(2):
+            feed.note(["frame 0 cannot be shown"])
+        messages, _ = early.take(9, 1.0)
+        assert [json.loads(message) for message in messages] == [
+            {"kind": "notes", "notes": ["frame 0 cannot be shown"]}
+        ]
+    with feed.listener() as late:
+        assert late is not None
+        assert late.take(9, 1.0)[0] == messages
+    feed.publish(LASTING, b"frame")
+    feed.note(["another"])
+    with feed.listener() as latest:
+        assert latest is not None
+        kinds = [json.loads(each)["kind"] for each in latest.take(9, 1.0)[0] if isinstance(each, str)]
+    assert kinds == ["lasting", "notes"], "the header first"
+
+
 def test_a_page_that_opens_late_gets_the_newest_frame_and_the_end() -> None:
     feed = Feed()
     feed.publish(LASTING, b"frame")

@@ -121,7 +121,7 @@ def test_events_say_when_the_attack_begins_and_when_it_first_succeeds(block: Blo
     assert frames == sorted(frames)
 
 
-def test_a_frame_takes_less_than_two_kilobytes(loaded_run: RunFolder) -> None:
+def test_a_frame_takes_less_than_two_and_a_half_kilobytes(loaded_run: RunFolder) -> None:
     data = run_block(loaded_run)
     assert data is not None
     header, _ = unpack(data)

@@ -3,45 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from recorded_observer import NUMBERS, RecordedObserver
 
 import mast_zenoh as mast
-from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.viewer.frames import RunFrames
-from mast_zenoh.viewer.live.measurement import FrameMeter, MeasuredFrame
-from mast_zenoh.viewer.live.reception import Sample
 from mast_zenoh.viewer.live.source import LiveFrames
-from mast_zenoh.wiring.model import Wiring
-
-NUMBERS = (9, 10, 22)
-
-
-class RecordedObserver:
-    """An observer that measures the frames of a recording."""
-
-    def __init__(self, run: mast.Run) -> None:
-        resolved = Resolved.read(run.path)
-        self.wiring = Wiring.from_json(resolved.wiring)
-        self.meter = FrameMeter(resolved)
-        self.run = SimpleNamespace(scene=RunFrames.load(run.path).scene, id="run-1")
-        messages = [(m.frame, (m.key, Sample(m.step, m.payload))) for m in read(run.path)]
-        roles = {name: spec.role for name, spec in resolved.nodes.items()}
-        self.waiting: deque[MeasuredFrame | None] = deque([None])
-        for number in NUMBERS:
-            own = [sample for frame, sample in messages if frame == number]
-            self.waiting += [self.meter.measure(number, own, self.wiring, roles), None]
-
-    def advance(self) -> MeasuredFrame | None:
-        return self.waiting.popleft() if self.waiting else None
-
-    def is_over(self) -> bool:
-        return not self.waiting
 
 
 @pytest.fixture(scope="module")
