@@ -5,12 +5,9 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping
 
-import numpy as np
-
 from mast_zenoh.report.film.takes import Take
-from mast_zenoh.report.playback.conduct import node_absences
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.trust_facts import suspensions
+from mast_zenoh.report.playback import events
+from mast_zenoh.report.playback.conduct import spans
 
 
 class Captions:
@@ -38,37 +35,6 @@ class Captions:
 
 def happenings(take: Take) -> list[tuple[int, str]]:
     """(frame, words) of interceptions, attacks, faults, absences and suspensions, the earliest first."""
-    run = take.run
-    found = [*_interceptions(run), *_timeline(take)]
-    for node, start, end in node_absences(run):
-        found.append((int(start), f"{node} is down"))
-        if np.isfinite(end):
-            found.append((int(end), f"{node} is back"))
-    for each in suspensions(run):
-        found.append((take.frame_at(float(each["from_s"])), f"the command centre suspends {each['agent']}"))
-        if each["until_s"] is not None and not take.ended(float(each["until_s"])):
-            found.append((take.frame_at(float(each["until_s"])), f"the suspension of {each['agent']} is lifted"))
-    inside = [(max(frame, take.first), text) for frame, text in found if frame <= take.last]
-    return sorted(inside, key=lambda each: each[0])
-
-
-def _interceptions(run: RunFolder) -> list[tuple[int, str]]:
-    verbs = {"intercept": "inserted on", "release": "released from", "heal": "cut off from"}
-    return [
-        (int(each["frame"]), f"{each['node']} {verbs[each['action']]} {', '.join(each['wires'])}")
-        for each in run.run.get("interceptions", ())
-        if each["action"] in verbs
-    ]
-
-
-def _timeline(take: Take) -> list[tuple[int, str]]:
-    """Planned attacks and faults."""
-    result = []
-    for each in take.run.timeline:
-        attack = each["kind"] == "attack"
-        if not take.ended(float(each["at_s"])):
-            result.append((take.frame_at(float(each["at_s"])), f"{each['label']} begins"))
-        until = each.get("until_s")
-        if until is not None and not take.ended(float(until)):
-            result.append((take.frame_at(float(until)), f"{each['label']} {'ends' if attack else 'heals'}"))
-    return result
+    found = events.happenings(take.run, spans(take.run, take.times), take.times)
+    found.sort(key=lambda each: (each.frame, each.kind != "interception", each.text))
+    return [(max(each.frame, take.first), each.text) for each in found if each.frame <= take.last]

@@ -40,7 +40,7 @@ class Counts(NamedTuple):
 class Take:
     """An estimate of one agent of a run.
 
-    run: as seen by the agent;  estimate: one of SHOWN;  title: of the panel
+    run: as seen by the agent;  estimate: one of SHOWN;  title: of the panel;  times: (f,) s, of the frames
     Raises ConfigurationError for an estimate that the run does not have, RunFolderError for a run without boxes.
     """
 
@@ -58,22 +58,23 @@ class Take:
         own = rows(run.objects, run.objects["estimator"] == run.original(estimate))
         self.run, self.estimate, self.title = replace(run, objects=own), estimate, title or TITLES[estimate]
         seconds = run.seconds(np.arange(self.last + 1))
-        self._times = np.arange(self.last + 1) * run.period_s if seconds is None else seconds
+        regular = np.arange(self.last + 1) * run.period_s
+        self.times: Floats = np.asarray(regular if seconds is None else seconds, np.float64)
         # A film asks for the frames again and again: to choose its window and colours, and to draw.
         self.view = lru_cache(maxsize=4096)(self._view)
 
     def seconds(self, frame: int) -> float:
         """Time of a frame, s since the first."""
-        return float(self._times[min(frame, self.last)])
+        return float(self.times[min(frame, self.last)])
 
     def frame_at(self, seconds: float) -> int:
         """The frame at a time, or else the first or last."""
-        frame = int(np.searchsorted(self._times, seconds + self.run.period_s / 2, side="right")) - 1
+        frame = int(np.searchsorted(self.times, seconds + self.run.period_s / 2, side="right")) - 1
         return min(max(frame, self.first), self.last)
 
     def ended(self, seconds: float) -> bool:
         """Whether the run is over at a time."""
-        return seconds > float(self._times[-1]) + self.run.period_s / 2
+        return seconds > float(self.times[-1]) + self.run.period_s / 2
 
     def _view(self, frame: int) -> FrameView:
         """The boxes and manipulations of a frame."""
@@ -113,6 +114,6 @@ class Take:
         table = self._counts
         if table is None:
             return None
-        times = self._times[np.minimum(table["frame"].astype(np.int64), self.last)]
+        times = self.times[np.minimum(table["frame"].astype(np.int64), self.last)]
         missed, false = (table[name].astype(np.float64) for name in ("fn", "fp"))
         return times.astype(np.float64), missed, false

@@ -103,36 +103,45 @@ def node_absences(run: RunFolder) -> list[tuple[str, float, float]]:
 def spans(run: RunFolder, times: Floats) -> list[dict[str, Any]]:
     """Attacks, faults, interceptions and suspensions as periods.
 
-    Each has label, kind, from_s, until_s (within the run, s) and nodes; faults of links also `cut` or `impaired`, the
-    agents whose link to the command centre is.
+    Each has label, kind, from_s, until_s (within the run, s), nodes, and `begins` and `ends`, what to say when it does;
+    faults of links also `cut` or `impaired`, the agents whose link to the command centre is. Nothing is said of nodes
+    that are lost: `node_absences` has them.
     """
     end = float(times[-1]) + run.period_s if len(times) else 0.0
     result: list[dict[str, Any]] = []
 
-    def add(label: str, kind: str, start: float, until: float | None, nodes: Iterable[str]) -> None:
+    def add(
+        label: str, kind: str, start: float, until: float | None, nodes: Iterable[str], begins: str = "", ends: str = ""
+    ) -> None:
         if start < end:
             until = end if until is None else min(until, end)
-            period = {"from_s": round(start, 3), "until_s": round(until, 3)}
+            period = {"from_s": round(start, 3), "until_s": round(until, 3), "begins": begins, "ends": ends}
             result.append({"label": label, "kind": kind, **period, "nodes": list(nodes)})
 
     for each in run.timeline:
         kind = "attack" if each["kind"] == "attack" else "fault"
-        before = len(result)
-        add(str(each["label"]), kind, float(each["at_s"]), each.get("until_s"), each.get("nodes") or ())
+        before, label = len(result), str(each["label"])
+        words = f"{label} begins", f"{label} {'ends' if kind == 'attack' else 'heals'}"
+        add(label, kind, float(each["at_s"]), each.get("until_s"), each.get("nodes") or (), *words)
         if result[before:] and kind == "fault":
             result[-1] |= _affected_links(run, each)
     for node, start, until in absences(run):
         add(f"{node} lost", "fault", start * run.period_s, until * run.period_s, [node])
     opened: dict[str, dict[str, Any]] = {}
     for event in run.run.get("interceptions", ()):
-        at = second(times, int(event["frame"]))
+        at, node = second(times, int(event["frame"])), event["node"]
+        wires = ", ".join(event["wires"])
         if event["action"] == "intercept":
-            add(f"{event['node']} inserted live", "interception", at, None, [event["node"]])
-            opened[event["node"]] = result[-1]
-        elif event["node"] in opened:
-            opened.pop(event["node"])["until_s"] = round(at, 3)
+            words = f"{node} inserted on {wires}", f"{node} removed from {wires}"
+            add(f"{node} inserted live", "interception", at, None, [node], *words)
+            opened[node] = result[-1]
+        elif node in opened:
+            verb = "released" if event["action"] == "release" else "cut off"
+            opened.pop(node).update(until_s=round(at, 3), ends=f"{node} {verb} from {wires}")
     for each in suspensions(run):
-        add(f"{each['agent']} suspended", "suspension", float(each["from_s"]), each["until_s"], [each["agent"]])
+        agent, period = each["agent"], (float(each["from_s"]), each["until_s"])
+        words = f"the command centre suspends {agent}", f"the suspension of {agent} is lifted"
+        add(f"{agent} suspended", "suspension", *period, [agent], *words)
     return sorted(result, key=lambda each: (each["from_s"], each["label"]))
 
 

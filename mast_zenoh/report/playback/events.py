@@ -35,26 +35,24 @@ def events(run: RunFolder, boxes: BoxTable, periods: list[dict[str, Any]], times
 
     periods: from `conduct.spans`;  times: (f,) s, of the frames
     """
-    found = [*_periods(periods, times), *_first_changes(run), *_first_successes(run, boxes)]
-    for node, start, end in node_absences(run):
-        found.append(Event(int(start), "fault", f"{node} is down"))
-        if end < len(times):
-            found.append(Event(int(end), "fault", f"{node} is back"))
-    found = [each for each in dict.fromkeys(found) if 0 <= each.frame < len(times)]
-    found.sort(key=lambda each: (each.frame, each.kind, each.text))
-    return [{name: value for name, value in each._asdict().items() if value is not None} for each in found]
+    everything = [*happenings(run, periods, times), *_first_changes(run), *_first_successes(run, boxes)]
+    inside = [each for each in dict.fromkeys(everything) if 0 <= each.frame < len(times)]
+    inside.sort(key=lambda each: (each.frame, each.kind, each.text))
+    return [{name: value for name, value in each._asdict().items() if value is not None} for each in inside]
 
 
-def _periods(periods: list[dict[str, Any]], times: Floats) -> list[Event]:
+def happenings(run: RunFolder, periods: list[dict[str, Any]], times: Floats) -> list[Event]:
+    """Beginnings and ends of periods and of nodes' absences, in any order; periods, times: as for `events`."""
     result = []
-    ends = {"attack": "ends", "fault": "heals", "interception": "is removed", "suspension": "is lifted"}
     for each in periods:
-        first = int(np.searchsorted(times, each["from_s"] - 1e-6))
-        last = int(np.searchsorted(times, each["until_s"] - 1e-6))
-        begins = "" if each["kind"] in ("interception", "suspension") else " begins"
-        result.append(Event(first, each["kind"], f"{each['label']}{begins}"))
-        if last < len(times):
-            result.append(Event(last, each["kind"], f"{each['label']} {ends[each['kind']]}"))
+        for at, words in ((each["from_s"], each["begins"]), (each["until_s"], each["ends"])):
+            frame = int(np.searchsorted(times, at - 1e-6))
+            if words and frame < len(times):
+                result.append(Event(frame, each["kind"], words))
+    for node, start, end in node_absences(run):
+        result.append(Event(int(start), "fault", f"{node} is down"))
+        if end < len(times):
+            result.append(Event(int(end), "fault", f"{node} is back"))
     return result
 
 

@@ -80,10 +80,10 @@ class LiveBlocks:
         periods = spans(run, np.array([time_s]))
         for each in observer.insertions:
             until = time_s if each.until_s is None else each.until_s
-            label = f"{each.node} inserted live on {', '.join(each.wires)}"
-            periods.append(
-                {"label": label, "kind": "interception", "from_s": each.since_s, "until_s": until, "nodes": [each.node]}
-            )
+            wires = ", ".join(each.wires)
+            words = {"begins": f"{each.node} inserted on {wires}", "ends": f"{each.node} removed from {wires}"}
+            period = {"from_s": each.since_s, "until_s": until, **words, "nodes": [each.node]}
+            periods.append({"label": f"{each.node} inserted live", "kind": "interception", **period})
         return {
             "number": frame.number,
             "spans": sorted(periods, key=lambda each: (each["from_s"], each["label"])),
