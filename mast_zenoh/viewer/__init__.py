@@ -6,7 +6,6 @@ routes      the estimate that is on each key of a wiring
 evaluated   tables of the evaluator by frame: outcomes of objects, scores, changes by interposers
 palette     the colours of objects
 formats     the formats of exports, by name
-new_files   files and folders that are complete, or not there at all
 export/     a file per format
 loopback    HTTP on the loopback address alone
 servers/    runs for Foxglove and Rerun over a local port
