@@ -19,7 +19,7 @@ _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
 
 @dataclass(frozen=True)
 class _Options:
-    """The options of `mast view`, see there."""
+    """The options of `mast view` as the user gave them; their help texts describe them."""
 
     other: Path | None
     frame: int | None
