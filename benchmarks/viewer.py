@@ -17,9 +17,8 @@ from __future__ import annotations
 import argparse
 import os
 import statistics
+import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +27,9 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.report import write_report
 from mast_zenoh.report.playback.server import viewer_page
 
-CHROMIUM = "/usr/bin/chromium"
-FLAGS = (
-    *("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader"),
-    *("--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
-)
+sys.path.append(str(Path(__file__).parents[1] / "tools"))
+from chromium import browser as chromium
+
 FRAMES, SEED = 500, 1
 #: ms between two moves.
 PAUSE = 60
@@ -67,19 +64,6 @@ SETTINGS = {
     "three panels, all layers": """viewer.state.showPanels(3); viewer.state.choose(0, { eye: 'above' });
       viewer.state.set({ layers: Object.fromEntries(Object.keys(viewer.state.layers).map((name) => [name, true])) })""",
 }
-
-
-@contextmanager
-def chromium() -> Iterator[Any]:
-    """A browser under playwright."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as engine:
-        browser = engine.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        try:
-            yield browser
-        finally:
-            browser.close()
 
 
 def play(folder: Path) -> Path:

@@ -1,5 +1,6 @@
 """The documentation agrees with the code."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from mast_zenoh import errors
 
 DOCS = Path(__file__).parents[1] / "docs"
+PACKAGE = DOCS.parent / "mast_zenoh"
 
 
 @pytest.mark.parametrize("name", sorted(generate_docs.PAGES))
@@ -56,3 +58,21 @@ def test_the_test_map_names_every_folder_of_tests_and_only_files_that_exist() ->
     assert {name for name in named if not (DOCS.parent / name).exists()} == set()
     folders = {f"tests/{path.parent.name}" for path in (DOCS.parent / "tests").glob("*/test_*.py")}
     assert folders <= named
+
+
+#: A line of a list of modules: names, two spaces, and what they are for.
+LISTED = re.compile(r"^ *(\w+/?(?:, \w+/?)*)  +\S", re.MULTILINE)
+
+
+@pytest.mark.parametrize("file", sorted(PACKAGE.rglob("__init__.py")), ids=lambda file: file.parent.name)
+def test_lists_of_modules_in_docstrings_of_packages_name_only_what_exists(file: Path) -> None:
+    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    listed = {name.strip("/") for names in LISTED.findall(text) for name in names.split(", ")}
+    assert listed <= {path.stem for path in file.parent.iterdir()}
+
+
+def test_lists_of_modules_of_viewers_are_complete() -> None:
+    for folder in (PACKAGE / name for name in ("viewer", "viewer/live", "viewer/servers", "report/film")):
+        words = re.findall(r"\w+", ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))) or "")
+        modules = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+        assert modules <= set(words), folder

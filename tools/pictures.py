@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import chromium
 import interception_film
+from chromium import Unavailable
 
 import mast_zenoh as mast
 from mast_zenoh.errors import nearest
@@ -23,17 +25,8 @@ from mast_zenoh.report.playback.server import ViewerServer, viewer_page
 from mast_zenoh.study import comparison, definition
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
-CHROMIUM = Path("/usr/bin/chromium")
-_FLAGS = (
-    *("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader"),
-    *("--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
-)
 #: The frame of the attacked run that pictures show: long after the attack began.
 _FRAME = 73
-
-
-class Unavailable(Exception):
-    """This machine lacks something that a picture needs."""
 
 
 @dataclass(frozen=True)
@@ -78,23 +71,14 @@ def side_by_side(out: Path, workshop: Workshop) -> None:
 
 def viewer(out: Path, workshop: Workshop) -> None:
     """A screenshot of `mast view`; raises Unavailable without playwright or Chromium."""
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        raise Unavailable("playwright is not installed: make dev") from None
-    if not CHROMIUM.is_file():
-        raise Unavailable(f"expected {CHROMIUM}: apt-get install chromium")
-    with ViewerServer(viewer_page([workshop.attacked.path], _FRAME)) as server:
+    with chromium.browser() as browser, ViewerServer(viewer_page([workshop.attacked.path], _FRAME)) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
-            with sync_playwright() as engine:
-                browser = engine.chromium.launch(executable_path=str(CHROMIUM), args=list(_FLAGS))
-                page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
-                page.goto(server.url)
-                page.wait_for_selector(".viewer.v-ready", timeout=60_000)
-                page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-                page.screenshot(path=str(out))
-                browser.close()
+            page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+            page.goto(server.url)
+            page.wait_for_selector(".viewer.v-ready", timeout=60_000)
+            page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            page.screenshot(path=str(out))
         finally:
             server.shutdown()
 
@@ -115,10 +99,10 @@ def main(names: list[str]) -> int:
         print(f"no recipe for {unknown[0]!r}{nearest(unknown[0], RECIPES)}", file=sys.stderr)
         return 2
     left_out = 0
-    with tempfile.TemporaryDirectory(prefix="pictures-") as place:
-        workshop = Workshop(Path(place))
+    with tempfile.TemporaryDirectory(prefix="pictures-") as temporary:
+        workshop = Workshop(Path(temporary))
         for name in names or RECIPES:
-            new = Path(place) / name
+            new = Path(temporary) / name
             try:
                 RECIPES[name](new, workshop)
             except Unavailable as reason:

@@ -35,7 +35,8 @@ Dpi = Annotated[int, typer.Option(help="Pixels per inch; text keeps its size in 
 Plain = Annotated[bool, typer.Option("--plain", help="Panels and legend alone: no title, numbers, strips or caption.")]
 Title = Annotated[str | None, typer.Option(help="In place of the run's name and the agent's.")]
 Captions = Annotated[
-    list[str] | None, typer.Option("--caption", metavar="FRAME:TEXT", help="A caption from this frame on.")
+    list[str] | None,
+    typer.Option("--caption", metavar="FRAME:TEXT", help="A caption from this frame until the next event."),
 ]
 
 

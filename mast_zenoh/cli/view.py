@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +15,33 @@ from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 
 _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
+
+
+@dataclass(frozen=True)
+class _Options:
+    """The options of `mast view` as the user gave them; their help texts describe them."""
+
+    other: Path | None
+    frame: int | None
+    run: str
+    port: int
+    browser: bool
+    foxglove: bool
+    rerun: bool
+    rate: float
+    loop: bool
+
+    def check(self) -> None:
+        """Raise BadParameter for options that exclude each other for every run."""
+        if self.foxglove and self.rerun:
+            raise typer.BadParameter("found --foxglove and --rerun, expected one of them")
+        if not self.foxglove and (self.rate != 1.0 or self.loop):
+            raise typer.BadParameter("--rate and --loop are for --foxglove")
+        if self.foxglove or self.rerun:
+            if self.other is not None:
+                raise typer.BadParameter("found two runs, expected one: other viewers show one run")
+            if self.frame is not None or self.browser:
+                raise typer.BadParameter("--frame and --open are for this testbed's own page")
 
 
 def view(
@@ -48,59 +77,100 @@ def view(
 
     Ctrl-C ends the viewer; it never ends the run.
     """
-    if foxglove and rerun:
-        raise typer.BadParameter("found --foxglove and --rerun, expected one of them")
-    if not foxglove and (rate != 1.0 or loop):
-        raise typer.BadParameter("--rate and --loop are for --foxglove")
-    folder = Path(target)
-    remote = "/" in target and target.partition("/")[0] in _PROTOCOLS and not folder.exists()
+    options = _Options(other, frame, run, port, browser, foxglove, rerun, rate, loop)
+    options.check()
+    remote = _is_router(target)
     if attached:
         viewer_process.observe(target, run, port, remote=remote, browser=browser, foxglove=foxglove, rerun=rerun)
-    elif not remote and folder.is_dir() and not viewer_process.record_of(folder):
-        raise RunFolderError(f"{folder}: found no run.json: the run has not begun, or this is not the folder of a run")
-    elif other is not None and (busy := [str(each) for each in (folder, other) if _is_running(each)]):
-        raise RunFolderError(f"{busy[0]}: the run is still in progress: expected two finished runs")
-    elif remote or (other is None and _is_running(folder)):
-        if frame is not None or rate != 1.0 or loop:
-            raise typer.BadParameter("found a running run, expected a finished one for --frame, --rate and --loop")
-        if other is not None:
-            raise ConfigurationError("two runs on one timeline: expected the folders of two finished runs")
-        chosen = {"--open": browser, "--foxglove": foxglove, "--rerun": rerun}
-        options = [
-            f"--port={port}",
-            *([f"--run={run}"] if run else []),
-            *(name for name, given in chosen.items() if given),
-        ]
-        raise typer.Exit(viewer_process.wait(viewer_process.start(target, *options)))
-    elif foxglove or rerun:
-        if other is not None:
-            raise typer.BadParameter("found two runs, expected one: other viewers show one run")
-        if frame is not None or browser:
-            raise typer.BadParameter("--frame and --open are for this testbed's own page")
-        _serve_to_other_viewers(folder, port, foxglove=foxglove, rate=rate, loop=loop)
+    elif remote:
+        _view_router(target, options)
+    elif _is_running(Path(target)):
+        _view_running(Path(target), options)
     else:
-        _show_finished([folder] if other is None else [folder, other], frame, port, browser)
+        _view_finished(Path(target), options)
+
+
+def _is_router(target: str) -> bool:
+    """Whether a target is the address of a router, and not a folder."""
+    return "/" in target and target.partition("/")[0] in _PROTOCOLS and not Path(target).exists()
 
 
 def _is_running(folder: Path) -> bool:
     return viewer_process.record_of(folder).get("status") == "running"
 
 
-def _show_finished(folders: list[Path], frame: int | None, port: int, browser: bool) -> None:
+def _view_router(router: str, options: _Options) -> None:
+    """Show a running run of a router."""
+    _check_for_running(options)
+    if options.other is not None:
+        raise ConfigurationError("two runs on one timeline: expected the folders of two finished runs")
+    _observe(router, options)
+
+
+def _view_running(folder: Path, options: _Options) -> None:
+    """Show the running run in a folder."""
+    if options.other is not None:
+        raise _in_progress(folder)
+    _check_for_running(options)
+    _check_for_folder(folder, options)
+    _observe(str(folder), options)
+
+
+def _view_finished(folder: Path, options: _Options) -> None:
+    """Show the finished run in a folder, or two of them."""
+    if folder.is_dir() and not viewer_process.record_of(folder):
+        raise RunFolderError(f"{folder}: found no run.json: the run has not begun, or this is not the folder of a run")
+    if options.other is not None and _is_running(options.other):
+        raise _in_progress(options.other)
+    _check_for_folder(folder, options)
+    if options.foxglove or options.rerun:
+        _serve_to_other_viewers(folder, options)
+    else:
+        _show_finished([folder] if options.other is None else [folder, options.other], options)
+
+
+def _check_for_running(options: _Options) -> None:
+    if options.frame is not None or options.rate != 1.0 or options.loop:
+        raise typer.BadParameter("found a running run, expected a finished one for --frame, --rate and --loop")
+
+
+def _check_for_folder(folder: Path, options: _Options) -> None:
+    if options.run:
+        raise typer.BadParameter(f"found {folder}, expected a router, such as tcp/HOST:7447, for --run")
+
+
+def _in_progress(folder: Path) -> RunFolderError:
+    return RunFolderError(f"{folder}: the run is still in progress: expected two finished runs")
+
+
+def _observe(target: str, options: _Options) -> None:
+    """Show a running run in a process of its own; ends the command with its exit code."""
+    chosen = {"--open": options.browser, "--foxglove": options.foxglove, "--rerun": options.rerun}
+    words = [
+        f"--port={options.port}",
+        *([f"--run={options.run}"] if options.run else []),
+        *(name for name, given in chosen.items() if given),
+    ]
+    raise typer.Exit(viewer_process.wait(viewer_process.start(target, *words)))
+
+
+def _show_finished(folders: list[Path], options: _Options) -> None:
     from mast_zenoh.report.playback.server import ViewerServer, viewer_page
 
-    with ViewerServer(viewer_page(folders, frame), port) as server:
-        viewer_process.announce(server, browser)
+    with ViewerServer(viewer_page(folders, options.frame), options.port) as server:
+        viewer_process.announce(server.url, options.browser)
         with suppress(KeyboardInterrupt):
             server.serve_forever()
     _out.print()
 
 
-def _serve_to_other_viewers(folder: Path, port: int, *, foxglove: bool, rate: float, loop: bool) -> None:
-    """Serve a finished run to one of the other viewers."""
-    from mast_zenoh.viewer.servers import finished
+def _serve_to_other_viewers(folder: Path, options: _Options) -> None:
+    """Serve a finished run to one of the other viewers until Ctrl-C."""
+    from mast_zenoh.viewer.frames import RunFrames
+    from mast_zenoh.viewer.servers.other_viewers import serve_to_foxglove, serve_to_rerun
 
-    if foxglove:
-        finished.serve_to_foxglove(folder, port, rate=rate, loop=loop, tell=viewer_process.tell)
+    run, never, print_line = RunFrames.load(folder), threading.Event(), viewer_process.print_line
+    if options.foxglove:
+        serve_to_foxglove(run, options.port, never, print_line, rate=options.rate, loop=options.loop)
     else:
-        finished.serve_to_rerun(folder, port, tell=viewer_process.tell)
+        serve_to_rerun(run, options.port, never, print_line)

@@ -36,7 +36,7 @@ def record_of(folder: Path) -> dict[str, Any]:
 
 @contextmanager
 def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
-    """What prepares a run on a mesh: if wanted, a viewer in a process of its own.
+    """Yield a callback that starts a viewer process for a run on a mesh, if one is wanted.
 
     On a terminal the context waits for Ctrl-C when the run has succeeded; the viewer ends with the context.
     """
@@ -51,9 +51,9 @@ def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
         assert child.stdout is not None
         for line in child.stdout:  # until the page can be opened, or the viewer has failed
             if line.startswith(_LAST_LINE.encode()):
-                tell("Ctrl-C ends the run, and then the viewer.")
+                print_line("Ctrl-C ends the run, and then the viewer.")
                 break
-            tell(line.decode().rstrip())
+            print_line(line.decode().rstrip())
 
     try:
         yield prepare
@@ -113,7 +113,7 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
     from mast_zenoh.viewer.live.measurement import evaluator_class
     from mast_zenoh.viewer.live.observer import Observer
     from mast_zenoh.viewer.live.source import LiveFrames
-    from mast_zenoh.viewer.servers import live
+    from mast_zenoh.viewer.servers.other_viewers import serve_to_foxglove, serve_to_rerun
 
     evaluator_class()  # before the run begins
     with ExitStack() as stack:
@@ -126,7 +126,7 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
         if in_browser:
             title = running.resolved.name if remote else str(record_of(Path(target)).get("name") or target)
             server = stack.enter_context(LiveServer(title, Feed(), port))
-            announce(server, browser)
+            announce(server.url, browser)
         live_view.yield_processors()
         if not remote:
             running = live_view.await_start(Path(target), _START_S, stop)
@@ -136,8 +136,11 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
             return
         observer = Observer(running, session)
         stack.callback(observer.close)
-        serve = live.serve_to_foxglove if foxglove else live.serve_to_rerun
-        serve(LiveFrames(observer, stop), port, stop, tell)
+        frames = LiveFrames(observer, stop)
+        if foxglove:
+            serve_to_foxglove(frames, port, stop, print_line)
+        else:
+            serve_to_rerun(frames, port, stop, print_line)
 
 
 def _delete_keys_of_the_dead(folder: Path) -> None:
@@ -182,18 +185,20 @@ def _stopped(clean_up: Callable[[], None]) -> Iterator[threading.Event]:
         clean_up()
 
 
-def announce(server: Any, browser: bool) -> None:
-    """Print where the page is, and open it if wanted. server: with `url` and `tunnel`"""
-    tell(f"view: {server.url}")
-    tell(f"from another computer: {server.tunnel}")
-    tell(_LAST_LINE)
+def announce(url: str, browser: bool) -> None:
+    """Print the address of a page on this computer, and open it if wanted."""
+    from mast_zenoh.viewer.loopback import tunnel
+
+    print_line(f"view: {url}")
+    print_line(f"from another computer: {tunnel(url)}")
+    print_line(_LAST_LINE)
     if browser:
         import webbrowser
 
-        webbrowser.open(server.url)
+        webbrowser.open(url)
 
 
-def tell(line: str) -> None:
+def print_line(line: str) -> None:
     """Print a line at once, also into a pipe."""
     _out.print(line, markup=False, highlight=False, soft_wrap=True)
     sys.stdout.flush()

@@ -4,17 +4,30 @@ from __future__ import annotations
 
 import getpass
 import socket
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import urlsplit
 
 from mast_zenoh.errors import ConfigurationError
 
 LOOPBACK = "127.0.0.1"
-HOSTS = (LOOPBACK, "localhost")
+#: The refusal of a request to another host.
+HOST_EXPECTED = "expected the host 127.0.0.1 or localhost"
+_HOSTS = (LOOPBACK, "localhost")
 
 
-def tunnel(port: int) -> str:
-    """The command that brings a port of this computer to another computer."""
+def is_own_host(host: str) -> bool:
+    """Whether a `Host` header, with or without a port, names this computer.
+
+    A page of another host can send requests here under that host's name, if its name was made to lead here.
+    """
+    return (host.rpartition(":")[0] or host).lower() in _HOSTS
+
+
+def tunnel(url: str) -> str:
+    """The command that brings the port of an address on this computer to another computer."""
+    port = urlsplit(url).port
     return f"ssh -L {port}:{LOOPBACK}:{port} {getpass.getuser()}@{socket.gethostname()}"
 
 
@@ -60,22 +73,21 @@ class LoopbackServer(ThreadingHTTPServer):
         """Where the page is."""
         return f"http://{LOOPBACK}:{self.server_port}/"
 
-    @property
-    def tunnel(self) -> str:
-        """The command that brings the page to another computer."""
-        return tunnel(self.server_port)
-
 
 class LoopbackHandler(BaseHTTPRequestHandler):
     """Answers requests to this computer's own names, and refuses others."""
 
+    def handle(self) -> None:
+        """Answer a client's requests; one that closes its connection meanwhile, such as a closed tab, is no error."""
+        with suppress(ConnectionError):
+            super().handle()
+
     def do_GET(self) -> None:
         """Check the host, then answer."""
-        name = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
-        if name not in HOSTS:  # a page of another host, whose name was made to lead here
-            self.send_error(HTTPStatus.FORBIDDEN, "expected the host 127.0.0.1 or localhost")
-        else:
+        if is_own_host(self.headers.get("Host", "")):
             self.answer(self.path.partition("?")[0])
+        else:
+            self.send_error(HTTPStatus.FORBIDDEN, HOST_EXPECTED)
 
     def answer(self, path: str) -> None:
         """Answer a request for a path."""

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from chromium import Unavailable
+from chromium import browser as started_browser
 
 #: Number of frames of the runs that page tests share, and the one that pages show first: under attack.
 FRAMES, FRAME = 56, 40
-
-CHROMIUM = Path("/usr/bin/chromium")
-_FLAGS = (
-    *("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader"),
-    *("--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
-)
-
 
 _RUNNING: list[Any] = []
 
@@ -26,20 +21,17 @@ _RUNNING: list[Any] = []
 @contextmanager
 def chromium() -> Iterator[Any]:
     """A browser; skips the test, with the reason, where there is none."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if not CHROMIUM.is_file():
-        pytest.skip(f"no browser: expected {CHROMIUM} (apt-get install chromium)")
     if _RUNNING:  # of another fixture: playwright runs once in a thread
         yield _RUNNING[0]
         return
-    with playwright.sync_playwright() as engine:
-        browser = engine.chromium.launch(executable_path=str(CHROMIUM), args=list(_FLAGS))
-        _RUNNING.append(browser)
+    with ExitStack() as stack:
         try:
-            yield browser
-        finally:
-            _RUNNING.clear()
-            browser.close()
+            browser = stack.enter_context(started_browser())
+        except Unavailable as reason:
+            pytest.skip(str(reason))
+        _RUNNING.append(browser)
+        stack.callback(_RUNNING.clear)
+        yield browser
 
 
 class WatchedPage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.colors import to_rgb, to_rgba
 from mast_zenoh.arrays.geometry import along_and_across, box_corners, heading, to_world
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.report.figures.clipping import clip_polygon
-from mast_zenoh.report.figures.style import ADVERSARY, BUILDING, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, dark_axes
+from mast_zenoh.report.figures.style import ADVERSARY, BUILDING, BUILDING_EDGE, GROUND, OUTCOME_COLOURS
 from mast_zenoh.report.figures.view import Boxes, FrameView
 from mast_zenoh.sensing.camera import Camera
 
@@ -20,15 +21,46 @@ from mast_zenoh.sensing.camera import Camera
 _NEAR = 0.5
 #: Boxes centred nearer than this to the ego are the ego itself, m in the bird's-eye view.
 _SELF = 2.5
-_SKY, _ROAD, _LINE = "#1a2230", GROUND, "#242d39"
 
 #: Faces of a box by the corners of `geometry.box_corners`: front, back, left, right, top, bottom.
 _FACES = np.array([(0, 3, 7, 4), (1, 2, 6, 5), (0, 1, 5, 4), (3, 2, 6, 7), (4, 5, 6, 7), (0, 1, 2, 3)])
 _FRONT = 0
 #: Opacity of lines on the far side of a box; of what covers the boxes behind; of the front; of the sides of errors.
 _FAR_SIDE, _COVER, _FRONT_FILL, _ERROR_FILL = 0.35, 0.35, 0.5, 0.25
-#: The strip of the image that is shown, as fractions of its height: without sky and bonnet.
-STRIP = (0.28, 0.72)
+#: The part of the image that is shown, as fractions of its height: without sky and bonnet.
+IMAGE_CROP = (0.28, 0.72)
+
+
+@dataclass(frozen=True)
+class CameraColours:
+    """Colours of a camera view, `#rrggbb`.
+
+    ground:  of the panel;  frame: around it;  grid: on the road
+    horizon: also the edges of buildings;  outcomes: of boxes, by the keys of OUTCOME_COLOURS
+    """
+
+    ground: str
+    frame: str
+    sky: str
+    road: str
+    grid: str
+    building: str
+    horizon: str
+    outcomes: Mapping[str, str]
+    adversary: str
+
+
+DARK_CAMERA = CameraColours(
+    ground=GROUND,
+    frame=BUILDING_EDGE,
+    sky="#1a2230",
+    road=GROUND,
+    grid="#242d39",
+    building=BUILDING,
+    horizon=BUILDING_EDGE,
+    outcomes=OUTCOME_COLOURS,
+    adversary=ADVERSARY,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +88,11 @@ class Eye:
         depth = self.pixels(corners)[1]
         return self.pixels(clip_polygon(corners, depth - _NEAR))[0]
 
+    @property
+    def crop_aspect(self) -> float:
+        """Height by width of the part of the image that is shown."""
+        return self.camera.height * (IMAGE_CROP[1] - IMAGE_CROP[0]) / self.camera.width
+
 
 def ego_eye(view: FrameView) -> Eye | None:
     """The ego's camera in a frame; None: not in the recorded scene."""
@@ -67,32 +104,34 @@ def ego_eye(view: FrameView) -> Eye | None:
     return Eye(recording.agents[index].camera, *pose)
 
 
-def draw_camera(axes: Axes, view: FrameView, estimator: str, eye: Eye) -> None:
+def draw_camera(axes: Axes, view: FrameView, estimator: str, eye: Eye, colours: CameraColours = DARK_CAMERA) -> None:
     """Draw the boxes of one estimator in a frame, as seen by the ego's camera.
 
     estimator: one of `view.PANELS`
     """
     camera = eye.camera
-    dark_axes(axes)
+    axes.set_facecolor(colours.ground)
+    for spine in axes.spines.values():
+        spine.set_color(colours.frame)
     axes.set_xlim(0, camera.width)
-    axes.set_ylim(camera.height * STRIP[1], camera.height * STRIP[0])
+    axes.set_ylim(camera.height * IMAGE_CROP[1], camera.height * IMAGE_CROP[0])
     axes.set_aspect("equal")
     axes.set_xticks([])
     axes.set_yticks([])
-    _draw_ground(axes, eye)
-    _draw_buildings(axes, view, eye)
-    _draw_boxes(axes, view.boxes[estimator], eye)
+    _draw_ground(axes, eye, colours)
+    _draw_buildings(axes, view, eye, colours)
+    _draw_boxes(axes, view.boxes[estimator], eye, colours)
     marks = view.marks(estimator)
     for points, marker, size in ((marks.added, "D", 12.0), (marks.removed, "x", 11.0)):
         pixels, depth = eye.pixels(points)
         pixels = pixels[depth > _NEAR]
-        axes.plot(*pixels.T, marker, ms=size, mfc="none", mec=ADVERSARY, mew=1.5, zorder=5)
+        axes.plot(*pixels.T, marker, ms=size, mfc="none", mec=colours.adversary, mew=1.5, zorder=5)
 
 
-def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye) -> None:
+def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye, colours: CameraColours) -> None:
     """Boxes, the farthest first; each covers what is behind it, and its front is filled."""
     drawn: list[tuple[float, int, str, Floats, Floats]] = []
-    for order, outcome in enumerate(OUTCOME_COLOURS):
+    for order, outcome in enumerate(colours.outcomes):
         boxes = by_outcome[outcome]
         corners = box_corners(boxes.position, boxes.size, boxes.yaw)
         to_lens = eye.lens - boxes.position
@@ -106,7 +145,7 @@ def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye) -> None:
     drawn.sort(key=lambda each: each[:2])
     polygons, fills, edges, widths = [], [], [], []
     for _, _, outcome, box, seen in drawn:
-        colour = OUTCOME_COLOURS[outcome]
+        colour = colours.outcomes[outcome]
         error = outcome in ("truth missed", "track false")
         for face in np.argsort(seen, kind="stable"):  # the far side first
             polygon = eye.visible(box[_FACES[face]])
@@ -115,8 +154,8 @@ def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye) -> None:
             near = bool(seen[face]) or not seen.any()  # all faces of a box around the camera
             if seen[face]:
                 polygons.append(polygon)
-                fills.append(to_rgba(GROUND, _COVER))
-                edges.append(to_rgba(GROUND, 0.0))
+                fills.append(to_rgba(colours.road, _COVER))
+                edges.append(to_rgba(colours.road, 0.0))
                 widths.append(0.0)
             filled = _FRONT_FILL if face == _FRONT else _ERROR_FILL if error else 0.0
             polygons.append(polygon)
@@ -127,15 +166,15 @@ def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye) -> None:
     axes.add_collection(faces)
 
 
-def _draw_ground(axes: Axes, eye: Eye) -> None:
+def _draw_ground(axes: Axes, eye: Eye, colours: CameraColours) -> None:
     """Sky, road and a grid of 10 m on the plane under the ego."""
     camera, at = eye.camera, eye.position
     turn = heading(eye.rotation @ camera.mount_rotation)
     pixels, _ = eye.pixels(eye.lens[None] + 1e6 * np.array([[np.cos(turn), np.sin(turn), 0.0]]))
     level = float(np.clip(np.nan_to_num(pixels[0, 1]), 0, camera.height))
-    axes.axhspan(0, level, color=_SKY, zorder=0)
-    axes.axhspan(level, camera.height, color=_ROAD, zorder=0)
-    axes.axhline(level, color=BUILDING_EDGE, linewidth=0.8, zorder=1)
+    axes.axhspan(0, level, color=colours.sky, zorder=0)
+    axes.axhspan(level, camera.height, color=colours.road, zorder=0)
+    axes.axhline(level, color=colours.horizon, linewidth=0.8, zorder=1)
     steps = np.arange(-80.0, 81.0, 10.0)
     start = np.floor(at[:2] / 10.0) * 10.0
     lines = []
@@ -144,10 +183,10 @@ def _draw_ground(axes: Axes, eye: Eye) -> None:
         lines.append([[at[0] - 80, start[1] + step, at[2]], [at[0] + 80, start[1] + step, at[2]]])
     segments = [eye.visible(np.array(line)) for line in lines]
     segments = [each for each in segments if len(each) > 1]
-    axes.add_collection(LineCollection(segments, colors=_LINE, linewidths=0.7, zorder=1))
+    axes.add_collection(LineCollection(segments, colors=colours.grid, linewidths=0.7, zorder=1))
 
 
-def _draw_buildings(axes: Axes, view: FrameView, eye: Eye) -> None:
+def _draw_buildings(axes: Axes, view: FrameView, eye: Eye, colours: CameraColours) -> None:
     """Walls, the farthest first, paler with distance."""
     recording = view.run.recording
     if recording is None:
@@ -162,7 +201,7 @@ def _draw_buildings(axes: Axes, view: FrameView, eye: Eye) -> None:
             if len(face) > 2:
                 walls.append((distance, face))
     walls.sort(key=lambda wall: -wall[0])
-    near, far = np.array(to_rgb(BUILDING)), np.array(to_rgb(_SKY))
+    near, far = np.array(to_rgb(colours.building)), np.array(to_rgb(colours.sky))
     shades = [near + (far - near) * min(distance / 140.0, 1.0) for distance, _ in walls]
     faces = [face for _, face in walls]
-    axes.add_collection(PolyCollection(faces, facecolors=shades, edgecolors=BUILDING_EDGE, linewidths=0.6, zorder=2))
+    axes.add_collection(PolyCollection(faces, facecolors=shades, edgecolors=colours.horizon, linewidths=0.6, zorder=2))

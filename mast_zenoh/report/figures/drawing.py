@@ -12,7 +12,7 @@ from matplotlib import figure as figures
 from matplotlib.axes import Axes
 
 from mast_zenoh.report.figures.birdseye import draw_birdseye, key
-from mast_zenoh.report.figures.camera import STRIP, draw_camera, ego_eye
+from mast_zenoh.report.figures.camera import draw_camera, ego_eye
 from mast_zenoh.report.figures.style import FAINT, GROUND, Figure, plain, png, svg
 from mast_zenoh.report.figures.view import FrameView, clipped, window
 from mast_zenoh.report.tables.scores import MEASURES, ScoreTable, number
@@ -125,15 +125,15 @@ def camera_figure(view: FrameView) -> Figure | None:
     eye = ego_eye(view)
     if eye is None:
         return None
-    strip = 11.7 * eye.camera.height * (STRIP[1] - STRIP[0]) / eye.camera.width
+    height = 11.7 * eye.crop_aspect
     view = clipped(view, window([view]))
     without_arrows = [marks._replace(moved=np.zeros((0, 2, 3))) for marks in (view.before, view.behind)]
     view = replace(view, before=without_arrows[0], behind=without_arrows[1])  # arrows are not readable in perspective
     first, *_, last = view.boxes
     estimates = first, last
-    figure = _dark_figure([view], 12.0, 2 * (strip + 0.42) + 0.1, agents=False)
+    figure = _dark_figure([view], 12.0, 2 * (height + 0.42) + 0.1, agents=False)
     for index, estimator in enumerate(estimates):
-        axes = _panel(figure, 0.15, 0.36 + index * (strip + 0.42), 11.7, strip)
+        axes = _panel(figure, 0.15, 0.36 + index * (height + 0.42), 11.7, height)
         draw_camera(axes, view, estimator, eye)
         _title(axes, _PANELS[estimator], view)
     return figure

@@ -10,6 +10,5 @@ schedule   which frame of the run each image of a film shows
 layout     where the parts of an image are
 sheet      the whole image, of these parts: birdseye_panel, agent_marks, camera_panel, strip, legend, theme
 pixels     draws only what changes from one image to the next
-gif, video    encode images
-output     a file that is complete, or not there at all
+gif, video encode images
 """

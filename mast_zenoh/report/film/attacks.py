@@ -12,7 +12,7 @@ from mast_zenoh.report.tables.interposers import interposers
 
 #: s: an attack that changes nothing for so long is over.
 _PAUSE_S = 1.0
-#: Adversaries that are named; more are counted.
+#: Adversaries or agents that are named; more are counted.
 _NAMED = 2
 
 
@@ -54,13 +54,15 @@ class Attacks:
             return "attacks were not measured" if self.possible else "no attack"
         if not self.on(frame):
             waiting = self.attacked(frame)
-            return f"no attack; adversary on the wires of {_names(sorted(waiting))}" if waiting else "no attack"
+            return (
+                f"no attack; adversary on the wires of {_names(sorted(waiting), 'agents')}" if waiting else "no attack"
+            )
         here = rows(self._effects, self._effects["frame"] == frame)
         changes = Counter(here["effect"].astype(str).tolist())
         names = sorted(set(here["interposer"].astype(str).tolist()))
         what = ", ".join(f"{count} {effect}" for effect, count in sorted(changes.items()))
-        return f"attack by {_names(names)}: {what}" if names else "attack: nothing changed in this frame"
+        return f"attack by {_names(names, 'adversaries')}: {what}" if names else "attack: nothing changed in this frame"
 
 
-def _names(names: list[str]) -> str:
-    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} of them"
+def _names(names: list[str], noun: str) -> str:
+    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} {noun}"

@@ -13,7 +13,8 @@ from mast_zenoh.report.playback.conduct import spans
 class Captions:
     """The caption of every frame of a film.
 
-    takes: one for each run;  own: the user's captions by frame, in place of the run's
+    takes: one for each run
+    own:   the user's captions by frame, each in place of the run's of this frame alone
     """
 
     def __init__(self, takes: list[Take], own: Mapping[int, str]) -> None:

@@ -48,7 +48,8 @@ class Window(NamedTuple):
 class Framing:
     """The window of every frame; the same size in all of them.
 
-    fixed: in the middle of the film's window, or relative to the followed agent;  follow: whom to follow
+    fixed:  in the middle of the film's window, or relative to the followed agent
+    follow: the take whose agent is followed
     """
 
     fixed: Window

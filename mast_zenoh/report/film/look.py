@@ -49,7 +49,8 @@ class Look:
     dpi:       pixels per inch; text has a fixed size in points, so more dpi means larger text in a film of one size
     plain:     panels and legend alone: no title, numbers, strips or caption
     title:     in place of the run's name and the agent
-    captions:  `FRAME:TEXT`, in addition to what happens in the run
+    captions:  `FRAME:TEXT`, in place of the run's own caption of this frame; shown until the next caption, of the run
+               or of the user
     """
 
     agent: str | None = None

@@ -14,7 +14,7 @@ from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.report.film import legend
 from mast_zenoh.report.film.attacks import Attacks
 from mast_zenoh.report.film.birdseye_panel import BirdseyePanel
-from mast_zenoh.report.film.camera_panel import CameraPanel, strip_aspect
+from mast_zenoh.report.film.camera_panel import CameraPanel, image_crop_aspect
 from mast_zenoh.report.film.captions import Captions
 from mast_zenoh.report.film.framing import Framing, framing
 from mast_zenoh.report.film.layout import CAMERA_GAP, MARGIN, layout
@@ -42,7 +42,7 @@ class Sheet:
         self._several = len(runs) > 1
         self._attacks = [Attacks(take.run) for take in takes]
         self._captions = Captions(runs, look.own_captions())
-        aspect = strip_aspect(takes[0]) if look.camera else None
+        aspect = image_crop_aspect(takes[0]) if look.camera else None
         if look.camera and aspect is None:
             raise RunFolderError(f"{takes[0].run.path}: {takes[0].run.ego} has no camera: it is not in the scene")
         handles = legend.entries(takes, self._attacks, frames, self._theme)

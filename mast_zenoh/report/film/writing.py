@@ -14,6 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from mast_zenoh.errors import ConfigurationError, ExportError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.launch.new_files import check_free, write_new
 from mast_zenoh.report.figures.view import choose_frame
 from mast_zenoh.report.film import gif, video
 from mast_zenoh.report.film.look import Look
@@ -22,7 +23,6 @@ from mast_zenoh.report.film.schedule import check_frame, schedule
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import TITLES, Take
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.viewer.new_files import check_free, write_new
 
 #: What the names of films end with.
 FILMS = ("mp4", "gif", "webm")

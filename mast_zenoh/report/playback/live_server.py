@@ -17,7 +17,7 @@ from websockets.sync.server import Server, ServerConnection, serve
 from mast_zenoh.report.page import page_text
 from mast_zenoh.report.playback.feed import Feed
 from mast_zenoh.report.playback.inline import live_parts
-from mast_zenoh.viewer.loopback import HOSTS, LOOPBACK, page_headers, tunnel, unusable_port
+from mast_zenoh.viewer.loopback import HOST_EXPECTED, LOOPBACK, is_own_host, page_headers, unusable_port
 
 FRAMES = "/frames"
 _WAKE_S = 1.0
@@ -58,11 +58,6 @@ class LiveServer:
         """Where the page is."""
         return f"http://{LOOPBACK}:{self.port}/"
 
-    @property
-    def tunnel(self) -> str:
-        """The command that brings the page to another computer."""
-        return tunnel(self.port)
-
     def __enter__(self) -> LiveServer:
         self._thread.start()
         return self
@@ -86,8 +81,8 @@ class LiveServer:
             origin = urlsplit(request.headers.get("Origin", f"http://{host}")).netloc.lower()
         except (ValueError, LookupError):  # no address, or several
             return _refusal(HTTPStatus.FORBIDDEN, "expected one host and one origin")
-        if (host.rpartition(":")[0] or host) not in HOSTS:  # a page of another host, whose name was made to lead here
-            return _refusal(HTTPStatus.FORBIDDEN, "expected the host 127.0.0.1 or localhost")
+        if not is_own_host(host):
+            return _refusal(HTTPStatus.FORBIDDEN, HOST_EXPECTED)
         path = request.path.partition("?")[0]
         if path == FRAMES:
             if origin != host:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mast_zenoh.errors import ExportError, nearest
+from mast_zenoh.launch.new_files import check_free, write_new
 from mast_zenoh.viewer.formats import FORMATS, Format
 from mast_zenoh.viewer.frames import RunFrames
-from mast_zenoh.viewer.new_files import check_free, write_new
 
 
 class Exported(NamedTuple):

@@ -5,4 +5,5 @@ reception    the newest messages of each key, in bounded rings
 measurement  one frame, measured as the evaluator measures it
 wires        rates, lag and loss on the wires
 observer     all of these for one run
+source       the frames of such a run, for servers to other viewers
 """

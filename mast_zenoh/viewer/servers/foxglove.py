@@ -18,7 +18,7 @@ from foxglove.websocket import (
 
 from mast_zenoh.viewer.export.foxglove import RunChannels
 from mast_zenoh.viewer.frame import Frame, FrameSource
-from mast_zenoh.viewer.loopback import LOOPBACK, tunnel, unusable_port
+from mast_zenoh.viewer.loopback import LOOPBACK, unusable_port
 from mast_zenoh.viewer.servers.playback import Playback, Status
 
 #: Messages that wait for a client: beyond it, the oldest are dropped; a client that reads none at all is disconnected.
@@ -75,11 +75,6 @@ class FoxgloveServer:
         """The address for "Foxglove WebSocket" connections."""
         return f"ws://{LOOPBACK}:{self._server.port}"
 
-    @property
-    def tunnel(self) -> str:
-        """The command that brings the server to another computer."""
-        return tunnel(self._server.port)
-
     def serve(self) -> None:
         """Send all frames: of a live run as they come, of a finished one from the first subscription until `close`."""
         if self.playback is not None:
@@ -109,13 +104,16 @@ class FoxgloveServer:
                 if self._latest is not None:
                     self._send(self._latest)
 
-    def publish_state(self, *, seek: bool = False) -> None:
+    def publish_state(self) -> None:
         """Tell all clients what the playback is doing."""
         if self.playback is not None:
-            self._server.broadcast_playback_state(self.state(self.playback, seek, None))
+            self._server.broadcast_playback_state(self.state(self.playback))
 
-    def state(self, playback: Playback, seek: bool, request: str | None) -> PlaybackState:
-        """What the playback is doing, in the words of the protocol."""
+    def state(self, playback: Playback, *, seek: bool = False, request: str | None = None) -> PlaybackState:
+        """What the playback is doing, in the words of the protocol.
+
+        seek: whether a client has asked for another time;  request: the id of its request
+        """
         return PlaybackState(_STATUS[playback.status], playback.position_ns(), playback.rate, seek, request)
 
     def note_subscription(self) -> None:
@@ -153,4 +151,4 @@ class _Listener(ServerListener):
             rate=request.playback_speed,
             seek_ns=request.seek_time,
         )
-        return self._server.state(playback, request.seek_time is not None, request.request_id)
+        return self._server.state(playback, seek=request.seek_time is not None, request=request.request_id)

@@ -74,8 +74,6 @@ class _Handler(LoopbackHandler):
                 self._drop(f"has taken nothing for {_STALLED_S:g} s")
             except LateClient as late:
                 self._drop(str(late))
-            except ConnectionError:  # it has gone
-                self.close_connection = True
         elif name in self.server.files:
             kind, content = self.server.files[name]
             self.send_content(content, kind, _POLICY)
@@ -102,12 +100,13 @@ class _Handler(LoopbackHandler):
         self.server.dropped(f"a viewer at port {self.client_address[1]} {reason}: it is disconnected")
 
 
-def serve_live(stream: RrdStream, server: RerunServer) -> None:
-    """Encode a live run and serve it meanwhile, until the run ends; the server then still has what is kept."""
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
+def serve_live(stream: RrdStream, server: RerunServer, stop: threading.Event) -> None:
+    """Encode a live run and serve it meanwhile, until `stop` is set; after the run the server has what is kept."""
+    serving = threading.Thread(target=server.serve_forever, daemon=True)
+    serving.start()
     try:
         stream.encode()
-        thread.join()
+        stop.wait()
     finally:
         server.shutdown()
+        serving.join()

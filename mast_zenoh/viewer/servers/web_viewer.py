@@ -45,8 +45,8 @@ def web_viewer_files() -> dict[str, bytes]:
         try:
             address = _address(process)
             return {name: _fetched(f"{address}/{name}") for name in FILES}
-        except (OSError, queue.Empty) as error:
-            raise ExportError(f"rerun-sdk: its web viewer cannot be read: {error!r}: use the native viewer") from None
+        except OSError as error:
+            raise ExportError(f"rerun-sdk: its web viewer cannot be read: {error}: use the native viewer") from None
         finally:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
@@ -61,17 +61,28 @@ def _environment(home: str) -> Mapping[str, str]:
 
 
 def _address(process: subprocess.Popen[bytes]) -> str:
-    """Where the program serves the files, as it prints it; raises queue.Empty if it does not."""
-    found: queue.Queue[str] = queue.Queue()
+    """Where the program serves the files, as it prints it; raises OSError if it ends first, or takes too long."""
+    found: queue.Queue[str | None] = queue.Queue()
+    last = "it printed nothing"
 
     def read(output: IO[bytes]) -> None:
+        nonlocal last
         for line in output:
-            if match := _ADDRESS.search(line.decode("utf-8", "replace")):
+            text = line.decode("utf-8", "replace").strip()
+            last = text or last
+            if match := _ADDRESS.search(text):
                 found.put(match[1])
+        found.put(None)
 
     assert process.stdout is not None
     threading.Thread(target=read, args=(process.stdout,), daemon=True).start()
-    return found.get(timeout=_DEADLINE_S)
+    try:
+        address = found.get(timeout=_DEADLINE_S)
+    except queue.Empty:
+        raise TimeoutError(f"no address within {_DEADLINE_S:g} s: {last}") from None
+    if address is None:
+        raise ChildProcessError(f"the program ended: {last}")
+    return address
 
 
 def _fetched(address: str) -> bytes:

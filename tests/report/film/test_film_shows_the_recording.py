@@ -120,6 +120,17 @@ def test_an_attack_is_visible_as_long_as_it_is_on(attacked: mast.Run) -> None:
         assert ("UncoordinatedAttack adversary_1, adversary_2 begins" in words) == on
 
 
+def test_many_adversaries_are_counted(edited: Path) -> None:
+    rows = rows_of(edited, "attacks")
+    (frame, *_) = (row["frame"] for row in rows)
+    names = ("adversary_1", "adversary_2", "adversary_3")
+    more = [{**rows[0], "interposer": name} for name in names]
+    write_table(edited / "attacks.parquet", {name: [row[name] for row in (*more, *rows)] for name in rows[0]})
+    sheet = sheet_of(edited)
+    sheet.show(frame)
+    assert "attack by 3 adversaries: " in " ".join(text.get_text() for text in sheet.figure.texts)
+
+
 def test_live_interceptions_have_captions_and_mark_the_agent_while_they_last(intercepted: Path) -> None:
     sheet = sheet_of(intercepted)
     captions, marked = {}, {}
@@ -136,10 +147,13 @@ def test_live_interceptions_have_captions_and_mark_the_agent_while_they_last(int
     assert marked == {7: [], 8: ["infra_1"], 10: ["infra_1", "infra_2"], 19: ["infra_1", "infra_2"], 20: ["infra_2"]}
 
 
-def test_a_caption_of_ones_own_replaces_that_of_the_run(intercepted: Path) -> None:
+def test_a_caption_of_ones_own_replaces_that_of_the_run_until_the_next_event(intercepted: Path) -> None:
     sheet = sheet_of(intercepted, Look(captions=("10:costs $5: now two",)))
     sheet.show(11)
     assert "frame 10: costs \\$5: now two" in [text.get_text() for text in sheet.figure.texts]
+    sheet.show(20)
+    words = [text.get_text() for text in sheet.figure.texts]
+    assert "frame 20: adversary_1 released from agent/infra_1/detections" in words, "the next event is shown"
 
 
 def test_a_distant_false_track_does_not_widen_the_window(edited: Path) -> None:

@@ -28,9 +28,9 @@ def write_new(out: Path, write: Callable[[Path], object]) -> tuple[Path, ...]:
     in the way, DiskFull.
     """
     try:
-        with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out.absolute().parent) as place:
-            write(Path(place) / out.name)
-            written = sorted(Path(place).iterdir())
+        with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out.absolute().parent) as temporary:
+            write(Path(temporary) / out.name)
+            written = sorted(Path(temporary).iterdir())
             targets = tuple(out.with_name(path.name) for path in written)
             for target in targets:
                 check_free(target)
