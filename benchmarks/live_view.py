@@ -34,11 +34,11 @@ from websockets.sync.client import connect
 
 from mast_zenoh.launch.folder import read_json
 
-CHROMIUM = "/usr/bin/chromium"
-_FLAGS = ("--headless", "--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader")
-_DRAWING = (*_FLAGS, "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+sys.path.append(str(Path(__file__).parents[1] / "tools"))
+from chromium import FLAGS, PROGRAM
+
 _MAST = (sys.executable, "-m", "mast_zenoh")
-_SETTLE_S = 2.0  # until a viewer that came or went no longer loads anything
+_SETTLE_S = 3.0  # from the first frame, or the end of a viewer; longer than a stopped page is waited for
 _FRAMES = 20_000  # of the run; its scene takes minutes to prepare, once
 
 
@@ -69,7 +69,7 @@ def page(kind: str, url: str) -> Iterator[list[int]]:
     if kind == "browser":
         with tempfile.TemporaryDirectory() as profile:
             browser = subprocess.Popen(
-                [CHROMIUM, *_DRAWING, f"--user-data-dir={profile}", "--remote-debugging-port=0", url],
+                [str(PROGRAM), "--headless", *FLAGS, f"--user-data-dir={profile}", "--remote-debugging-port=0", url],
                 stderr=subprocess.DEVNULL,
             )
             try:
@@ -89,8 +89,11 @@ def page(kind: str, url: str) -> Iterator[list[int]]:
             except ConnectionClosed:
                 pass
 
+        while not isinstance(connection.recv(timeout=120.0), bytes):
+            pass  # until the first frame: the viewer has loaded everything
         reader = threading.Thread(target=read)
         if kind == "reading":
+            connection.send("shown")
             reader.start()
         try:
             yield received

@@ -14,6 +14,7 @@ latency       latencies on the wall clock
 conclusion    writes the results at the end;  notices: what deserves attention
 ending        maps endings to a status and an exit code;  liveness: whether a launcher is alive
 folder        the run folder;  tables: columns as Parquet;  nodelogs: logs of nodes in this process
+new_files     files and folders that are complete, or not there at all
 log_reading   reads the logs of a run's nodes
 display       progress on the console, from observation: activity of the nodes, newest_score
 description   describes a running run to observers
