@@ -28,6 +28,7 @@ export class Viewer {
     this.events = new EventList(this.state, (x, y) => this.goTo(x, y));
     const below = element("div", { class: "v-below" }, this.charts.root, this.events.root);
     root.replaceChildren(this.controls.toolbar, this.stage, this.legend, this.controls.transport, below);
+    this.advancing = 0;
     this.makePanels();
     this.listen();
     this.update(["theme"]);
@@ -94,17 +95,19 @@ export class Viewer {
       return;
     }
     if (state.frame >= state.timeline.frames - 1) state.seek(0);
-    let [time, before] = [state.time, performance.now()];
+    let [time, before, frame] = [state.time, performance.now(), state.frame];
     const advance = (now) => {
       if (!state.playing) return;
-      time += ((now - before) / 1000) * state.speed;
+      if (state.frame !== frame) time = state.time; // the slider was moved
+      time += (Math.max(now - before, 0) / 1000) * state.speed; // the first may have begun before
       before = now;
       state.seekTime(time);
-      if (Math.abs(state.time - time) > 0.5) time = state.time; // someone moved the slider
-      if (state.frame >= state.timeline.frames - 1) state.set({ playing: false });
-      else requestAnimationFrame(advance);
+      frame = state.frame;
+      if (frame >= state.timeline.frames - 1) state.set({ playing: false });
+      else this.advancing = requestAnimationFrame(advance);
     };
-    requestAnimationFrame(advance);
+    cancelAnimationFrame(this.advancing); // paused and played within one frame of the screen
+    this.advancing = requestAnimationFrame(advance);
   }
 
   /**
