@@ -74,7 +74,7 @@ export class Viewer {
     const { state } = this;
     if (changed.includes("panels")) {
       if (this.panels.length !== state.panels.length) this.makePanels();
-      else this.panels.forEach((panel) => panel.chooseAgain());
+      else this.panels.forEach((panel) => panel.rebuildChoices());
       this.events.fill();
     }
     if (changed.includes("playing") && state.playing) this.begin();
@@ -127,7 +127,7 @@ export class Viewer {
       const count = state.panels.length;
       state.panels = [];
       state.showPanels(count);
-    } else if (changed) this.panels.forEach((panel) => panel.chooseAgain());
+    } else if (changed) this.panels.forEach((panel) => panel.rebuildChoices());
     if (happened) this.events.fill();
     this.redraw();
   }
