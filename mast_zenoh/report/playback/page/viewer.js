@@ -27,7 +27,7 @@ export class Viewer {
     this.charts = new Charts(this.state);
     this.events = new EventList(this.state, (x, y) => this.goTo(x, y));
     const below = element("div", { class: "v-below" }, this.charts.root, this.events.root);
-    root.replaceChildren(this.controls.toolbar, this.stage, this.legend, this.controls.transport, below);
+    root.replaceChildren(this.controls.toolbar, this.stage, this.legend, this.controls.transport, this.controls.notice, below);
     this.advancing = 0;
     this.makePanels();
     this.listen();
@@ -121,8 +121,10 @@ export class Viewer {
     const changed = before.header.views.length !== run.header.views.length;
     if (before.agents !== run.agents) this.colours = ""; // the legend follows the agents
     const happened = before.events.length !== run.events.length;
+    const kept = state.frame - dropped;
+    if (!state.playing && kept < 0) state.gone ??= state.time;
     state.runs[0] = run;
-    state.frame = state.playing ? run.frames - 1 : Math.max(state.frame - dropped, 0);
+    state.frame = state.playing ? run.frames - 1 : Math.min(Math.max(kept, 0), run.frames - 1);
     if (changed && state.untouched) {
       const count = state.panels.length;
       state.panels = [];
