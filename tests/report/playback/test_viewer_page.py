@@ -112,7 +112,7 @@ def test_slider_keys_and_playing_move_through_the_run(report: Path, open_page: O
 
 def test_a_slow_scene_is_played_from_wherever_the_slider_is(report: Path, open_page: OpenPage) -> None:
     page = open_page(report)
-    page.run("viewer.state.runs[0].times.forEach((seconds, frame, times) => { times[frame] = 10 * seconds; })")
+    page.run("viewer.state.runs[0].times.forEach((seconds, frame, times) => { times[frame] = 50 * seconds; })")
     page.run("viewer.state.seek(3)")
     page.page.get_by_label("speed").select_option("4")
     page.page.get_by_role("button", name="play").click()
