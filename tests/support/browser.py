@@ -15,6 +15,21 @@ from chromium import browser as started_browser
 #: Number of frames of the runs that page tests share, and the one that pages show first: under attack.
 FRAMES, FRAME = 56, 40
 
+#: How many pixels of the first panel have a colour, and how many of them are near a place in m.
+_COLOURED = """([colour, x, y, tolerance, reach]) => {
+  const { canvas } = viewer.panels[0];
+  const wanted = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const [px, py] = viewer.viewport.toScreen(x, y, canvas.clientWidth, canvas.clientHeight);
+  let [all, near] = [0, 0];
+  for (let i = 0; i < data.length; i += 4) {
+    if (wanted.some((value, channel) => Math.abs(data[i + channel] - value) > tolerance)) continue;
+    all++;
+    near += Math.hypot((i / 4) % width - px, Math.floor(i / 4 / width) - py) < reach;
+  }
+  return [all, near];
+}"""
+
 _RUNNING: list[Any] = []
 
 
@@ -61,6 +76,14 @@ class WatchedPage:
     def settle(self) -> None:
         """Wait until the page has drawn."""
         self.run("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def coloured(self, colour: str, x: float, y: float, tolerance: int = 12, reach: int = 3) -> tuple[int, int]:
+        """How many pixels of the first panel have a colour, and how many of them are near a place.
+
+        colour: #rrggbb;  x, y: m;  tolerance: in each channel;  reach: px
+        """
+        everywhere, near = self.run(_COLOURED, [colour, x, y, tolerance, reach])
+        return everywhere, near
 
     def screenshot(self, name: str) -> None:
         """Keep a screenshot, if $MAST_TEST_SCREENSHOTS names a folder."""

@@ -33,22 +33,6 @@ def links(page: WatchedPage, frame: int) -> dict[str, str]:
     return {link["agent"]: link["state"] for link in page.run("viewer.marks(0)")["links"]["links"]}
 
 
-#: How many pixels of the first panel have a colour, and how many of them are within 3 px of a place in m.
-_COLOURED = """([colour, x, y]) => {
-  const { canvas } = viewer.panels[0];
-  const wanted = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
-  const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-  const [px, py] = viewer.viewport.toScreen(x, y, canvas.clientWidth, canvas.clientHeight);
-  let [all, near] = [0, 0];
-  for (let i = 0; i < data.length; i += 4) {
-    if (wanted.some((value, channel) => Math.abs(data[i + channel] - value) > 12)) continue;
-    all++;
-    near += Math.hypot((i / 4) % width - px, Math.floor(i / 4 / width) - py) < 3;
-  }
-  return [all, near];
-}"""
-
-
 def test_a_partition_cuts_the_links_of_its_agents(both: Path, open_page: OpenPage) -> None:
     page = open_page(both)
     page.run("viewer.state.showPanels(1)")
@@ -68,13 +52,13 @@ def test_a_partition_cuts_the_links_of_its_agents(both: Path, open_page: OpenPag
     for link in marks["links"]:
         ends = np.array([[marks["x"], marks["y"]], [link["x"], link["y"]]])
         middle = ends.mean(axis=0)
-        assert page.run(_COLOURED, [fault, *middle])[1] == 0, "a link has a gap, or another colour"
-    coloured = page.run(_COLOURED, [fault, 0, 0])[0]
+        assert page.coloured(fault, *middle.tolist())[1] == 0, "a link has a gap, or another colour"
+    coloured = page.coloured(fault, 0, 0)[0]
     assert coloured > 20
     page.page.get_by_text("layers").click()
     page.page.get_by_label("links to the command centre").uncheck()
     page.settle()
-    assert page.run(_COLOURED, [fault, 0, 0])[0] < coloured / 2
+    assert page.coloured(fault, 0, 0)[0] < coloured / 2
     page.screenshot("partition")
 
 

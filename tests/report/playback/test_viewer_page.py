@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import FRAME, FRAMES, WatchedPage
+from launched import eventually
 
 from mast_zenoh.launch.tables import read_table
 
@@ -109,6 +110,50 @@ def test_slider_keys_and_playing_move_through_the_run(report: Path, open_page: O
     assert not page.run("viewer.state.playing")
 
 
+def test_a_slow_scene_is_played_from_wherever_the_slider_is(report: Path, open_page: OpenPage) -> None:
+    page = open_page(report)
+    page.run("viewer.state.runs[0].times.forEach((seconds, frame, times) => { times[frame] = 50 * seconds; })")
+    page.run("viewer.state.seek(3)")
+    page.page.get_by_label("speed").select_option("4")
+    page.page.get_by_role("button", name="play").click()
+    eventually(lambda: page.run("viewer.state.frame") >= 5, "two frames are played", 60)
+    page.page.locator(".v-slider").fill("30")
+    eventually(lambda: page.run("viewer.state.frame") not in (30, 31), "two more are played", 60)
+    assert 32 <= page.run("viewer.state.frame") < FRAMES - 1
+    assert page.run("viewer.state.playing")
+
+
+def test_the_canvas_shows_false_tracks_red_and_matched_ones_blue(report: Path, open_page: OpenPage) -> None:
+    page = open_page(report)
+    marks = next(
+        marks
+        for frame in range(22, FRAMES)
+        for marks in [drawn_marks(page, frame, "ego", "mission")]
+        if any(box["outcome"] == "false" for box in marks["boxes"])
+    )
+    tracks = [box for box in marks["boxes"] if box["kind"] == "track"]
+    false = next(box for box in tracks if box["outcome"] == "false")
+    matched = max(
+        (box for box in tracks if box["outcome"] == "matched" and math.dist(_place(box), _place(false)) < 30),
+        key=lambda box: math.dist(_place(box), _place(false)),
+    )
+    page.run("([x, y]) => Object.assign(viewer.viewport, { x, y, half: 40 })", _place(false))
+    colours = [page.run(f"viewer.palette().outcomes['{name}']") for name in ("track false", "track matched")]
+    layers = ["trails", "velocity", "ellipses", "links", "ranges", "space", "manipulations", "paths"]
+    page.run(f"viewer.state.set({{ layers: Object.fromEntries({layers}.map((name) => [name, false])) }})")
+    found = []
+    for estimate in ("mission", "truth"):
+        page.run("(estimate) => viewer.state.choose(0, { estimate })", estimate)
+        page.settle()
+        found += [[page.coloured(each, *_place(box), 40, 6)[1] > 3 for each in colours] for box in (false, matched)]
+    assert found == [[True, False], [False, True], [False, False], [False, False]]
+    page.screenshot("pixels")
+
+
+def _place(box: dict[str, Any]) -> tuple[float, float]:
+    return box["x"], box["y"]
+
+
 def test_hovering_says_what_a_box_is_and_why(report: Path, open_page: OpenPage) -> None:
     page = open_page(report)
     marks: dict[str, Any] = {}
@@ -199,8 +244,8 @@ def test_at_500_px_nothing_is_cut_off(report: Path, open_page: OpenPage, theme: 
       return box.width > 0 && (box.right > 500 || box.left < 0);
     }).map((each) => each.className)"""
     assert page.run(beyond) == []
-    picture = page.page.locator(".v-canvas").bounding_box()
-    assert picture["width"] > 400
+    canvas = page.page.locator(".v-canvas").bounding_box()
+    assert canvas["width"] > 400
     page.screenshot(f"500_{theme}")
 
 
@@ -215,7 +260,7 @@ def test_printing_gives_the_chosen_frame_without_controls(report: Path, open_pag
     corner = page.run(
         "[...document.querySelector('.v-charts').getContext('2d').getImageData(2, 2, 1, 1).data].slice(0, 3)"
     )
-    assert min(corner) > 240, "on paper the picture is light, also if the screen is dark"
+    assert min(corner) > 240, "on paper the charts are light, also if the screen is dark"
     ink = page.run("getComputedStyle(document.querySelector('.v-legend')).color")
     assert ink == "rgb(27, 31, 36)"
     assert page.run("viewer.palette().outcomes['truth matched']") in page.page.locator(".v-legend").inner_html()

@@ -1,6 +1,6 @@
-// The numbers over time, below the picture and on its time: bands, missed, false, RMSE, trust.
+// The numbers over time, below the panels and on their time: bands, missed, false, RMSE, trust.
 
-import { element, fitted } from "./elements.js";
+import { element, resizeCanvas } from "./elements.js";
 import { colourOfKind, faded } from "./palette.js";
 import { TRUTH } from "./run.js";
 
@@ -59,7 +59,7 @@ export class Charts {
     const lanes = placeInLanes(spans, this.end - this.begin);
     const head = lanes.length ? lanes.length * LANE + 8 : 4;
     this.canvas.style.height = `${head + rows.length * ROW + FOOT + 2}px`; // with its border
-    const { context, width, height } = fitted(this.canvas);
+    const { context, width, height } = resizeCanvas(this.canvas);
     const [begin, end] = [this.begin, this.end];
     const x = (seconds) => LEFT + ((Math.max(seconds, begin) - begin) / (end - begin)) * (width - LEFT - RIGHT);
     context.fillStyle = palette.ground;

@@ -38,7 +38,7 @@ export async function decodeBlock(packed) {
   return { header, columns };
 }
 
-/** Add a column that is decoded when it is first read: most are not needed for the first picture. */
+/** Add a column that is decoded when it is first read: most are not needed for the first drawing. */
 function decodeWhenRead(columns, content, at, entry) {
   const keep = (value) => Object.defineProperty(columns, entry.name, { value, writable: true });
   const get = () => {

@@ -31,11 +31,17 @@ export class Controls {
       const onclick = () => this.step(by);
       return element("button", { type: "button", title: label, "aria-label": label, onclick }, text);
     };
-    const speed = choice("speed", SPEEDS.map((each) => [String(each), `${each}×`]), "1", (value) => state.set({ speed: Number(value) }));
+    const speed = state.runs[0].live ? [] : [this.speeds()];
+    this.notice = element("p", { class: "v-notice", role: "status", hidden: true });
     this.transport = element(
-      "div", { class: "v-transport" }, this.play, step(-1, "‹", "one frame back"), step(1, "›", "one frame on"), this.slider, this.time, speed,
+      "div", { class: "v-transport" }, this.play, step(-1, "‹", "one frame back"), step(1, "›", "one frame on"), this.slider, this.time, ...speed,
     );
     this.toolbar = element("div", { class: "v-toolbar" }, ...this.tools());
+  }
+
+  /** How fast a finished run is played. */
+  speeds() {
+    return choice("speed", SPEEDS.map((each) => [String(each), `${each}×`]), "1", (value) => this.state.set({ speed: Number(value) }));
   }
 
   tools() {
@@ -85,6 +91,9 @@ export class Controls {
     this.slider.value = String(state.frame);
     const of = run.live ? (state.playing ? ", live" : "") : ` of ${run.frames - 1}`;
     this.time.textContent = `${state.time.toFixed(1)} s · frame ${run.numberOf(state.frame)}${of}`;
+    this.notice.hidden = state.gone === null;
+    const notice = state.gone === null ? "" : run.absence(state.gone);
+    if (this.notice.textContent !== notice) this.notice.textContent = notice;
     this.counts.forEach((button, i) => button.setAttribute("aria-pressed", String(i + 1 === state.panels.length)));
     this.swipe.setAttribute("aria-pressed", String(state.swipe));
     this.follow.value = state.follow;
@@ -106,7 +115,7 @@ export class Controls {
     const actionsByKey = {
       " ": () => state.set({ playing: !state.playing }),
       ArrowLeft: () => this.step(-far), ArrowRight: () => this.step(far),
-      Home: () => this.step(-Infinity), End: () => this.step(state.timeline.frames),
+      Home: () => this.step(-Infinity), End: () => (state.runs[0].live ? state.set({ playing: true }) : this.step(state.timeline.frames)),
       "+": () => actions.zoom(1.25), "=": () => actions.zoom(1.25), "-": () => actions.zoom(0.8), f: actions.fit,
       1: () => state.showPanels(1), 2: () => state.showPanels(2), 3: () => state.showPanels(3),
       c: () => state.choose(0, { eye: state.panels[0].eye === "camera" ? "above" : "camera" }),

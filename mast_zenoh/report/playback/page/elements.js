@@ -37,7 +37,7 @@ export function choice(label, options, value, onchange) {
  * @param {HTMLCanvasElement} canvas
  * @returns {{context: CanvasRenderingContext2D, width: number, height: number}} sizes in CSS pixels
  */
-export function fitted(canvas) {
+export function resizeCanvas(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas;
   const ratio = window.devicePixelRatio || 1;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {

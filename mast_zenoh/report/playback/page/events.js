@@ -31,6 +31,8 @@ export class EventList {
         const onclick = () => {
           this.state.set({ playing: false });
           this.state.seekTime(event.time);
+          const { live, begin } = this.state.timeline;
+          if (live && event.time < begin - 1e-3) this.state.set({ gone: event.time });
           if (event.x !== undefined) this.goTo(event.x, event.y);
         };
         const time = element("span", { class: "v-when" }, `${event.time.toFixed(1)} s`);

@@ -1,4 +1,4 @@
-// What the signs in the picture mean, with the colours in use.
+// What the signs in the panels mean, with the colours in use.
 
 import { element } from "./elements.js";
 import { faded, OUTCOMES } from "./palette.js";

@@ -2,10 +2,11 @@
 
 import { decodeBlock } from "./columns.js";
 import { element } from "./elements.js";
-import { FrameHistory } from "./live_run.js";
+import { FrameHistory } from "./frame_history.js";
 import { Viewer } from "./viewer.js";
 import { WireTable } from "./wires.js";
 
+const WAITING = "Waiting for the first frame of the run.";
 /** ms before a lost connection is tried again. */
 const RETRY_MS = 1000;
 /** The code with which the server refuses a page. */
@@ -19,7 +20,7 @@ const RATE_MS = 3000;
  * @returns {Promise<Viewer>} once its first frame is there
  */
 export function showLive(root) {
-  const status = element("p", { class: "v-live", role: "status" }, "Waiting for the first frame of the run.");
+  const status = element("p", { class: "v-live", role: "status" }, WAITING);
   root.replaceChildren(status);
   return new Promise((resolve) => new LiveView(root, status, resolve).connect());
 }
@@ -37,9 +38,12 @@ class LiveView {
     this.dropped = 0;
     this.busy = false;
     this.counted = false;
+    /** Whether the run has ended, or the page is being left. */
+    this.over = false;
   }
 
   connect() {
+    if (this.over) return;
     const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${this.root.dataset.live}`;
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
@@ -57,34 +61,44 @@ class LiveView {
 
   /** @param {string | ArrayBuffer} data @param {WebSocket} socket from which it came */
   take(data, socket) {
-    this.queue.push({ data, socket });
+    const message = typeof data === "string" ? JSON.parse(data) : null;
+    if (message?.kind === "over") this.over = true; // the connection may close before the frames ahead of it are shown
+    this.queue.push({ message, data, socket });
     if (!this.busy) this.work();
   }
 
   async work() {
     this.busy = true;
     while (this.queue.length) {
-      const { data, socket } = this.queue.shift();
+      const { message, data, socket } = this.queue.shift();
       try {
-        if (typeof data === "string") this.obey(JSON.parse(data));
+        if (message) this.handleControl(message);
         else await this.extend(data);
       } catch (error) {
         this.say(`A frame cannot be shown: ${error}`);
       }
-      if (typeof data !== "string" && socket.readyState === WebSocket.OPEN) socket.send("shown"); // two are sent ahead
+      if (!message && socket.readyState === WebSocket.OPEN) socket.send("shown"); // two are sent ahead
     }
     this.busy = false;
   }
 
   /** @param {any} message */
-  obey(message) {
-    if (message.kind === "lasting") this.frames.begin(message.header);
+  handleControl(message) {
+    if (message.kind === "lasting" && this.frames.begin(message.header)) this.leave("Another run is shown here; opening it.");
+    if (message.kind === "notes" && !this.viewer) this.say([WAITING, ...message.notes].join(" · ")); // frames have them too
     if (message.kind === "dropped") this.dropped += message.count;
     if (message.kind === "over") {
-      this.over = true;
-      this.say(`The run has ended${message.reload ? "; opening all of it" : ""}.`);
-      if (message.reload) location.reload();
+      if (message.reload) this.leave("The run has ended; opening all of it.");
+      else this.say("The run has ended.");
     }
+  }
+
+  /** Load the page again, which shows something else by now. @param {string} reason */
+  leave(reason) {
+    this.over = true;
+    this.queue = [];
+    this.say(reason);
+    location.reload();
   }
 
   /** @param {ArrayBuffer} data a frame */
@@ -92,6 +106,7 @@ class LiveView {
     const block = await decodeBlock(new Uint8Array(data));
     if (!this.frames.lasting) return;
     const dropped = this.frames.add(block);
+    if (dropped === null) return;
     const run = this.frames.joined();
     if (this.viewer) this.viewer.extend(run, dropped);
     else {

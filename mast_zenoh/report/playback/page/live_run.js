@@ -1,131 +1,15 @@
-// A running run: the newest of its frames, which arrive one by one, joined to a run.
+// A running run: the newest of its frames, joined to a run.
 
-import { expand, PATH_STEP_M, Run } from "./run.js";
+import { Run } from "./run.js";
 
 /** Most frames, and most boxes, that the page keeps. */
-const MOST_FRAMES = 600;
-const MOST_ROWS = 100000;
-/** Most places of the paths of all objects. */
-const MOST_PLACES = 20000;
+export const MOST_FRAMES = 600;
+export const MOST_ROWS = 100000;
 
 /**
  * @typedef {{header: any, columns: import("./columns.js").Columns, rows: number, matches: Int32Array,
  *            before: Int32Array, views: Map<string, number>}} Part one frame
  */
-
-/** Collects frames. */
-export class FrameHistory {
-  constructor() {
-    /** @type {Part[]} */ this.parts = [];
-    this.lasting = null;
-    /** @type {Map<number, {width: number, places: number[][]}>} by id of the object */ this.paths = new Map();
-    this.places = 0;
-    /** @type {Map<string, any>} what happened, by its words */ this.events = new Map();
-    /** @type {Set<string>} nodes that are down */ this.down = new Set();
-  }
-
-  /** Use another lasting part of the header; frames of another scene are dropped. @param {any} lasting */
-  begin(lasting) {
-    const shape = (/** @type {any} */ header) => JSON.stringify(header.agents.map((agent) => [agent.name, agent.sectors]));
-    if (this.lasting && shape(this.lasting) !== shape(lasting)) this.parts = [];
-    this.lasting = lasting;
-  }
-
-  /**
-   * Add a frame.
-   * @param {{header: any, columns: import("./columns.js").Columns}} block
-   * @returns {number} how many old frames were dropped
-   */
-  add({ header, columns }) {
-    const rows = columns["box.id"].length;
-    const views = new Map(header.views.map((view) => [`${view.agent} ${view.estimate}`, view.row]));
-    const part = { header, columns, rows, matches: expand(columns.matched, columns.match), before: new Int32Array(0), views };
-    part.before = linked(part, this.parts[this.parts.length - 1]);
-    this.parts.push(part);
-    this.follow(part);
-    let kept = this.parts.reduce((sum, each) => sum + each.rows, 0);
-    let dropped = 0;
-    while (this.parts.length - dropped > 1 && (this.parts.length - dropped > MOST_FRAMES || kept > MOST_ROWS)) {
-      kept -= this.parts[dropped++].rows;
-    }
-    this.parts.splice(0, dropped);
-    return dropped;
-  }
-
-  /** Keep the paths of the objects, and what happened. @param {Part} part */
-  follow({ header, columns, rows }) {
-    for (let row = 0; row < rows && columns["box.truth"][row]; row++) {
-      const id = columns["box.id"][row];
-      const place = [columns["box.x"][row], columns["box.y"][row]];
-      const path = this.paths.get(id) ?? { width: columns["box.w"][row], places: [] };
-      const last = path.places[path.places.length - 1];
-      if (last && Math.hypot(place[0] - last[0], place[1] - last[1]) <= PATH_STEP_M) continue;
-      path.places.push(place);
-      this.paths.set(id, path);
-      this.places += 1;
-    }
-    if (this.places > MOST_PLACES) {
-      this.paths.clear();
-      this.places = 0;
-    }
-    for (const event of this.happened(header, columns)) {
-      const key = event.again ? `${event.time} ${event.text}` : event.text;
-      if (!this.events.has(key)) this.events.set(key, event);
-    }
-  }
-
-  /** What this frame adds to the list of events. */
-  happened(header, columns) {
-    const time = columns.time[0];
-    const [begins, ends] = [{ interception: "" }, { interception: "is removed", fault: "heals" }];
-    const text = (span, words, usual) => `${span.label} ${words[span.kind] ?? usual}`.trim();
-    const events = header.spans.map((span) => ({ kind: span.kind, text: text(span, begins, "begins"), time: span.from_s }));
-    for (const span of header.spans) {
-      if (span.until_s < time - 1e-6) events.push({ kind: span.kind, text: text(span, ends, "ends"), time: span.until_s });
-    }
-    const { "effects.effect": effect, "effects.by": by } = columns;
-    for (let row = 0; row < effect.length; row++) {
-      const name = this.lasting.effects[effect[row]];
-      const at = name === "removed" ? "before" : "after";
-      const [x, y] = ["x", "y"].map((axis) => columns[`effects.${at}_${axis}`][row]);
-      events.push({ kind: "effect", text: `${header.adversaries[by[row]]}: object ${name} (the first that this page has shown)`, time, x, y });
-    }
-    for (const node of header.down) if (!this.down.has(node)) events.push({ kind: "fault", text: `${node} is down`, time, again: true });
-    for (const node of this.down) if (!header.down.includes(node)) events.push({ kind: "fault", text: `${node} is back`, time, again: true });
-    this.down = new Set(header.down);
-    return events;
-  }
-
-  /** The run of all kept frames. */
-  joined() {
-    return new LiveRun(this);
-  }
-}
-
-/** @param {Part} part @param {Part | undefined} previous @returns {Int32Array} by row, the row of the object in `previous` */
-function linked(part, previous) {
-  const before = new Int32Array(part.rows).fill(-1);
-  if (!previous || part.header.number - previous.header.number > 3) return before;
-  const rows = new Map(keysOf(previous).map((key, row) => [key, row]));
-  keysOf(part).forEach((key, row) => {
-    before[row] = rows.get(key) ?? -1;
-  });
-  return before;
-}
-
-/** What names the object of each box: its id, and the first view that has it. @param {Part} part @returns {string[]} */
-function keysOf({ columns, rows, header }) {
-  const views = columns.code.length / Math.max(rows, 1);
-  const names = header.views.filter((view, i) => header.views.findIndex((each) => each.row === view.row) === i);
-  const byRow = new Map(names.map((view) => [view.row, `${view.agent} ${view.estimate}`]));
-  return Array.from({ length: rows }, (_, row) => {
-    const id = columns["box.id"][row];
-    if (columns["box.truth"][row]) return `truth ${id}`;
-    let view = 0;
-    while (view < views && !columns.code[view * rows + row]) view++;
-    return `${byRow.get(view)} ${id}`;
-  });
-}
 
 const JOINED = ["x", "y", "z", "l", "w", "h", "yaw", "score", "known", "vx", "vy", "sx", "sy", "rho", "kind", "id", "truth"];
 const EFFECTS = ["effect", "downlink", "before_x", "before_y", "before_z", "after_x", "after_y", "after_z"];
@@ -133,7 +17,7 @@ const WITHHELD = ["id", "x", "y", "z", "l", "w", "h", "yaw"];
 
 /** The kept frames of a running run. */
 export class LiveRun extends Run {
-  /** @param {FrameHistory} frames */
+  /** @param {import("./frame_history.js").FrameHistory} frames */
   constructor(frames) {
     const parts = [...frames.parts];
     const { header: newest } = parts[parts.length - 1];
@@ -209,6 +93,12 @@ export class LiveRun extends Run {
     return this.places;
   }
 
+  /** Say that no frame of a time is kept. @param {number} seconds */
+  absence(seconds) {
+    const most = `${MOST_FRAMES} frames, or ${MOST_ROWS.toLocaleString("en")} boxes,`;
+    return `The page has no frame of ${seconds.toFixed(1)} s, so it shows its oldest one: it keeps the newest ${most} since it was opened.`;
+  }
+
   numberOf(frame) {
     return this.parts[frame].header.number;
   }
@@ -249,10 +139,10 @@ export class LiveRun extends Run {
   }
 }
 
-/** A column of all parts. @param {Part[]} parts @param {string} name */
+/** A column of all parts, with numbers as precise as theirs. @param {Part[]} parts @param {string} name */
 function chained(parts, name) {
   const length = parts.reduce((sum, part) => sum + part.columns[name].length, 0);
-  const whole = name.endsWith(".id") ? new Int32Array(length) : new Float32Array(length);
+  const whole = parts[0].columns[name] instanceof Int32Array ? new Int32Array(length) : new Float64Array(length);
   let at = 0;
   for (const part of parts) {
     whole.set(part.columns[name], at);

@@ -1,4 +1,4 @@
-// Colours of the picture and of the charts: the paper's key or a colour-blind-safe one, on dark or light ground.
+// Colours of the panels and of the charts: the paper's key or a colour-blind-safe one, on dark or light ground.
 
 /**
  * @typedef {{name: string, outcomes: Record<string, string>, adversary: string, fault: string, states: Record<string, string>,

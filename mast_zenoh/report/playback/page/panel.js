@@ -1,10 +1,10 @@
-// One panel: the choice of run, agent and estimate, the picture, and what is under the pointer.
+// One panel: the choice of run, agent and estimate, the canvas, and what is under the pointer.
 
 import { drawAgents } from "./agents.js";
 import { drawBoxes, drawIds } from "./boxes.js";
 import { drawCamera, hitSolid } from "./camera.js";
 import { CameraWindow, screenBounds } from "./camerawindow.js";
-import { choice, element, fitted } from "./elements.js";
+import { choice, element, resizeCanvas } from "./elements.js";
 import { describe, hit } from "./hover.js";
 import { drawCentre, drawLinks } from "./links.js";
 import { marksOf, tally } from "./marks.js";
@@ -33,7 +33,7 @@ export class Panel {
     const head = element("div", { class: "v-head" }, this.choices, this.counts);
     this.root = element("div", { class: "v-panel" }, head, this.stage);
     this.listen();
-    this.chooseAgain();
+    this.rebuildChoices();
   }
 
   get choice() {
@@ -58,7 +58,7 @@ export class Panel {
   }
 
   /** Make the lists of choices again, after a choice. */
-  chooseAgain() {
+  rebuildChoices() {
     const { run, agent, estimate, eye } = this.choice;
     const labels = { ...this.run.header.estimates, [TRUTH]: "truth: all objects" };
     const set = (name) => (value) => this.state.choose(this.index, { [name]: name === "run" ? Number(value) : value });
@@ -74,7 +74,7 @@ export class Panel {
 
   /** @param {import("./palette.js").Palette} palette */
   draw(palette) {
-    const { context, width, height } = fitted(this.canvas);
+    const { context, width, height } = resizeCanvas(this.canvas);
     if (!width || !height) return;
     const marks = this.marks();
     const { run, viewport } = this;
@@ -137,7 +137,7 @@ export class Panel {
     return /** @type {CameraWindow} */ (this.window);
   }
 
-  /** Where a box is in the picture. @returns {[number, number]} px */
+  /** Where a box is on the canvas. @returns {[number, number]} px */
   placeOf(box) {
     const { marks, width, height } = /** @type {any} */ (this.shown);
     if (!marks.camera) return this.viewport.toScreen(box.x, box.y, width, height);
@@ -202,7 +202,7 @@ export class Panel {
     canvas.addEventListener(
       "wheel",
       (event) => {
-        // In a report the wheel scrolls the page, unless the picture has the focus.
+        // In a report the wheel scrolls the page, unless the canvas has the focus.
         if (!event.ctrlKey && !document.body.classList.contains("v-alone") && document.activeElement !== canvas) return;
         event.preventDefault();
         const { x, y } = place(event);

@@ -28,6 +28,7 @@ export class State extends EventTarget {
     /** Of a running run: whether the newest frame is shown. */
     this.playing = runs[0].live !== null;
     this.speed = 1;
+    /** @type {number | null} s, of the chosen frame, if the page does not keep it: the oldest one is shown */ this.gone = null;
     this.follow = "";
     this.swipe = false;
     /** The window of all camera views. */
@@ -106,7 +107,7 @@ export class State extends EventTarget {
 
   /** @param {number} frame any whole number: kept within the run */
   seek(frame) {
-    this.set({ frame: Math.min(Math.max(Math.round(frame), 0), this.timeline.frames - 1) });
+    this.set({ frame: Math.min(Math.max(Math.round(frame), 0), this.timeline.frames - 1), gone: null });
   }
 
   /** @param {number} seconds */

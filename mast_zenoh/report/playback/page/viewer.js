@@ -27,7 +27,8 @@ export class Viewer {
     this.charts = new Charts(this.state);
     this.events = new EventList(this.state, (x, y) => this.goTo(x, y));
     const below = element("div", { class: "v-below" }, this.charts.root, this.events.root);
-    root.replaceChildren(this.controls.toolbar, this.stage, this.legend, this.controls.transport, below);
+    root.replaceChildren(this.controls.toolbar, this.stage, this.legend, this.controls.transport, this.controls.notice, below);
+    this.advancing = 0;
     this.makePanels();
     this.listen();
     this.update(["theme"]);
@@ -73,7 +74,7 @@ export class Viewer {
     const { state } = this;
     if (changed.includes("panels")) {
       if (this.panels.length !== state.panels.length) this.makePanels();
-      else this.panels.forEach((panel) => panel.chooseAgain());
+      else this.panels.forEach((panel) => panel.rebuildChoices());
       this.events.fill();
     }
     if (changed.includes("playing") && state.playing) this.begin();
@@ -94,17 +95,19 @@ export class Viewer {
       return;
     }
     if (state.frame >= state.timeline.frames - 1) state.seek(0);
-    let [time, before] = [state.time, performance.now()];
+    let [time, before, frame] = [state.time, performance.now(), state.frame];
     const advance = (now) => {
       if (!state.playing) return;
-      time += ((now - before) / 1000) * state.speed;
+      if (state.frame !== frame) time = state.time; // the slider was moved
+      time += (Math.max(now - before, 0) / 1000) * state.speed; // the first may have begun before
       before = now;
       state.seekTime(time);
-      if (Math.abs(state.time - time) > 0.5) time = state.time; // someone moved the slider
-      if (state.frame >= state.timeline.frames - 1) state.set({ playing: false });
-      else requestAnimationFrame(advance);
+      frame = state.frame;
+      if (frame >= state.timeline.frames - 1) state.set({ playing: false });
+      else this.advancing = requestAnimationFrame(advance);
     };
-    requestAnimationFrame(advance);
+    cancelAnimationFrame(this.advancing); // paused and played within one frame of the screen
+    this.advancing = requestAnimationFrame(advance);
   }
 
   /**
@@ -118,13 +121,15 @@ export class Viewer {
     const changed = before.header.views.length !== run.header.views.length;
     if (before.agents !== run.agents) this.colours = ""; // the legend follows the agents
     const happened = before.events.length !== run.events.length;
+    const kept = state.frame - dropped;
+    if (!state.playing && kept < 0) state.gone ??= state.time;
     state.runs[0] = run;
-    state.frame = state.playing ? run.frames - 1 : Math.max(state.frame - dropped, 0);
+    state.frame = state.playing ? run.frames - 1 : Math.min(Math.max(kept, 0), run.frames - 1);
     if (changed && state.untouched) {
       const count = state.panels.length;
       state.panels = [];
       state.showPanels(count);
-    } else if (changed) this.panels.forEach((panel) => panel.chooseAgain());
+    } else if (changed) this.panels.forEach((panel) => panel.rebuildChoices());
     if (happened) this.events.fill();
     this.redraw();
   }

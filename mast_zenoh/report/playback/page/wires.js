@@ -2,6 +2,8 @@
 
 import { element } from "./elements.js";
 
+/** @typedef {{key: string, legs: any[], to: string[]}} Wire */
+
 export class WireTable {
   constructor() {
     this.rows = element("tbody");
@@ -9,22 +11,29 @@ export class WireTable {
     const table = element("table", {}, element("thead", {}, element("tr", {}, ...head)), this.rows);
     this.summary = element("summary", {}, "Wires");
     this.root = element("details", { class: "v-wires" }, this.summary, element("div", { class: "v-scroll" }, table));
+    this.root.addEventListener("toggle", () => this.fill());
     this.intercepted = -1;
+    /** @type {Wire[]} */ this.wires = [];
   }
 
-  /** @param {{key: string, legs: any[], to: string[]}[]} wires */
+  /** Show wires; opens the table if more of them have inserted nodes than before. @param {Wire[]} wires */
   show(wires) {
     const intercepted = wires.filter((wire) => wire.legs.length > 1).length;
     if (intercepted > this.intercepted && intercepted) this.root.setAttribute("open", "");
     this.intercepted = intercepted;
     const several = intercepted === 1 ? "one" : String(intercepted);
     this.summary.textContent = `Wires: ${wires.length} shown, nodes inserted into ${intercepted ? several : "none"}`;
-    if (!this.root.hasAttribute("open")) return;
-    this.rows.replaceChildren(...wires.map((wire) => rowOf(wire)));
+    this.wires = wires;
+    this.fill();
+  }
+
+  /** Write the rows, if they can be seen. */
+  fill() {
+    if (this.root.hasAttribute("open")) this.rows.replaceChildren(...this.wires.map((wire) => rowOf(wire)));
   }
 }
 
-/** @param {{key: string, legs: any[], to: string[]}} wire */
+/** @param {Wire} wire */
 function rowOf({ key, legs, to }) {
   const nodes = legs.map((leg, index) => {
     const kind = index && leg.role !== "link" ? "v-inserted" : index ? "v-link" : "";
