@@ -5,7 +5,7 @@ Each window with a viewer is compared with the windows without one just before a
 load, nor the start of a run, nor what the scene does at a time counts. The page is a WebSocket client, as if the
 browser were on another computer; `--browser` adds Chromium on this one, which draws without a graphics card.
 
-    python benchmarks/live_view.py [--runs 3] [--repeats 6] [--seconds 8] [--browser]
+    python benchmarks/live_view.py [--runs 3] [--seconds 8] [--browser]
     python benchmarks/live_view.py --minutes 10
 
 --minutes: instead, how the memory of the viewer develops while a page reads, in real time
@@ -23,6 +23,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,6 +40,7 @@ from chromium import FLAGS, PROGRAM
 
 _MAST = (sys.executable, "-m", "mast_zenoh")
 _SETTLE_S = 3.0  # from the first frame, or the end of a viewer; longer than a stopped page is waited for
+_LAST = 0.9  # of the frames of a run: what is left is enough for two windows
 _FRAMES = 20_000  # of the run; its scene takes minutes to prepare, once
 
 
@@ -142,47 +144,52 @@ def counted_frames(out: Path) -> Iterator[Callable[[], int]]:
     configuration.insert_json5("connect/endpoints", f'["{record["endpoint"]}"]')
     played = 0
 
-    def count(_: zenoh.Sample) -> None:
+    def on_clock(_: zenoh.Sample) -> None:
         nonlocal played
         played += 1
 
     with zenoh.open(configuration) as session:
-        session.declare_subscriber(f"mast/{record['id']}/clock", count)
+        session.declare_subscriber(f"mast/{record['id']}/clock", on_clock)
         while played < 20:
             time.sleep(0.1)
         yield lambda: played
 
 
-def windows(kinds: Sequence[str], repeats: int, seconds: float) -> Iterator[tuple[str, Window]]:
-    """Measure one run: none, a kind, none, another kind, none, ..."""
-    order = ["none"]
-    for repeat in range(repeats):
-        for kind in kinds if repeat % 2 == 0 else kinds[::-1]:
-            order += [kind, "none"]
+def windows(kinds: Sequence[str], seconds: float) -> Iterator[tuple[str, Window]]:
+    """Measure one run as long as it plays: none, a kind, none, another kind, none, ..."""
     with running("--frames", str(_FRAMES)) as (run, out), counted_frames(out) as played:
-        for kind in order:
+        for number in count():
+            kind = "none" if number % 2 == 0 else kinds[number // 2 % len(kinds)]
             with viewer(kind, out) as processes:
                 time.sleep(_SETTLE_S)
                 begin, frames, used = time.monotonic(), played(), processor_s(processes)
                 time.sleep(seconds)
                 passed = time.monotonic() - begin
                 window = Window((played() - frames) / passed, 100 * (processor_s(processes) - used) / passed)
-            assert run.poll() is None, "the run has ended: expected fewer repeats, or shorter windows"
+            assert run.poll() is None
             yield kind, window
+            if kind == "none" and played() > _LAST * _FRAMES:
+                return
 
 
-def compare(runs: int, repeats: int, seconds: float, kinds: list[str]) -> None:
+def compare(runs: int, seconds: float, kinds: list[str]) -> None:
     """Print how the frame rate with each kind of viewer differs from that without, in percent, with a 95 % interval."""
     ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
     shares: dict[str, list[float]] = {kind: [] for kind in kinds}
     plain: list[float] = []
-    for _ in range(runs):
-        measured = list(windows(kinds, repeats, seconds))
-        plain += [window.rate for kind, window in measured if kind == "none"]
-        for (_, before), (kind, own), (_, after) in zip(measured[::2], measured[1::2], measured[2::2], strict=False):
-            ratios[kind].append(2 * own.rate / (before.rate + after.rate))
-            shares[kind].append(own.share)
-            print(f"  {kind}: {own.rate:.1f} frames/s, {before.rate:.1f} before, {after.rate:.1f} after", flush=True)
+    for turn in range(runs):
+        before, viewed = 0.0, ("", Window(0.0, 0.0))
+        for kind, window in windows(kinds if turn % 2 == 0 else kinds[::-1], seconds):
+            if kind != "none":
+                viewed = kind, window
+                continue
+            plain.append(window.rate)
+            if before:
+                name, own = viewed
+                ratios[name].append(2 * own.rate / (before + window.rate))
+                shares[name].append(own.share)
+                print(f"  {name}: {own.rate:.1f} frames/s, {before:.1f} before, {window.rate:.1f} after", flush=True)
+            before = window.rate
     print(f"without a viewer: median {statistics.median(plain):.1f} frames/s")
     chance = np.random.default_rng(0)
     for kind in kinds:
@@ -209,7 +216,6 @@ def memory(minutes: float) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--repeats", type=int, default=6, help="windows of each kind in a run")
     parser.add_argument("--seconds", type=float, default=8.0, help="length of a window")
     parser.add_argument("--browser", action="store_true")
     parser.add_argument("--minutes", type=float)
@@ -218,4 +224,4 @@ if __name__ == "__main__":
         memory(arguments.minutes)
     else:
         names = ["reading", "stopped", *(["browser"] if arguments.browser else [])]
-        compare(arguments.runs, arguments.repeats, arguments.seconds, names)
+        compare(arguments.runs, arguments.seconds, names)

@@ -20,7 +20,7 @@ from rich.text import Text
 from mast_zenoh.launch.activity import Activity
 from mast_zenoh.launch.newest_score import NewestScore
 
-_PERIOD_S = 0.25  # between two pictures of the terminal
+_PERIOD_S = 0.25  # between two drawings of the table
 _SHARE = 0.02  # of the launcher's time that the display takes at most
 _SWITCH_S = 0.0005  # after which Python lets Zenoh's threads in while the display is drawn; its default is 5 ms
 _LINE_S = 60.0  # without a terminal: between two lines at most
@@ -91,7 +91,7 @@ class Display:
         self.console.print(line, highlight=False)
 
     def update(self, frame: int, status: Callable[[], Status]) -> None:
-        """Show the run at a frame; `status` is only called when it is time for a new picture."""
+        """Show the run at a frame; `status` is only called when it is time to draw."""
         now = time.monotonic()
         if frame > 0 and self._first_s is None:
             self._first_s, self._first_frame = now, frame

@@ -88,6 +88,11 @@ def watch(key: str) -> Iterator[Right]:
     yield Right("egress", "liveliness_token", key)
 
 
+def count_present(key: str) -> Iterator[Right]:
+    """Ask which liveliness tokens there are."""
+    yield Right("ingress", "liveliness_query", key)
+
+
 def rights(wiring: Wiring, node: str, *, driver: str) -> list[Right]:
     """The rights of a node, of LAUNCHER or of VIEWER, each once, in a fixed order.
 
@@ -165,6 +170,7 @@ def _viewer(wiring: Wiring) -> Iterator[Right]:
     for _, leg in wiring.legs():
         yield from subscribe(leg.key)
     yield from watch("alive/*")
+    yield from count_present("alive/*")
 
 
 def _each(right: Callable[[str], Iterable[Right]], *controls: str) -> Iterator[Right]:

@@ -10,4 +10,6 @@ export/     a file per format
 loopback    HTTP on the loopback address alone
 servers/    runs for Foxglove and Rerun over a local port
 live/       a passive observer of a running run
+
+The page that shows runs in a browser, finished or running, is in report/playback.
 """

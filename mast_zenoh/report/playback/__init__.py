@@ -1,4 +1,4 @@
-"""The moving picture of runs, for the report and for `mast view`.
+"""The page that plays runs in a browser, for the report and for `mast view`.
 
 boxes, motion         every box once, and its meaning in every estimate of every agent
 surroundings          buildings, agents, sensors and the space that they swept

@@ -1,4 +1,4 @@
-"""A finished run as one block of bytes: everything that the page with the moving picture shows.
+"""A finished run as one block of bytes: everything that the page that plays it shows.
 
 The block holds a header (JSON) and columns of integers (`columns`). Rows of boxes that belong to one object follow each
 other, so that neighbours differ little. `docs/viewer.md` describes the content.

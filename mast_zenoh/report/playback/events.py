@@ -1,4 +1,4 @@
-"""The events of a run in words, for the list beside the picture."""
+"""The events of a run in words, for the list of the page and the captions of films."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from mast_zenoh.wiring.model import Wiring
 
 #: Most frames a second that are measured.
 _MOST_FRAMES_PER_S = 10.0
-#: Most of a processor that measuring may take, by mode. In lock-step every frame waits for the slowest node, so that
+#: Share of a processor that measuring aims at, by mode. In lock-step every frame waits for the slowest node, so that
 #: whatever else runs on this computer slows the run.
 _PROCESSOR_SHARE = {"lockstep": 0.03, "realtime": 0.3}
 #: s between two looks at what has arrived.
@@ -34,6 +34,10 @@ _SETTLING = 3
 _ASK_S = 2.0
 #: Questions without an answer after which a run elsewhere has ended: one can get lost.
 _QUESTIONS = 3
+#: Shortest pause of reception, s: subscribing takes a moment too.
+_BURST_S = 0.3
+#: Longest wait for an answer of the router, s.
+_ROUTER_S = 1.0
 _MOST_NOTES = 10
 #: s for which the wiring is asked for after an epoch, and between two questions.
 _ASK_WIRING_FOR_S, _ASK_WIRING_EVERY_S = 3.0, 0.5
@@ -70,7 +74,10 @@ class Observer:
         self._wires = WireMeter(self._reception)
         self._types: dict[str, str] = {}
         self._clock = ""
-        self._listening = True
+        # In lock-step the next frame waits until all copies of a message are sent, so this one has its own only while
+        # it needs them: a moment for each frame that it measures.
+        self._in_bursts = run.resolved.mode == "lockstep"
+        self._listening = self._receiving = True
         self._settled = False  # whether all publishers know of the subscriptions
         self._last = -1
         self._due = 0.0
@@ -114,6 +121,11 @@ class Observer:
         self.keep_up()
         now, newest = time.monotonic(), self._newest
         if now < self._due:
+            if self._in_bursts and self._due - now > _BURST_S:
+                self._receive(everything=False)
+            return None
+        if not self._receiving:
+            self._receive(everything=True)
             return None
         number = newest if now - self._since > _SILENCE_S else newest - _BEHIND
         if number <= self._last or number < 0:
@@ -136,8 +148,7 @@ class Observer:
         """Receive everything that frames need, or only the clock, which costs the run nothing."""
         if everything != self._listening:
             self._listening = everything
-            self._settled = False
-            self._reception.subscribe(self._types if everything else [self._clock])
+            self._receive(everything=everything)
 
     def keep_up(self) -> None:
         """Follow changes of the run without measuring frames."""
@@ -146,7 +157,7 @@ class Observer:
         newest = self._reception.newest_step(self._clock)
         if newest != self._newest:
             self._newest, self._since = newest, time.monotonic()
-        if not self._settled and newest >= 0:
+        if self._receiving and not self._settled and newest >= 0:
             self._settled = True
             self._last = max(self._last, newest + _SETTLING)
 
@@ -182,7 +193,20 @@ class Observer:
         """Receive the keys of the current wiring."""
         self._types = self.meter.keys(self.wiring)
         self._clock = self.meter.clock_key(self.wiring)
-        self._reception.subscribe(self._types if self._listening else [self._clock])
+        self._reception.subscribe(self._types if self._receiving else [self._clock])
+        self._await_router()
+        self._settled = False
+
+    def _receive(self, *, everything: bool) -> None:
+        """Subscribe to everything, or to the clock alone."""
+        if everything != self._receiving:
+            self._receiving = everything
+            self._follow()
+
+    def _await_router(self) -> None:
+        """Wait until the router knows the subscriptions: it takes what a session sends in order."""
+        for _ in self.session.liveliness().get(f"{self._base}/alive/*", timeout=_ROUTER_S):
+            pass
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]

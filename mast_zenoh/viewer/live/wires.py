@@ -13,6 +13,8 @@ from mast_zenoh.wiring.model import Wire, Wiring
 
 #: s, over which a rate is measured.
 _WINDOW_S = 2.0
+#: How many shown frames a share of lost messages is from: of each, some steps are compared.
+_COMPARED = 5
 #: Frames of the run before the newest that do not count as lost: their messages may be under way.
 _UNDER_WAY = 2
 
@@ -23,7 +25,7 @@ class LegState(NamedTuple):
     node:    its publisher;  role: the publisher's role;  key: the leg's key
     rate_hz: messages per s, from the numbers in their headers; None: not known yet
     lag:     frames between the clock and the newest message; None: none has arrived
-    lost:    share of the recent messages that came in but did not leave the publisher in the same frame; 0 for the
+    lost:    share of recent messages that came in but did not leave the publisher in the same frame; 0 for the
              first leg of a wire; None: unknown
     """
 
@@ -49,6 +51,7 @@ class WireMeter:
     def __init__(self, reception: Reception) -> None:
         self._reception = reception
         self._numbers: dict[str, deque[tuple[float, int]]] = {}
+        self._compared: dict[str, deque[tuple[int, int]]] = {}  # by leg: messages that came in, and that were lost
 
     def note(self, now_s: float, types: Mapping[str, str]) -> None:
         """Note the newest messages. now_s: monotonic time;  types: message types of the received keys"""
@@ -66,7 +69,7 @@ class WireMeter:
             if seen and number < seen[-1][1]:  # its publisher was started again
                 seen.clear()
             seen.append((now_s, number))
-            while now_s - seen[0][0] > _WINDOW_S:
+            while len(seen) > 2 and now_s - seen[0][0] > _WINDOW_S:
                 seen.popleft()
 
     def states(self, wiring: Wiring, types: Mapping[str, str], roles: Mapping[str, str], step: int) -> list[WireState]:
@@ -97,9 +100,11 @@ class WireMeter:
         return max(step - newest, 0) if newest >= 0 else None
 
     def _lost(self, before: str, after: str, step: int) -> float | None:
-        received, sent = self._reception.steps(before), self._reception.steps(after)
-        if not received or not sent:
-            return None if not received else 1.0
+        received, sent = {*self._reception.steps(before)}, {*self._reception.steps(after)}
         # Each ring holds its own newest messages: compare where both have some.
-        common = [each for each in received if sent[0] <= each <= step - _UNDER_WAY]
-        return 1.0 - len({*common} & {*sent}) / len({*common}) if common else None
+        first = min(sent, default=min(received, default=0))
+        common = {each for each in received if first <= each <= step - _UNDER_WAY}
+        compared = self._compared.setdefault(after, deque(maxlen=_COMPARED))
+        compared.append((len(common), len(common - sent)))
+        came, lost = map(sum, zip(*compared, strict=True))
+        return lost / came if came else None
