@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 _START_S = 60.0  # for a run to start its nodes
 _END_S = 5.0  # for the viewer to end
+_DYING_S = 2.0  # for a killed launcher to be gone
 _LAST_LINE = "Ctrl-C ends it."
 
 
@@ -149,10 +151,14 @@ def _delete_keys_of_the_dead(folder: Path) -> None:
     from mast_zenoh.security.credentials import VIEWER
     from mast_zenoh.security.deployment import KEYS
 
-    record = record_of(folder)
-    credentials = Path(str(record.get(VIEWER_CREDENTIALS, "")))
-    ours = credentials.name == VIEWER and credentials.parent.name.startswith(KEYS)  # a file may say anything
-    if ours and record.get("status") != "running":
+    credentials = Path(str(record_of(folder).get(VIEWER_CREDENTIALS, "")))
+    if credentials.name != VIEWER or not credentials.parent.name.startswith(KEYS):  # a file may say anything
+        return
+    # A process that dies closes its pipes a moment before it is gone.
+    deadline = time.monotonic() + _DYING_S
+    while (running := record_of(folder).get("status") == "running") and time.monotonic() < deadline:
+        threading.Event().wait(0.05)
+    if not running:
         shutil.rmtree(credentials, ignore_errors=True)
         with suppress(OSError):
             credentials.parent.rmdir()

@@ -22,7 +22,7 @@ EXIT_CODE = 130  #: of mast_zenoh.errors.Interrupted; a signal may come before t
 def interrupting() -> Iterator[None]:
     """Raise KeyboardInterrupt in the main thread on every stop signal in the block.
 
-    Where nothing can catch it, in a finaliser for example, the process ends instead of printing it.
+    Where nothing can catch it, in a finaliser for example, the process ends with a message, and not with a traceback.
     """
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -30,6 +30,7 @@ def interrupting() -> Iterator[None]:
 
     def unraisable(error: Any) -> None:
         if isinstance(error.exc_value, KeyboardInterrupt):
+            os.write(2, f"error: Interrupted: stopped by {error.exc_value}\n".encode())
             os._exit(EXIT_CODE)
         default_hook(error)
 

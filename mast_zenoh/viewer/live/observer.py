@@ -34,8 +34,8 @@ _SETTLING = 3
 _ASK_S = 2.0
 #: Questions without an answer after which a run elsewhere has ended: one can get lost.
 _QUESTIONS = 3
-#: Shortest pause of reception, s: subscribing takes a moment too.
-_BURST_S = 0.3
+#: Fewest frames for which reception pauses: those after a new subscription are not whole.
+_FEWEST_SKIPPED = 20
 #: Longest wait for an answer of the router, s.
 _ROUTER_S = 1.0
 _MOST_NOTES = 10
@@ -74,13 +74,15 @@ class Observer:
         self._wires = WireMeter(self._reception)
         self._types: dict[str, str] = {}
         self._clock = ""
-        # In lock-step the next frame waits until all copies of a message are sent, so this one has its own only while
-        # it needs them: a moment for each frame that it measures.
+        # In lock-step the next frame waits until all copies of a message have been sent. So if frames are fast, this
+        # observer receives copies only for the moment that a measured frame needs.
         self._in_bursts = run.resolved.mode == "lockstep"
         self._listening = self._receiving = True
         self._settled = False  # whether all publishers know of the subscriptions
         self._last = -1
         self._due = 0.0
+        self._measured_at, self._newest_then = 0.0, -1
+        self._frames_per_s = 0.0
         self._time_s = 0.0
         self._newest, self._since = -1, time.monotonic()
         self._asked, self._unanswered = self._since, 0
@@ -121,7 +123,7 @@ class Observer:
         self.keep_up()
         now, newest = time.monotonic(), self._newest
         if now < self._due:
-            if self._in_bursts and self._due - now > _BURST_S:
+            if self._in_bursts and (self._due - now) * self._frames_per_s > _FEWEST_SKIPPED:
                 self._receive(everything=False)
             return None
         if not self._receiving:
@@ -137,6 +139,8 @@ class Observer:
             self.note(f"frame {number} cannot be measured: {error!r:.200}")
             measured, self._last = None, number
         self._wires.note(now, self._types)
+        self._frames_per_s = (newest - self._newest_then) / (now - self._measured_at)
+        self._measured_at, self._newest_then = now, newest
         # What is done with a frame takes about as long as measuring it.
         effort_s = 2.0 * (time.process_time() - begun)
         self._due = now + max(1.0 / _MOST_FRAMES_PER_S, effort_s / _PROCESSOR_SHARE[self.run.resolved.mode])
