@@ -34,6 +34,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from mast_zenoh.launch.folder import read_json
+from mast_zenoh.runtime.mesh.session import open_client
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 from chromium import FLAGS, PROGRAM
@@ -139,16 +140,13 @@ def counted_frames(out: Path) -> Iterator[Callable[[], int]]:
     while not (out / "run.json").is_file() or "endpoint" not in read_json(out / "run.json"):
         time.sleep(0.1)
     record = read_json(out / "run.json")
-    configuration = zenoh.Config()
-    configuration.insert_json5("mode", '"client"')
-    configuration.insert_json5("connect/endpoints", f'["{record["endpoint"]}"]')
     played = 0
 
     def on_clock(_: zenoh.Sample) -> None:
         nonlocal played
         played += 1
 
-    with zenoh.open(configuration) as session:
+    with open_client(record["endpoint"]) as session:
         session.declare_subscriber(f"mast/{record['id']}/clock", on_clock)
         while played < 20:
             time.sleep(0.1)

@@ -132,8 +132,8 @@ def _inside_others(recording: Recording) -> Bools:
         if len(truth) < 2:
             continue
         reach = float(np.hypot(truth.size[:, 0], truth.size[:, 1]).max() / 2)
-        place = np.clip(truth.position[:, :2], -_FARTHEST_M, _FARTHEST_M)
-        i, j = KDTree(place).query_pairs(min(reach, _FARTHEST_M), output_type="ndarray").T
+        position = np.clip(truth.position[:, :2], -_FARTHEST_M, _FARTHEST_M)
+        i, j = KDTree(position).query_pairs(min(reach, _FARTHEST_M), output_type="ndarray").T
         first = int(recording.truth_start[frame])
         for a, b in ((i, j), (j, i)):
             offset = truth.position[a] - truth.position[b]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
 from types import SimpleNamespace
 
-import mast_zenoh as mast
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.viewer.frames import RunFrames
@@ -19,20 +20,21 @@ NUMBERS = (9, 10, 22)
 
 
 class RecordedObserver:
-    """An observer that measures the frames NUMBERS of a recording."""
+    """An observer that measures some frames of the recording of the run in a folder."""
 
-    def __init__(self, run: mast.Run) -> None:
-        resolved = Resolved.read(run.path)
+    def __init__(self, folder: Path, numbers: Sequence[int] = NUMBERS, wires: Sequence[WireState] = ()) -> None:
+        resolved = Resolved.read(folder)
         self.wiring = Wiring.from_json(resolved.wiring)
         self.meter = FrameMeter(resolved)
-        self.run = SimpleNamespace(scene=RunFrames.load(run.path).scene, id="run-1", resolved=resolved)
+        self.run = SimpleNamespace(scene=RunFrames.load(folder).scene, id="run-1", resolved=resolved)
         self.insertions: list[Insertion] = []
         self.down: list[str] = []
-        self.frame = NUMBERS[-1]
-        messages = [(m.frame, (m.key, Sample(m.step, m.payload))) for m in read(run.path)]
+        self.frame = numbers[-1]
+        self._wires = [*wires]
+        messages = [(m.frame, (m.key, Sample(m.step, m.payload))) for m in read(folder)]
         roles = {name: spec.role for name, spec in resolved.nodes.items()}
         self.waiting: deque[MeasuredFrame | None] = deque([None])
-        for number in NUMBERS:
+        for number in numbers:
             own = [sample for frame, sample in messages if frame == number]
             self.waiting += [self.meter.measure(number, own, self.wiring, roles), None]
 
@@ -43,4 +45,4 @@ class RecordedObserver:
         return not self.waiting
 
     def wires(self) -> list[WireState]:
-        return []
+        return self._wires

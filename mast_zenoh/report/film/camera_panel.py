@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
 from mast_zenoh.report.figures.camera import draw_camera, ego_eye
-from mast_zenoh.report.figures.view import FrameView
 from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.film.theme import Theme
 
@@ -29,16 +25,10 @@ class CameraPanel:
         if eye is None:
             self.axes.set_axis_off()
             return
-        draw_camera(self.axes, _without_arrows(view), self.take.estimate, eye, self._theme.camera)
+        draw_camera(self.axes, view, self.take.estimate, eye, self._theme.camera)
 
 
 def image_crop_aspect(take: Take) -> float | None:
     """Height by width of the part of the camera's image that is drawn; None: the agent is not in the scene."""
     eye = ego_eye(take.view(take.first))
     return None if eye is None else eye.crop_aspect
-
-
-def _without_arrows(view: FrameView) -> FrameView:
-    """Without arrows, which are not readable in perspective."""
-    before, behind = (marks._replace(moved=np.zeros((0, 2, 3))) for marks in (view.before, view.behind))
-    return replace(view, before=before, behind=behind)

@@ -36,6 +36,6 @@ class Captions:
 
 def happenings(take: Take) -> list[tuple[int, str]]:
     """(frame, words) of interceptions, attacks, faults, absences and suspensions, the earliest first."""
-    found = events.happenings(take.run, spans(take.run, take.times), take.times)
-    found.sort(key=lambda each: (each.frame, each.kind != "interception", each.text))
-    return [(max(each.frame, take.first), each.text) for each in found if each.frame <= take.last]
+    happened = events.happenings(take.run, spans(take.run, take.times), take.times)
+    happened.sort(key=lambda each: (each.frame, each.kind != "interception", each.text))
+    return [(max(each.frame, take.first), each.text) for each in happened if each.frame <= take.last]

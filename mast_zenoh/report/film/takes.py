@@ -116,4 +116,4 @@ class Take:
             return None
         times = self.times[np.minimum(table["frame"].astype(np.int64), self.last)]
         missed, false = (table[name].astype(np.float64) for name in ("fn", "fp"))
-        return times.astype(np.float64), missed, false
+        return times, missed, false

@@ -197,20 +197,20 @@ class Observer:
         """Receive the keys of the current wiring."""
         self._types = self.meter.keys(self.wiring)
         self._clock = self.meter.clock_key(self.wiring)
-        self._reception.subscribe(self._types if self._receiving else [self._clock])
-        self._await_router()
-        self._settled = False
+        self._subscribe()
 
     def _receive(self, *, everything: bool) -> None:
         """Subscribe to everything, or to the clock alone."""
         if everything != self._receiving:
             self._receiving = everything
-            self._follow()
+            self._subscribe()
 
-    def _await_router(self) -> None:
-        """Wait until the router knows the subscriptions: it takes what a session sends in order."""
-        for _ in self.session.liveliness().get(f"{self._base}/alive/*", timeout=_ROUTER_S):
-            pass
+    def _subscribe(self) -> None:
+        self._settled = False
+        self._reception.subscribe(self._types if self._receiving else [self._clock])
+        if self._receiving:  # wait until the router knows: it takes what a session sends in order
+            for _ in self.session.liveliness().get(f"{self._base}/alive/*", timeout=_ROUTER_S):
+                pass
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]

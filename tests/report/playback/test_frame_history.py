@@ -60,7 +60,7 @@ def run(browser: Any) -> Iterator[Callable[[str], Any]]:
 
 
 def test_old_frames_are_dropped_and_counted(run: Callable[[str], Any]) -> None:
-    found = run(
+    result = run(
         """let dropped = 0;
         for (let number = 0; number < 605; number++) dropped += add(number);
         const first = history.joined();
@@ -69,13 +69,13 @@ def test_old_frames_are_dropped_and_counted(run: Callable[[str], Any]) -> None:
         return [dropped, first.frames, first.numberOf(0), large, last.frames, last.numberOf(0), last.rows,
           last.absence(1.25)];"""
     )
-    assert found[:6] == [5, 600, 5, [1, 1, 599], 2, 606]
-    assert found[6] == 80_000
-    assert found[7].startswith("The page has no frame of 1.3 s, so it shows its oldest one")
+    assert result[:6] == [5, 600, 5, [1, 1, 599], 2, 606]
+    assert result[6] == 80_000
+    assert result[7].startswith("The page has no frame of 1.3 s, so it shows its oldest one")
 
 
 def test_frames_of_another_run_are_not_joined(run: Callable[[str], Any]) -> None:
-    found = run(
+    result = run(
         """const spans = [{ kind: "fault", begins: "Delay begins", ends: "Delay heals", from_s: 0, until_s: 9 }];
         for (const number of [7, 8, 9]) add(number, { spans, down: ["infra_1"] });
         const kept = () => [history.parts.length, history.paths.size, history.events.size, history.down.size];
@@ -84,11 +84,11 @@ def test_frames_of_another_run_are_not_joined(run: Callable[[str], Any]) -> None
         steps.push([history.begin({ ...lasting, id: "run-2" }), ...kept(), add(0)]);
         return [steps, history.joined().frames, history.joined().drivenPlaces];"""
     )
-    same_run, other_agents, other_run = found[0]
+    same_run, other_agents, other_run = result[0]
     assert same_run == [False, 3, 2, 2, 1]
     assert other_agents == [False, 0, 2, 2, 1, 3], "what happened is kept, and the dropped frames are counted"
     assert other_run == [True, 0, 0, 0, 0, 1]
-    assert found[1:] == [1, 2]
+    assert result[1:] == [1, 2]
 
 
 def test_a_frame_that_arrives_again_is_ignored(run: Callable[[str], Any]) -> None:
@@ -99,7 +99,7 @@ def test_a_frame_that_arrives_again_is_ignored(run: Callable[[str], Any]) -> Non
 
 
 def test_equal_events_at_other_times_are_all_listed_once(run: Callable[[str], Any]) -> None:
-    found = run(
+    result = run(
         """const fault = { kind: "fault", begins: "Delay begins", ends: "Delay heals" };
         const delay = (from_s, until_s) => ({ ...fault, from_s, until_s });
         const words = { begins: "link_1 inserted", ends: "link_1 removed" };
@@ -113,7 +113,7 @@ def test_equal_events_at_other_times_are_all_listed_once(run: Callable[[str], An
         for (const number of [20, 30]) add(number, { spans });
         return texts();"""
     )
-    assert sorted(found) == [
+    assert sorted(result) == [
         "0.1 adversary_1: object inserted (the first that this page has shown)",
         "0.1 infra_1 is down",
         "0.15 link_1 inserted",
@@ -131,11 +131,11 @@ def test_equal_events_at_other_times_are_all_listed_once(run: Callable[[str], An
 
 def test_places_are_as_precise_as_in_a_finished_run(run: Callable[[str], Any]) -> None:
     """Map coordinates have seven digits before the point."""
-    found = run(
+    result = run(
         """add(1, { x: 4567890.12 });
         add(2, { x: 4567890.13 });
         const joined = history.joined();
         const { "box.x": x, "box.id": id } = joined.columns;
         return [[...x], id.constructor.name, joined.before(3)];"""
     )
-    assert found == [[4567890.12, 4567890.12, 4567890.13, 4567890.13], "Int32Array", 1]
+    assert result == [[4567890.12, 4567890.12, 4567890.13, 4567890.13], "Int32Array", 1]

@@ -5,22 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from launched import eventually
+from recorded_observer import RecordedObserver
 
-from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.report.playback.feed import Feed
 from mast_zenoh.report.playback.live_block import LiveBlocks
 from mast_zenoh.report.playback.live_server import LiveServer
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.viewer.live.measurement import FrameMeter
-from mast_zenoh.viewer.live.reception import Sample
 from mast_zenoh.viewer.live.wires import LegState, WireState
-from mast_zenoh.wiring.model import Wiring
 
 Frames = list[tuple[dict[str, Any], bytes]]
 
@@ -29,21 +23,11 @@ _WIRE = WireState("agent/ego/tracks", (LegState("ego", "agent", "agent/ego/track
 
 
 @pytest.fixture(scope="module")
-def frames(attacked_run: Path, loaded_run: RunFolder) -> Frames:
+def frames(attacked_run: Path) -> Frames:
     """Some frames of the attacked run, as its viewer would have sent them."""
-    resolved = Resolved.read(attacked_run)
-    meter, wiring = FrameMeter(resolved), Wiring.from_json(resolved.wiring)
-    observed = SimpleNamespace(id="run-1", resolved=resolved, scene=loaded_run.recording)
-    observer: Any = SimpleNamespace(run=observed, meter=meter, wiring=wiring, insertions=[], down=[], frame=30)
-    observer.wires = lambda: [_WIRE]
+    observer: Any = RecordedObserver(attacked_run, _NUMBERS, [_WIRE])
     blocks = LiveBlocks.of(observer)
-    samples: dict[int, list[tuple[str, Sample]]] = {number: [] for number in _NUMBERS}
-    for message in read(attacked_run):
-        if message.frame in samples:
-            samples[message.frame].append((message.key, Sample(message.step, message.payload)))
-    roles = {name: spec.role for name, spec in resolved.nodes.items()}
-    measured = [meter.measure(number, samples[number], wiring, roles) for number in _NUMBERS]
-    return [blocks.header_and_block(frame) for frame in measured if frame is not None]
+    return [blocks.header_and_block(frame) for frame in observer.waiting if frame is not None]
 
 
 class LivePage:

@@ -141,12 +141,12 @@ def test_the_canvas_shows_false_tracks_red_and_matched_ones_blue(report: Path, o
     colours = [page.run(f"viewer.palette().outcomes['{name}']") for name in ("track false", "track matched")]
     layers = ["trails", "velocity", "ellipses", "links", "ranges", "space", "manipulations", "paths"]
     page.run(f"viewer.state.set({{ layers: Object.fromEntries({layers}.map((name) => [name, false])) }})")
-    found = []
+    near = []
     for estimate in ("mission", "truth"):
         page.run("(estimate) => viewer.state.choose(0, { estimate })", estimate)
         page.settle()
-        found += [[page.coloured(each, *_place(box), 40, 6)[1] > 3 for each in colours] for box in (false, matched)]
-    assert found == [[True, False], [False, True], [False, False], [False, False]]
+        near += [[page.coloured(each, *_place(box), 40, 6)[1] > 3 for each in colours] for box in (false, matched)]
+    assert near == [[True, False], [False, True], [False, False], [False, False]]
     page.screenshot("pixels")
 
 

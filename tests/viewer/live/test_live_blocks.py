@@ -14,17 +14,17 @@ from mast_zenoh.report.playback.live_block import LASTING, LiveBlocks
 
 @pytest.mark.parametrize("has_scene", [True, False])
 def test_a_frame_is_shown_with_and_without_a_prepared_scene(recorded: mast.Run, has_scene: bool) -> None:
-    observer: Any = RecordedObserver(recorded)
+    observer: Any = RecordedObserver(recorded.path)
     if not has_scene:  # as of a user's own simulator
         observer.run = SimpleNamespace(**vars(observer.run) | {"scene": None})
     blocks = LiveBlocks.of(observer)
-    shown = []
+    sizes = []
     while not observer.is_over():
         if (frame := observer.advance()) is not None:
             lasting, block = blocks.header_and_block(frame)
             assert {*lasting} == {*LASTING}
             assert bool(lasting["agents"]) is has_scene
             assert bool(lasting["tops"]) is has_scene
-            shown.append((frame.number, len(block)))
-    assert [number for number, _ in shown] == list(NUMBERS)
-    assert min(size for _, size in shown) > 500, "with objects"
+            sizes.append((frame.number, len(block)))
+    assert [number for number, _ in sizes] == list(NUMBERS)
+    assert min(size for _, size in sizes) > 500, "with objects"

@@ -16,7 +16,7 @@ from mast_zenoh.viewer.live.source import LiveFrames
 
 @pytest.fixture(scope="module")
 def source(recorded: mast.Run) -> LiveFrames:
-    observer: Any = RecordedObserver(recorded)
+    observer: Any = RecordedObserver(recorded.path)
     return LiveFrames(observer, threading.Event())
 
 
@@ -45,7 +45,7 @@ def test_the_frames_of_a_running_run_are_those_of_the_finished_one(source: LiveF
 
 def test_a_live_source_ends_when_it_is_stopped(recorded: mast.Run) -> None:
     stop = threading.Event()
-    observer: Any = RecordedObserver(recorded)
+    observer: Any = RecordedObserver(recorded.path)
     frames = iter(LiveFrames(observer, stop))
     assert next(frames).index == NUMBERS[0]
     stop.set()
