@@ -117,10 +117,22 @@ _SIGNATURES: WeakKeyDictionary[type, _Signature] = WeakKeyDictionary()
 
 
 def _signature(cls: type) -> _Signature:
-    """The parameters of a class, and their annotations."""
+    """The parameters of a class, and their annotations.
+
+    An `__init__` that passes `**others` on to its base class has the parameters of that one too.
+    """
     if cls not in _SIGNATURES:
-        parameters = {k: p for k, p in inspect.signature(cls).parameters.items() if p.kind is not p.VAR_KEYWORD}
-        hints = typing.get_type_hints(getattr(cls, "__init__"))  # noqa: B009 (mypy takes cls for an instance)
+        parameters: dict[str, inspect.Parameter] = {}
+        hints: dict[str, Any] = {}
+        for each in cls.__mro__:
+            if "__init__" not in vars(each):
+                continue
+            initialiser = vars(each)["__init__"]
+            own = [*inspect.signature(initialiser).parameters.values()][1:]
+            parameters = {p.name: p for p in own if p.kind is not p.VAR_KEYWORD} | parameters
+            hints = typing.get_type_hints(initialiser) | hints
+            if each is object or all(p.kind is not p.VAR_KEYWORD for p in own):
+                break
         _SIGNATURES[cls] = parameters, hints
     return _SIGNATURES[cls]
 

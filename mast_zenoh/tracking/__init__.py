@@ -8,6 +8,7 @@ from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
 from mast_zenoh.tracking.filterpy_tracker import FilterpyBoxTracker3D
 from mast_zenoh.tracking.innovations import Innovations
+from mast_zenoh.tracking.interacting_models import InteractingModelsTracker3D
 from mast_zenoh.tracking.stone_soup_tracker import StoneSoupTracker
 from mast_zenoh.tracking.view import SensorView
 
@@ -17,6 +18,7 @@ __all__ = [
     "FilterpyBoxTracker3D",
     "GreedyAssignment",
     "Innovations",
+    "InteractingModelsTracker3D",
     "KalmanBoxTracker3D",
     "SensorView",
     "StoneSoupTracker",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectStates
@@ -66,7 +64,7 @@ class KalmanBoxTracker3D(Tracker):
     positive.
     """
 
-    filter: ClassVar[kalman.BoxFilter] = kalman.BatchedFilter()
+    filter: kalman.BoxFilter = kalman.BatchedFilter()
 
     def __init__(
         self,

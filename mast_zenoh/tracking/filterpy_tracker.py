@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class FilterpyFilter(kalman.BoxFilter):
 class FilterpyBoxTracker3D(KalmanBoxTracker3D):
     """`KalmanBoxTracker3D` with `filterpy.kalman.KalmanFilter`, one track at a time."""
 
-    filter: ClassVar[kalman.BoxFilter] = FilterpyFilter()
+    filter = FilterpyFilter()
 
 
 def _filter(track: Floats, measured: int) -> KalmanFilter:

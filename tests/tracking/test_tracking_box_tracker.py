@@ -8,7 +8,7 @@ from tracking_worlds import detected, joined, nanoseconds
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates
-from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, SensorView
+from mast_zenoh.tracking import FilterpyBoxTracker3D, InteractingModelsTracker3D, KalmanBoxTracker3D, SensorView
 
 NOTHING = Detections.empty()
 
@@ -195,10 +195,11 @@ detections = st.lists(
 )
 
 
+@pytest.mark.parametrize("kind", [KalmanBoxTracker3D, InteractingModelsTracker3D])
 @settings(max_examples=60)
 @given(st.lists(detections, min_size=2, max_size=6), st.randoms(use_true_random=False))
-def test_the_order_of_detections_does_not_matter(frames, random):
-    a, b = KalmanBoxTracker3D(), KalmanBoxTracker3D()
+def test_the_order_of_detections_does_not_matter(kind, frames, random):
+    a, b = kind(), kind()
     for frame, objects in enumerate(frames * 2):
         seen = joined(NOTHING, *(detected([x, y], yaw, kind) for x, y, yaw, kind in objects))
         order = random.sample(range(len(seen)), len(seen))
