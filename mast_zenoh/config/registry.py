@@ -122,17 +122,14 @@ def _signature(cls: type) -> _Signature:
     An `__init__` that passes `**others` on to its base class has the parameters of that one too.
     """
     if cls not in _SIGNATURES:
-        parameters: dict[str, inspect.Parameter] = {}
-        hints: dict[str, Any] = {}
-        for each in cls.__mro__:
-            if "__init__" not in vars(each):
-                continue
-            initialiser = vars(each)["__init__"]
-            own = [*inspect.signature(initialiser).parameters.values()][1:]
-            parameters = {p.name: p for p in own if p.kind is not p.VAR_KEYWORD} | parameters
-            hints = typing.get_type_hints(initialiser) | hints
-            if each is object or all(p.kind is not p.VAR_KEYWORD for p in own):
-                break
+        own = inspect.signature(cls).parameters.values()
+        parameters = {p.name: p for p in own if p.kind is not p.VAR_KEYWORD}
+        hints = typing.get_type_hints(getattr(cls, "__init__"))  # noqa: B009 (mypy takes cls for an instance)
+        if len(parameters) < len(own):
+            line = [each for each in cls.__mro__[:-1] if "__init__" in vars(each)]
+            if len(line) > 1:
+                inherited, of_inherited = _signature(line[1])
+                parameters, hints = {**inherited, **parameters}, {**of_inherited, **hints}
         _SIGNATURES[cls] = parameters, hints
     return _SIGNATURES[cls]
 
