@@ -49,5 +49,5 @@ def test_every_file_and_command_of_the_example_works_as_written(tmp_path: Path) 
         run.wait(60)
     did = [(entry["action"], entry["node"]) for entry in json.loads(record.read_text())["interceptions"]]
     assert did == [(action, name) for name in ("half_1", "late", "mallory") for action in ("intercept", "release")]
-    effects = json.loads((tmp_path / "watched" / "metrics.json").read_text())["interposers"]["late"]
-    assert effects["moved"]["rows"] > 0
+    measured = json.loads((tmp_path / "watched" / "metrics.json").read_text())["interposers"]["late"]
+    assert measured["effects"]["moved"] > 0
