@@ -141,16 +141,14 @@ def disk_space() -> Finding:
 
 
 CHECKS: list[Callable[[], Finding]] = [
-    *(
-        python,
-        compiled_kernels,
-        mesh,
-        docker,
-        compose,
-        swarm,
-        node_image,
-        ssh,
-        namespaces,
-        disk_space,
-    ),
+    python,
+    compiled_kernels,
+    mesh,
+    docker,
+    compose,
+    swarm,
+    node_image,
+    ssh,
+    namespaces,
+    disk_space,
 ]
