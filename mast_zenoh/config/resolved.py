@@ -108,8 +108,8 @@ class Resolved:
         names += ["scene", "modules", "timeline", "network"]
         steps = [step._asdict() for step in self.steps]
         declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
-        declared |= {"inert": list(self.inert)} if self.inert else {}
-        return {**{name: getattr(self, name) for name in names}, **declared, "steps": steps, "nodes": nodes}
+        inert = {"inert": list(self.inert)} if self.inert else {}
+        return {**{name: getattr(self, name) for name in names}, **declared, **inert, "steps": steps, "nodes": nodes}
 
     def _plain(self, value: Any) -> Any:
         """A configuration as JSON values; recorded scene, log and scripts become file names."""
