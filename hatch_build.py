@@ -6,14 +6,19 @@ Without a C compiler, the package is installed without them and uses NumPy inste
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PACKAGE = "mast_zenoh/kernels"
+#: Beside the kernels: why there are none, empty if there are; `mast doctor` and runs print it.
+NOT_COMPILED = "not_compiled.txt"
 #: Bit-identical results on every processor: no contraction to fused operations, no native instructions.
 #: errno is not used after a square root.
 FLAGS = ["-O3", "-g0", "-ffp-contract=off", "-fno-math-errno"]
@@ -26,8 +31,11 @@ class Kernels(BuildHookInterface):
         """Compile; `version` is "standard" or "editable"."""
         root = Path(self.root)
         self._temporary = tempfile.TemporaryDirectory()
-        built = compiled(root, Path(self._temporary.name))
+        built, reason = compiled(root, Path(self._temporary.name))
+        note = Path(self._temporary.name) / NOT_COMPILED
+        note.write_text(reason, encoding="utf-8")
         if version == "editable":
+            (root / PACKAGE / NOT_COMPILED).write_bytes(note.read_bytes())
             for module in (root / PACKAGE).glob("*.so"):
                 module.unlink()  # outdated, or built with a compiler that is no longer there
             for module in built:
@@ -36,14 +44,16 @@ class Kernels(BuildHookInterface):
             build_data["force_include"].update({str(module): f"{PACKAGE}/{module.name}" for module in built})
             build_data["pure_python"] = False
             build_data["infer_tag"] = True
+        else:
+            build_data["force_include"][str(note)] = f"{PACKAGE}/{NOT_COMPILED}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove the temporary folder; the wheel holds the compiled modules."""
         self._temporary.cleanup()
 
 
-def compiled(root: Path, folder: Path) -> list[Path]:
-    """Compile the extension modules into `folder`; [] on failure."""
+def compiled(root: Path, folder: Path) -> tuple[list[Path], str]:
+    """Compile the extension modules into `folder`; ([], why) on failure."""
     import numpy
     from Cython.Build import cythonize
     from setuptools import Distribution, Extension
@@ -71,8 +81,41 @@ def compiled(root: Path, folder: Path) -> list[Path]:
         command.build_lib, command.build_temp = str(folder / "lib"), str(folder / "temp")
         command.parallel = True
         command.ensure_finalized()
-        command.run()
+        with copied_errors(folder / "errors.txt"):
+            command.run()
     except Exception as error:  # the types vary if there is no compiler, or no Python header
-        print(f"kernels not compiled, NumPy will do: {error}", file=sys.stderr)
-        return []
-    return [Path(command.get_ext_fullpath(extension.name)) for extension in extensions]
+        errors = folder / "errors.txt"
+        reason = why(str(error), errors.read_text(errors="replace") if errors.exists() else "")
+        print(f"kernels not compiled, NumPy will do: {reason}", file=sys.stderr)
+        return [], reason
+    return [Path(command.get_ext_fullpath(extension.name)) for extension in extensions], ""
+
+
+def why(error: str, output: str) -> str:
+    """Why a compilation failed, in a line: the reason, and the last error that the compiler printed.
+
+    error: of the build;  output: of the compiler
+    """
+    lines = [line.strip() for line in output.splitlines() if "error" in line.lower()]
+    last = next((line for line in lines if "Python.h" in line), (lines or [error])[-1])
+    if "Python.h" in last:
+        return f"the headers of Python are missing (install python3-dev): {last}"
+    if not lines and "exit" not in error:  # the compiler did not start
+        return f"there is no C compiler (install gcc): {last}"
+    return f"the C compiler failed: {last}"
+
+
+@contextmanager
+def copied_errors(file: Path) -> Iterator[None]:
+    """Write what this process and those that it starts print to standard error into a file, then print it."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with file.open("wb") as stream:
+        os.dup2(stream.fileno(), 2)
+    try:
+        yield
+    finally:
+        sys.stderr.flush()
+        os.dup2(kept, 2)
+        os.write(kept, file.read_bytes())
+        os.close(kept)

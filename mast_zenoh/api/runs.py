@@ -88,7 +88,7 @@ class Run:
     def metrics(self) -> pyarrow.Table:
         """A row per frame, agent and estimator.
 
-        Columns: fn, fp, tp (objects), rmse_m (m), id_switches, ospa_m, gospa_m (m).
+        Columns: fn, fp, tp (objects), rmse_m (m), id_switches, ospa_m, gospa_m (m), scored (counts in `summary`).
         """
         return self._table("metrics.parquet")
 

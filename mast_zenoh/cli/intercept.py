@@ -19,7 +19,10 @@ def intercept(
     run_folder: RunFolder,
     wire: Annotated[str, typer.Option(help="The wire to intercept: agent/infra_2/tracks.")],
     node: Annotated[
-        str, typer.Option("--with", metavar="NODE.py", help="A node's file, or the name of a shipped one.")
+        str,
+        typer.Option(
+            "--with", metavar="NODE.py|ATTACK", help="A node's file; or an attack: its name, FILE.py or FILE.py:CLASS."
+        ),
     ],
     name: Annotated[str | None, typer.Option(help="Name of the new node. Default: its file's, with a number.")] = None,
     input: Annotated[str | None, typer.Option(metavar="PORT", help="Its input port for the wire's messages.")] = None,

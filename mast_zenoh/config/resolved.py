@@ -60,6 +60,7 @@ class Resolved:
     modules: the user's Python files that define algorithms named in it; to be loaded before its nodes are built
     steps: actions on processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
     messages: the message types that its nodes declare; the codec must know them (`user_types.use`) when nodes are built
+    inert: a sentence for each part of the scenario that matches nothing in this run, or begins after it
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
     """
 
@@ -78,6 +79,7 @@ class Resolved:
     network: dict[str, Any] = field(default_factory=dict)
     leeway_ns: int | None = None
     messages: tuple[Schema, ...] = ()
+    inert: tuple[str, ...] = ()
     recording: Recording | None = field(default=None, compare=False)
 
     @property
@@ -106,7 +108,8 @@ class Resolved:
         names += ["scene", "modules", "timeline", "network"]
         steps = [step._asdict() for step in self.steps]
         declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
-        return {**{name: getattr(self, name) for name in names}, **declared, "steps": steps, "nodes": nodes}
+        inert = {"inert": list(self.inert)} if self.inert else {}
+        return {**{name: getattr(self, name) for name in names}, **declared, **inert, "steps": steps, "nodes": nodes}
 
     def _plain(self, value: Any) -> Any:
         """A configuration as JSON values; recorded scene, log and scripts become file names."""
@@ -126,6 +129,7 @@ class Resolved:
         nodes = {name: NodeSpec(**spec) for name, spec in data["nodes"].items()}
         steps = tuple(ProcessStep(**step) for step in data["steps"])
         lists = {name: tuple(data[name]) for name in ("modules", "timeline")}
+        lists["inert"] = tuple(data.get("inert", ()))
         messages = tuple(user_types.from_json(schema) for schema in data.get("messages", ()))
         return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages})
 

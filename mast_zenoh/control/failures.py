@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.config import bundle
 from mast_zenoh.errors import HandlerFailed
 
 Entry = dict[str, Any]
@@ -24,6 +25,10 @@ _PYTHON = sysconfig.get_path("stdlib")
 _INSTALLED = {"site-packages", "dist-packages"}
 #: Parts of the package that a node calls: an error raised there is attributed to the caller.
 _PLUMBING = {"runtime", "control", "kernels", "node.py", "wiring", "messages"}
+
+
+#: Folders of shipped files besides the package.
+_SHIPPED = ("nodes", "scenarios", "studies")
 
 
 class Failure:
@@ -68,17 +73,21 @@ def described(error: BaseException) -> str:
 
 
 def location(error: BaseException, call: Callable[..., Any]) -> str:
-    """`file:line` of the innermost frame in user code, else of `call`'s definition.
+    """`file:line` of the innermost frame in a user's file, then, if it is elsewhere, of the one that raised the error.
+
+    Without a user's file, the latter alone; without that, of `call`'s definition.
 
     call: the handler that raised the error. Frames in the standard library, installed packages and the runtime are
     skipped. An error about the return value of a function has the function in `about`.
     """
     if (about := getattr(error, "about", None)) is not None:
         return _definition(about)
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if _is_node_code(frame.filename):
-            return f"{frame.filename}:{frame.lineno}"
-    return _definition(call)
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _is_node_code(frame.filename)]
+    places = [f"{frame.filename}:{frame.lineno}" for frame in frames]
+    if not places:
+        return _definition(call)
+    of_user = [place for frame, place in zip(frames, places, strict=True) if not _is_shipped(frame.filename)]
+    return places[-1] if not of_user or of_user[-1] == places[-1] else f"{of_user[-1]}, raised in {places[-1]}"
 
 
 def _definition(call: Callable[..., Any]) -> str:
@@ -92,6 +101,11 @@ def _is_node_code(file: str) -> bool:
     if path.is_relative_to(_PACKAGE):
         return path.relative_to(_PACKAGE).parts[0] not in _PLUMBING
     return path.is_absolute() and not path.is_relative_to(_PYTHON) and not _INSTALLED & set(path.parts)
+
+
+def _is_shipped(file: str) -> bool:
+    """Whether a file comes with mast: of the package, or one that users read and copy."""
+    return any(Path(file).is_relative_to(folder) for folder in (_PACKAGE, *(bundle.ROOT / kind for kind in _SHIPPED)))
 
 
 def merged(parts: Iterable[Sequence[Entry]]) -> list[Entry]:

@@ -17,11 +17,15 @@ _ANSWER = ("action", "node", "wires", "frame", "took_ms")
 
 
 class Intercept(NamedTuple):
-    """Insert a node at a place."""
+    """Insert a node at a place.
+
+    modules: the user's files with classes that its configuration names
+    """
 
     name: str
     spec: NodeSpec
     place: Place
+    modules: tuple[str, ...]
 
 
 class Release(NamedTuple):
@@ -42,11 +46,13 @@ def sealed_parts(payload: bytes) -> tuple[bytes, bytes]:
 def request_of(value: dict[str, Any]) -> Intercept | Release:
     """The request in the body of a sealed message; raises MessageError."""
     if value.get("do") == "intercept":
-        fields.fields(value, ("do", "number", "name", "spec", "place"), "intercept")
+        fields.fields(value, ("do", "number", "name", "spec", "place", "modules"), "intercept")
+        modules = fields.listed(value["modules"], "intercept: modules")
         return Intercept(
             fields.name(value["name"], "intercept: name"),
             _spec(value["spec"]),
             place_of(value["place"]),
+            tuple(fields.text(file, "intercept: modules") for file in modules),
         )
     if value.get("do") == "release":
         fields.fields(value, ("do", "number", "name", "wire"), "release")

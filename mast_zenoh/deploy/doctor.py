@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
+from mast_zenoh import kernels
 from mast_zenoh import version as release
 from mast_zenoh.deploy import docker as engine
 from mast_zenoh.deploy import image
@@ -50,6 +51,19 @@ def python() -> Finding:
     return Finding(
         "python", sys.version_info >= (3, 11), f"{platform.python_version()}, mast-zenoh {release.version_string()}"
     )
+
+
+def compiled_kernels() -> Finding:
+    """Whether compiled kernels are in use."""
+    reason = kernels.why_not()
+    if reason:
+        return Finding(
+            "kernels",
+            None,
+            f"not compiled, NumPy is slower: {reason}",
+            "install gcc and python3-dev, then mast-zenoh again",
+        )
+    return Finding("kernels", True, "compiled")
 
 
 def mesh() -> Finding:
@@ -126,4 +140,15 @@ def disk_space() -> Finding:
     )
 
 
-CHECKS: list[Callable[[], Finding]] = [python, mesh, docker, compose, swarm, node_image, ssh, namespaces, disk_space]
+CHECKS: list[Callable[[], Finding]] = [
+    python,
+    compiled_kernels,
+    mesh,
+    docker,
+    compose,
+    swarm,
+    node_image,
+    ssh,
+    namespaces,
+    disk_space,
+]

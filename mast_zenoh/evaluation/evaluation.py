@@ -249,6 +249,7 @@ class _Results:
             summary[agent][estimator] |= ranked[row] | causes[row]
         counts = np.zeros(len(scores.frames), bool)
         counts[scored] = True
+        per_frame["scored"] = np.tile(counts, len(scores.every_series))
         agents, metrics = data.record.agents, self.settings.metrics
         values, failed = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, data.period_s)
         user_metrics.add_to(summary, per_frame, scores, values, counts)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +129,12 @@ class Assessment:
 
 
 class Integrity(ABC):
-    """Judges agents and objects of each batch, without random numbers."""
+    """Judges agents and objects of each batch, without random numbers.
+
+    needs_views: whether it judges by what agents' sensors cover; a run in which it gets no views has a notice
+    """
+
+    needs_views: ClassVar[bool] = True
 
     def correct(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], views: Mapping[str, SweptView]
@@ -162,6 +167,8 @@ class Integrity(ABC):
 
 class NoIntegrity(Integrity):
     """Trusts all agents."""
+
+    needs_views = False
 
     def __init__(self) -> None:
         pass

@@ -41,6 +41,8 @@ class RobustFusion(Integrity):
     pass, and a majority of liars in a cluster decides.
     """
 
+    needs_views = False
+
     def __init__(
         self,
         *,

@@ -14,6 +14,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 from mast_zenoh.errors import ConfigurationError
@@ -23,6 +24,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: The files with kernels.
 MODULES = ("attacks", "boxes", "clusters", "columns", "frames", "matching", "medians", "pairs", "rays", "tracks")
+
+#: The build writes here why it compiled no kernels: a reason, and the compiler's last line.
+NOT_COMPILED = Path(__file__).with_name("not_compiled.txt")
 
 
 def _load() -> dict[str, Callable[..., Any]]:
@@ -44,6 +48,29 @@ if _WANTED == "compiled" and not COMPILED:
     raise ConfigurationError("environment variable MAST_KERNELS: compiled kernels wanted, but none were built")
 #: "compiled" or "numpy", whichever is in use.
 USED = "compiled" if COMPILED and _WANTED != "numpy" else "numpy"
+
+
+def why_not(folder: Path = Path(__file__).parent) -> str:
+    """Why compiled kernels are not in use; "" if they are. folder: with the kernels"""
+    if USED == "compiled":
+        return ""
+    if COMPILED:
+        return "MAST_KERNELS=numpy disables them"
+    import platform  # only needed here
+    from importlib.machinery import EXTENSION_SUFFIXES
+
+    name = MODULES[0]
+    files = [path.name for suffix in ("so", "pyd") for path in sorted(folder.glob(f"{name}*.{suffix}"))]
+    if any(f"{name}{suffix}" in files for suffix in EXTENSION_SUFFIXES):
+        return "their sources have changed since they were compiled: install mast-zenoh again"
+    if files:
+        python = f"{platform.python_implementation()} {platform.python_version()} on {platform.machine()}"
+        return f"they were compiled for another Python ({files[0]}), this is {python}: install mast-zenoh again"
+    note = folder / NOT_COMPILED.name
+    reason = note.read_text(encoding="utf-8", errors="replace").strip() if note.is_file() else ""
+    return reason or "this installation was made without compiling them: install mast-zenoh again"
+
+
 #: The references by name.
 REFERENCES: dict[str, Callable[..., Any]] = {}
 

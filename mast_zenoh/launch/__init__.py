@@ -11,7 +11,7 @@ interception  inserts nodes into wires while a run plays
 netns         the hosts of a run as network namespaces
 reports       what nodes report: failures of handlers, results
 latency       latencies on the wall clock
-conclusion    writes the results at the end;  notices: what deserves attention
+conclusion    writes the results at the end;  notices: what deserves attention; idle: what took no part
 ending        maps endings to a status and an exit code;  liveness: whether a launcher is alive
 folder        the run folder;  tables: columns as Parquet;  nodelogs: logs of nodes in this process
 new_files     files and folders that are complete, or not there at all

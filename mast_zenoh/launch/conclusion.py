@@ -8,7 +8,7 @@ from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
-from mast_zenoh.launch import confidence_notices, notices
+from mast_zenoh.launch import confidence_notices, idle, notices
 from mast_zenoh.launch import folder as run_folder
 
 
@@ -38,3 +38,5 @@ def write(
     if isinstance(metrics, Mapping):
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))
         record["notices"] += confidence_notices.of_metrics(metrics, innovations)
+    played = record["timings"].get("frames") or 0
+    record["notices"] += (idle.of_replay if "replay" in record else idle.of_run)(resolved, played, handed_in)

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 
-from mast_zenoh import checks
+from mast_zenoh import checks, kernels
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures
 from mast_zenoh.errors import BackendError, MastError
@@ -118,6 +119,8 @@ def run(
             if received:
                 raise ending.from_signals(received)
             with Display(console, resolved.name, resolved.frames, quiet=quiet) as display:
+                if reason := kernels.why_not():
+                    display.say(f"[yellow]kernels are not compiled, which is slower: {escape(reason)}")
                 if runtime == "inproc":
                     _run_inproc(resolved, folder, record, display, received)
                 else:

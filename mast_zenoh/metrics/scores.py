@@ -21,7 +21,7 @@ Texts = NDArray[Any]  # of str
 
 #: The columns of the table per frame, and the other entries of a summary.
 COLUMNS = (
-    *("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
+    *("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m", "scored"),
     *("precision", "recall", "mota", "completeness", "amota", "samota", "amotp_m"),
     *("causes", "fn_split", "fp_split", "id_switches_split"),
 )

@@ -80,7 +80,7 @@ class Metric(ABC):
     @property
     def label(self) -> str:
         """Name of the metric in tables."""
-        return self.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", type(self).__name__).lower()
+        return self.name or label_of(type(self))
 
     @abstractmethod
     def value(self, estimate: Estimate) -> Floats | float | None:
@@ -88,6 +88,11 @@ class Metric(ABC):
 
         Raises ValueError for anything else.
         """
+
+
+def label_of(cls: type[Metric]) -> str:
+    """Name in tables of the metrics of a class."""
+    return cls.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
 
 
 class InvalidMetricValue(ValueError):

@@ -12,6 +12,10 @@ import numpy as np
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.report.runfolder import RunFolder
 
+#: Settings of the evaluator that do not change how two runs are scored: users' metrics, which only add rows, and what
+#: describes the experiment itself (its faults, and how long its agents use a picture).
+_NOT_OF_SCORING = ("agents", "metrics", "faults", "picture_ages_s")
+
 
 @dataclass(frozen=True, eq=False)
 class Reference:
@@ -72,13 +76,13 @@ def _agents_difference(one: RunFolder, other: RunFolder) -> str:
 
 
 def _scoring_difference(one: RunFolder, other: RunFolder) -> str:
-    """How the scoring of two runs differs, in words; empty: no known difference.
-
-    User-defined metrics are ignored: they add rows without changing the others.
-    """
+    """How the scoring of two runs differs, in words; empty: no known difference."""
     configs = [each.evaluator_config for each in (one, other)]
     if all(config is not None for config in configs):
-        here, there = (_flat("evaluator", {**(config or {}), "metrics": None}) for config in configs)
+        here, there = (
+            _flat("evaluator", {key: value for key, value in (config or {}).items() if key not in _NOT_OF_SCORING})
+            for config in configs
+        )
         for name in sorted(here.keys() | there.keys()):
             values = [settings.get(name, "nothing") for settings in (here, there)]
             if values[0] != values[1]:

@@ -35,7 +35,7 @@ RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
 COLUMNS = {
     *("configuration", "scene", "seed", "who", "estimator", "metric", "value", "std", "frames"),
-    *("frame", "agent", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
+    *("frame", "agent", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m", "scored"),
     *("mean", "std_over_frames", "mean_over_trials", "low", "high", "scenes_low", "scenes_high", "p", "p_holm"),
     *("scenes", "seeds", "seeds_left_out"),
 }

@@ -98,7 +98,12 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     figures = {} if study.cells else figures_over_trials(rows, facts)
     for item in figures.values():
         item.save(store.folder)
-    names = ["results.parquet", "frames.parquet", *texts, *(f"{name}.png" for name in figures)]
+    names = [
+        "results.parquet",
+        "frames.parquet",
+        *texts,
+        *(name for figure in figures.values() for name in figure.names),
+    ]
     of_defences = None if collection is None else collection.write(store.folder)
     if of_defences is not None:
         figures = dict(of_defences.figures)

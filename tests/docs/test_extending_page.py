@@ -20,6 +20,7 @@ import mast_zenoh as mast
 from mast_zenoh import testing
 from mast_zenoh.config import loading
 from mast_zenoh.launch.tables import read_table
+from mast_zenoh.scenes.recording import Recording
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
@@ -64,6 +65,16 @@ def test_the_attack_moves_all_objects_of_its_victim(play: Callable[..., mast.Run
     moved = run.attacks.filter(pc.field("effect") == "moved").to_pylist()
     assert min(row["frame"] for row in moved) == 10
     assert {round(row["after_x"] - row["before_x"], 6) for row in moved} == {3.0}
+
+
+def test_the_ambush_hides_objects_while_the_ego_is_near(play: Callable[..., mast.Run]) -> None:
+    run = play("ambushed.py", near_m=65.0)
+    scene = Recording.load(run.path / "scene.npz")
+    ego, victim = (scene.agent_position[:FRAMES, scene.agent_names.index(name), :2] for name in ("ego", "infra_1"))
+    near = np.flatnonzero(np.hypot(*(ego - victim).T) <= 65.0).tolist()
+    removed = {row["frame"] for row in run.attacks.filter(pc.field("effect") == "removed").to_pylist()}
+    assert removed == set(near)
+    assert 0 < len(near) < FRAMES
 
 
 def test_the_tracker_follows_detected_objects(play: Callable[..., mast.Run], baseline: mast.Run) -> None:
@@ -159,6 +170,7 @@ def test_the_figure_is_in_the_report(play: Callable[..., mast.Run]) -> None:
 
 CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
     "pushed.py": ("Push", testing.check_attack, {}),
+    "ambushed.py": ("Ambush", testing.check_attack, {}),
     "nearest.py": ("NearestTracker", testing.check_tracker, {}),
     "unclustered.py": ("EveryTrackAlone", testing.check_clusterer, {}),
     "surest.py": ("SurestMember", testing.check_fusion, {}),

@@ -57,6 +57,7 @@ def test_the_notebook_plots_false_positives_of_two_runs_in_fewer_than_15_lines(
         *body, last = cell.splitlines()
         exec("\n".join(body), names)
         displayed.append(eval(last, names))
+    assert not list(tmp_path.iterdir()), "it writes into a temporary folder"
     run, over_time, birdseye, _ = displayed
     assert isinstance(run, mast.Run)
     assert isinstance(over_time, Figure)

@@ -48,3 +48,20 @@ def test_scores_equal_a_plain_loop_and_motmetrics(
     assert_equal(played, loop)
     assert_equal(played, by_motmetrics(frames))
     assert sum(row.tp for rows in loop.values() for row in rows) > 0
+
+
+def test_means_over_the_scored_frames_of_the_table_equal_the_summary(once: Callable[..., Played]) -> None:
+    played = once("uncoordinated", "attack_start_s=0.5")
+    table = played.table("metrics")
+    first, last = played.metrics["scored_frames"]
+    assert first > 0, "some frames are left out"
+    np.testing.assert_array_equal(table["scored"], (table["frame"] >= first) & (table["frame"] <= last))
+    for agent, estimates in played.agents.items():
+        for estimator, summary in estimates.items():
+            rows = (table["agent"] == agent) & (table["estimator"] == estimator) & table["scored"]
+            for name in ("fn", "fp", "tp", "ospa_m", "gospa_m"):
+                assert table[name][rows].mean() == pytest.approx(summary[name]["mean"], abs=1e-9), name
+            assert table["id_switches"][rows].sum() == summary["id_switches"]
+            pairs = table["tp"][rows]
+            squares = np.where(pairs, np.nan_to_num(table["rmse_m"][rows]) ** 2 * pairs, 0.0)
+            assert np.sqrt(squares.sum() / pairs.sum()) == pytest.approx(summary["rmse_m"], abs=1e-9)

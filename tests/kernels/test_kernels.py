@@ -5,12 +5,15 @@ from __future__ import annotations
 import copy
 import dataclasses
 import importlib
+import io
 import os
 import pkgutil
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import msgpack
@@ -18,14 +21,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich.console import Console
+from tiny_world import tiny
 
 import mast_zenoh
 from mast_zenoh import kernels
 from mast_zenoh.arrays import clustering
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import following
+from mast_zenoh.config import loading
+from mast_zenoh.deploy import doctor
 from mast_zenoh.integrity.rays import Tolerances
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.launch import run
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS
 from mast_zenoh.messages.schemas import Header
@@ -402,3 +410,56 @@ def test_kernels_compiled_from_other_sources_are_not_used(tmp_path):
 def test_unavailable_or_unknown_kernels_are_refused(mode, message):
     hidden = "import sys; sys.modules['mast_zenoh.kernels.tracks'] = None"
     assert message in used(hidden, mode).stderr
+
+
+@pytest.mark.parametrize(
+    ("files", "reason"),
+    [
+        ({}, "without compiling them"),
+        ({"not_compiled.txt": "there is no C compiler (install gcc): command 'cc' failed"}, "there is no C compiler"),
+        ({f"attacks{EXTENSION_SUFFIXES[0]}": ""}, "their sources have changed"),
+        ({"attacks.cpython-27-pdp11-unix.so": ""}, r"another Python \(attacks.cpython-27-pdp11-unix.so\), this is "),
+    ],
+    ids=["never compiled", "a failed build", "old sources", "another Python"],
+)
+def test_the_reason_why_no_kernels_are_compiled_is_known(monkeypatch, tmp_path, files, reason):
+    monkeypatch.setattr(kernels, "USED", "numpy")
+    monkeypatch.setattr(kernels, "COMPILED", {})
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    assert re.search(reason, kernels.why_not(tmp_path))
+    monkeypatch.setattr(kernels, "COMPILED", {"predict": print})
+    assert "MAST_KERNELS" in kernels.why_not(tmp_path)
+    monkeypatch.setattr(kernels, "USED", "compiled")
+    assert kernels.why_not(tmp_path) == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "output", "reason"),
+    [
+        ("command 'cc' failed: No such file or directory", "", "there is no C compiler (install gcc): command 'cc'"),
+        (
+            "command '/usr/bin/cc' failed with exit code 1",
+            "x.c:4:10: fatal error: Python.h: No such file or directory\n    4 | #include\ncompilation terminated.\n",
+            "the headers of Python are missing (install python3-dev): x.c:4:10: fatal error: Python.h",
+        ),
+        (
+            "command '/usr/bin/cc' failed with exit code 1",
+            "x.c:1: warning: w\nx.c:9:2: error: unknown type name 'flaot'\n",
+            "the C compiler failed: x.c:9:2: error: unknown type name 'flaot'",
+        ),
+    ],
+)
+def test_a_build_keeps_the_reason_and_the_compilers_last_error(error, output, reason):
+    hatch_build = pytest.importorskip("hatchling") and loading.module(Path(__file__).parents[2] / "hatch_build.py")
+    assert hatch_build.why(error, output).startswith(reason)
+
+
+def test_the_first_line_of_a_run_says_that_kernels_are_not_compiled(monkeypatch, tmp_path):
+    page = io.StringIO()
+    monkeypatch.setattr(kernels, "why_not", lambda: "there is no C compiler [gcc]")
+    run.run(tiny(frames=2), tmp_path / "run", runtime="inproc", console=Console(file=page, width=200))
+    first = page.getvalue().splitlines()[0]
+    assert first == "kernels are not compiled, which is slower: there is no C compiler [gcc]"
+    finding = doctor.compiled_kernels()
+    assert (finding.ok, "no C compiler" in finding.detail, bool(finding.fix)) == (None, True, True)

@@ -79,6 +79,59 @@ def test_an_adversary_gets_the_wire_the_clock_its_agents_pose_and_a_report_key(r
     assert place_of(json.loads(json.dumps(place_json(place)))) == place
 
 
+LIES = """
+from mast_zenoh.attacks import PassThrough
+from mast_zenoh.node import Node
+class Lie(PassThrough):
+    def __init__(self, *, gain: float = 1.0) -> None: self.gain = gain
+"""
+TRUTHS = "class Truth(PassThrough): ...\n"
+MINE = """class Mine(Node):
+    role, inputs, outputs = "adversary", {"tracks": "tracks"}, {"tracks_out": "tracks"}
+    def on_tracks(self, received, context): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("source", "chosen", "attack"),
+    [
+        (LIES, "{}", {"type": "Lie", "gain": 2.0}),
+        (LIES + TRUTHS + MINE, "{}:Lie", {"type": "Lie", "gain": 2.0}),
+        ("", "UncoordinatedAttack", {"type": "UncoordinatedAttack", "start_s": 2.0}),
+        (LIES + MINE, "{}", None),
+        (LIES + MINE, "{}:Mine", None),
+    ],
+    ids=["a file of one attack", "a class", "a shipped attack", "a node beside attacks", "a node by its class"],
+)
+def test_an_attack_can_be_named_in_place_of_a_node(
+    resolved: Resolved, tmp_path: Path, source: str, chosen: str, attack: dict[str, Any] | None
+) -> None:
+    file = tmp_path / "lies.py"
+    file.write_text(source)
+    chosen = chosen.format(file)
+    if attack is None:
+        assert plan(resolved, TRACKS, chosen)[1].type == "Mine"
+        return
+    settings = [f"attack.{name}={value}" for name, value in attack.items() if name != "type"]
+    _, spec, _ = plan(resolved, TRACKS, chosen, settings=settings)
+    assert (spec.type, Path(spec.file).name) == ("Adversary", "adversary.py")
+    assert spec.config == {"agent": "infra_1", "attack": attack}
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        ("{}", r"defines 2 classes of type Attack \(Lie, Truth\): expected FILE.py:CLASS"),
+        ("{}:Lei", "defines no Attack named 'Lei'; did you mean 'Lie'"),
+    ],
+)
+def test_which_attack_of_a_file_must_be_clear(resolved: Resolved, tmp_path: Path, chosen: str, message: str) -> None:
+    file = tmp_path / "lies.py"
+    file.write_text(LIES + TRUTHS)
+    with pytest.raises(ConfigurationError, match=message):
+        plan(resolved, TRACKS, chosen.format(file))
+
+
 def test_an_adversary_on_the_picture_receives_the_pose_of_its_target_agent(
     resolved: Resolved,
 ) -> None:

@@ -21,6 +21,9 @@ from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messagelog.script import Script
 from mast_zenoh.report import html
+from mast_zenoh.report.comparison import reference
+from mast_zenoh.report.narrative.run import result
+from mast_zenoh.report.runfolder import RunFolder
 
 PICTURE = ("cc/picture",)
 CLUSTERING = "command_center.pipeline.clustering.assign_radius"
@@ -223,6 +226,13 @@ def test_a_replay_has_no_twin(recorded: Callable[[str], Path], tmp_path: Path) -
     run = replayed(recorded("baseline"), tmp_path / "replay", frames=3)
     with pytest.raises(NotComparable, match="is a replay"):
         twin.of(run.folder)
+
+
+def test_an_unchanged_replay_is_not_told_as_different(recorded: Callable[[str], Path], tmp_path: Path) -> None:
+    folder = recorded("uncoordinated")
+    run = RunFolder.load(replayed(folder, tmp_path / "replay").folder)
+    sentence = result(run, reference(run, folder))
+    assert sentence.endswith("but every score that both runs have equals that of uncoordinated")
 
 
 def test_a_replay_without_a_recorder_has_results(recorded: Callable[[str], Path], tmp_path: Path) -> None:

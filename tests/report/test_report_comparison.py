@@ -68,6 +68,21 @@ def test_user_defined_metrics_do_not_prevent_comparison(pair: Pair) -> None:
     assert comparison.reference(RunFolder.load(run), other).name == "baseline-1"
 
 
+@pytest.mark.parametrize(
+    "experiment",
+    [{"faults": {"infra_1": [["Blindness", 1.0, None]]}}, {"picture_ages_s": {"ego": 0.2}}],
+    ids=["a fault", "how long an agent uses a picture"],
+)
+def test_what_the_evaluator_knows_of_the_experiment_does_not_prevent_comparison(
+    pair: Pair, experiment: dict[str, Any]
+) -> None:
+    run, other = pair
+    score_with(run, **experiment)
+    score_with(other)
+    assert comparison.reference(RunFolder.load(run), other).name == "baseline-1"
+    assert comparison.reference(RunFolder.load(other), run).name == "uncoordinated-1"
+
+
 REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     "metrics.json is missing": (lambda folder: (folder / "metrics.json").unlink(), "has no results"),
     "metrics.json is damaged": (

@@ -114,7 +114,7 @@ def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: C
 IN_TRANSIT: dict[str, tuple[dict[str, float], str]] = {
     "the ego acts on it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 1.0},
-        "1.0 more false object a frame for the ego with the picture than unattacked, by no measured cause",
+        "1.0 more false objects a frame for the ego with the picture than unattacked, by no measured cause",
     ),
     "the ego acts on little of it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5},

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from study_samples import BASELINE, estimate, facts, grid, row
 
+from mast_zenoh.report.figures import study
 from mast_zenoh.report.figures.study import figures_over_trials
 from mast_zenoh.report.figures.study_panels import Panel, label_of, panels
 from mast_zenoh.report.tables.study_rows import Series, StudyRow
@@ -133,3 +136,21 @@ def test_figures_explain_missing_bars(
 
 def test_studies_without_increments_have_no_figure() -> None:
     assert figures_over_trials([BASELINE], facts([BASELINE])) == {}
+
+
+def test_success_begins_at_zero_adversaries_and_every_figure_is_also_a_pdf(tmp_path, monkeypatch) -> None:
+    drawn = {}
+    monkeypatch.setattr(study, "_render", lambda name, figure, *_: drawn.setdefault(name, figure))
+    success = Series("all", "mission", "success_fp")
+    rows = [BASELINE, *grid("a", n_adversaries=(1, 2, 3))]
+    rated = replace(estimate(0.5), rate=True)
+    rows[1:] = [replace(each, estimates={**each.estimates, success: rated}) for each in rows[1:]]
+    figures_over_trials(rows, facts(rows))
+    axes = drawn["success"].subfigs[0].axes[0]
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["0", "1", "2", "3"]
+    assert axes.get_xlim()[0] < 0.0
+    monkeypatch.undo()
+    for name, figure in figures_over_trials(rows, facts(rows)).items():
+        figure.save(tmp_path)
+        assert figure.names == [f"{name}.png", f"{name}.pdf"]
+        assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF")

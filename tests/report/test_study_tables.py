@@ -124,11 +124,27 @@ def test_csv_has_full_precision_a_column_per_parameter_and_blanks_for_unknown_va
 
 def test_latex_has_equal_cells_in_every_row_and_escapes_special_characters() -> None:
     text = study_export.as_latex(ROWS, facts(ROWS))
-    body = [line for line in text.splitlines() if line.endswith(r"\\")][2:]
+    paper, *scores, _ = text.split(r"\end{tabular}")
+    body = [line for line in paper.splitlines() if line.endswith(r"\\")][2:]
     assert len(body) == 2 * 6
     assert {line.count("&") for line in body} == {8}
+    for tabular in scores:
+        assert len({line.count("&") for line in tabular.splitlines() if line.endswith(r"\\")}) == 1
     assert r"$9.00 \pm 1.25^{*}$" in text
     assert not set(text) - set(map(chr, range(128)))
+
+
+def test_latex_has_booktabs_rules_and_all_metrics_of_each_estimate() -> None:
+    own = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "mission", "near_misses"): estimate(1.0)})
+    text = study_export.as_latex([BASELINE, own], facts([BASELINE, own]))
+    assert text.startswith("% needs \\usepackage{booktabs}\n")
+    tabulars = text.count(r"\begin{tabular}")
+    assert tabulars == text.count(r"\toprule") == text.count(r"\midrule") == text.count(r"\bottomrule") > 1
+    assert r"\hline" not in text
+    mission = text.partition("% ego with the picture: all metrics")[2]
+    heading = next(line for line in mission.splitlines() if line.startswith(" & FN"))
+    assert heading.startswith(" & FN & FP & TP & RMSE m & ID sw. & OSPA m & GOSPA m & complete & ")
+    assert r"near\_misses" in heading
 
 
 def test_shares_add_up_to_one_over_the_causes_that_occur() -> None:

@@ -15,6 +15,7 @@ import pytest
 from tiny_world import tiny
 
 from mast_zenoh import scenario
+from mast_zenoh.attacks import UncoordinatedAttack
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.control import failures
 from mast_zenoh.control.reports import failure
@@ -75,6 +76,16 @@ def test_an_error_raised_in_a_library_or_the_runtime_is_located_at_its_caller() 
 
     for call in (in_numpy, in_json, in_received):
         assert failures.location(raised(call), call) == f"{__file__}:{call.__code__.co_firstlineno + 1}"
+
+
+def test_an_error_raised_in_an_algorithm_is_located_first_at_the_line_of_the_user_that_called_it() -> None:
+    def too_early() -> None:
+        UncoordinatedAttack(start_s=-1.0)
+
+    where = failures.location(raised(too_early), too_early)
+    first, _, then = where.partition(", raised in ")
+    assert first == f"{__file__}:{too_early.__code__.co_firstlineno + 1}"
+    assert Path(then.rpartition(":")[0]).is_relative_to(Path(failures.__file__).parents[1] / "attacks")
 
 
 def test_a_handler_with_wrong_parameters_is_located_where_it_is_defined() -> None:

@@ -33,7 +33,7 @@ WIRING = Wiring(
 MEMBERS = {"simulator": "simulator", "ego": "agent"}
 PLACE = {"wire": "clock", "input": "in", "output": "out", "hears": {"clock": "clock"}, "says": []}
 SPEC = {"file": "/a/eve.py", "type": "Eve", "role": "adversary", "config": {"gain": 2.0}, "on_exit": "continue"}
-INTERCEPT = {"do": "intercept", "number": "ab", "name": "eve", "spec": SPEC, "place": PLACE}
+INTERCEPT = {"do": "intercept", "number": "ab", "name": "eve", "spec": SPEC, "place": PLACE, "modules": ["/a/lies.py"]}
 #: The results of a node, one of whose handlers failed.
 OUTCOME = RESULT | {
     "results": {"n": 1, "tables": {"mine": {"a": np.arange(3), "b": np.array(["x", "y", "z"])}}},

@@ -14,7 +14,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.config import bundle, loading
+from mast_zenoh.attacks import Attack
+from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
 from mast_zenoh.control import control_prefix
@@ -27,12 +28,15 @@ from mast_zenoh.launch.interception.server import SECRET_FILE, seal
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.scenario.nodes import add_surroundings, node_spec
+from mast_zenoh.scenario.resolution import modules_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.insertion import Place, insert
 from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring
 from mast_zenoh.wiring.subjects import agent_of
 
+#: The shipped node that carries out attacks.
+_ADVERSARY = "adversary.py"
 _TIMEOUT_S = 180.0
 _CONNECT_TIMEOUT_S = 2.0
 
@@ -47,9 +51,10 @@ def intercept(
     output: str | None = None,
     settings: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Put the node in `file` on a wire of a run; return node, wires, frame, took_ms.
+    """Put a node on a wire of a run; return node, wires, frame, took_ms.
 
     run:   the run folder
+    file:  of the node; or an attack, by name, FILE.py or FILE.py:CLASS, which the shipped adversary carries out
     name:  name of the new node; None: the file's name with a number
     input, output: its ports on the wire; None: the ports that carry the wire's messages
     settings: its parameters, `key=value`; a dotted key sets an item of a dict
@@ -68,7 +73,9 @@ def intercept(
         "config": spec.config,
         "on_exit": spec.on_exit,
     }
-    return _ask(run, record, {"do": "intercept", "name": node, "spec": fields, "place": place_json(place)})
+    modules = [module for module in modules_of(Path(), spec.config, ()) if module not in resolved.modules]
+    request = {"do": "intercept", "name": node, "spec": fields, "place": place_json(place), "modules": modules}
+    return _ask(run, record, request)
 
 
 def release(run: Path, *, name: str | None = None, wire: str | None = None) -> dict[str, Any]:
@@ -101,10 +108,8 @@ def plan(
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
     for module in resolved.modules:
         loading.module(Path(module))
-    path = bundle.find("nodes", file, Path.cwd())
-    if path is None:
-        raise NodeFileError(f"no node file {file!r}{nearest(file, bundle.names('nodes', Path.cwd()))}")
-    target, config = wires[wire], nested(settings)
+    path, config = _node_of(file, nested(settings))
+    target = wires[wire]
     cls = loading.node_class(path, config.get("type"))
     declared = {schema.name: schema for schema in resolved.messages}
     for message, schema in cls.message_types.items():
@@ -122,6 +127,29 @@ def plan(
     place = _place(cls, path, name, target, subject, wiring, resolved, input, output)
     insert(wiring, name, place)
     return name, spec, place
+
+
+def _node_of(text: str, config: dict[str, Any]) -> tuple[Path, dict[str, Any]]:
+    """(file, parameters) of the node that `--with` names; of an attack, those of the shipped adversary."""
+    shipped = registry.known_types(Attack)
+    attack, (file, _, name) = text if text in shipped else "", text.partition(":")
+    if not attack:
+        path = bundle.find("nodes", file, Path.cwd())
+        if path is None:
+            known = [*bundle.names("nodes", Path.cwd()), *shipped]
+            raise NodeFileError(f"no node file or attack {file!r}{nearest(file, known)}")
+        loaded = loading.module(path)
+        attacks = [cls.__name__ for cls in loading.concrete([loaded], Attack)]
+        if name not in attacks and (not attacks or loading.concrete([loaded], Node)):
+            return path, {"type": name} | config if name else config
+        attack = loading.class_name(f"{path}:{name}" if name else str(path), Attack)
+    adversary = bundle.find("nodes", _ADVERSARY)
+    if adversary is None:
+        raise NodeFileError(f"{_ADVERSARY}: not found: expected it among the shipped nodes")
+    chosen = config.get("attack", {})
+    if not isinstance(chosen, Mapping) or chosen.get("type", attack) != attack:
+        raise ConfigurationError(f"attack: found {chosen!r}, expected its parameters: --with names {attack}")
+    return adversary, config | {"attack": {"type": attack, **chosen}}
 
 
 def _place(

@@ -150,14 +150,15 @@ class Interceptions:
             query.reply(query.key_expr, msgpack.packb(answer))
             query.drop()
 
-    def _intercept(self, name: str, spec: NodeSpec, place: Place) -> Work:
+    def _intercept(self, name: str, spec: NodeSpec, place: Place, modules: tuple[str, ...]) -> Work:
         """Start a node, and put it on its wire once it has joined the mesh."""
         before = self._context.resolved
         if name in before.nodes or any(child.name == name for child in self._supervisor.running()):
             raise ConfigurationError(f"node {name!r} already exists: give another --name")
         after = insertion.insert(Wiring.from_json(before.wiring), name, place)
         yield from self._until(lambda: self._context.frame >= 0)
-        self._adopt(replace(before, nodes={**before.nodes, name: spec}, wiring=after.to_json()))
+        modules = tuple(dict.fromkeys([*before.modules, *modules]))
+        self._adopt(replace(before, nodes={**before.nodes, name: spec}, wiring=after.to_json(), modules=modules))
         try:
             running = {child.name for child in self._supervisor.running()}
             self._supervisor.start(name, spec, before.nodes.keys() - running)

@@ -45,7 +45,9 @@ def figure_of_breakdown(table: BreakdownTable) -> RenderedFigure:
         "worse than the ego alone, or an honest agent is suspended before any liar. Dashed: objects without an honest "
         "majority of viewers, the bound of identification."
     )
-    return render("breakdown", figure, f"Broken trials over the share of liars. {_points(table)}", caption)
+    return render(
+        "breakdown", figure, f"Broken trials over the share of liars. {_points(table)}", caption, printed=True
+    )
 
 
 def _curve(axes: Axes, rows: list[BreakdownRow], index: int, shift: float) -> None:

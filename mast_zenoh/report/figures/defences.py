@@ -61,7 +61,7 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
         "Missed and false objects that each adversary adds to the ego's picture per frame, compared with no attack and "
         f"no defence ({matrix.size}). Brackets: the 95 % interval contains 0, or there is none."
     )
-    return render("defence_matrix", figure, f"Heat maps of damage. {_worst(matrix)}", caption)
+    return render("defence_matrix", figure, f"Heat maps of damage. {_worst(matrix)}", caption, printed=True)
 
 
 def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) -> None:
@@ -114,7 +114,9 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
         "trials or more. Last: the share of objects that more honest agents see than compromised ones. No rule that "
         "counts viewers can know more."
     )
-    return render("damage_over_adversaries", figure, f"Damage over number of adversaries. {_worst(matrix)}", caption)
+    return render(
+        "damage_over_adversaries", figure, f"Damage over number of adversaries. {_worst(matrix)}", caption, printed=True
+    )
 
 
 def _curve(
@@ -184,7 +186,7 @@ def _delays(matrix: DefenceMatrix) -> RenderedFigure:
         f"{defence} {delay.detections} of {delay.watched}, median {number(delay.median_s)} s"
         for defence, delay in matrix.delays.items()
     )
-    return render("detection_delay", figure, f"Share of liars not suspended: {values}.", caption)
+    return render("detection_delay", figure, f"Share of liars not suspended: {values}.", caption, printed=True)
 
 
 def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
@@ -210,7 +212,7 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
         "in the hours of all runs together, so few runs say nothing about one alarm per hour."
     )
     values = "; ".join(f"{each.defence} {number(each.auc.value)}" for each in matrix.rocs)
-    return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption)
+    return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption, printed=True)
 
 
 def _mean(row: DefenceRow | None, name: str) -> float:

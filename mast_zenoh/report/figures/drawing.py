@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from mast_zenoh.report.figures.birdseye import draw_birdseye, key
 from mast_zenoh.report.figures.camera import draw_camera, ego_eye
-from mast_zenoh.report.figures.style import FAINT, GROUND, Figure, plain, png, svg
+from mast_zenoh.report.figures.style import FAINT, GROUND, Figure, pdf, plain, png, svg
 from mast_zenoh.report.figures.view import FrameView, clipped, window
 from mast_zenoh.report.tables.scores import MEASURES, ScoreTable, number
 
@@ -37,6 +37,7 @@ class RenderedFigure:
     alt:     alternative text
     caption: how to read it
     svg:     bytes, where the page shows the SVG
+    pdf:     bytes, of a figure of a study
     """
 
     name: str
@@ -44,6 +45,7 @@ class RenderedFigure:
     alt: str
     caption: str
     svg: bytes | None = None
+    pdf: bytes | None = None
 
     @property
     def source(self) -> str:
@@ -57,16 +59,30 @@ class RenderedFigure:
         return int.from_bytes(self.png[16:20]), int.from_bytes(self.png[20:24])
 
     def save(self, folder: Path) -> None:
-        """Write `folder/<name>.png`, and `.svg` where there is one."""
+        """Write `folder/<name>.png`, and `.svg` and `.pdf` where there are any."""
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{self.name}.png").write_bytes(self.png)
-        if self.svg:
-            (folder / f"{self.name}.svg").write_bytes(self.svg)
+        for suffix, data in self._files.items():
+            (folder / f"{self.name}.{suffix}").write_bytes(data)
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the files that `save` writes."""
+        return [f"{self.name}.{suffix}" for suffix in self._files]
+
+    @property
+    def _files(self) -> dict[str, bytes]:
+        files = {"png": self.png, "svg": self.svg, "pdf": self.pdf}
+        return {suffix: data for suffix, data in files.items() if data}
 
 
-def render(name: str, figure: figures.Figure, alt: str, caption: str, *, vector: bool = False) -> RenderedFigure:
-    """Render a figure."""
-    return RenderedFigure(name, png(figure), alt, caption, svg(figure) if vector else None)
+def render(
+    name: str, figure: figures.Figure, alt: str, caption: str, *, vector: bool = False, printed: bool = False
+) -> RenderedFigure:
+    """Render a figure. vector: also as SVG, for the page; printed: also as PDF, for papers"""
+    picture = png(figure)  # sets the resolution, before other formats are drawn
+    return RenderedFigure(
+        name, picture, alt, caption, svg(figure) if vector else None, pdf(figure) if printed else None
+    )
 
 
 def _dark_figure(views: Sequence[FrameView], width: float, height: float, *, agents: bool = True) -> Figure:

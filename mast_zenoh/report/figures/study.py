@@ -56,7 +56,7 @@ _CAPTIONS = {
     "compromised agents.",
     "increments_mission": "What each configuration adds to what the ego acts on: its own tracks and the picture "
     "together.",
-    "success": "In how many trials the attacks of each configuration succeeded.",
+    "success": "In how many trials the attacks of each configuration succeeded; without adversaries none can.",
 }
 
 
@@ -128,7 +128,7 @@ def _render(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence[
     first = axes[0]
     caption = f"{_CAPTIONS[name]} {_bar_notes(rows, axes)}" if name in _INCREMENTS else _CAPTIONS[name]
     values = "; ".join(f"{row.label} {over_trials(each)}" for row in rows if (each := first.column.of(row)).seeds)
-    return render(name, figure, f"{first.title}, {first.label}: {values}.", caption)
+    return render(name, figure, f"{first.title}, {first.label}: {values}.", caption, printed=True)
 
 
 def _draw(all_panels: Sequence[Panel], columns: Sequence[Axis], footer: str) -> Figure:
@@ -188,6 +188,11 @@ def _legend_lines(panel: Panel, width: float) -> int:
     return -(-len(panel.curves) // max(1, int(width / (0.6 + 0.085 * longest))))
 
 
+def _counts_adversaries(panel: Panel) -> bool:
+    """Whether x is the number of adversaries, and none of the panel's configurations is without any."""
+    return panel.numeric and panel.x.rpartition(".")[2] == "n_adversaries" and 0 not in panel.ticks
+
+
 def _curves(axes: Axes, panel: Panel, column: Column) -> None:
     """One curve per run or value; points of categories are not joined."""
     light_axes(axes)
@@ -196,9 +201,11 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
     log = panel.numeric and len(places) > 2 and places.min() > 0.0 and places.max() / places.min() >= _LOG_FROM
     axes.set_xscale("log" if log else "linear")
     positions = np.log(places) if log else places
+    rates = False
     for index, curve in enumerate(panel.curves):
         estimates = [column.of(row) for row in curve.rows]
         rate = any(each.rate for each in estimates)
+        rates |= rate
         scale = 100.0 if rate else 1.0
         mean, low, high = (
             scale * np.array([getattr(each, name) for each in estimates]) for name in ("trial_mean", "low", "high")
@@ -219,7 +226,12 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
         )
         if rate:
             axes.set_ylim(-5.0, 105.0)
-    axes.set_xticks(places, [plain(text_of(tick)) for tick in panel.ticks])
+    ticks = panel.ticks
+    if rates and _counts_adversaries(panel):  # no adversary, no success
+        places, ticks = np.concatenate([[0.0], places]), (0, *ticks)
+        axes.set_xscale("linear")
+        axes.plot([0.0], [0.0], marker="o", markersize=5, markerfacecolor="white", color=LOCAL, linestyle="none")
+    axes.set_xticks(places, [plain(text_of(tick)) for tick in ticks])
     axes.xaxis.set_minor_locator(NullLocator())
     if not panel.numeric and max(len(plain(text_of(tick))) for tick in panel.ticks) > 8:
         axes.tick_params(axis="x", rotation=25)

@@ -49,8 +49,7 @@ def objects(number: float, kind: str = "") -> str:
     noun = f"{kind} object".strip()
     if number == 0.0:
         return f"no {noun}"
-    text = small(number)
-    return f"{text} {noun}{'' if text == '1.0' else 's'}"
+    return f"{small(number)} {noun}s"
 
 
 def small(number: float) -> str:

@@ -102,9 +102,14 @@ def _unchanged(run: RunFolder, places: str, reference: Reference | None) -> str:
 
 
 def _same_scores(run: RunFolder, reference: RunFolder, name: str) -> str:
-    """States that all scores equal those of another run, or that only driving differs."""
+    """States that all scores equal those of another run, or that only driving differs.
+
+    A replay of what agents sent lacks the estimates that they made of the picture.
+    """
     if not driving_differs(run, reference):
-        return f"every score equals that of {name}"
+        estimates = [set(each.metrics.get("agents", {}).get(run.ego or "", ())) for each in (run, reference)]
+        which = "every score" if estimates[0] == estimates[1] else "every score that both runs have"
+        return f"{which} equals that of {name}"
     braking = braking_by_attack(run)
     return f"only driving differs from {name}" + (f" (because of attacks, {braking})" if braking else "")
 

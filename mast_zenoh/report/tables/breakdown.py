@@ -36,7 +36,7 @@ def as_markdown(table: BreakdownTable) -> str:
 
 
 def as_latex(table: BreakdownTable) -> str:
-    """All tables as LaTeX tabulars; need no LaTeX package."""
+    """All tables as LaTeX tabulars, with booktabs."""
     return text_table.as_latex(table.size, _tables(table))
 
 

@@ -37,7 +37,7 @@ def as_csv(matrix: DefenceMatrix) -> str:
 
 
 def as_latex(matrix: DefenceMatrix) -> str:
-    """All tables as LaTeX tabulars; need no LaTeX package."""
+    """All tables as LaTeX tabulars, with booktabs."""
     return text_table.as_latex(matrix.size, tables(matrix))
 
 

@@ -55,9 +55,9 @@ def driving_rows(run: RunFolder, reference: RunFolder | None = None, name: str =
 
 
 def driving_differs(run: RunFolder, reference: RunFolder) -> bool:
-    """Whether the ego's driving metrics differ between two runs."""
+    """Whether the ego's driving metrics differ between two runs, for an estimate that both have."""
     own, references = _summaries(run), _summaries(reference)
-    return bool(own and references) and own != references
+    return any(own[estimate] != references[estimate] for estimate in own.keys() & references.keys())
 
 
 def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:

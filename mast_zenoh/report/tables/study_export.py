@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from mast_zenoh.metrics.scores import COLUMNS
 from mast_zenoh.report.narrative.study import titled
 from mast_zenoh.report.narrative.study_comparisons import compare
 from mast_zenoh.report.study_facts import StudyFacts
 from mast_zenoh.report.tables.scores import DASH
-from mast_zenoh.report.tables.study_rows import PAPER, StudyRow, columns_of, over_frames, over_trials
+from mast_zenoh.report.tables.study_rows import (
+    ALL_SCORES,
+    PAPER,
+    Column,
+    StudyRow,
+    columns_of,
+    over_frames,
+    over_trials,
+)
 
 #: The numbers of an estimate in table.csv: heading and field.
 _NUMBERS = {
@@ -51,29 +60,56 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 
 
 def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
-    """A LaTeX tabular of increments with intervals below; needs no LaTeX package."""
+    """LaTeX tabulars with intervals below: the paper's increments, then all metrics of each estimate."""
     rows, facts = titled(rows, facts)
     columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
     groups = " & ".join(rf"\multicolumn{{{len(columns_of_group)}}}{{c}}{{{name}}}" for name, columns_of_group in PAPER)
     size = facts.size.replace("\u00d7", "x")
     comments = ["mean and std over the frames of all trials; below, mean over seeds [95 % interval], paired", size]
     lines = [
-        *(f"% {comment}" for comment in (*comments, _MARK, facts.failures) if comment),
-        r"\begin{tabular}{l" + "r" * len(columns) + "}",
-        r"\hline",
-        rf" & {groups} \\",
-        " & " + " & ".join(_short(column.heading) for column in columns) + r" \\",
-        r"\hline",
+        *(f"% {comment}" for comment in (r"needs \usepackage{booktabs}", *comments, _MARK, facts.failures) if comment),
+        *_tabular(
+            [rf" & {groups} \\", " & " + " & ".join(_short(column.heading) for column in columns) + r" \\"],
+            [row for row in rows if row.label != facts.baseline],
+            columns,
+            lambda row, column: "^{*}" if comparisons.remains(row, column) else "",
+        ),
     ]
-    for row in (row for row in rows if row.label != facts.baseline):
-        frame_cells = [
-            _tex(over_frames(column.of(row))) + ("^{*}" if comparisons.remains(row, column) else "")
-            for column in columns
-        ]
+    for name, scores in ALL_SCORES:
+        of_estimate = [*scores, *_of_users(rows, scores)]
+        if any(column.of(row).seeds for row in rows for column in of_estimate):
+            heading = " & " + " & ".join(_tex(column.heading) for column in of_estimate) + r" \\"
+            lines += ["", f"% {name}: all metrics", *_tabular([heading], rows, of_estimate, lambda row, column: "")]
+    return "\n".join([*lines, ""])
+
+
+def _tabular(
+    headings: Sequence[str],
+    rows: Sequence[StudyRow],
+    columns: Sequence[Column],
+    mark: Callable[[StudyRow, Column], str],
+) -> list[str]:
+    """The lines of a tabular with two lines for each row: over frames, and over trials."""
+    lines = [r"\begin{tabular}{l" + "r" * len(columns) + "}", r"\toprule", *headings, r"\midrule"]
+    for row in rows:
+        frame_cells = [_tex(over_frames(column.of(row))) + mark(row, column) for column in columns]
         trial_cells = [_tex(over_trials(column.of(row))) for column in columns]
         for label, texts in ((row.label, frame_cells), ("", trial_cells)):
             lines.append(" & ".join([_tex(label), *(f"${text}$" for text in texts)]) + r" \\")
-    return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])
+    return [*lines, r"\bottomrule", r"\end{tabular}"]
+
+
+def _of_users(rows: Sequence[StudyRow], scores: Sequence[Column]) -> list[Column]:
+    """Columns of the metrics of an estimate that are not among its scores: the user's own."""
+    known, estimator = {column.metric for column in scores} | set(COLUMNS), scores[0].estimator
+    names = [
+        series.metric
+        for row in rows
+        for series, each in row.estimates.items()
+        if (series.owner, series.estimator) == (row.ego, estimator) and series.metric.isidentifier() and not each.rate
+    ]
+    own = [name for name in dict.fromkeys(names) if name not in known and not name.endswith("_iob")]
+    return [Column(name, name, estimator) for name in own]
 
 
 def _short(heading: str) -> str:

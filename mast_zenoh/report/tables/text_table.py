@@ -44,18 +44,21 @@ def as_markdown(title: str, about: str, tables: Iterable[TextTable]) -> str:
 
 
 def as_latex(size: str, tables: Iterable[TextTable]) -> str:
-    """All tables as LaTeX tabulars; need no LaTeX package. size: seeds and scenes"""
+    """All tables as LaTeX tabulars, with booktabs. size: seeds and scenes"""
     size = size.replace("\u00d7", "x")
-    parts = [f"% brackets: 95 % interval over trials (pairs of scene and seed); {size}"]
+    parts = [
+        r"% needs \usepackage{booktabs}",
+        f"% brackets: 95 % interval over trials (pairs of scene and seed); {size}",
+    ]
     for table in tables:
         parts += [
             f"% {table.title}. {table.about}".rstrip(),
             r"\begin{tabular}{" + "l" * table.texts + "r" * (len(table.headings) - table.texts) + "}",
-            r"\hline",
+            r"\toprule",
             " & ".join(map(_tex, table.headings)) + r" \\",
-            r"\hline",
+            r"\midrule",
             *(" & ".join(map(_tex, line)) + r" \\" for line in table.lines),
-            r"\hline",
+            r"\bottomrule",
             r"\end{tabular}",
         ]
     return "\n".join([*parts, ""])

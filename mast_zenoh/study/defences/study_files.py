@@ -28,4 +28,4 @@ def write_files(
         (folder / name).write_text(text, encoding="utf-8")
     for figure in figures.values():
         figure.save(folder)
-    return StudyFiles(figures, [*texts, *(f"{name}.png" for name in figures)], as_rich)
+    return StudyFiles(figures, [*texts, *(name for figure in figures.values() for name in figure.names)], as_rich)

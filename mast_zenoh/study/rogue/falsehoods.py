@@ -169,7 +169,7 @@ def _rewire(position: Position) -> Iterator[Any]:
 def _intercept(position: Position) -> Iterator[Any]:
     spec = {"file": f"/tmp/{MARKER}.py", "type": "Forged", "role": "adversary", "config": {}, "on_exit": "fail"}
     place = {"wire": "clock", "input": "in", "output": "out", "hears": {}, "says": []}
-    intercept = {"do": "intercept", "number": "1", "name": MARKER, "spec": spec, "place": place}
+    intercept = {"do": "intercept", "number": "1", "name": MARKER, "spec": spec, "place": place, "modules": []}
     release = {"do": "release", "number": "2", "name": position.others[0], "wire": None}
     for request in (intercept, release):
         for digest in (b"", bytes(32), b"\xff" * 32, MARKER.encode()):

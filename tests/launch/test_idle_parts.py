@@ -1,0 +1,181 @@
+"""A run names the parts of its scenario that took part in nothing, and why."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+from tiny_world import tiny
+
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.launch import idle, run
+from mast_zenoh.metrics import FrameMetric
+from mast_zenoh.report import write_report
+
+Edit = Callable[[dict[str, Any]], Any]
+UNCOORDINATED = dict(type="UncoordinatedAttack", start_s=0.0)
+EARLY = dict(agent="infra_1", attack=UNCOORDINATED)
+
+
+class NeverDefined(FrameMetric):
+    """Has no value in any frame."""
+
+    def per_frame(self, estimate: Any) -> Any:
+        return np.full(len(estimate.frames), np.nan)
+
+
+def attack(*rewrites: str, **adversary: Any) -> Edit:
+    def edit(content: dict[str, Any]) -> None:
+        content["adversaries"] = {"adversary_1": EARLY | adversary}
+        content["keyexpr"] = dict(rewrites=list(rewrites))
+
+    return edit
+
+
+def coordinate(*rewrites: str, adversaries: int) -> Edit:
+    def edit(content: dict[str, Any]) -> None:
+        directed = dict(agent="infra_1", attack=dict(type="CoordinatedAttack", start_s=0.0))
+        content["adversaries"] = {"adversary_1": directed} if adversaries else {}
+        content["coordinator"] = dict(coordination=dict(type="Coordinator", start_s=0.0))
+        content["keyexpr"] = dict(rewrites=list(rewrites))
+
+    return edit
+
+
+def defend(stage: str, *rewrites: str) -> Edit:
+    def edit(content: dict[str, Any]) -> None:
+        content["command_center"]["pipeline"]["integrity"] = dict(type=stage)
+        content["keyexpr"] = dict(rewrites=list(rewrites))
+
+    return edit
+
+
+def setting(**parts: Any) -> Edit:
+    return lambda content: content.update(parts)
+
+
+PARTITION = dict(type="Partition", at=0.5, nodes=["infra_1"])
+CASES: dict[str, tuple[Edit, list[str]]] = {
+    "nothing": (setting(), []),
+    "an adversary on no wire": (
+        attack(),
+        ["adversary_1 is on no wire: keyexpr.rewrites names no wire of its agent, as on_tracks.toml does"],
+    ),
+    "an attack after the run": (
+        attack("on_tracks.toml", attack=UNCOORDINATED | dict(start_s=9.0)),
+        [
+            "adversary_1 on agent/infra_1/tracks changed no message: "
+            "its attack begins at 9 s, after the last frame (1.1 s)"
+        ],
+    ),
+    "an attack without targets": (
+        attack(
+            "on_tracks.toml",
+            attack=UNCOORDINATED
+            | dict(selection=dict(type="UncoordinatedSelection", n_false_positives=0.0, fraction_false_negatives=0.0)),
+        ),
+        ["adversary_1 on agent/infra_1/tracks changed no message: by its own count it found no target"],
+    ),
+    "an attack that is none": (attack("on_tracks.toml", attack=dict(type="PassThrough")), []),
+    "an adversary without its coordinator": (
+        attack("on_tracks.toml", attack=dict(type="CoordinatedAttack", start_s=0.0)),
+        ["adversary_1 on agent/infra_1/tracks changed no message: no coordinator directs it"],
+    ),
+    "a coordinator without adversaries": (
+        coordinate("coordination.toml", adversaries=0),
+        ["coordinator directs nobody: the scenario has no adversaries"],
+    ),
+    "a defence without views": (
+        defend("KOfN"),
+        [
+            "the defence KOfN gets no view of any agent, and its trust is not measured: no wire leads views to "
+            "command_center, as views.toml does in keyexpr.rewrites"
+        ],
+    ),
+    "a defence that needs none": (defend("RobustFusion"), []),
+    "a defence with views": (defend("KOfN", "views.toml"), []),
+    "links of no agent": (setting(links={"truck_*": "wired"}), ["links['truck_*'] match no agent"]),
+    "a link that changes nothing": (setting(links={"*": "wired"}), []),
+    "a fault after the run": (
+        setting(faults=[PARTITION | dict(at=5.0)]),
+        ["faults[0] (Partition) begins at 5 s, after the last frame (1.1 s)"],
+    ),
+    "a fault": (setting(faults=[PARTITION]), []),
+    "a fault that changes nothing": (
+        setting(faults=[dict(type="Loss", at=0.5, nodes=["infra_1"], probability=0.0)]),
+        ["fault Loss infra_1 changed no message from 0.5 s"],
+    ),
+    "a metric without values": (
+        setting(evaluator=dict(scorer=dict(type="Scorer"), metrics=[dict(type="NeverDefined")])),
+        ["the metric never_defined has no value for any estimate"],
+    ),
+}
+
+
+@pytest.mark.parametrize(("edit", "expected"), CASES.values(), ids=CASES)
+def test_idle_parts_are_named_with_the_reason(tmp_path: Path, edit: Edit, expected: list[str]) -> None:
+    outcome = run.run(tiny(edit=edit), tmp_path / "run", runtime="inproc")
+    assert outcome.error is None
+    notices = json.loads((outcome.folder / "run.json").read_text())["notices"]
+    assert [notice["text"] for notice in notices if notice["kind"] == "idle"] == expected
+
+
+def test_idle_parts_are_in_the_report(tmp_path: Path) -> None:
+    outcome = run.run(tiny(edit=attack()), tmp_path / "run", runtime="inproc")
+    assert "idle: adversary_1 is on no wire" in write_report(outcome.folder).read_text()
+
+
+def test_a_sensor_without_detections_is_named() -> None:
+    world = tiny()
+    assert world.recording is not None
+    n_sensors = len(world.recording.sensor_names)
+    counts = np.diff(world.recording.detection_start).reshape(-1, n_sensors) * [1, 0, 1]
+    start = np.concatenate([[0], np.cumsum(counts)])
+    blind = replace(
+        world.recording,
+        detections=world.recording.detections.select(np.arange(start[-1])),
+        detection_truth_id=world.recording.detection_truth_id[: start[-1]],
+        detection_start=start,
+    )
+    assert sentences(replace(world, recording=blind)) == ["the sensor infra_1 detected nothing"]
+    assert sentences(world) == []
+
+
+def test_a_defence_that_never_had_two_viewers_is_named() -> None:
+    world = tiny(edit=defend("KOfN", "views.toml"))
+    assert world.recording is not None
+    points = world.recording.points.copy()
+    points[:, 1:] = 0
+    alone = replace(world, recording=replace(world.recording, points=points))
+    assert sentences(alone) == ["the defence KOfN had nothing to compare: no two agents saw the same object"]
+    assert sentences(world) == []
+
+
+@pytest.mark.parametrize(
+    ("settled", "expected"), [(True, ["infra_1 had no track within the range of the metrics"]), (False, [])]
+)
+def test_an_agent_without_tracks_is_named_if_the_run_was_long_enough(settled: bool, expected: list[str]) -> None:
+    table = {
+        "agent": np.array(["ego", "infra_1", "infra_1"], object),
+        "estimator": np.array(["local", "local", "picture"], object),
+        "tp": np.array([1, 0, 3]),
+        "fp": np.zeros(3, int),
+    }
+    metrics = {"interposers": {}, "settled": settled, "agents": {}}
+    assert sentences(tiny(), {"evaluator": {"metrics": metrics, "tables": {"metrics": table}}}) == expected
+
+
+@pytest.mark.parametrize("results", [{}, {"metrics": 3}, {"metrics": {}, "tables": []}, {"tables": {"attacks": None}}])
+def test_an_evaluator_of_the_user_may_return_anything(results: Any) -> None:
+    assert sentences(tiny(edit=attack("on_tracks.toml")), {"evaluator": results}) == []
+
+
+def sentences(world: Resolved, handed_in: Any = MappingProxyType({})) -> list[str]:
+    """What is idle in a run of 12 frames with these results."""
+    return [notice["text"] for notice in idle.of_run(world, 12, handed_in)]
