@@ -193,9 +193,11 @@ def test_a_setting_changes_only_one_node(tmp_path: Path) -> None:
         ("name.x=1", "name is 'mine', not a dict"),
         ("name.x.y=1", "no 'x' there"),
         ("agents.ego.pipelin.frame=body", "no 'pipelin' there; .*'pipeline'"),
-        ("agents.infra_9.pipeline.frame=body", "agents.infra_9.pipeline.frame: no agent 'infra_9' in .*'infra_1'"),
+        (
+            "agents.infra_9.pipeline.frame=body",
+            "agents.infra_9.pipeline.frame: no agent 'infra_9' in this scene; .*'infra_",
+        ),
         ("agents.car_*.pipeline.frame=body", r"no agent 'car_\*' in this scene"),
-        ("keyexpr.rewrites.0.wire=x", "no '0' there: it is a list, expected another key: it is empty"),
     ],
 )
 def test_an_unknown_dotted_key_is_refused_with_the_nearest_name(tmp_path: Path, setting: str, reason: str) -> None:
