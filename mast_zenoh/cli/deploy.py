@@ -88,6 +88,78 @@ def up(
     conclude(finished, report=report)
 
 
+RunName = Annotated[str, typer.Option("--run", help="Id of the run.")]
+
+
+@app.command(cls=SecureCommand)
+def write(
+    scenario_file: Scenario,
+    settings: Settings = None,
+    frames: Frames = None,
+    secure: Secure = "open",
+    image: Annotated[str | None, typer.Option(help="Image of the nodes; the launcher's is IMAGE-launcher.")] = None,
+    run: Annotated[str | None, typer.Option(help="Name of the run. Default: that of the scenario.")] = None,
+) -> None:
+    """Print a compose file that plays a scenario by itself with `docker-compose up`."""
+    from mast_zenoh import scenario
+    from mast_zenoh.deploy import image as images
+    from mast_zenoh.deploy.compose import document, inside
+
+    path, loaded = scenario.load(scenario_file, settings or ())
+    resolved = scenario.resolve(path, loaded, frames=frames, record=True)
+    inside.check_steps(resolved)
+    own = scenario_file.endswith(".py")
+    launcher = document.Launcher(
+        str(path) if own else scenario_file, tuple(settings or ()), folder=str(path.parent) if own else None
+    )
+    options: dict[str, Any] = {"secure": secure, "patience_s": inside.PATIENCE_S, "launcher": launcher}
+    typer.echo(document.text(resolved, run or resolved.name, image=image or images.TAG, **options), nl=False)
+
+
+@app.command(hidden=True)
+def join(
+    scenario_file: Scenario,
+    endpoint: Annotated[str, typer.Option(help="Of the router.")],
+    run: RunName,
+    settings: Settings = None,
+    frames: Frames = None,
+    secure: Secure = "open",
+    credentials: Annotated[Path | None, typer.Option(help="Folder of the launcher's credentials.")] = None,
+) -> None:
+    """Play a run whose nodes Compose has started: the launcher of a compose file."""
+    from mast_zenoh import scenario
+    from mast_zenoh.deploy.compose import document, inside
+    from mast_zenoh.launch import run as launch
+
+    path, loaded = scenario.load(scenario_file, settings or ())
+    resolved = scenario.resolve(path, loaded, frames=frames, record=True)
+    with inside.joined(endpoint, run, credentials) as session:
+        engine = inside.Inside(run, session, endpoint, credentials)
+        finished = launch.run(resolved, engine=engine, secure=secure, console=_out)
+        try:
+            conclude(finished, report=True)
+        finally:
+            name = document.container(run, document.LAUNCHER)
+            _out.print(f"results: volume {document.project(run)}-results; get them by", highlight=False)
+            _out.print(f"  docker cp {name}:{finished.folder} .", highlight=False)
+
+
+@app.command(hidden=True)
+def certificates(
+    scenario_file: Scenario,
+    run: RunName,
+    settings: Settings = None,
+    secure: Secure = "acl",
+) -> None:
+    """Make the credentials of all services of a compose file, and keep them in memory."""
+    from mast_zenoh import scenario
+    from mast_zenoh.deploy.compose import document, inside
+
+    path, loaded = scenario.load(scenario_file, settings or ())
+    resolved = scenario.resolve(path, loaded, frames=1, record=True)
+    inside.make_credentials(resolved, run, secure, Path(document.KEYS))
+
+
 @app.command()
 def status(run_folder: RunFolder) -> None:
     """List the nodes of a run, their state and place."""
@@ -130,6 +202,9 @@ def down(run_folder: RunFolder) -> None:
 def image(
     base: Annotated[str | None, typer.Option(help="An image with Python 3.11 or newer and venv.")] = None,
     tag: Annotated[str | None, typer.Option(help="Name of the image.")] = None,
+    launcher: Annotated[
+        bool, typer.Option("--launcher", help="Also build the launcher's image, for files of `mast deploy write`.")
+    ] = False,
 ) -> None:
     """Build the image for nodes in containers."""
     from mast_zenoh.deploy import image as images
@@ -138,6 +213,8 @@ def image(
     built = images.build(tag or images.TAG, base)
     added_mb = images.size_over_base(built, base) / 1e6
     _out.print(f"image: {built}, {added_mb:.0f} MB over {base}", highlight=False)
+    if launcher:
+        _out.print(f"image: {images.build(tag or images.TAG, base, launcher=True)}", highlight=False)
 
 
 def doctor(

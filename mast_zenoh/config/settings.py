@@ -75,7 +75,7 @@ def nested(settings: Sequence[str]) -> dict[str, Any]:
 
 
 def set_dotted(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:
-    """Set the value that a dotted key names.
+    """Set the value that a dotted key names; a number counts the items of a list from 0.
 
     Every step but the last must exist; the last one is checked later.
     """
@@ -84,13 +84,30 @@ def set_dotted(scenario: dict[str, Any], dotted: str, value: Any, place: str) ->
     scenario |= {key: {} for key in steps[:1] if key in KEYS and key not in scenario}
     level: Any = scenario
     for step in steps:
-        if not isinstance(level, Mapping) or step not in level:
-            known = level if isinstance(level, Mapping) else ()
-            raise ConfigurationError(f"{place}: --set {dotted}: no {step!r} there{nearest(step, known)}")
-        level = level[step]
-    if not isinstance(level, dict):
+        key = _key(level, step, f"{place}: --set {dotted}")
+        if isinstance(level[key], tuple):
+            level[key] = list(level[key])
+        level = level[key]
+    if isinstance(level, list):
+        level[_key(level, last, f"{place}: --set {dotted}")] = value
+    elif isinstance(level, dict):
+        level[last] = value
+    else:
         raise ConfigurationError(f"{place}: --set {dotted}: {'.'.join(steps)} is {level!r}, not a dict")
-    level[last] = value
+
+
+def _key(level: Any, step: str, place: str) -> Any:
+    """The key in a dict, or the index in a list, that a step names; raises ConfigurationError."""
+    if isinstance(level, list):
+        if step.isdecimal() and int(step) < len(level):
+            return int(step)
+        expected = f"one of 0 to {len(level) - 1}" if level else "another key: it is empty"
+        raise ConfigurationError(f"{place}: no {step!r} there: it is a list, expected {expected}")
+    if not isinstance(level, Mapping) or step not in level:
+        raise ConfigurationError(
+            f"{place}: no {step!r} there{nearest(step, level if isinstance(level, Mapping) else ())}"
+        )
+    return step
 
 
 def literal(value: str) -> Any:

@@ -14,6 +14,11 @@ from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.model import Wiring
 
 MAX_EPOCH = 1 << 32  #: as in the attachment of data messages
+
+#: What the launcher tells a node on `leave/NODE`: to hand in its results, or to end at once, as if it were killed (only
+#: a node that can start over by itself obeys).
+LEAVE, KILL = "leave", "kill"
+
 _MAX_COUNTS = CONTROLS["counts"].max_bytes
 
 

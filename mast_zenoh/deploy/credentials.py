@@ -26,7 +26,7 @@ def write_settings(folder: Path, router: dict[str, Any]) -> Path:
     Their folder is next to the nodes' folders.
     """
     router_folder = folder / ROUTER
-    router_folder.mkdir(mode=0o700)
+    router_folder.mkdir(mode=0o700, exist_ok=True)  # or a mounted one
     handle = os.open(router_folder / ROUTER_SETTINGS, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "w", encoding="utf-8") as file:
         json.dump(router, file, separators=(",", ":"))

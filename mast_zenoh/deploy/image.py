@@ -24,25 +24,38 @@ LABEL = "org.mast-zenoh.code"
 _BUILD_S = 1200.0
 
 
-def build(tag: str = TAG, base: str = BASE) -> str:
-    """Build the image; returns its tag. Raises EngineError.
+def launcher_tag(tag: str = TAG) -> str:
+    """The image of the launcher that belongs to an image of nodes."""
+    return f"{tag}-launcher"
+
+
+def build(tag: str = TAG, base: str = BASE, *, launcher: bool = False) -> str:
+    """Build the image of the nodes; returns its tag. Raises EngineError.
 
     base: an image that has Python 3.11 or newer with venv
+    launcher: whether to build the image of the launcher instead, `launcher_tag(tag)`
     """
     program = "import sys, platform; print(*sys.version_info[:2], platform.machine())"
     answer = docker("run", "--rm", "--network=none", "--entrypoint=python3", base, "-c", program, timeout=_BUILD_S)
     major, minor, machine = answer.split()
     python = f"{major}.{minor}"
-    wheels = wheel.third_party(wheel.cache(python, machine), python, machine)
+    target, tag = ("launcher", launcher_tag(tag)) if launcher else ("node", tag)
     with tempfile.TemporaryDirectory(prefix="mast-image-") as folder:
         context = Path(folder)
-        (context / "third_party").mkdir()
-        for path in wheels:
-            shutil.copyfile(path, context / "third_party" / path.name)
+        wheels = {"third_party": wheel.requirements()}
+        if launcher:
+            wheels["launcher_party"] = wheel.launcher_requirements()
+        for part, required in wheels.items():
+            (context / part).mkdir()
+            for path in wheel.third_party(wheel.cache(python, machine), python, machine, required):
+                shutil.copyfile(path, context / part / path.name)
         wheel.build(context)
-        dockerfile = bundle.ROOT / "deploy" / "Dockerfile"
-        options = ["--tag", tag, "--build-arg", f"BASE={base}", "--build-arg", f"CODE={_code()}"]
+        (context / "deploy").mkdir()
+        for name in ("Dockerfile", wheel.REQUIREMENTS):
+            shutil.copyfile(bundle.ROOT / "deploy" / name, context / "deploy" / name)
+        options = ["--tag", tag, "--build-arg", f"BASE={base}", "--build-arg", f"CODE={_code()}", "--target", target]
         before = docker("image", "ls", "--quiet", tag).strip()
+        dockerfile = context / "deploy" / "Dockerfile"
         docker("build", "--quiet", *options, "--file", str(dockerfile), str(context), timeout=_BUILD_S)
         if before and before != docker("image", "ls", "--quiet", tag).strip():
             docker("image", "rm", before, check=False)  # now untagged; running containers keep using it

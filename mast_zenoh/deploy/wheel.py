@@ -11,8 +11,8 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, distribution, version
+from collections.abc import Iterator, Sequence
+from importlib.metadata import PackageNotFoundError, distribution, requires, version
 from pathlib import Path
 
 from mast_zenoh.config import bundle
@@ -23,7 +23,7 @@ REQUIREMENTS = "node-requirements.txt"
 _PACKAGE = Path(__file__).resolve().parents[1]
 _KINDS = ("nodes", "keyexpr_maps", "scenarios", "studies", "deploy")
 #: Compiled kernels are included with their sources; an interpreter that they do not fit ignores them.
-_SUFFIXES = (".py", ".j2", ".toml", ".txt", ".yml", ".json", ".pyx", ".pxd", ".so")
+_SUFFIXES = (".py", ".j2", ".js", ".css", ".html", ".toml", ".txt", ".yml", ".json", ".pyx", ".pxd", ".so")
 _OLDEST = (1980, 1, 1, 0, 0, 0)  # earliest time in a zip file: equal content gives equal bytes
 
 
@@ -59,23 +59,43 @@ def requirements() -> list[str]:
         raise EngineError(f"{error.name} is not installed here: run `pip install mast-zenoh`") from None
 
 
-def third_party(folder: Path, python: str = "", machine: str = "") -> list[Path]:
-    """The wheels of `requirements` in a folder; missing ones are downloaded.
+def launcher_requirements() -> list[str]:
+    """The packages that a launcher needs besides those of a node, `name==version`."""
+    node = {wanted.partition("==")[0] for wanted in requirements()}
+    found: dict[str, str] = {}
+    pending = ["mast-zenoh"]
+    while pending:
+        for line in requires(pending.pop()) or ():
+            name = re.split(r"[^\w.-]", line, maxsplit=1)[0].lower().replace("_", "-")
+            if "extra ==" in line or name in found:
+                continue
+            try:
+                found[name] = version(name)
+            except PackageNotFoundError:
+                continue  # only for other systems or versions of Python
+            pending.append(name)
+    return [f"{name}=={release}" for name, release in sorted(found.items()) if name not in node]
+
+
+def third_party(folder: Path, python: str = "", machine: str = "", required: Sequence[str] | None = None) -> list[Path]:
+    """The wheels of packages in a folder; missing ones are downloaded.
 
     python: version on the target host, "3.12"; machine: its processor, as from `uname -m`; empty: as here
+    required: `name==version`; None: those of a node
 
     Raises EngineError if they cannot be downloaded.
     """
+    required = requirements() if required is None else required
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [wanted for wanted in requirements() if not _wheels_of(folder, wanted)]
+    missing = [wanted for wanted in required if not _wheels_of(folder, wanted)]
     if missing:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
         command += ["--only-binary=:all:", "--dest", str(folder), *_platform_options(python, machine), *missing]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-            raise EngineError(f"wheels for nodes cannot be downloaded: {lines[-1]}; put them into {folder}")
-    return [wheel for wanted in requirements() for wheel in _wheels_of(folder, wanted)[:1]]
+            raise EngineError(f"wheels cannot be downloaded: {lines[-1]}; put them into {folder}")
+    return [wheel for wanted in required for wheel in _wheels_of(folder, wanted)[:1]]
 
 
 def cache(python: str = "", machine: str = "") -> Path:
@@ -86,7 +106,8 @@ def cache(python: str = "", machine: str = "") -> Path:
 
 def _wheels_of(folder: Path, wanted: str) -> list[Path]:
     name, _, release = wanted.partition("==")
-    return sorted(folder.glob(f"{re.sub('[-_.]+', '_', name)}-{release}-*.whl"))
+    name = re.sub("[-_.]+", "_", name).lower()
+    return sorted(path for path in folder.glob(f"*-{release}-*.whl") if path.name.lower().startswith(f"{name}-"))
 
 
 def _python_version() -> str:

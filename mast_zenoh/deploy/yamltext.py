@@ -23,10 +23,14 @@ class Merged(str):
     """The value of the key `<<`: the name of the anchor to merge in."""
 
 
+class Interpolated(str):
+    """Text in which Compose replaces `${VARIABLE:-default}`."""
+
+
 def dump(content: Mapping[str, Any]) -> str:
     """The YAML text; lists of plain values are on one line.
 
-    Strings must be printable; `$` is doubled, for Compose.
+    Strings must be printable; `$` is doubled, for Compose, except in Interpolated.
     """
     return "\n".join(_mapping(content, "")) + "\n"
 
@@ -65,6 +69,8 @@ def _scalar(value: Any) -> str:
         return f"{digits if '.' in digits else f'{digits}.0'}{exponent}{power}"  # YAML 1.1 requires the point
     if not isinstance(value, str):
         return json.dumps(value)
+    if isinstance(value, Interpolated):
+        return json.dumps(value, ensure_ascii=False)
     if _PLAIN.fullmatch(value) and value.lower() not in _WORDS:
         return value
     return json.dumps(value.replace("$", "$$"), ensure_ascii=False)

@@ -19,6 +19,7 @@ from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import RunError
 from mast_zenoh.launch.supervisor import Supervisor
+from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Wiring
 
@@ -31,6 +32,7 @@ class Mesh(NamedTuple):
 
     session: the launcher's; supervisor: starts, watches and ends the nodes
     deployment: the credentials of this run; None without security
+    control: the launcher's control keys, if it has not made the credentials itself
     has_router: whether the session is the router's own, so that what it subscribes to crosses no link
     """
 
@@ -38,6 +40,7 @@ class Mesh(NamedTuple):
     supervisor: Supervisor[Any]
     deployment: Deployment | None = None
     has_router: bool = False
+    control: ControlKeys | None = None
 
 
 class Stop:
@@ -138,7 +141,7 @@ class RunContext:
     def attach(self, mesh: Mesh) -> None:
         """Set the mesh that the launcher has joined; sign control messages from now on."""
         self.mesh = mesh
-        self.signatures = Signatures(self.run_id, mesh.deployment.control if mesh.deployment else None)
+        self.signatures = Signatures(self.run_id, mesh.deployment.control if mesh.deployment else mesh.control)
 
     def interrupt(self) -> None:
         """End the run as Ctrl-C does; may be called from any thread."""

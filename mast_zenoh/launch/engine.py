@@ -20,12 +20,14 @@ class Engine(ABC):
 
     name: for `--engine`; default: file and name of the class
     unplugs: whether nodes can be disconnected from their networks
+    run_id: id of the run, if nodes that wait for it know it already; None: a new one
 
     Parameters of `__init__` come from the command line: `--option KEY=VALUE`.
     """
 
     name: ClassVar[str]
     unplugs: ClassVar[bool] = False
+    run_id: str | None = None
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

@@ -44,6 +44,7 @@ class FileServer:
     without:  returns the nodes for which a node does not wait
     mismatch: called when a node of another version has been refused
     invalid: counts refused requests
+    started: whether a node is to run now; one that asks before gets no files, and asks again
     last_received_s: when the last piece of a file was received, on the monotonic clock
     """
 
@@ -56,11 +57,13 @@ class FileServer:
         without: Callable[[str], list[str]],
         mismatch: Callable[[VersionMismatch], None],
         invalid: InvalidMessages,
+        started: Callable[[str], bool] = lambda node: True,
     ) -> None:
         self.last_received_s = float("-inf")
         self._folder = folder
         self._resolved = resolved
         self._without = without
+        self._started = started
         self._mismatch = mismatch
         self._invalid = invalid
         self._waiting: Counter[str] = Counter()
@@ -159,6 +162,8 @@ class FileServer:
             )
             self._mismatch(error)
             raise error
+        if not self._started(node):
+            return {"files": {}, "without": [], "written": []}
         resolved = self._resolved()
         self._contents[node] = contents = dict(files_for_node(resolved, node, self._folder))
         sizes = {

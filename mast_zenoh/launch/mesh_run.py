@@ -8,7 +8,7 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.control import control_prefix, prefix
+from mast_zenoh.control import control_prefix, flow, prefix
 from mast_zenoh.errors import BackendError
 from mast_zenoh.launch import description, local_mesh, mesh_conclusion
 from mast_zenoh.launch import folder as run_folder
@@ -43,7 +43,7 @@ def run(context: RunContext, display: Display, endpoint: str | None, listen: str
         control = control_prefix(context.run_id)
 
         def leave(name: str) -> None:
-            session.put(f"{control}/leave/{name}", context.signatures.sign(f"leave/{name}", b"leave"))
+            session.put(f"{control}/leave/{name}", context.signatures.sign(f"leave/{name}", flow.LEAVE.encode()))
 
         resolved = context.resolved
         absent = Timetable(resolved, lockstep=lockstep).absent
@@ -130,6 +130,7 @@ def _serve_files(context: RunContext, mesh: Mesh, stack: ExitStack) -> FileServe
         lambda node: mesh.supervisor.without.get(node, []),
         context.stop.note,
         context.invalid,
+        mesh.supervisor.is_started,
     )
     stack.callback(server.close)
     return server

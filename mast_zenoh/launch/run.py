@@ -91,7 +91,7 @@ def run(
     with stop_signals.collected() as received:
         folder = run_folder.create(out, resolved.name)
         record: dict[str, Any] = {
-            "id": f"{resolved.name}-{secrets.token_hex(4)}",
+            "id": (engine and engine.run_id) or f"{resolved.name}-{secrets.token_hex(4)}",
             "name": resolved.name,
             "status": ending.RUNNING,
             "message": "",

@@ -148,6 +148,10 @@ class Supervisor(ABC, Generic[C]):
         grace_s: s to wait after each of these
         """
 
+    def is_started(self, name: str) -> bool:
+        """Whether a node that asks for its files is to run; only a process that nobody here starts asks earlier."""
+        return True
+
     def newly_ended(self) -> list[C]:
         """Nodes that have ended since the last call."""
         ended = [child for child in self.children.values() if not child.exit_handled and child.exit is not None]

@@ -31,6 +31,7 @@ from mast_zenoh.messagelog.writer import MessageLog
 _HAND_IN_EVERY_S = 1.0
 _HAND_IN_TIMEOUT_S = 20.0
 _PROBES = 5
+_TURN_S = 0.2  # between two questions whether the scenario has started the node
 
 log = logging.getLogger("mast")
 
@@ -55,7 +56,8 @@ class FileClient:
         Raises the error with which the launcher refuses.
         """
         request: dict[str, Any] = {"do": "join", "version": version.version_string(), "versions": version.versions()}
-        node_files = self.ask("fetch", request, patience_s, files.decode_node_files)
+        while not (node_files := self.ask("fetch", request, patience_s, files.decode_node_files)).files:
+            threading.Event().wait(_TURN_S)  # the scenario starts this node later
         for path, size in node_files.files.items():
             target = _below(folder, path)
             target.parent.mkdir(parents=True, exist_ok=True)

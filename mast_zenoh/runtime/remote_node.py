@@ -1,6 +1,6 @@
 """`mast-node`: a node or the router in a container or on another host.
 
-    mast-node --name infra_1 --run ID --endpoint tcp/HOST:7447 [--credentials DIR] [--patience S]
+    mast-node --name infra_1 --run ID --endpoint tcp/HOST:7447 [--credentials DIR] [--patience S] [--again]
     mast-node --router --run ID --listen tcp/0.0.0.0:7447 [--settings FILE] [--patience S]
 
 There is no run folder here: a node fetches its files from the launcher, and sends it the files that it writes
@@ -25,6 +25,7 @@ import zenoh
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control.flow import LEAVE
 from mast_zenoh.errors import MastError, StartError
 from mast_zenoh.runtime.file_client import FileClient, HandIn, files_written_by
 from mast_zenoh.runtime.mesh import hosting
@@ -55,6 +56,7 @@ def main() -> None:
     parser.add_argument("--router", action="store_true", help="be the router of the run")
     parser.add_argument("--listen", default="tcp/0.0.0.0:7447", help="where the router listens")
     parser.add_argument("--settings", type=Path, help="additional settings of the router: a JSON file")
+    parser.add_argument("--again", action="store_true", help="be ready to start again until the launcher has gone")
     parser.add_argument("--patience", type=float, default=PATIENCE_S, help="seconds to stay without the launcher")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
@@ -88,10 +90,11 @@ def _host(arguments: argparse.Namespace) -> None:
     credentials = Credentials.read(arguments.credentials) if arguments.credentials else None
     run, name = arguments.run, arguments.name
     with tempfile.TemporaryDirectory(prefix="mast-") as own, _join(arguments, credentials) as session:
-        leave: list[Callable[[], None]] = [lambda: os._exit(3)]  # nothing to hand in yet
-        with LauncherWatch(session, run, arguments.patience, lambda: leave[0]()):
+        leave: list[Callable[[], None]] = [lambda: os._exit(0 if arguments.again else 3)]  # nothing to hand in yet
+        arrival_s = max(JOIN_S, arguments.patience) if arguments.again else arguments.patience
+        with LauncherWatch(session, run, arguments.patience, lambda: leave[0](), arrival_s=arrival_s):
             folder, client = Path(own), FileClient(session, run, name)
-            without = client.fetch(folder, arguments.patience)
+            without = client.fetch(folder, arrival_s)
             os.chdir(folder)
             resolved = Resolved.read(folder)
             if resolved.mode == "lockstep":
@@ -107,8 +110,33 @@ def _host(arguments: argparse.Namespace) -> None:
                 os._exit(3)
 
             leave[0] = orphaned
-            with HandIn(client, folder, files_written_by(resolved, name, instance)):
-                mesh_node.run_until_stopped()
+            if arguments.again:
+                mesh_node.on_kill = _start_over
+            try:
+                with HandIn(client, folder, files_written_by(resolved, name, instance)):
+                    mesh_node.run_until_stopped()
+            except Exception:
+                if not arguments.again:
+                    raise
+                log.exception("the node has failed")
+                _start_over()
+            if not arguments.again:
+                return
+            if mesh_node.stop_reason == LEAVE:
+                _start_over()
+            gone = threading.Event()
+            leave[0] = gone.set
+            signal.signal(signal.SIGTERM, lambda *_: gone.set())
+            gone.wait()
+
+
+def _start_over() -> None:
+    """Replace this process, at once, by a new one that asks for its files again.
+
+    For the mesh it is as if the node had been killed. It gets its files when the scenario starts it again.
+    """
+    sys.stdout.flush()
+    os.execv(sys.executable, sys.orig_argv)
 
 
 def _join(arguments: argparse.Namespace, credentials: Credentials | None) -> zenoh.Session:

@@ -13,6 +13,7 @@ from mast_zenoh.config import loading, registry
 from mast_zenoh.config.settings import from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
 from mast_zenoh.scenario.shape import normalise_keys
+from mast_zenoh.scenes.agents import best_pattern
 
 
 def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, Any]:
@@ -130,6 +131,55 @@ def _with_settings(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str,
     Shared dicts are copied: a setting in one must not change another.
     """
     result: dict[str, Any] = registry.own_copy(normalise_keys(scenario, str(path)))
-    for key, value in dotted.items():
-        set_dotted(result, key, value, str(path))
+    created = []
+    for key in sorted(dotted, key=_generality):
+        first, _, others = key.partition(".")
+        agent, deeper, _ = others.partition(".")
+        if first == "agents" and deeper and _give_own_entry(result, agent, f"{path}: --set {key}"):
+            created.append((key, agent))
+        set_dotted(result, key, dotted[key], str(path))
+    _check_agents(result, created, str(path))
     return result
+
+
+def _generality(key: str) -> tuple[bool, int]:
+    """Sorts settings: those of agents come last, from patterns to names.
+
+    What is set for all agents thus also holds for one that gets its own entry.
+    """
+    first, _, others = key.partition(".")
+    name = others.partition(".")[0]
+    return (not set("*?[") & set(name), len(name)) if first == "agents" else (False, 0)
+
+
+def _give_own_entry(scenario: dict[str, Any], name: str, place: str) -> bool:
+    """Copy the entry that configures an agent, or all agents of a pattern; False if there is one of this name.
+
+    Raises ConfigurationError if no entry configures it.
+    """
+    agents = scenario.setdefault("agents", {"*": {}})
+    if not isinstance(agents, dict) or name in agents:
+        return False
+    pattern = best_pattern(agents, name)
+    if pattern is None:
+        raise ConfigurationError(f"{place}: no {name!r} there{nearest(name, agents)}")
+    agents[name] = registry.own_copy(agents[pattern])
+    return True
+
+
+def _check_agents(scenario: Mapping[str, Any], created: Sequence[tuple[str, str]], place: str) -> None:
+    """Raise ConfigurationError for a setting of an agent that the scene does not have.
+
+    created: each setting, and the name or pattern of the entry that it has created
+    """
+    if not created:
+        return
+    try:
+        names = agents_of(scenario.get("scene", "intersection"))
+    except MastError:
+        return  # an error of the scene, which `resolve` reports
+    for key, pattern in created:
+        if not any(best_pattern([pattern], name) for name in names):
+            raise ConfigurationError(
+                f"{place}: --set {key}: no agent {pattern!r} in this scene{nearest(pattern, names)}"
+            )

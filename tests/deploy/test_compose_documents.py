@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.deploy.compose import document
+from mast_zenoh.deploy.compose import document, inside
 from mast_zenoh.deploy.compose.examples import EXAMPLES, example
 from mast_zenoh.deploy.yamltext import dump
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import BackendError, ConfigurationError
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "deploy" / "compose"
@@ -68,6 +68,69 @@ def test_the_examples_are_valid_for_the_installed_compose(name: str) -> None:
         ["docker-compose", "--file", str(path), "config", "--quiet"], capture_output=True, text=True, check=False
     )
     assert process.returncode == 0, process.stderr
+
+
+#: Keys of a service that Compose 1.29 and 2 both accept: those of the Compose specification that the files use.
+SERVICE = {
+    *("build", "image", "user", "environment", "init", "read_only", "tmpfs", "cap_drop", "security_opt", "restart"),
+    *(
+        "cpus",
+        "mem_limit",
+        "pids_limit",
+        "healthcheck",
+        "container_name",
+        "labels",
+        "depends_on",
+        "command",
+        "networks",
+    ),
+    *("network_mode", "volumes", "working_dir", "stop_grace_period"),
+}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_examples_have_only_keys_of_the_compose_specification(name: str) -> None:
+    content = yaml.safe_load((FOLDER / f"{name}.yml").read_text(encoding="utf-8"))
+    assert set(content) == {"x-node", "services", "networks", "volumes"}
+    for service in content["services"].values():
+        assert set(service) <= SERVICE
+        assert "networks" not in service or "network_mode" not in service
+        assert set(service.get("build", {})) <= {"context", "dockerfile", "target", "args"}
+        needs = service.get("depends_on", [])
+        conditions = {need["condition"] for need in needs.values()} if isinstance(needs, dict) else set()
+        assert conditions <= {"service_started", "service_healthy"}
+    assert all(set(network) <= {"internal", "labels", "name"} for network in content["networks"].values())
+    assert all(set(volume) <= {"driver_opts", "labels", "name"} for volume in content["volumes"].values())
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_shipped_file_needs_nothing_from_outside(name: str) -> None:
+    content = yaml.safe_load((FOLDER / f"{name}.yml").read_text(encoding="utf-8"))
+    services = content["services"]
+    nodes = set(services) - {"launcher", "certificates"}
+    assert set(services["launcher"]["depends_on"]) == nodes, "it starts last"
+    for service in services.values():
+        assert "ports" not in service
+        assert {volume.partition(":")[0] for volume in service.get("volumes", ())} <= set(content["volumes"])
+    if EXAMPLES[name][1] != "open":
+        assert all(services[node]["depends_on"]["certificates"] == {"condition": "service_healthy"} for node in nodes)
+        for service in nodes | {"launcher"}:
+            assert f"keys-{service}:/run/secrets:ro" in services[service]["volumes"]
+            assert sum("keys-" in volume for volume in services[service]["volumes"]) == 1, "only its own"
+
+
+def test_nodes_inside_a_complete_file_cannot_be_called_launcher() -> None:
+    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
+    loaded["nodes"] = {"launcher": dict(role="recorder", log="other.mcap")}
+    with pytest.raises(ConfigurationError, match="'launcher': the launcher's name"):
+        document.check_names(scenario.resolve(path, loaded, frames=2), inside=True)
+
+
+def test_a_complete_file_is_refused_for_steps_that_need_docker() -> None:
+    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
+    loaded["faults"] = [dict(type="Pause", at=0.5, until=2.0, node="infra_1")]
+    with pytest.raises(BackendError, match=r"pause of 'infra_1' .* no access to Docker"):
+        inside.check_steps(scenario.resolve(path, loaded, frames=20, mode="realtime"))
 
 
 def resolved(*chosen: str, name: str = "uncoordinated") -> Resolved:

@@ -129,6 +129,51 @@ def test_a_dotted_key_sets_a_value_in_the_scenario(tmp_path: Path, key: str, spe
     assert content["run"] == {"seed": 4}, "a missing section is created"
 
 
+def test_a_setting_of_one_agent_leaves_the_others_as_they_are() -> None:
+    """The entry for all agents is copied for the agent that a setting names, whatever the order of the settings."""
+    own = ["agents.infra_1.pipeline.tracker.type=IMMBoxTracker", "agents.*.status_every=3"]
+    _, plain = load("baseline")
+    _, content = load("baseline", own)
+    agents = content["agents"]
+    assert value_at(agents, "infra_1.pipeline.tracker.type") == "IMMBoxTracker"
+    assert agents["infra_1"]["status_every"] == 3, "what is set for all holds for it, too"
+    assert agents["*"] == plain["agents"]["*"] | {"status_every": 3}
+
+
+def test_a_setting_of_a_pattern_of_agents_holds_for_all_that_match() -> None:
+    path, content = load("baseline", ["agents.infra_*.pipeline.mission.radius=3.5"])
+    nodes = scenario.resolve(path, content, frames=1).nodes
+    radii = {name: value_at(nodes[name].config, "pipeline.mission.radius") for name in ("ego", "infra_1", "infra_2")}
+    assert radii == {"ego": 2.0, "infra_1": 3.5, "infra_2": 3.5}
+
+
+def test_a_dotted_key_reaches_into_a_list(tmp_path: Path) -> None:
+    text = "def scenario():\n    return dict(faults=[dict(at=1.0), dict(at=2.0)], nodes=dict(n=dict(gains=(1, 2))))\n"
+    file = write_scenario(tmp_path, text)
+    _, content = load(file, ["faults.1.at=3.0", "nodes.n.gains.0=5"])
+    assert content["faults"] == [{"at": 1.0}, {"at": 3.0}]
+    assert content["nodes"]["n"]["gains"] == [5, 2]
+    with pytest.raises(
+        ConfigurationError, match=r"--set faults\.2\.at: no '2' there: it is a list, expected one of 0 to 1"
+    ):
+        load(file, ["faults.2.at=3.0"])
+
+
+def test_another_tracker_of_one_agent_changes_no_message_of_the_others() -> None:
+    """Except what comes from the picture, which the tracks of all agents make."""
+
+    def messages(*settings: str) -> dict[str, Any]:
+        path, content = load("baseline", ["n_infrastructure=2", *settings])
+        return Run(scenario.resolve(path, content, frames=10)).messages
+
+    plain, other = messages(), messages("agents.infra_1.pipeline.tracker.type=FilterpyBoxTracker3D")
+    assert plain.keys() == other.keys()
+    for key in plain:
+        if not key.startswith(("agent/infra_1/", "cc/")) and not key.endswith("/mission"):
+            assert other[key] == plain[key], key
+    assert other["agent/infra_1/tracks"] != plain["agent/infra_1/tracks"]
+
+
 def test_a_setting_changes_only_one_node(tmp_path: Path) -> None:
     """Scenario files may use one dict in many places; shipped ones do."""
     for _ in range(2):
@@ -147,7 +192,12 @@ def test_a_setting_changes_only_one_node(tmp_path: Path) -> None:
         ("comand_center.pipeline=1", "no 'comand_center' there; did you mean 'command_center'"),
         ("name.x=1", "name is 'mine', not a dict"),
         ("name.x.y=1", "no 'x' there"),
-        ("agents.ego.pipeline.frame=body", r"no 'ego' there; known: \*"),
+        ("agents.ego.pipelin.frame=body", "no 'pipelin' there; .*'pipeline'"),
+        (
+            "agents.infra_9.pipeline.frame=body",
+            "agents.infra_9.pipeline.frame: no agent 'infra_9' in this scene; .*'infra_",
+        ),
+        ("agents.car_*.pipeline.frame=body", r"no agent 'car_\*' in this scene"),
     ],
 )
 def test_an_unknown_dotted_key_is_refused_with_the_nearest_name(tmp_path: Path, setting: str, reason: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import subprocess
@@ -34,14 +35,22 @@ def base() -> str:
     pytest.skip(why)
 
 
-def built() -> str:
-    """The image of these sources, built if missing."""
+def built(*, launcher: bool = False) -> str:
+    """The image of these sources, built if missing; with `launcher`, also that of the launcher."""
     on = base()
     try:
         image.check(TAG)
     except EngineError:
         image.build(TAG, on)
+    if launcher:
+        _launcher_built(on)
     return TAG
+
+
+@functools.cache
+def _launcher_built(on: str) -> str:
+    """The launcher's image, built once: its label says nothing of the launcher's sources."""
+    return image.build(TAG, on, launcher=True)
 
 
 def remnants_of(run: str) -> dict[str, list[str]]:

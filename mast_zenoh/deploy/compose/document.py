@@ -2,6 +2,10 @@
 
 Nodes have no access to the host except to their credentials. They are on one of two networks without external access:
 `wired` for static nodes, and `wireless` for mobile agents and interposers on their wires. The router is on both.
+
+With a `Launcher`, the file is complete: `docker-compose up` plays the run. One more service makes the certificates and
+waits, so that the file systems in memory that hold them stay; the launcher starts last. No container ends before the
+launcher, or `--exit-code-from launcher` would end the run with it.
 Pure functions.
 """
 
@@ -9,12 +13,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.deploy.image import USER
-from mast_zenoh.deploy.yamltext import Anchored, Merged, dump
+from mast_zenoh.deploy.image import BASE, USER, launcher_tag
+from mast_zenoh.deploy.yamltext import Anchored, Interpolated, Merged, dump
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.runtime.mesh.launcher_watch import UP
 from mast_zenoh.security import levels
@@ -27,8 +32,29 @@ ROUTER_SETTINGS = "router.json"
 PORT = 7447
 LABEL = "org.mast-zenoh.run"  # on everything that belongs to a run
 
+LAUNCHER = "launcher"
+HOLDER = "certificates"  # the service that makes the credentials and keeps them in memory
+KEYS = "/keys"  # where it has the credentials of all
+
 _SECRETS = "/run/secrets"
+_AT_ONCE = {"interval": "1s", "timeout": "10s", "retries": 60, "start_period": "60s"}
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
+
+
+@dataclass(frozen=True)
+class Launcher:
+    """The launcher inside a compose file.
+
+    scenario: as for `mast run`, of a shipped scenario or of a file in `folder`
+    settings: for `--set`
+    folder:   a folder of this machine that the launcher sees under the same path, read only
+    sources:  the checkout from which Compose builds missing images, relative to the file; None: it builds none
+    """
+
+    scenario: str
+    settings: tuple[str, ...] = ()
+    folder: str | None = None
+    sources: str | None = None
 
 
 def project(run: str) -> str:
@@ -52,6 +78,7 @@ def document(
     patience_s: float = 10.0,
     cpus: float = 1.0,
     memory: str = "1g",
+    launcher: Launcher | None = None,
 ) -> dict[str, Any]:
     """The compose file of a run as plain values.
 
@@ -59,15 +86,17 @@ def document(
     environment: variables of all processes inside, besides the image's own
     patience_s: how long nodes run without a launcher, s; extended by the longest disconnection of each node
     cpus, memory: limits of each container
+    launcher: the launcher inside; None: it is outside
 
     Raises ConfigurationError for a node's name that Compose does not allow.
     """
-    check_names(resolved)
+    check_names(resolved, inside=launcher is not None)
     endpoint = levels.endpoint(secure, f"tcp/{ROUTER}:{PORT}")
     common = Anchored(
         "node",
         {
-            "image": image,
+            "image": image if launcher is None else Interpolated(f"${{MAST_IMAGE:-{image}}}"),
+            **(_build(launcher.sources, "node") if launcher and launcher.sources else {}),
             "user": user,
             **({"environment": dict(environment)} if environment else {}),
             "init": True,
@@ -125,30 +154,122 @@ def document(
         }
         if secure != "open":
             services[name]["secrets"] = secrets(name, credential_files)
-    networks = {name: {"internal": True, "labels": {LABEL: run}} for name in ("wired", "wireless")}
-    content = {
-        "x-node": common,
-        "services": services,
-        "networks": {"launcher": {"labels": {LABEL: run}}, **networks},
-    }
+    networks: dict[str, Any] = {"launcher": {"labels": {LABEL: run}}}
+    networks |= {name: {"internal": True, "labels": {LABEL: run}} for name in ("wired", "wireless")}
+    content = {"x-node": common, "services": services, "networks": networks}
+    if launcher is not None:
+        return _with_launcher(content, resolved, run, launcher, secure, endpoint)
     return content | ({"secrets": {name: {"file": file} for name, file in files.items()}} if files else {})
+
+
+def _with_launcher(
+    content: dict[str, Any], resolved: Resolved, run: str, launcher: Launcher, secure: str, endpoint: str
+) -> dict[str, Any]:
+    """A compose file with the launcher inside, and with the maker of the credentials."""
+    services, networks = content["services"], content["networks"]
+    name = project(run)
+    volumes: dict[str, Any] = {"results": {"name": f"{name}-results", "labels": {LABEL: run}}}
+    del networks["launcher"]
+    for network, options in networks.items():
+        options["name"] = f"{name}-{network}"
+    services[ROUTER] |= {"networks": [*networks]}
+    del services[ROUTER]["ports"]
+    image = {
+        "image": Interpolated(launcher_tag(content["x-node"]["image"])),
+        **(_build(launcher.sources, LAUNCHER) if launcher.sources else {}),
+    }
+    what = [launcher.scenario, *(word for setting in launcher.settings for word in ("--set", setting))]
+    what += ["--run", run, "--secure", secure]
+    own_files = [f"{launcher.folder}:{launcher.folder}:ro"] if launcher.folder else []
+    conditions: dict[str, Any] = {node: {"condition": "service_started"} for node in services}
+    services[LAUNCHER] = {
+        "<<": Merged("node"),
+        **image,
+        "container_name": container(run, LAUNCHER),
+        "labels": {LABEL: run},
+        "depends_on": conditions,
+        "command": ["deploy", "join", *what, "--endpoint", endpoint],
+        "networks": ["wired"],
+        "volumes": ["results:/results", *own_files],
+        "working_dir": "/results",
+        "mem_limit": "2g",
+        "stop_grace_period": "30s",
+        "healthcheck": {"disable": True},
+    }
+    services[LAUNCHER]["command"] += ["--frames", Interpolated(f"${{MAST_FRAMES:-{resolved.frames}}}")]
+    for node in resolved.nodes:
+        services[node]["command"] = [*services[node]["command"], "--again"]
+    if secure != "open":
+        holders = [service for service in services if service != HOLDER]
+        uid, gid = str(content["x-node"]["user"]).split(":")
+        for service in holders:
+            volume = f"keys-{service}"
+            volumes[volume] = {
+                "name": f"{name}-{volume}",
+                "labels": {LABEL: run},
+                "driver_opts": {
+                    "type": "tmpfs",
+                    "device": "tmpfs",
+                    "o": f"size=1m,mode=0700,uid={uid},gid={gid}",
+                },
+            }
+            services[service].pop("secrets", None)
+            services[service]["volumes"] = [*services[service].get("volumes", ()), f"{volume}:{_SECRETS}:ro"]
+            if service != LAUNCHER:
+                services[service]["depends_on"] = {
+                    **({ROUTER: {"condition": "service_started"}} if service != ROUTER else {}),
+                    HOLDER: {"condition": "service_healthy"},
+                }
+        services[LAUNCHER]["command"] += ["--credentials", _SECRETS]
+        first = {
+            "<<": Merged("node"),
+            **image,
+            "container_name": container(run, HOLDER),
+            "labels": {LABEL: run},
+            "command": ["deploy", HOLDER, *what],
+            "network_mode": "none",
+            "volumes": [*(f"keys-{service}:{KEYS}/{service}" for service in holders), *own_files],
+            "healthcheck": {"test": content["x-node"]["healthcheck"]["test"], **_AT_ONCE},
+        }
+        content["services"] = {HOLDER: first, **services}
+    return {**content, "volumes": volumes}
+
+
+def _build(sources: str, target: str) -> dict[str, Any]:
+    base = Interpolated(f"${{MAST_BASE:-{BASE}}}")
+    return {"build": {"context": sources, "dockerfile": "deploy/Dockerfile", "target": target, "args": {"BASE": base}}}
 
 
 def text(resolved: Resolved, run: str, **options: Any) -> str:
     """The compose file of a run; the options are the same as for `document`."""
     secure = options.get("secure", "open")
-    comment = (
-        f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` wrote this file\n"
-        "# and starts its services. Nodes get their configuration and return their results over the mesh.\n"
-    )
+    comment = f"# The run {run} of the scenario {resolved.name}, security level {secure}. "
+    if options.get("launcher") is None:
+        comment += (
+            "`mast deploy up` wrote this file\n"
+            "# and starts its services. Nodes get their configuration and return their results over the mesh.\n"
+        )
+    else:
+        copy = f"docker cp {container(run, LAUNCHER)}:/results/. results"
+        comment += (
+            "`mast deploy write` wrote it. Play it:\n"
+            "#     docker-compose -f FILE up            (or: docker compose -f FILE up --exit-code-from launcher)\n"
+            f"#     {copy}\n"
+            "#     docker-compose -f FILE down          (with --volumes the results go, too)\n"
+            "# MAST_FRAMES: number of frames; MAST_IMAGE: image of the nodes (the launcher's: MAST_IMAGE-launcher).\n"
+        )
     return comment + dump(document(resolved, run, **options))
 
 
-def check_names(resolved: Resolved) -> None:
-    """Raise ConfigurationError for a node whose name is not a valid service name."""
+def check_names(resolved: Resolved, *, inside: bool = False) -> None:
+    """Raise ConfigurationError for a node whose name is not a valid service name.
+
+    inside: whether the launcher is a service, too
+    """
+    services = {ROUTER: "router", **({LAUNCHER: "launcher", HOLDER: "maker of certificates"} if inside else {})}
     for name in resolved.nodes:
-        if not _NAME.fullmatch(name) or name == ROUTER:
-            problem = "the router's name" if name == ROUTER else "not a valid name for a container"
+        if not _NAME.fullmatch(name) or name in services:
+            problem = f"the {services[name]}'s name" if name in services else "not a valid name for a container"
             raise ConfigurationError(f"node {name!r}: {problem}; expected letters, digits, `_`, `.` and `-`")
 
 

@@ -55,10 +55,13 @@ def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool
 
 def signatures(run: str, credentials: Path | Credentials | None) -> Signatures:
     """Signatures of control messages with these credentials; raises CredentialsError."""
-    if credentials is None:
-        return Signatures(run)
+    return Signatures(run, None if credentials is None else control_keys(credentials))
+
+
+def control_keys(credentials: Path | Credentials) -> ControlKeys:
+    """The control keys in credentials; raises CredentialsError."""
     where = f"{credentials}/{CONTROL}" if isinstance(credentials, Path) else CONTROL
-    return Signatures(run, ControlKeys.from_json(_own(credentials).control, where))
+    return ControlKeys.from_json(_own(credentials).control, where)
 
 
 def _own(credentials: Path | Credentials) -> Credentials:

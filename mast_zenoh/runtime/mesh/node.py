@@ -83,6 +83,7 @@ class MeshNode:
         self.members: dict[str, str] = {}
         self.epoch = 0
         self.stop_reason: str | None = None
+        self.on_kill: Callable[[], None] | None = None  # ends the process at once
         self.invalid = InvalidMessages(self.host.log.warning)  # control messages, by key
         self.arrivals = Arrivals()
         self.host_facts: dict[str, Any] = {}  # facts of its host, for run.json
@@ -230,6 +231,8 @@ class MeshNode:
         except MessageError as error:
             self.invalid.note(key, error)
         else:
+            if self.on_kill is not None and key == f"leave/{self.name}" and message == flow.KILL:
+                self.on_kill()
             self.inbox.put(("epoch" if key == "epoch" else "stop", message))
 
     def _enter_epoch(self, epoch: int, members: dict[str, str], update: WiringUpdate | None = None) -> None:
