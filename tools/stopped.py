@@ -2,10 +2,12 @@
 
 Nodes and times are drawn from a seed.
 
-    python tools/stopped.py --runs 50 --seed 0 [--jobs 2] [--only NUMBER]
+    python tools/stopped.py --runs 50 --seed 0 [--jobs 2] [--only NUMBER] [--watchers]
 
 Each run is a process of `mast run` on a mesh, of which up to three processes are suspended (SIGSTOP, SIGCONT) for 0.5
 to 10 s. It must equal the same run in one process, in all messages and in metrics.json, or report that it does not.
+With `--watchers`, no node is suspended but, for the rest of the run, somebody who watches it: a viewer with an open
+page, one for Foxglove, one for Rerun, or a client of Zenoh that subscribes to everything. Such runs must be ok.
 Prints a line for each, with the command that repeats a run that did neither. Exits with 1 if any did.
 """
 
@@ -21,12 +23,15 @@ import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import psutil
 from disturbing import PlanResult, left_behind, numbers, parser, report_results
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
 
 from mast_zenoh.errors import (
     HandlerFailed,
@@ -57,6 +62,19 @@ REPORTED_CODES = {
 }
 LATEST_S = 6.0  # latest start of a suspension, after the start of the nodes
 LONGEST_S = 240.0
+WATCHERS = ("viewer", "foxglove", "rerun", "stranger")
+#: A client of somebody else, with Zenoh's own settings.
+STRANGER = """
+import sys, threading, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("scouting/multicast/enabled", "false")
+config.insert_json5("connect/endpoints", f'["{sys.argv[1]}"]')
+session = zenoh.open(config)
+received = session.declare_subscriber("mast/**", zenoh.handlers.RingChannel(1))
+print("listening", flush=True)
+threading.Event().wait()
+"""
 
 
 @dataclass(frozen=True)
@@ -115,6 +133,55 @@ def run_one(plan: Plan, undisturbed: Path, folder: Path) -> tuple[str, str, list
             thread.join()
     how, broken = _judge(out, undisturbed, code, (folder / "output").read_text(errors="replace"))
     return ", ".join(done) or "nothing was stopped in time", how, broken
+
+
+def run_watched(plan: Plan, kind: str, undisturbed: Path, folder: Path) -> tuple[str, str, list[str]]:
+    """Like `run_one`, with a watcher of this kind, which is suspended until the run has ended."""
+    out = folder / "run"
+    with (folder / "output").open("wb") as output:
+        process = subprocess.Popen(command(plan.scenario, out), stdout=output, stderr=subprocess.STDOUT)
+    _nodes_of(process, out)
+    after_s = plan.stops[0].after_s
+    with ExitStack() as stack:
+        watcher = _watcher(kind, out, stack)
+        stack.callback(watcher.kill)
+        threading.Event().wait(after_s)
+        done = f"{kind} {after_s:.1f} s after it was there" if process.poll() is None else ""
+        psutil.Process(watcher.pid).suspend()
+        try:
+            code = process.wait(LONGEST_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return done, "hung", [f"did not end within {LONGEST_S:.0f} s"]
+    how, broken = _judge(out, undisturbed, code, (folder / "output").read_text(errors="replace"))
+    if code != 0 and not broken:
+        broken = [how]
+    told = json.loads((out / "run.json").read_text()).get("disconnected", [])
+    return done or "the run had ended before", f"{how}{', a client was disconnected' if told else ''}", broken
+
+
+def _watcher(kind: str, out: Path, stack: ExitStack) -> subprocess.Popen[str]:
+    """Start a watcher; returns when it is there."""
+    endpoint = json.loads((out / "run.json").read_text())["endpoint"]
+    view = ["-m", "mast_zenoh", "view", str(out), "--attached"]
+    words = {"viewer": view, "stranger": ["-c", STRANGER, endpoint]}.get(kind, [*view, f"--{kind}"])
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    watcher = stack.enter_context(subprocess.Popen([sys.executable, *words], text=True, **pipes))
+    assert watcher.stdout is not None
+    line = watcher.stdout.readline()
+    if kind == "viewer":
+        socket = stack.enter_context(connect(f"ws://{line.split()[-1].removeprefix('http://')}frames"))
+        stack.callback(watcher.kill)  # before the page waits for its answer
+        threading.Thread(target=_confirm, args=(socket,), daemon=True).start()
+    return watcher
+
+
+def _confirm(page: ClientConnection) -> None:
+    """Do as a page does: confirm every frame."""
+    with contextlib.suppress(ConnectionClosed):
+        for message in page:
+            if isinstance(message, bytes):
+                page.send("shown")
 
 
 def command(scenario: str, out: Path, *more: str) -> list[str]:
@@ -208,7 +275,11 @@ def main() -> None:
             with lock:
                 twin = undisturbed(plan.scenario)
             with tempfile.TemporaryDirectory(prefix="mast-stopped-") as folder:
-                done, how, broken = run_one(plan, twin, Path(folder))
+                if arguments.watchers:
+                    kind = WATCHERS[number % len(WATCHERS)]
+                    done, how, broken = run_watched(plan, kind, twin, Path(folder))
+                else:
+                    done, how, broken = run_one(plan, twin, Path(folder))
             return PlanResult(number, f"{plan.scenario:9} {done}", how, broken)
 
         report_results(pool.map(carry_out, numbers(arguments)), arguments.seed)
@@ -217,6 +288,7 @@ def main() -> None:
 def _arguments() -> argparse.Namespace:
     arguments_parser = parser(__doc__, 50)
     arguments_parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
+    arguments_parser.add_argument("--watchers", action="store_true", help="suspend viewers and foreign clients instead")
     return arguments_parser.parse_args()
 
 

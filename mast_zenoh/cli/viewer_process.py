@@ -110,7 +110,6 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
     from mast_zenoh.report.playback.feed import Feed
     from mast_zenoh.report.playback.live_server import LiveServer
     from mast_zenoh.runtime.mesh import hosting
-    from mast_zenoh.runtime.mesh.session import open_client
     from mast_zenoh.viewer.live import observed
     from mast_zenoh.viewer.live.measurement import evaluator_class
     from mast_zenoh.viewer.live.observer import Observer
@@ -122,7 +121,7 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
         stop = stack.enter_context(_stopped(lambda: None if remote else _delete_keys_of_the_dead(Path(target))))
         if remote:
             observed.check_reachable(target)
-            session = stack.enter_context(open_client(target))
+            session = stack.enter_context(hosting.join(target, None, observer=True))
             running = observed.ObservedRun.of_mesh(session, target, run)
         in_browser = not (foxglove or rerun)
         if in_browser:
@@ -132,7 +131,7 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
         live_view.yield_processors()
         if not remote:
             running = live_view.await_start(Path(target), _START_S, stop)
-            session = stack.enter_context(hosting.join(running.endpoint, running.credentials))
+            session = stack.enter_context(hosting.join(running.endpoint, running.credentials, observer=True))
         if in_browser:
             live_view.show(running, session, server, stop)
             return

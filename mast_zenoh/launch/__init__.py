@@ -7,6 +7,7 @@ local_mesh    joins the mesh of nodes on this machine;  watch: the loop while no
 supervisor    starts, watches and ends nodes;  processes: as processes of this machine
 engine        base class of deployment engines;  file_server: files for their nodes
 steps         process steps of the scenario, carried out when the driver requests them
+blocking_clients  disconnects foreign clients that hold up a lock-step run
 interception  inserts nodes into wires while a run plays
 netns         the hosts of a run as network namespaces
 reports       what nodes report: failures of handlers, results

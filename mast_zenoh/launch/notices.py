@@ -44,9 +44,21 @@ def of_run(
         _behind(resolved, record, measured),
         _churned(record),
         _first(of_recording(record)),
+        _first(record.get("disconnected", ())),
         (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
-    kinds = ("late", *_DROPPED, "rejected", "foreign", "control", "behind", "churn", "recording", "results")
+    kinds = (
+        "late",
+        *_DROPPED,
+        "rejected",
+        "foreign",
+        "control",
+        "behind",
+        "churn",
+        "recording",
+        "disconnected",
+        "results",
+    )
     of_nodes = [
         {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
     ]

@@ -6,7 +6,7 @@ import time
 
 from rich.markup import escape
 
-from mast_zenoh.control import control_prefix, failures
+from mast_zenoh.control import control_prefix, failures, prefix
 from mast_zenoh.control.stop_reasons import StopKind, decode_reason
 from mast_zenoh.errors import (
     BackendError,
@@ -18,6 +18,7 @@ from mast_zenoh.errors import (
     StartError,
 )
 from mast_zenoh.launch import ending
+from mast_zenoh.launch.blocking_clients import BlockingClients
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.file_server import FileServer
@@ -63,6 +64,9 @@ class Watch:
         self._interceptions = interceptions
         self._file_server = file_server
         self._hosts = hosts
+        # Routers that are not patient end silent links by themselves.
+        endpoint = context.record["endpoint"] if mesh.has_router and context.resolved.patient else None
+        self._blocking = BlockingClients(mesh.session, endpoint, prefix(context.run_id)) if endpoint else None
         self._interrupts = 0  # stop signals that have been handled
         observing = display.live and mesh.has_router  # elsewhere, what is observed would cross the network
         self._observation = Observation(context, mesh.session if observing else None)
@@ -80,6 +84,7 @@ class Watch:
             self._check_file_server()
             self._context.show_refusals()
             self._interceptions.advance()
+            self._disconnect_blocking()
             self.take_reports()
             for child in self._supervisor.newly_ended():
                 self._handle_exit(child)
@@ -141,6 +146,12 @@ class Watch:
                 ServiceDied(f"the launcher's file server has ended: {server.fatal_error}"),
                 "a service has ended",
             )
+
+    def _disconnect_blocking(self) -> None:
+        """Disconnect foreign clients that hold up the run, and tell it."""
+        for sentence in self._blocking.disconnect(self._context.frame) if self._blocking else ():
+            self._context.record.setdefault("disconnected", []).append(sentence)
+            self._context.show(f"[yellow]{escape(sentence)}")
 
     def _check_network(self) -> None:
         """End the run if its network has failed; heal the network when nodes are to stop."""

@@ -21,7 +21,7 @@ from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.lockstep.timetable import Timetable
 from mast_zenoh.runtime.mesh.driver import Driver
 from mast_zenoh.runtime.mesh.node import MeshNode
-from mast_zenoh.runtime.mesh.session import open_client
+from mast_zenoh.runtime.mesh.session import open_client, open_observer
 from mast_zenoh.security import explain
 from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import CONTROL, Credentials
@@ -39,18 +39,19 @@ def build(resolved: Resolved, name: str, place: str = "scenario.json", cls: type
     return build_node(resolved.nodes[name], name, place, cls)
 
 
-def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool = False) -> zenoh.Session:
+def join(
+    endpoint: str, credentials: Path | Credentials | None, *, patient: bool = False, observer: bool = False
+) -> zenoh.Session:
     """Open a session on the mesh.
 
-    patient: see `session.open_client`
+    patient: see `session.open_client`;  observer: see `session.open_observer`
 
     Raises CredentialsError for unusable credentials before it connects.
     """
-    if credentials is None:
-        return open_client(endpoint, patient=patient)
-    if reasons := explain(credentials):
+    if credentials is not None and (reasons := explain(credentials)):
         raise CredentialsError("; ".join(reasons))
-    return open_client(endpoint, _own(credentials), patient=patient)
+    own = None if credentials is None else _own(credentials)
+    return open_observer(endpoint, own) if observer else open_client(endpoint, own, patient=patient)
 
 
 def signatures(run: str, credentials: Path | Credentials | None) -> Signatures:

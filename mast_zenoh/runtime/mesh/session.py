@@ -6,15 +6,17 @@ import contextlib
 import json
 import logging
 import os
+import random
 import socket
 import stat
 import sys
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import zenoh
 
-from mast_zenoh.errors import CredentialsError
+from mast_zenoh.errors import CredentialsError, NotRunning
 from mast_zenoh.security import explain
 from mast_zenoh.security.credentials import UNREACHED, Credentials
 from mast_zenoh.security.levels import client_settings
@@ -47,6 +49,28 @@ _PATIENT: dict[str, Any] = {
     "transport/link/tx/lease": _PATIENT_LEASE_MS,
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1000 * _PATIENT_LEASE_MS,
 }
+
+#: Ids of sessions that only observe. Routers drop what such a session does not take in time. What a node does not take
+#: blocks in lock-step, with all threads of the router, as the driver counts on every message to arrive.
+OBSERVERS = tuple(f"feed0b5e{number:02x}" for number in range(64))
+
+#: Rewrites messages to observers when they leave a router; other links have no such step, so it costs them nothing.
+_DROP_FOR_OBSERVERS: dict[str, Any] = {
+    "qos/network": [
+        {
+            "zids": OBSERVERS,
+            "messages": ["put", "delete", "query"],
+            "flows": ["egress"],
+            "overwrite": {"congestion_control": "drop"},
+        }
+    ]
+}
+
+#: Time before a patient router drops a message, ms: all others wait for it, once each time an observer falls behind.
+_PATIENT_DROP_MS = 50
+
+#: How long an observer tries to connect, s, and with one id, ms: another observer may have it.
+_OBSERVER_S, _OBSERVER_TRY_MS = 10.0, 3000
 
 #: Time before a router whose links may be cut drops a message, ms: an unreachable link delays all others.
 CUT_LINKS_WAIT_MS = 50
@@ -92,11 +116,12 @@ def open_router(
         "mode": "router",
         "listen/endpoints": [listen, *more_endpoints],
         "adminspace/enabled": True,
+        **_DROP_FOR_OBSERVERS,
     }
     if links_may_be_cut:
         settings[_WAIT_BEFORE_DROP] = 1000 * CUT_LINKS_WAIT_MS
     if patient:
-        settings |= _PATIENT
+        settings |= {**_PATIENT, _WAIT_BEFORE_DROP: 1000 * _PATIENT_DROP_MS}
     session = open_session({**settings, **(security or {})})
     zid = session.info.zid()
     for reply in session.get(f"@/{zid}/router", timeout=5.0):
@@ -117,14 +142,23 @@ def _end_silent_links(locators: Sequence[str]) -> None:
     sockets inherit TCP_USER_TIMEOUT from the listening socket.
     """
     ports = {int(locator.rpartition(":")[2]) for locator in locators if locator.startswith(("tcp/", "tls/"))}
+    for own in own_sockets(ports):
+        if own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+            own.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _SILENCE_MS)
+
+
+def own_sockets(ports: Collection[int]) -> Iterator[socket.socket]:
+    """The TCP sockets of this process on these local ports, among them those that Zenoh has opened; on Linux only.
+
+    They are copies, closed when the next one is asked for. One that ends meanwhile is left out.
+    """
     for name in os.listdir("/proc/self/fd") if sys.platform == "linux" else ():
         with contextlib.suppress(OSError):
             if not stat.S_ISSOCK(os.fstat(int(name)).st_mode):
                 continue
             with socket.socket(fileno=os.dup(int(name))) as own:
-                listens = own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
-                if listens and own.family != socket.AF_UNIX and own.getsockname()[1] in ports:
-                    own.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _SILENCE_MS)
+                if own.family != socket.AF_UNIX and own.getsockname()[1] in ports:
+                    yield own
 
 
 def open_client(
@@ -161,3 +195,25 @@ def open_client(
         if problem != logged:
             log.warning("%s; trying again", problem)
             logged = problem
+
+
+def open_observer(endpoint: str, credentials: Credentials | None = None) -> zenoh.Session:
+    """Open a session that only observes: routers of this testbed drop what it does not take, and never wait for it.
+
+    Raises NotRunning if no router answers in time, CredentialsError if one of the sides refuses the other's.
+    """
+    deadline = time.monotonic() + _OBSERVER_S
+    settings = _CLIENT | _PATIENT | {"connect/endpoints": [endpoint], "connect/timeout_ms": _OBSERVER_TRY_MS}
+    settings |= client_settings(credentials) if credentials else {}
+    while True:
+        try:
+            return open_session(settings | {"id": random.choice(OBSERVERS)})
+        except zenoh.ZError:
+            reasons = explain(credentials, endpoint) if credentials else []
+        if any(UNREACHED not in reason for reason in reasons):
+            raise CredentialsError("; ".join(reasons))
+        if time.monotonic() > deadline:
+            raise NotRunning(
+                f"{endpoint}: something listens there, but no Zenoh router answered within {_OBSERVER_S:g} s: expected "
+                "the router of a running run"
+            )

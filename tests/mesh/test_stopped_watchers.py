@@ -1,0 +1,103 @@
+"""Nobody who only watches holds up a lock-step run, not even one who is suspended."""
+
+from __future__ import annotations
+
+import random
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+from launched import MAST, Launched, eventually
+
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.runtime.mesh.session import open_client, open_router
+
+pytestmark = pytest.mark.mesh
+
+_LISTENS = "received = session.declare_subscriber('**', zenoh.handlers.RingChannel(1)); print('there', flush=True)"
+#: A viewer's own session, and one of a client with Zenoh's own settings, at the router of the first argument.
+_VIEWER = f"""
+import sys, zenoh
+from mast_zenoh.runtime.mesh import hosting
+session = hosting.join(sys.argv[1], None, observer=True)
+{_LISTENS}
+sys.stdin.read()
+"""
+_STRANGER = f"""
+import sys, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("scouting/multicast/enabled", "false")
+config.insert_json5("connect/endpoints", f'["{{sys.argv[1]}}"]')
+session = zenoh.open(config)
+{_LISTENS}
+sys.stdin.read()
+"""
+
+
+@contextmanager
+def watching(program: str, endpoint: str) -> Iterator[subprocess.Popen[str]]:
+    """A process that subscribes to everything."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", program, endpoint], text=True, **pipes) as watcher:
+        try:
+            assert watcher.stdout is not None
+            assert watcher.stdout.readline() == "there\n"
+            yield watcher
+        finally:
+            watcher.kill()
+
+
+def test_a_suspended_viewer_gets_fewer_messages_and_a_node_all_of_them() -> None:
+    router, endpoint = open_router(patient=True)
+    count = 2000
+    received = []
+    with router, open_client(endpoint, patient=True) as node, open_client(endpoint, patient=True) as sender:
+        subscriber = node.declare_subscriber("data", zenoh.handlers.Callback(received.append, indirect=False))
+        publisher = sender.declare_publisher("data", congestion_control=zenoh.CongestionControl.BLOCK)
+        with watching(_VIEWER, endpoint) as viewer:
+            eventually(lambda: publisher.matching_status, "the subscribers are known")
+            viewer.send_signal(signal.SIGSTOP)
+            for _ in range(count):  # 64 MB: more than all buffers hold
+                publisher.put(bytes(32_000))
+            eventually(lambda: len(received) == count, "the node has everything", seconds=20.0)
+        subscriber.undeclare()
+
+
+def test_a_run_goes_on_without_a_suspended_client_and_names_it(launch: Callable[..., Launched], tmp_path: Path) -> None:
+    words = ("coordinated", "--set", "attack_start_s=0.5", "--frames", "200", "--mode", "lockstep")
+    run = launch(*words)
+    endpoint = run.until(lambda: run.record().get("endpoint"), "the run has a router")
+    with watching(_STRANGER, endpoint) as stranger:
+        run.until(run.recorded, "frames are played")
+        with pytest.raises(subprocess.TimeoutExpired):
+            stranger.wait(random.Random(29).uniform(0.0, 0.3))
+        stranger.send_signal(signal.SIGSTOP)
+        code, output = run.end()
+    assert code == 0, output
+    (sentence,) = run.record()["disconnected"]
+    assert "did not read what it subscribed to" in sentence
+    assert sentence in {notice["text"] for notice in run.record()["notices"]}
+    alone = launch(*words, "--runtime", "inproc")
+    assert alone.end()[0] == 0
+    assert compare(alone.out, run.out, taps=True).first is None
+    assert (alone.out / "metrics.json").read_bytes() == (run.out / "metrics.json").read_bytes()
+
+
+@pytest.mark.parametrize("router", [False, True], ids=["a silent listener", "a router without a run"])
+def test_a_viewer_gives_up_on_a_peer_without_a_run(tmp_path: Path, *, router: bool) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        opened, endpoint = open_router() if router else (None, f"tcp/127.0.0.1:{silent.getsockname()[1]}")
+        done = subprocess.run([*MAST, "view", endpoint], capture_output=True, text=True, cwd=tmp_path, timeout=60)
+        if opened is not None:
+            opened.close()
+    assert done.returncode == 26, done.stderr
+    assert done.stderr.startswith("error: NotRunning") or endpoint in done.stderr
+    assert ("no run answers" if router else "no Zenoh router answered") in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
