@@ -86,7 +86,8 @@ def trial_estimate(
     """The mean over trials and its intervals, from an array (scenes, seeds), NaN where a trial has no value.
 
     bounds: smallest and largest possible value;  rate: whether values are 0 or 1
-    paired: whether values are differences, which have a p-value
+    paired: whether values are differences, which have a p-value, and an exact interval of the share of trials with 0.
+            If that is more than half, the mean has no interval and no p-value: the interval would be too narrow
     """
     known = ~np.isnan(values)
     nonempty_scenes = known.any(axis=1)
@@ -99,16 +100,27 @@ def trial_estimate(
     low, high = statistics.rate_interval(complete) if rate else statistics.over_seeds(complete)
     scenes_interval = (NAN, NAN) if rate else statistics.over_scenes(complete)
     low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], *bounds).tolist()
-    return Estimate(
+    estimate = Estimate(
         mean=mean,
         trial_mean=mean,
         low=low,
         high=high,
         scenes_low=wide_low,
         scenes_high=wide_high,
-        p=float(statistics.p_value_of_zero_mean(complete)) if paired else NAN,
         scenes=scenes,
         seeds=seeds,
         left_out=left_out,
         rate=rate,
     )
+    if not paired:
+        return estimate
+    zeros = statistics.zeros(complete)
+    zero_low, zero_high = map(float, statistics.rate_interval(zeros))
+    estimate = replace(
+        estimate,
+        p=float(statistics.p_value_of_zero_mean(complete)),
+        zero_share=float(zeros.mean()),
+        zero_low=zero_low,
+        zero_high=zero_high,
+    )
+    return estimate.without_interval() if estimate.mostly_zero else estimate

@@ -13,6 +13,7 @@ from mast_zenoh.report.tables.study_rows import (
     ADDED,
     ALL_SCORES,
     ESTIMATORS,
+    MOSTLY_ZERO,
     PAPER,
     SCORES,
     Column,
@@ -188,6 +189,8 @@ def _others(rows: Sequence[StudyRow]) -> Section:
         "Mean and 95 % interval over seeds of these scenes. Names that end in _iob are differences from the baseline, "
         "left out where there is none in any trial."
     )
+    if any(row.estimates[each].mostly_zero for row in rows for each in series if each in row.estimates):
+        caption = f"{caption} {MOSTLY_ZERO}"
     return Section(
         "Other numbers of the ego", caption, (("", tuple(row.label for row in rows)),), tuple(lines), terminal=False
     )
@@ -228,4 +231,6 @@ def _table(
     columns = columns_of(groups)
     lines = tuple((row.label, tuple(cell(row, column) for column in columns)) for row in rows)
     headings = tuple((name, tuple(column.heading for column in group_columns)) for name, group_columns in groups)
+    if any(column.of(row).mostly_zero for row in rows for column in columns):
+        caption = f"{caption} {MOSTLY_ZERO}"
     return Section(title, caption, headings, lines if groups else (), terminal, brief)
