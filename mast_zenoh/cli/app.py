@@ -121,6 +121,9 @@ def study(
     seed: Seed = None,
     runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's runtime.")] = None,
     out: Out = None,
+    record: Annotated[
+        bool, typer.Option("--record", help="Write every message to messages.mcap; keep the runs of all trials.")
+    ] = False,
     allow_failures: AllowFailures = False,
 ) -> None:
     """Run the scenarios of a study and compare them.
@@ -132,7 +135,7 @@ def study(
     loaded = definition.load(study_file, settings or ())
     if loaded.security:
         options = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume}
-        options |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
+        options |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc", "--record": record}
         if invalid := [name for name, value in options.items() if value]:
             problem = f"attackers run once at each level, on the mesh: expected no {', '.join(invalid)}"
             raise typer.BadParameter(problem, param_hint=study_file)
@@ -140,7 +143,7 @@ def study(
         return
     count = trials or loaded.trials
     if count is None and not (jobs or cluster or resume):
-        _compare(loaded, out, frames=frames, seed=seed, runtime=runtime, allow_failures=allow_failures)
+        _compare(loaded, out, frames=frames, seed=seed, runtime=runtime, allow_failures=allow_failures, record=record)
         return
     from mast_zenoh.study import execution
     from mast_zenoh.study import trials as study_trials
@@ -156,6 +159,7 @@ def study(
         frames=frames,
         runtime=runtime,
         allow_failures=allow_failures,
+        record=record,
         console=_out,
     )
     _out.print(finished.as_rich())

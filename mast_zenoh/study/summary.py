@@ -11,7 +11,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.report.tables.study_rows import Estimate, Series, StudyRow
 from mast_zenoh.study import statistics
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.numbers import ACHIEVED, NAN, SELECTIVE, Number, ego
+from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, NAN, SELECTIVE, Number, ego
 from mast_zenoh.study.ranges import value_range
 from mast_zenoh.study.results import COMPROMISED
 from mast_zenoh.study.statistics import Moments
@@ -19,7 +19,7 @@ from mast_zenoh.study.trial import Outcome
 
 
 class Samples:
-    """The reported numbers: of the ego, compromised agents and achievements."""
+    """The reported numbers: of the ego, compromised agents, achievements and the defence."""
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
         """seeds: the planned seeds of every configuration and scene."""
@@ -39,7 +39,7 @@ class Samples:
         for number in trial_numbers:
             if number.metric in SELECTIVE:
                 continue
-            if number.owner in (agent, COMPROMISED) or number.estimator == ACHIEVED:
+            if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE):
                 series = Series(*number[:3])
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)

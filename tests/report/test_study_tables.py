@@ -126,7 +126,7 @@ def test_latex_has_equal_cells_in_every_row_and_escapes_special_characters() -> 
     text = study_export.as_latex(ROWS, facts(ROWS))
     body = [line for line in text.splitlines() if line.endswith(r"\\")][2:]
     assert len(body) == 2 * 6
-    assert {line.count("&") for line in body} == {8}
+    assert {line.count("&") for line in body} == {10}
     assert r"$9.00 \pm 1.25^{*}$" in text
     assert not set(text) - set(map(chr, range(128)))
 

@@ -154,9 +154,36 @@ PAPER: Groups = (
             Column("CAFP IoB", "cafp_iob", "local", "compromised"),
         ),
     ),
+    (
+        "compromised agents, by the centre",
+        (
+            Column("CAFN centre", "cafn_iob", "picture", "compromised"),
+            Column("CAFP centre", "cafp_iob", "picture", "compromised"),
+        ),
+    ),
     ("ERCC FN", (Column("FN IoB", "fn_iob"), Column("FN IoE", "fn_ioe"))),
     ("ERCC FP", (Column("FP IoB", "fp_iob"), Column("FP IoE", "fp_ioe"))),
     ("ERCC TP", (Column("TP IoB", "tp_iob"), Column("TP IoE", "tp_ioe"))),
+)
+
+
+#: What the command centre's defence did in a run.
+DEFENCE: Groups = (
+    (
+        "defence",
+        tuple(
+            Column(heading, metric, "defence", "all")
+            for heading, metric in (
+                ("lying agents", "lying_agents"),
+                ("of these suspended", "lying_suspended"),
+                ("delay s", "delay_s"),
+                ("honest suspended", "honest_suspended"),
+                ("false alarms", "false_alarms"),
+                ("false withheld", "withheld_false"),
+                ("true withheld", "withheld_true"),
+            )
+        ),
+    ),
 )
 
 

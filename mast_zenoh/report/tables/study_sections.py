@@ -12,6 +12,7 @@ from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.report.tables.study_rows import (
     ADDED,
     ALL_SCORES,
+    DEFENCE,
     ESTIMATORS,
     MOSTLY_ZERO,
     PAPER,
@@ -75,7 +76,7 @@ def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) 
     attacked = [row for row in rows if row.label != baseline]
     tables = [_paper(attacked, comparisons), *_added(attacked, comparisons), *_to_other_scenes(attacked)]
     tables += [_scores(rows, group) for group in ALL_SCORES]
-    tables += [*_achieved(attacked), _others(rows)]
+    tables += [*_achieved(attacked), _defence(rows), _others(rows)]
     tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
     return [section for section in tables if section.lines and section.headings]
 
@@ -164,6 +165,15 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
             Section(title, caption, headings, tuple(lines), terminal=group is all_adversaries or not all_adversaries)
         )
     return tables
+
+
+def _defence(rows: Sequence[StudyRow]) -> Section:
+    caption = (
+        "Agents suspended, and objects per frame withheld from the picture; mean and 95 % interval over seeds of these "
+        "scenes. The delay is from an agent's first lie to its suspension, in trials in which one is suspended."
+    )
+    defended = [row for row in rows if any(series.estimator == "defence" for series in row.estimates)]
+    return _table("What the defence did", caption, DEFENCE, defended, lambda row, column: _over_trials(column.of(row)))
 
 
 def _others(rows: Sequence[StudyRow]) -> Section:
