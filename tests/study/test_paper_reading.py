@@ -27,6 +27,7 @@ def test_false_objects_of_the_papers_reading_stand_still_and_are_near_any_agent(
     coordination = loaded("coordinated-3", "reading=paper")["coordinator"]["coordination"]
     assert coordination["propagation"] == {"type": "StaticPropagation"}
     assert coordination["selection"]["region"] == "paper"
+    assert coordination["selection"]["fraction_false_negatives"] == 0.0, "commented out in the originals"
     attack = loaded("uncoordinated-1", "reading=paper")["adversaries"]["adversary_1"]["attack"]
     assert attack["propagation"] == {"type": "StaticPropagation"}
     assert attack["imitation"] == {"type": "Exact"}

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from synthetic_outcomes import outcome, study
 
+from mast_zenoh.report.html import write_study_report
 from mast_zenoh.report.narrative.study_comparisons import compare
 from mast_zenoh.report.tables.study_rows import StudyRow
 from mast_zenoh.report.tables.study_sections import sections
-from mast_zenoh.study import results
+from mast_zenoh.study import comparison, definition, results
 from mast_zenoh.study.numbers import numbers
 from mast_zenoh.study.summary import Samples
 
@@ -70,3 +72,16 @@ def test_the_table_of_a_study_has_the_defences_numbers_with_intervals() -> None:
 @pytest.mark.parametrize("title", ["What the defence did"])
 def test_studies_without_a_defence_have_no_such_table(title: str) -> None:
     assert title not in {each.title for each in sections(rows(False), "baseline", compare(rows(False), "baseline"))}
+
+
+def test_the_page_of_compared_runs_says_what_the_defence_of_each_did(tmp_path: Path) -> None:
+    path = tmp_path / "defended.py"
+    path.write_text(
+        "def study():\n"
+        "    defended = dict(scenario='defended', parameters=dict(defence='SequentialConsistency'))\n"
+        "    return dict(name='defended', runs=dict(defended=defended), frames=12)\n"
+    )
+    finished = comparison.run(definition.load(str(path)), tmp_path / "out", runtime="inproc")
+    page = write_study_report(finished.out, finished.folders).read_text("utf-8")
+    assert "Trust in the agents" in page
+    assert "No honest agent was suspended" in page

@@ -233,8 +233,8 @@ def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
     if scenes or math.isnan(estimate.trial_mean):
         return ""
     if estimate.mostly_zero:
-        low, high = (f"{100.0 * end:.0f}" for end in (estimate.zero_low, estimate.zero_high))
-        return f"(0 in {100.0 * estimate.zero_share:.0f} % [{low}, {high}])"
+        share, first, last = (100.0 * each for each in (estimate.zero_share, estimate.zero_low, estimate.zero_high))
+        return f"(0 in {share:.0f} % [{first:.0f}, {last:.0f}])"
     return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
 
 
