@@ -7,8 +7,11 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.attacks import Coordinator
 from mast_zenoh.attacks.coverage import Coverage
+from mast_zenoh.attacks.propagation import StaticPropagation
 from mast_zenoh.attacks.regions import REGIONS, Shape
+from mast_zenoh.attacks.selection import CoordinatedSelection
 from mast_zenoh.attacks.surroundings import Surroundings, unlimited
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.study import definition
@@ -64,3 +67,22 @@ def test_in_the_papers_region_a_second_adversary_reports_more_of_the_shared_obje
     reported = [(distance[:, :count].min(axis=1) <= MAX_RANGE_M).mean() for count in (1, 2, 3)]
     assert reported[0] == pytest.approx(0.5, abs=0.1)
     assert reported[1] == reported[2] == 1.0
+
+
+def test_the_shared_list_is_the_same_whichever_agents_are_compromised() -> None:
+    """Otherwise runs with one, two and three adversaries could not be compared seed by seed."""
+    poles = {f"infra_{k}": [40.0 * k, 10.0 * k, 15.0] for k in range(1, 5)}
+    sensor = dict(limits_deg=[-180, 180, -90, 90], max_range_m=70.0, mount_position=[0, 0, 0], mount_rotation=np.eye(3))
+    agents = {name: sensor | {"route": [[0.0, *position, 1.0, 0, 0, 0]]} for name, position in poles.items()}
+
+    def directive(*victims: str) -> np.ndarray:
+        selection = CoordinatedSelection(region="paper", n_false_positives=20.0)
+        coordinator = Coordinator(selection=selection, propagation=StaticPropagation(), start_s=0.0)
+        coordinator.inform(Surroundings(scene="x", agents=agents, victims=victims))
+        coordinator.bind(1, "coordinator")
+        nothing = (ObjectStates.empty(), np.zeros(0, np.int64))
+        return coordinator.step(0, 0, *nothing, np.array([poles[name] for name in victims]))[0].add.position
+
+    assert len(directive("infra_3")) > 5
+    for victims in (("infra_1", "infra_3"), ("infra_3", "infra_1"), ("infra_2", "infra_4", "infra_1")):
+        np.testing.assert_array_equal(directive(*victims), directive("infra_3"))
