@@ -7,8 +7,9 @@ PIP := pip install --quiet --disable-pip-version-check
 .PHONY: run dev test fuzz insiders lint bench docs pictures lock dist clean
 
 # Installs only what running needs; the other targets add the tools for tests and development.
+# `make run ARGS=--record` also writes every message.
 run: .venv/installed
-	$(BIN)/mast study case_study
+	$(BIN)/mast study case_study $(ARGS)
 
 # All optional packages and the tools for tests and development.
 dev: .venv/ready

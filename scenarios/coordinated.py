@@ -11,6 +11,8 @@ def scenario(
     fraction_false_negatives=0.2,
     fraction_translations=0.0,
     region="in_view",
+    propagation="TrajectoryPropagation",
+    compromised=(),
     attack_start_s=4.0,
     reselect_every_s=20.0,
     scene="intersection",
@@ -32,7 +34,7 @@ def scenario(
         name="coordinated",
         adversaries={
             f"adversary_{i}": dict(type="Adversary", agent=agent, attack=attack)
-            for i, agent in enumerate(victims_of(unattacked["scene"], n_adversaries), 1)
+            for i, agent in enumerate(victims_of(unattacked["scene"], n_adversaries, compromised), 1)
         },
         coordinator=dict(
             coordination=dict(
@@ -46,7 +48,7 @@ def scenario(
                     fraction_false_negatives=fraction_false_negatives,
                     fraction_translations=fraction_translations,
                 ),
-                propagation=dict(type="TrajectoryPropagation"),
+                propagation=dict(type=propagation),
             )
         ),
         keyexpr=dict(map="testbed.toml", rewrites=["on_tracks.toml", "coordination.toml"]),

@@ -11,6 +11,8 @@ def scenario(
     fraction_false_negatives=0.2,
     fraction_translations=0.0,
     region="in_view",
+    propagation="TrajectoryPropagation",
+    compromised=(),
     attack_start_s=4.0,
     reselect_every_s=20.0,
     scene="intersection",
@@ -23,6 +25,8 @@ def scenario(
     n_adversaries: agents compromised; false_positives: mean number added by each (Poisson);
     fraction_…: fraction of the agent's objects that are hidden, or moved;
     region: where false objects are put: in_view, ego_path, victim_only, or paper (about the agent, never missed);
+    propagation: class that moves false objects, such as StaticPropagation;
+    compromised: agents to compromise first, such as ["infra_4", "infra_1"]; the others follow, poles first;
     attack_start_s: start of the attack, in scene time; reselect_every_s: interval at which each chooses new targets.
     """
     attack = dict(
@@ -37,14 +41,14 @@ def scenario(
             fraction_false_negatives=fraction_false_negatives,
             fraction_translations=fraction_translations,
         ),
-        propagation=dict(type="TrajectoryPropagation"),
+        propagation=dict(type=propagation),
     )
     unattacked = baseline(scene, scene_index, n_infrastructure, n_mobile)
     return unattacked | dict(
         name="uncoordinated",
         adversaries={
             f"adversary_{i}": dict(type="Adversary", agent=agent, attack=attack)
-            for i, agent in enumerate(victims_of(unattacked["scene"], n_adversaries), 1)
+            for i, agent in enumerate(victims_of(unattacked["scene"], n_adversaries, compromised), 1)
         },
         keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml"]),
     )

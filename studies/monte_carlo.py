@@ -1,5 +1,11 @@
 """The paper's Monte Carlo study: 1 to 3 adversaries, both attacks, many seeds."""
 
+#: Launch-time parameters of both attacks, and of the coordinated one alone, in each reading of the paper.
+READINGS = {
+    "testbed": ({}, {}),
+    "paper": ({"region": "paper", "propagation": "StaticPropagation"}, {"fraction_false_negatives": 0.0}),
+}
+
 
 def study(
     scenes="intersection:0,intersection:1,intersection:2",
@@ -8,25 +14,36 @@ def study(
     false_positives=5.0,
     fraction_false_negatives=0.2,
     attack_start_s=4.0,
+    reading="testbed",
+    compromised=(),
 ):
     """Runs for each number of adversaries.
 
     scenes: short names, separated by commas: intersection:INDEX, av2:PATH, …;
-    adversaries: numbers of adversaries to compare.
+    adversaries: numbers of adversaries to compare;
+    reading: "testbed", or "paper" for the attacks as in the paper: false objects stand still, without noise or misses;
+    those of a coordinated attack are near any agent, and each adversary reports those within 70 m of its agent,
+    and hides nothing;
+    compromised: agents to compromise first, in this order.
     """
+    if reading not in READINGS:
+        raise ValueError(f"reading: found {reading!r}, expected one of {', '.join(READINGS)}")
     attack = dict(
         n_infrastructure=n_infrastructure,
         false_positives=false_positives,
         fraction_false_negatives=fraction_false_negatives,
         attack_start_s=attack_start_s,
+        compromised=compromised,
     )
+    both, coordinated = READINGS[reading]
+    attack |= both
     grid = dict(n_adversaries=adversaries)
     return dict(
         name="monte_carlo",
         runs=dict(
             baseline=dict(scenario="baseline", parameters=dict(n_infrastructure=n_infrastructure)),
             uncoordinated=dict(scenario="uncoordinated", parameters=attack, grid=grid),
-            coordinated=dict(scenario="coordinated", parameters=attack, grid=grid),
+            coordinated=dict(scenario="coordinated", parameters=attack | coordinated, grid=grid),
         ),
         baseline="baseline",
         scenes=[scene.strip() for scene in scenes.split(",")],

@@ -120,6 +120,7 @@ class Coordinator(Coordination):
         views = self._views if len(self._views) == len(agent_positions) else tuple(map(unlimited, agent_positions))
         time_s = time_ns / NANOSECONDS
         agents = np.concatenate([agent_positions, self._surroundings.other_positions(time_s)])
+        agents = agents[np.lexsort(agents.T)]  # the same draws whichever of them are compromised
         coverage = Coverage(self._surroundings, views, time_s, agents=agents)
         # The id of a cluster changes with its members, so it is ignored.
         self._follower.observe(view.with_(id=np.full(len(view), -1, np.int64)), time_ns)

@@ -33,6 +33,7 @@ from mast_zenoh.cli.options import (
     Quiet,
     Rate,
     Record,
+    RecordStudy,
     Report,
     Runtime,
     Scenario,
@@ -121,6 +122,7 @@ def study(
     seed: Seed = None,
     runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's runtime.")] = None,
     out: Out = None,
+    record: RecordStudy = False,
     allow_failures: AllowFailures = False,
 ) -> None:
     """Run the scenarios of a study and compare them.
@@ -131,7 +133,7 @@ def study(
 
     loaded = definition.load(study_file, settings or ())
     if loaded.security:
-        options = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume}
+        options = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume, "--record": record}
         options |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
         if invalid := [name for name, value in options.items() if value]:
             problem = f"attackers run once at each level, on the mesh: expected no {', '.join(invalid)}"
@@ -139,8 +141,10 @@ def study(
         _run_attackers(loaded, out, seed=seed, frames=frames)
         return
     count = trials or loaded.trials
+    chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime}
+    chosen |= {"allow_failures": allow_failures, "record": record}
     if count is None and not (jobs or cluster or resume):
-        _compare(loaded, out, frames=frames, seed=seed, runtime=runtime, allow_failures=allow_failures)
+        _compare(loaded, out, **chosen)
         return
     from mast_zenoh.study import execution
     from mast_zenoh.study import trials as study_trials
@@ -152,11 +156,8 @@ def study(
         jobs=jobs or execution.default_jobs(),
         cluster=cluster,
         resume=resume,
-        seed=seed,
-        frames=frames,
-        runtime=runtime,
-        allow_failures=allow_failures,
         console=_out,
+        **chosen,
     )
     _out.print(finished.as_rich())
     for path in finished.files:

@@ -85,6 +85,9 @@ AllowChurn = Annotated[
 ]
 AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn when a handler of a node fails.")]
 Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
+RecordStudy = Annotated[
+    bool, typer.Option("--record", help="Write every message to messages.mcap; keep the runs of all trials.")
+]
 
 
 Quiet = Annotated[

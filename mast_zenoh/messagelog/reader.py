@@ -7,7 +7,6 @@ before the other messages of its frame.
 from __future__ import annotations
 
 import heapq
-import json
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -28,6 +27,7 @@ from mcap.writer import MCAP0_MAGIC
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.messagelog import channels as channel_data
 from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
+from mast_zenoh.messagelog.missing import without_recording
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
@@ -90,23 +90,8 @@ def file_of(path: Path) -> Path:
     if not path.is_dir():
         raise RunFolderError(f"{path}: no such folder, expected the folder of a run")
     if not (path / FILE).is_file():
-        raise RunFolderError(f"{path / FILE}: missing; {_without_recording(path)}")
+        raise RunFolderError(f"{path / FILE}: missing; {without_recording(path)}")
     return path / FILE
-
-
-def _without_recording(folder: Path) -> str:
-    """Why a folder has no recording, as text."""
-    try:
-        run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return f"{folder} is not the folder of a run"
-    except (OSError, ValueError):
-        run = None
-    recorded = run.get("recorded") if isinstance(run, dict) else None
-    messages = recorded.get("messages") if isinstance(recorded, dict) else None
-    if messages:
-        return f"the run was recorded, and run.json counts {messages} messages: expected the recording in {folder}"
-    return f"{folder} is a run that was not recorded"
 
 
 class _ChunkIndex(NamedTuple):

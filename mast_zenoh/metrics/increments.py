@@ -36,11 +36,12 @@ def increments(
     first_frame:        earlier frames are left out; None: all are used, as in the paper
 
     Returns {"frames": n, "fn" | "fp" | "tp": {"iob": {"mean", "std"}, "ioe": {"mean", "std"}}, "compromised": {agent:
-    {"fn" | "fp": {"mean", "std"}}}, "cafn" | "cafp": {"mean", "std"}}. IoB is the attacked picture minus the
-    baseline's in the same frame; IoE is the attacked picture minus the agent's own tracks in the same run. These are
-    the paper's columns "ERCC". Its columns CAFN and CAFP, of the compromised agents, are the increments over the
-    baseline of the agents' OWN tracks (`alone`), pooled over agents and frames; the originals used those of the
-    command centre.
+    {"fn" | "fp": {"mean", "std"}}}, "cafn" | "cafp" | "cafn_centre" | "cafp_centre": {"mean", "std"}}.
+    IoB is the attacked picture minus the baseline's in the same frame; IoE is the attacked picture minus the agent's
+    own tracks in the same run. These are the paper's columns "ERCC". Its columns CAFN and CAFP, of the compromised
+    agents, are the increments over the baseline of the agents' OWN tracks (`alone`), pooled over agents and frames.
+    The paper's numbers are those of the command centre: "cafn_centre" and "cafp_centre", of its picture (`estimator`)
+    in range of the compromised agents.
     Only frames in both runs are compared; without any, means and deviations are None.
     Raises ValueError with the table and the series if a run has no scores of a required series.
     """
@@ -55,19 +56,27 @@ def increments(
             "iob": mean_and_std(attacked_counts - _at(before, frames)[:, column]),
             "ioe": mean_and_std(attacked_counts - _at(own, frames)[:, column]),
         }
-    result["compromised"] = {}
-    pooled = [np.zeros((0, len(COUNTS)))]
-    for victim in compromised:
-        before = _counts(baseline, "baseline", victim, alone)
-        after = _counts(attacked, "attacked", victim, alone)
-        frames = _common(first_frame, before, after)
-        pooled.append(_at(after, frames) - _at(before, frames))
-        result["compromised"][victim] = {
-            name: mean_and_std(pooled[-1][:, column]) for column, name in enumerate(COUNTS) if name != "tp"
-        }
-    pooled_rows = np.concatenate(pooled)
-    result["cafn"], result["cafp"] = mean_and_std(pooled_rows[:, 0]), mean_and_std(pooled_rows[:, 1])
+    own_rows, centre_rows = (
+        {victim: _differences(baseline, attacked, victim, each, first_frame) for victim in compromised}
+        for each in (alone, estimator)
+    )
+    result["compromised"] = {
+        victim: {name: mean_and_std(rows[:, column]) for column, name in enumerate(COUNTS) if name != "tp"}
+        for victim, rows in own_rows.items()
+    }
+    for suffix, rows_by_victim in (("", own_rows), ("_centre", centre_rows)):
+        pooled = np.concatenate([np.zeros((0, len(COUNTS))), *rows_by_victim.values()])
+        result[f"cafn{suffix}"], result[f"cafp{suffix}"] = mean_and_std(pooled[:, 0]), mean_and_std(pooled[:, 1])
     return result
+
+
+def _differences(baseline: Table, attacked: Table, agent: str, estimator: str, first_frame: int | None) -> Floats:
+    """Increments (f, 3) of fn, fp, tp of one series, in the frames that both runs have."""
+    before, after = (
+        _counts(table, label, agent, estimator) for table, label in ((baseline, "baseline"), (attacked, "attacked"))
+    )
+    frames = _common(first_frame, before, after)
+    return _at(after, frames) - _at(before, frames)
 
 
 def _counts(table: Table, label: str, agent: str, estimator: str) -> Table:

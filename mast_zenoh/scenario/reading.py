@@ -60,14 +60,18 @@ def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:
     return scenes.prepare(prepared, 0, 1, json.dumps(spec, sort_keys=True)).agent_names
 
 
-def victims_of(scene: str | Mapping[str, Any], count: int) -> tuple[str, ...]:
+def victims_of(scene: str | Mapping[str, Any], count: int, first: Sequence[str] = ()) -> tuple[str, ...]:
     """The names of `count` agents to compromise: static ones first, never the ego.
 
-    Raises ConfigurationError if the scene has fewer.
+    first: agents that come before all others, in this order
+    Raises ConfigurationError if the scene has fewer, or not these.
     """
     others = agents_of(scene)[1:]
+    for name in first:
+        if name not in others:
+            raise ConfigurationError(f"compromised: no agent {name!r}{nearest(name, others)}")
     static = [name for name in others if name.startswith("infra")]
-    victims = (*static, *(name for name in others if name not in static))
+    victims = tuple(dict.fromkeys((*first, *static, *others)))
     if not 0 <= count <= len(victims):
         raise ConfigurationError(f"n_adversaries: found {count}, expected 0 to {len(victims)}: {', '.join(victims)}")
     return victims[:count]

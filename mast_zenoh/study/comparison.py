@@ -14,6 +14,7 @@ from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.study.definition import Configuration, Study
+from mast_zenoh.study.trial import run_command
 
 
 @dataclass(frozen=True)
@@ -43,17 +44,19 @@ def run(
     frames: int | None = None,
     runtime: str | None = None,
     allow_failures: bool = False,
+    record: bool = False,
     console: Console | None = None,
 ) -> ComparisonResult:
     """Run every configuration once, in the first scene, in its own run folder.
 
     All configurations are resolved and validated before the first run starts. Arguments that are not None override
-    the study's own. If a run fails, its error is raised after its run folder has been written. Failed handlers do
-    not stop the other runs: `ComparisonResult.raise_failures` raises their error.
+    the study's own. record: write every message to messages.mcap
+    If a run fails, its error is raised after its run folder has been written. Failed handlers do not stop the other
+    runs: `ComparisonResult.raise_failures` raises their error.
     """
     seed = study.seed if seed is None else seed
     frames = frames or study.frames
-    resolved = {each.label: _resolve(study, each, seed, frames) for each in study.configurations}
+    resolved = {each.label: _resolve(study, each, seed, frames, record) for each in study.configurations}
     folder = run_folder.create(out, study.name)
     for subfolder in ("logs", "figures"):
         (folder / subfolder).rmdir()
@@ -64,10 +67,14 @@ def run(
         run_folder.write_json(folder / "study.json", {"name": study.name, "status": status, "runs": list(runs)})
 
     with ending.status_written(write_status):
-        for label, configuration_run in resolved.items():
+        for configuration in study.configurations:
+            label = configuration.label
+            settings = (*study.scenes[0].settings, *configuration.settings)
+            command = run_command(configuration.scenario, settings, seed, frames)
             finished = launcher.run(
-                configuration_run,
+                resolved[label],
                 folder / label,
+                command=[*command, "--runtime", chosen_runtime, *([] if record else ["--no-record"])],
                 runtime=chosen_runtime,
                 allow_failures=allow_failures,
                 console=console,
@@ -78,7 +85,7 @@ def run(
     return ComparisonResult(folder, runs)
 
 
-def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None) -> Resolved:
+def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None, record: bool) -> Resolved:
     """The fully resolved run of one configuration."""
     file, loaded = scenario.load(configuration.scenario, (*study.scenes[0].settings, *configuration.settings))
-    return scenario.resolve(file, loaded | {"name": configuration.label}, seed=seed, frames=frames)
+    return scenario.resolve(file, loaded | {"name": configuration.label}, seed=seed, frames=frames, record=record)

@@ -37,6 +37,7 @@ COLUMNS = {
     *("configuration", "scene", "seed", "who", "estimator", "metric", "value", "std", "frames"),
     *("frame", "agent", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m", "scored"),
     *("mean", "std_over_frames", "mean_over_trials", "low", "high", "scenes_low", "scenes_high", "p", "p_holm"),
+    *("zero_share", "zero_low", "zero_high"),
     *("scenes", "seeds", "seeds_left_out"),
 }
 #: The key of the study file that replaces such a parameter.

@@ -91,6 +91,7 @@ def carry_out(
     runtime: str = "inproc",
     out: str | Path | None = None,
     allow_failures: bool = False,
+    record: bool = False,
     **parameters: Any,
 ) -> FinishedStudy:
     """Run a study, and return its tables.
@@ -100,6 +101,7 @@ def carry_out(
     trials:     seeds for each configuration and scene; None: the study's own number, or else one run per configuration
     jobs:       trials at a time; None: the number of cores if dask is installed, else 1
     cluster:    address of a Dask scheduler, tcp://HOST:8786;  resume: continue the unfinished study in `out`
+    record:     write every message; with trials, keep the run of each below `runs` of the study's folder
     frames, seed, runtime, out, allow_failures: as for `mast_zenoh.run`
 
     A script with more than one job needs `if __name__ == "__main__":`, as each worker imports it.
@@ -115,6 +117,7 @@ def carry_out(
         raise ConfigurationError(f"runtime: found {runtime!r}, expected inproc or mesh")
     folder = None if out is None else Path(out)
     chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime, "allow_failures": allow_failures}
+    chosen["record"] = record
     count = trials or loaded.trials
     if count is None and not (jobs or cluster or resume):
         compared = comparison.run(loaded, folder, **chosen)

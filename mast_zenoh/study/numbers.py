@@ -10,6 +10,8 @@ from mast_zenoh.metrics import CAUSES
 NAN = float("nan")
 #: The estimator of an adversary's achievements.
 ACHIEVED = "achieved"
+#: The estimator of what the command centre's defence did.
+DEFENCE = "defence"
 #: Prefix of metrics of an estimate's consequences for driving.
 DRIVING = "driving"
 #: s; a trial with a smaller minimum time to collision is critical: van der Horst (1990), see `braking.TimeToCollision`.
@@ -22,8 +24,9 @@ SELECTIVE = frozenset(f"{DRIVING}.{_MIN_TTC}{suffix}" for suffix in ("", "_iob")
 class Number(NamedTuple):
     """One number of one run.
 
-    owner:     the agent; of an achievement, the adversary, or "all" for all of them; the column `who`
-    estimator: "local", "picture", "mission", …; ACHIEVED for achievements
+    owner:     the agent; of an achievement, the adversary, or "all" for all of them; of a defence, "all"; the column
+               `who`
+    estimator: "local", "picture", "mission", …; ACHIEVED for achievements, DEFENCE for the defence
     metric:    its name; names of nested blocks are joined by dots: "fn_split.attack", "driving.braking_s"
     std:       over frames, NaN for a metric of the whole run; frames: how many, 0 for such a metric
     binary:    whether it is a boolean, as 1 or 0
@@ -51,7 +54,7 @@ def scored_frames(metrics: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
-    """The numbers below `agents`, `driving` and `achieved` of metrics.json.
+    """The numbers below `agents`, `driving`, `achieved` and `integrity` of metrics.json.
 
     In file order.
     `null` becomes NaN, true and false become 1 and 0; other values are skipped. Every cause in `causes` gets a number
@@ -73,6 +76,25 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
                 yield Number(agent, estimator, f"{DRIVING}.{_CRITICAL}", float(critical), binary=True)
     for adversary, content in metrics.get(ACHIEVED, {}).items():
         yield from _flatten(adversary, ACHIEVED, (), content, frames)
+    if metrics.get("integrity"):
+        yield from _of_defence(metrics["integrity"])
+
+
+def _of_defence(integrity: Mapping[str, Any]) -> Iterator[Number]:
+    """What a defence did, for all agents together; the delay is NaN if no liar was suspended."""
+    liars = [agent for agent in integrity["agents"].values() if agent["lied"]]
+    delays = [agent["suspended_after_s"] for agent in liars if agent["suspended_after_s"] is not None]
+    withheld = integrity.get("withheld", {})
+    for name, value in {
+        "lying_agents": len(liars),
+        "lying_suspended": len(delays),
+        "delay_s": sum(delays) / len(delays) if delays else NAN,
+        "honest_suspended": len(integrity["honest_suspended"]),
+        "false_alarms": integrity["false_alarms"],
+        "withheld_false": withheld.get("false", NAN),
+        "withheld_true": withheld.get("true", NAN),
+    }.items():
+        yield Number("all", DEFENCE, name, float(value))
 
 
 def _flatten(owner: str, estimator: str, path: tuple[str, ...], content: Any, frames: int) -> Iterator[Number]:

@@ -6,7 +6,7 @@ import math
 
 from mast_zenoh.metrics import CAUSES
 from mast_zenoh.report.tables.study_rows import Series
-from mast_zenoh.study.numbers import ACHIEVED, DRIVING
+from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, DRIVING
 
 #: Scores that are lengths or counts; user-defined metrics may have any range.
 _NOT_NEGATIVE = frozenset({"fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"})
@@ -22,6 +22,8 @@ def value_range(series: Series) -> tuple[float, float]:
     metric = series.metric
     if metric.endswith(_DIFFERENCES):
         return -math.inf, math.inf
+    if series.estimator == DEFENCE:
+        return 0.0, math.inf
     if series.estimator == ACHIEVED or metric.startswith(f"{DRIVING}."):
         share = "share" in metric or metric.endswith("_seen_by_others")
         return 0.0, 1.0 if share else math.inf

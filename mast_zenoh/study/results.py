@@ -74,7 +74,10 @@ def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
     n = summary["frames"]
     rows = [(agent, "picture", f"{name}_ioe", summary[name]["ioe"], n) for name in ("fn", "fp", "tp")]
     pooled_frames = n * len(compromised)
-    rows += [(COMPROMISED, "local", f"{name}_iob", summary[name], pooled_frames) for name in ("cafn", "cafp")]
+    for estimator, suffix in (("local", ""), ("picture", "_centre")):
+        rows += [
+            (COMPROMISED, estimator, f"{name}_iob", summary[name + suffix], pooled_frames) for name in ("cafn", "cafp")
+        ]
     for agent, estimator, metric, content, frames in rows:
         mean, std = (NAN if content[each] is None else content[each] for each in ("mean", "std"))
         yield Number(agent, estimator, metric, mean, std, frames)

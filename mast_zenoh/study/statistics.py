@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.special import betaincinv, stdtr, stdtrit
 
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.report.tables.study_rows import MIN_SEEDS
+from mast_zenoh.report.tables.study_rows import MIN_SEEDS, NEGLIGIBLE
 
 CONFIDENCE = 0.95
 #: Minimum number of seeds for an interval, and of scenes for an interval over other scenes.
@@ -134,6 +134,11 @@ def clopper_pearson(successes: ArrayLike, trials: ArrayLike) -> Interval:
         low = np.where(k > 0.0, betaincinv(k, n - k + 1.0, 1.0 - _UPPER), 0.0)
         high = np.where(k < n, betaincinv(k + 1.0, n - k, _UPPER), 1.0)
     return Interval(low, high)
+
+
+def zeros(values: Floats) -> Floats:
+    """1 for each trial whose value is 0 up to rounding, else 0; for `rate_interval`."""
+    return (np.abs(values) <= NEGLIGIBLE).astype(np.float64)
 
 
 def _seed_means(values: Floats) -> tuple[Floats, Floats]:

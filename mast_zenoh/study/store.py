@@ -12,6 +12,7 @@ from pyarrow import parquet
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.tables import from_arrow, read_arrow, to_arrow
+from mast_zenoh.messagelog.writer import FILE as RECORDING
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.table_file import write_parquet
 from mast_zenoh.study.trial import Outcome, Trial
@@ -20,7 +21,7 @@ _METADATA = b"mast-zenoh"
 
 
 class Store:
-    """The folder of a study: `study.json`, `trials/<digest>.parquet` and the tables."""
+    """The folder of a study: `study.json`, `trials/<digest>.parquet`, the tables, and `runs` if they are kept."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -71,6 +72,7 @@ class Store:
                     "scene": trial.scene,
                     "seed": trial.seed,
                     "command": trial.command(),
+                    **({"run": str(Path(trial.folder).relative_to(self.folder))} if trial.folder else {}),
                     **({"error": failures[trial.digest]} if trial.digest in failures else {}),
                 }
                 for trial in trials
@@ -113,6 +115,14 @@ class Store:
             )
         except (OSError, ValueError, KeyError, TypeError, pyarrow.ArrowException):
             return None
+
+    def run_folder(self, trial: Trial) -> Path:
+        """Where the recorded run of a trial is kept."""
+        return self.folder / "runs" / f"{trial.configuration}-seed_{trial.seed}-{trial.digest[:8]}"
+
+    def is_kept(self, trial: Trial) -> bool:
+        """Whether the recorded run of a trial is there, or not to be kept."""
+        return not trial.folder or (Path(trial.folder) / RECORDING).is_file()
 
     def frame_schema(self, trials: Sequence[Trial]) -> pyarrow.Schema:
         """The union of the columns of all finished trials' tables per frame."""

@@ -11,7 +11,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.report.tables.study_rows import Estimate, Series, StudyRow
 from mast_zenoh.study import statistics
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.numbers import ACHIEVED, NAN, SELECTIVE, Number, ego
+from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, NAN, SELECTIVE, Number, ego
 from mast_zenoh.study.ranges import value_range
 from mast_zenoh.study.results import COMPROMISED
 from mast_zenoh.study.statistics import Moments
@@ -19,7 +19,7 @@ from mast_zenoh.study.trial import Outcome
 
 
 class Samples:
-    """The reported numbers: of the ego, compromised agents and achievements."""
+    """The reported numbers: of the ego, compromised agents, achievements and the defence."""
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
         """seeds: the planned seeds of every configuration and scene."""
@@ -39,7 +39,7 @@ class Samples:
         for number in trial_numbers:
             if number.metric in SELECTIVE:
                 continue
-            if number.owner in (agent, COMPROMISED) or number.estimator == ACHIEVED:
+            if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE):
                 series = Series(*number[:3])
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)
@@ -86,7 +86,8 @@ def trial_estimate(
     """The mean over trials and its intervals, from an array (scenes, seeds), NaN where a trial has no value.
 
     bounds: smallest and largest possible value;  rate: whether values are 0 or 1
-    paired: whether values are differences, which have a p-value
+    paired: whether values are differences, which have a p-value, and an exact interval of the share of trials with 0.
+            If that is more than half, the mean has no interval and no p-value: the interval would be too narrow
     """
     known = ~np.isnan(values)
     nonempty_scenes = known.any(axis=1)
@@ -99,16 +100,27 @@ def trial_estimate(
     low, high = statistics.rate_interval(complete) if rate else statistics.over_seeds(complete)
     scenes_interval = (NAN, NAN) if rate else statistics.over_scenes(complete)
     low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], *bounds).tolist()
-    return Estimate(
+    estimate = Estimate(
         mean=mean,
         trial_mean=mean,
         low=low,
         high=high,
         scenes_low=wide_low,
         scenes_high=wide_high,
-        p=float(statistics.p_value_of_zero_mean(complete)) if paired else NAN,
         scenes=scenes,
         seeds=seeds,
         left_out=left_out,
         rate=rate,
     )
+    if not paired:
+        return estimate
+    zeros = statistics.zeros(complete)
+    zero_low, zero_high = map(float, statistics.rate_interval(zeros))
+    estimate = replace(
+        estimate,
+        p=float(statistics.p_value_of_zero_mean(complete)),
+        zero_share=float(zeros.mean()),
+        zero_low=zero_low,
+        zero_high=zero_high,
+    )
+    return estimate.without_interval() if estimate.mostly_zero else estimate

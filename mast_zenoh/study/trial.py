@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,6 +15,12 @@ class TrialKey(NamedTuple):
 
     scene: str
     seed: int
+
+
+def run_command(scenario: str, settings: Sequence[str], seed: int, frames: int | None) -> list[str]:
+    """The words of the command that runs a scenario of a study alone."""
+    words = ["mast", "run", scenario, *(word for setting in settings for word in ("--set", setting))]
+    return [*words, "--seed", str(seed), *(["--frames", str(frames)] if frames else [])]
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,7 @@ class Trial:
     idle:                 s of scene time: start of the first attack and end of the trial, if the trial ends first;
                           None: an attack starts, or there is none
     evaluation:           kind of study of defences for which it is evaluated (`defences.kinds`); "": none
+    folder:               where its recorded run is kept; "": nowhere
     """
 
     digest: str
@@ -46,6 +53,7 @@ class Trial:
     allow_failures: bool = False
     idle: tuple[float, float] | None = None
     evaluation: str = ""
+    folder: str = ""
 
     @property
     def key(self) -> TrialKey:
@@ -54,10 +62,10 @@ class Trial:
 
     def command(self) -> str:
         """The command that runs this trial alone, with a run folder and a report."""
-        words = ["mast", "run", self.scenario, *(word for each in self.settings for word in ("--set", each))]
-        words += ["--seed", str(self.seed), *(["--frames", str(self.frames)] if self.frames else [])]
-        words += ["--allow-failures"] if self.allow_failures else []
-        return shlex.join([*words, "--runtime", self.runtime])
+        allowed = ["--allow-failures"] if self.allow_failures else []
+        return shlex.join(
+            [*run_command(self.scenario, self.settings, self.seed, self.frames), *allowed, "--runtime", self.runtime]
+        )
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import tempfile
 import time
@@ -49,7 +50,7 @@ def run(trial: Trial) -> Outcome:
         compromised = tuple(sorted(agents))
         kind = _kind(trial)
         unevaluated = kind is None or (bool(kind.undisturbed) and not _is_disturbed(resolved))
-        if trial.runtime == "inproc" and unevaluated:
+        if trial.runtime == "inproc" and unevaluated and not trial.folder:
             metrics, table, handler_failures = _run_in_process(resolved, trial.allow_failures)
             metrics = metrics if kind is None else {**metrics, "defence": kind.without_lies()}
         else:
@@ -65,7 +66,7 @@ def _resolve(trial: Trial) -> Resolved:
     path, loaded = scenario.load(trial.scenario, trial.settings)
     kind = _kind(trial)
     disturbed = kind is None or not kind.undisturbed or any(loaded.get(part) for part in _DISTURBANCES)
-    record = kind is not None and kind.recorded and disturbed
+    record = bool(trial.folder) or (kind is not None and kind.recorded and disturbed)
     return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=record)
 
 
@@ -97,14 +98,23 @@ def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
 
 
 def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str]) -> RunResult:
-    """Run a trial on the mesh, or one whose run folder is evaluated, in a temporary folder."""
+    """Run a trial on the mesh, or one whose run folder is evaluated or kept, in that folder or a temporary one."""
     from mast_zenoh.launch import folder as run_folder  # trials in this process need neither Zenoh nor Parquet
     from mast_zenoh.launch import run as launcher
     from mast_zenoh.launch.tables import read_table
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
-        finished = launcher.run(resolved, folder / "run", runtime=trial.runtime, allow_failures=trial.allow_failures)
+        kept = Path(trial.folder or folder / "run")
+        if kept.exists():
+            shutil.rmtree(kept)  # of a trial that was interrupted or failed
+        finished = launcher.run(
+            resolved,
+            kept,
+            runtime=trial.runtime,
+            allow_failures=trial.allow_failures,
+            command=shlex.split(trial.command()),
+        )
         if isinstance(finished.error, HandlerFailed):
             raise HandlerFailed(failures.summary(finished.failures))  # without the logs, which are not kept
         if finished.error:

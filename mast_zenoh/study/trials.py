@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import ending
 from mast_zenoh.study import execution, plan, tables
 from mast_zenoh.study.definition import Study
@@ -30,25 +31,31 @@ def run(
     frames: int | None = None,
     runtime: str | None = None,
     allow_failures: bool = False,
+    record: bool = False,
     console: Console | None = None,
 ) -> StudyResult:
     """Run every configuration in every scene with `count` seeds, and write the tables.
 
     allow_failures: whether a trial counts even if handlers of its nodes failed
     jobs, cluster:  see `execution.run_all`; seed, frames, runtime: override the study's own where not None
+    record:         keep the recorded run of each trial, in `runs` of the study's folder; not on a cluster
     resume:         continue in the folder `out`, without repeating finished trials
 
     Each trial is stored when it is finished. Raises Interrupted on Ctrl-C; the study can then be resumed.
     """
     execution.require(jobs, cluster)
+    if record and cluster is not None:
+        raise ConfigurationError("--record: runs are kept on the machine that runs them: expected no --cluster")
     console = console or Console(quiet=True)
     seed = study.seed if seed is None else seed
     runtime = runtime or (study.runtime if study.trials else None) or "inproc"
     trials = plan.trials(study, count=count, seed=seed, frames=frames or study.frames, runtime=runtime)
     trials = [replace(trial, allow_failures=allow_failures) for trial in trials]
     store = Store.create(out, study, resume=resume)
+    if record:
+        trials = [replace(trial, folder=str(store.run_folder(trial))) for trial in trials]
     failures: dict[str, str] = {}
-    pending = [trial for trial in trials if not resume or store.load(trial) is None]
+    pending = [trial for trial in trials if not resume or store.load(trial) is None or not store.is_kept(trial)]
     if len(pending) < len(trials):
         console.print(f"{len(trials) - len(pending)} of {len(trials)} trials are already done", highlight=False)
     hint = f"finished trials are kept: to continue, repeat the command with --out {store.folder} --resume"

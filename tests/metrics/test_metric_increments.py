@@ -25,11 +25,13 @@ BASELINE = table(
     ego__picture=[(1, 0, 9), (1, 1, 9)],
     ego__local=[(7, 0, 3), (6, 0, 4)],
     infra_1__local=[(4, 0, 6), (4, 1, 6)],
+    infra_1__picture=[(1, 0, 9), (1, 1, 9)],
 )
 ATTACKED = table(
     ego__picture=[(2, 3, 8), (1, 5, 9)],
     ego__local=[(7, 0, 3), (6, 0, 4)],
     infra_1__local=[(6, 5, 4), (5, 4, 5)],
+    infra_1__picture=[(2, 3, 8), (1, 5, 9)],
 )
 
 
@@ -67,3 +69,15 @@ def test_without_common_frames_there_are_no_values():
 def test_a_missing_series_is_named():
     with pytest.raises(ValueError, match=r"baseline: found ego/local, .*expected one of ego/pictures"):
         increments(BASELINE, ATTACKED, estimator="pictures")
+
+
+def test_the_papers_numbers_of_compromised_agents_are_those_of_the_centre_in_their_range():
+    """An adversary on an agent's tracks changes the picture, and never the agent's own tracks."""
+    own = {"infra_1__local": [(4, 0, 6), (4, 1, 6)], "ego__local": [(7, 0, 3), (6, 0, 4)]}
+    seen = [(1, 0, 9), (1, 1, 9)]
+    before = table(ego__picture=seen, infra_1__picture=[(1, 0, 5), (0, 0, 6)], **own)
+    after = table(ego__picture=seen, infra_1__picture=[(2, 4, 4), (0, 2, 6)], **own)
+    result = increments(before, after, compromised=["infra_1"])
+    assert result["cafp"] == result["cafn"] == {"mean": 0.0, "std": 0.0}
+    assert result["cafp_centre"] == {"mean": 3.0, "std": 1.0}
+    assert result["cafn_centre"] == {"mean": 0.5, "std": 0.5}

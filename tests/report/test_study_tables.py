@@ -127,7 +127,7 @@ def test_latex_has_equal_cells_in_every_row_and_escapes_special_characters() -> 
     paper, *scores, _ = text.split(r"\end{tabular}")
     body = [line for line in paper.splitlines() if line.endswith(r"\\")][2:]
     assert len(body) == 2 * 6
-    assert {line.count("&") for line in body} == {8}
+    assert {line.count("&") for line in body} == {10}
     for tabular in scores:
         assert len({line.count("&") for line in tabular.splitlines() if line.endswith(r"\\")}) == 1
     assert r"$9.00 \pm 1.25^{*}$" in text

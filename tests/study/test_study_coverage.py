@@ -33,6 +33,15 @@ def test_intervals_of_success_rates_cover_at_least_95_per_cent(simulated: Covera
     assert min(min(cells.values()) for cells in rates.values()) >= 95.0
 
 
+def test_intervals_of_added_missed_objects_cover_at_least_93_per_cent_with_any_number_of_seeds(
+    simulated: Coverage,
+) -> None:
+    """A t interval for every mean covers 78 % with five seeds."""
+    for attack in ("uncoordinated-2", "coordinated-2"):
+        assert min(simulated[f"missed objects added, {attack}"].values()) >= 93.0
+    assert simulated["missed objects added, uncoordinated-2, t for every mean"][1, 5] < 80.0
+
+
 def test_three_correlated_scenes_of_twenty_seeds_are_covered(simulated: Coverage) -> None:
     """A bootstrap that treats scenes and seeds as independent covers 71 % here."""
     assert 93.0 <= simulated["normal, scenes of a seed correlate at 0.98"][3, 20] <= 97.0

@@ -103,24 +103,27 @@ def _footer(rows: Sequence[StudyRow], axes: Sequence[Axis], interval: str) -> st
     sample = f"mean over {counts[0]} \u00d7 {counts[1]}"
     if any(not math.isnan(each.low) for each in known):
         return f"{sample}; {interval}"
-    few, equal = _without_bar(known)
-    reasons = ["below five seeds"] * few + ["where all seeds are equal"] * equal
+    few, equal, zero = _without_bar(known)
+    reasons = ["below five seeds"] * few + ["where all seeds are equal"] * equal + ["where most trials are 0"] * zero
     return f"{sample}; no interval {' and '.join(reasons)}"
 
 
-def _without_bar(estimates: Sequence[Estimate]) -> tuple[bool, bool]:
-    """Whether any estimate lacks an interval: (too few seeds, all seeds equal)."""
-    bare = [each.seeds for each in estimates if math.isnan(each.low)]
-    return any(seeds < MIN_SEEDS for seeds in bare), any(seeds >= MIN_SEEDS for seeds in bare)
+def _without_bar(estimates: Sequence[Estimate]) -> tuple[bool, bool, bool]:
+    """Whether any estimate lacks an interval: (too few seeds, all seeds equal, most trials 0)."""
+    bare = [each for each in estimates if math.isnan(each.low)]
+    few = any(each.seeds < MIN_SEEDS for each in bare)
+    equal = any(each.seeds >= MIN_SEEDS and (each.unchanged or each.certain) for each in bare)
+    return few, equal, any(each.mostly_zero and not each.unchanged for each in bare)
 
 
 def _bar_notes(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:
     """How to read the bars of increments, and why some points have no bar."""
     known = [each for axis in axes for each in _seeds(rows, axis)]
-    few, equal = _without_bar(known)
+    few, equal, zero = _without_bar(known)
     sentences = ["Where a bar crosses 0, there may be no change."] * any(not math.isnan(each.low) for each in known)
     sentences += ["Below five seeds there is no bar."] * few
-    sentences += ["A point of five seeds or more without a bar is the same for every seed."] * equal
+    sentences += ["A point of five seeds or more without a bar is the same for every seed."] * (equal and not zero)
+    sentences += ["A point of five seeds or more without a bar is 0 in most trials, or the same for every seed."] * zero
     return " ".join(sentences)
 
 

@@ -81,7 +81,8 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
     if comparisons.count:
         comparison_count = plural(comparisons.count, "comparison")
         return f"No attack changes false or missed objects distinguishably, in {comparison_count} with the baseline."
-    return f"The largest change of {_compared(any_change)}, too few seeds for an interval: {_sentence(any_change)}."
+    reason = "0 in most trials" if greatest.mostly_zero else "too few seeds for an interval"
+    return f"The largest change of {_compared(any_change)}, {reason}: {_sentence(any_change)}."
 
 
 def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
@@ -91,22 +92,26 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
         return []
     headline_change = _headline(attacked, comparisons)
     sentences: list[str] = []
-    unchanged_names, indistinct = [], []
+    unchanged_names, rare, indistinct = [], [], []
     for metric, (name, _) in _CHANGES.items():
         change = _largest(attacked, (metric,), comparisons)
         if change and change != headline_change:
             sentences.append(f"{name[:1].upper()}{name[1:]}: {_sentence(change)}.")
-        elif not change and comparisons.count:
+        elif not change:
             known = _estimates_of(attacked, metric)
-            if known and all(each.unchanged for each in known):
+            if comparisons.count and known and all(each.unchanged for each in known):
                 unchanged_names.append(name)
-            elif any(not math.isnan(each.low) for each in known):
+            elif any(each.mostly_zero and not each.unchanged for each in known):
+                rare.append(name)
+            elif comparisons.count and any(not math.isnan(each.low) for each in known):
                 indistinct.append(name)
     for name, columns in ADDED:
         if attacked and all(column.of(row).unchanged for row in attacked for column in columns):
             sentences.append(f"Not changed in any trial: {name}.")
     if unchanged_names:
         sentences.append(f"Unchanged in all trials: {', '.join(unchanged_names)}.")
+    if rare:
+        sentences.append(f"Changed in few trials, and therefore without interval: {', '.join(rare)}.")
     if indistinct:
         sentences.append(f"Not distinguishable from the baseline: {', '.join(indistinct)}.")
     return sentences

@@ -13,6 +13,7 @@ from mast_zenoh.report.study_facts import StudyFacts
 from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.report.tables.study_rows import (
     ALL_SCORES,
+    MOSTLY_ZERO,
     PAPER,
     Column,
     StudyRow,
@@ -31,6 +32,9 @@ _NUMBERS = {
     "scenes_low": "scenes_low",
     "scenes_high": "scenes_high",
     "p": "p",
+    "zero_share": "zero_share",
+    "zero_low": "zero_low",
+    "zero_high": "zero_high",
 }
 
 _MARK = "* differs significantly from 0 after Holm's correction"
@@ -65,9 +69,14 @@ def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
     groups = " & ".join(rf"\multicolumn{{{len(columns_of_group)}}}{{c}}{{{name}}}" for name, columns_of_group in PAPER)
     size = facts.size.replace("\u00d7", "x")
+    warning = MOSTLY_ZERO if any(column.of(row).mostly_zero for row in rows for column in columns) else ""
     comments = ["mean and std over the frames of all trials; below, mean over seeds [95 % interval], paired", size]
     lines = [
-        *(f"% {comment}" for comment in (r"needs \usepackage{booktabs}", *comments, _MARK, facts.failures) if comment),
+        *(
+            f"% {comment}"
+            for comment in (r"needs \usepackage{booktabs}", *comments, _MARK, warning, facts.failures)
+            if comment
+        ),
         *_tabular(
             [rf" & {groups} \\", " & " + " & ".join(_short(column.heading) for column in columns) + r" \\"],
             [row for row in rows if row.label != facts.baseline],
@@ -125,6 +134,7 @@ def _tex(text: str) -> str:
         ("±", r"\pm"),
         (DASH, r"\mbox{--}"),
         ("all equal", r"\mbox{all equal}"),
+        ("(0 in ", r"(0 \mbox{ in } "),
         ("_", r"\_"),
         ("%", r"\%"),
         ("&", r"\&"),

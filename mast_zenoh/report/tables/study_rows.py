@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from mast_zenoh.metrics import CAUSES
@@ -13,6 +13,13 @@ from mast_zenoh.report.tables.scores import DASH
 NAN = float("nan")
 #: Minimum number of seeds for an interval.
 MIN_SEEDS = 5
+#: An increment that is 0 in a larger share of trials than this has no interval.
+MOSTLY = 0.5
+#: The warning of a table with such an increment.
+MOSTLY_ZERO = (
+    'Warning: "(0 in N % [a, b])" marks a difference that is 0 in N % of the trials; a to b is the exact 95 % interval '
+    "of that share. The mean has no interval: it would be too narrow."
+)
 #: Differences up to this are rounding errors.
 NEGLIGIBLE = 1e-9
 
@@ -34,6 +41,7 @@ class Estimate:
                its 95 % interval over seeds of these scenes; without bounds for fewer than five seeds, or equal ones
     scenes_low, scenes_high: 95 % interval to other scenes as well; for five scenes and more
     p:         p-value of no difference from the baseline, over seeds; of increments only
+    zero_share, zero_low, zero_high: share of trials in which an increment is 0, and its exact 95 % interval
     left_out:  number of seeds left out of the trial statistics, because a trial failed or has no value
     rate:      whether it is a success rate, from trials that are 0 or 1
     """
@@ -46,20 +54,35 @@ class Estimate:
     scenes_low: float = NAN
     scenes_high: float = NAN
     p: float = NAN
+    zero_share: float = NAN
+    zero_low: float = NAN
+    zero_high: float = NAN
     scenes: int = 0
     seeds: int = 0
     left_out: int = 0
     rate: bool = False
 
     @property
+    def mostly_zero(self) -> bool:
+        """Whether an increment is 0 in most trials, of at least five seeds, so that its mean has no interval."""
+        return self.seeds >= MIN_SEEDS and self.zero_share > MOSTLY
+
+    @property
     def unchanged(self) -> bool:
         """Whether an increment is 0 in every trial, of at least five seeds."""
+        if self.mostly_zero:
+            return self.zero_share == 1.0
         return self.seeds >= MIN_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
 
     @property
     def certain(self) -> bool:
         """Whether an increment is equal in every seed and not 0, so without interval."""
-        return self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
+        known = self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE
+        return known and math.isnan(self.low) and not self.mostly_zero
+
+    def without_interval(self) -> Estimate:
+        """A copy whose mean has neither interval nor p-value."""
+        return replace(self, low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN, p=NAN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +154,36 @@ PAPER: Groups = (
             Column("CAFP IoB", "cafp_iob", "local", "compromised"),
         ),
     ),
+    (
+        "compromised agents, by the centre",
+        (
+            Column("CAFN centre", "cafn_iob", "picture", "compromised"),
+            Column("CAFP centre", "cafp_iob", "picture", "compromised"),
+        ),
+    ),
     ("ERCC FN", (Column("FN IoB", "fn_iob"), Column("FN IoE", "fn_ioe"))),
     ("ERCC FP", (Column("FP IoB", "fp_iob"), Column("FP IoE", "fp_ioe"))),
     ("ERCC TP", (Column("TP IoB", "tp_iob"), Column("TP IoE", "tp_ioe"))),
+)
+
+
+#: What the command centre's defence did in a run.
+DEFENCE: Groups = (
+    (
+        "defence",
+        tuple(
+            Column(heading, metric, "defence", "all")
+            for heading, metric in (
+                ("lying agents", "lying_agents"),
+                ("of these suspended", "lying_suspended"),
+                ("delay s", "delay_s"),
+                ("honest suspended", "honest_suspended"),
+                ("false alarms", "false_alarms"),
+                ("false withheld", "withheld_false"),
+                ("true withheld", "withheld_true"),
+            )
+        ),
+    ),
 )
 
 
@@ -182,6 +232,9 @@ def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
         return f"[{', '.join(ends)}]"
     if scenes or math.isnan(estimate.trial_mean):
         return ""
+    if estimate.mostly_zero:
+        share, first, last = (100.0 * each for each in (estimate.zero_share, estimate.zero_low, estimate.zero_high))
+        return f"(0 in {share:.0f} % [{first:.0f}, {last:.0f}])"
     return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
 
 

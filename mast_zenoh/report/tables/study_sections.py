@@ -12,7 +12,9 @@ from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.report.tables.study_rows import (
     ADDED,
     ALL_SCORES,
+    DEFENCE,
     ESTIMATORS,
+    MOSTLY_ZERO,
     PAPER,
     SCORES,
     Column,
@@ -74,7 +76,7 @@ def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) 
     attacked = [row for row in rows if row.label != baseline]
     tables = [_paper(attacked, comparisons), *_added(attacked, comparisons), *_to_other_scenes(attacked)]
     tables += [_scores(rows, group) for group in ALL_SCORES]
-    tables += [*_achieved(attacked), _others(rows)]
+    tables += [*_achieved(attacked), _defence(rows), _others(rows)]
     tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
     return [section for section in tables if section.lines and section.headings]
 
@@ -165,6 +167,15 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
     return tables
 
 
+def _defence(rows: Sequence[StudyRow]) -> Section:
+    caption = (
+        "Agents suspended, and objects per frame withheld from the picture; mean and 95 % interval over seeds of these "
+        "scenes. The delay is from an agent's first lie to its suspension, in trials in which one is suspended."
+    )
+    defended = [row for row in rows if any(series.estimator == "defence" for series in row.estimates)]
+    return _table("What the defence did", caption, DEFENCE, defended, lambda row, column: _over_trials(column.of(row)))
+
+
 def _others(rows: Sequence[StudyRow]) -> Section:
     """Other numbers of the ego, such as user-defined metrics, a line each."""
     table_series = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
@@ -188,6 +199,8 @@ def _others(rows: Sequence[StudyRow]) -> Section:
         "Mean and 95 % interval over seeds of these scenes. Names that end in _iob are differences from the baseline, "
         "left out where there is none in any trial."
     )
+    if any(row.estimates[each].mostly_zero for row in rows for each in series if each in row.estimates):
+        caption = f"{caption} {MOSTLY_ZERO}"
     return Section(
         "Other numbers of the ego", caption, (("", tuple(row.label for row in rows)),), tuple(lines), terminal=False
     )
@@ -228,4 +241,6 @@ def _table(
     columns = columns_of(groups)
     lines = tuple((row.label, tuple(cell(row, column) for column in columns)) for row in rows)
     headings = tuple((name, tuple(column.heading for column in group_columns)) for name, group_columns in groups)
+    if any(column.of(row).mostly_zero for row in rows for column in columns):
+        caption = f"{caption} {MOSTLY_ZERO}"
     return Section(title, caption, headings, lines if groups else (), terminal, brief)

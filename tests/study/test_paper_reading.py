@@ -1,0 +1,88 @@
+"""The named reading of the paper in `monte_carlo`, and agents to compromise by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.attacks import Coordinator
+from mast_zenoh.attacks.coverage import Coverage
+from mast_zenoh.attacks.propagation import StaticPropagation
+from mast_zenoh.attacks.regions import REGIONS, Shape
+from mast_zenoh.attacks.selection import CoordinatedSelection
+from mast_zenoh.attacks.surroundings import Surroundings, unlimited
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.study import definition
+
+#: m, as in `CoordinatedAttack`.
+MAX_RANGE_M = 70.0
+
+
+def loaded(configuration: str, *settings: str) -> dict:
+    configurations = {each.label: each for each in definition.load("monte_carlo", settings).configurations}
+    chosen = configurations[configuration]
+    return scenario.load(chosen.scenario, chosen.settings)[1]
+
+
+def test_false_objects_of_the_papers_reading_stand_still_and_are_near_any_agent() -> None:
+    coordination = loaded("coordinated-3", "reading=paper")["coordinator"]["coordination"]
+    assert coordination["propagation"] == {"type": "StaticPropagation"}
+    assert coordination["selection"]["region"] == "paper"
+    assert coordination["selection"]["fraction_false_negatives"] == 0.0, "commented out in the originals"
+    attack = loaded("uncoordinated-1", "reading=paper")["adversaries"]["adversary_1"]["attack"]
+    assert attack["propagation"] == {"type": "StaticPropagation"}
+    assert attack["imitation"] == {"type": "Exact"}
+
+
+def test_without_a_reading_the_study_is_as_before() -> None:
+    coordination = loaded("coordinated-3")["coordinator"]["coordination"]
+    assert coordination["propagation"] == {"type": "TrajectoryPropagation"}
+    assert coordination["selection"]["region"] == "in_view"
+
+
+def test_an_unknown_reading_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ConfigurationError, match="reading: found 'book', expected one of testbed, paper"):
+        definition.load("monte_carlo", ["reading=book"])
+
+
+def test_agents_to_compromise_are_chosen_by_name_and_others_follow() -> None:
+    adversaries = loaded("uncoordinated-3", 'compromised=["infra_4", "infra_1"]')["adversaries"]
+    assert [each["agent"] for each in adversaries.values()] == ["infra_4", "infra_1", "infra_2"]
+
+
+def test_an_unknown_agent_to_compromise_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="compromised: no agent 'infra_9'"):
+        scenario.load("coordinated", ['compromised=["infra_9"]'])
+
+
+def test_in_the_papers_region_a_second_adversary_reports_more_of_the_shared_objects_and_a_third_few() -> None:
+    """Two compromised agents 120 m apart; the third is near the first."""
+    agents = np.array([[0.0, 0.0, 15.0], [120.0, 0.0, 15.0], [10.0, 10.0, 15.0]])
+    coverage = Coverage(Surroundings(), (unlimited(agents[0]),), 0.0, agents=agents[:2])
+    shape = Shape(30.0, 10.0, np.array([4.0, 2.0, 2.0]), MAX_RANGE_M)
+    position, _ = REGIONS["paper"].place(2000, shape, ObjectStates.empty(), 0.0, coverage, np.random.default_rng(0))
+    distance = np.linalg.norm(position[:, None, :2] - agents[None, :, :2], axis=2)
+    reported = [(distance[:, :count].min(axis=1) <= MAX_RANGE_M).mean() for count in (1, 2, 3)]
+    assert reported[0] == pytest.approx(0.5, abs=0.1)
+    assert reported[1] == reported[2] == 1.0
+
+
+def test_the_shared_list_is_the_same_whichever_agents_are_compromised() -> None:
+    """Otherwise runs with one, two and three adversaries could not be compared seed by seed."""
+    poles = {f"infra_{k}": [40.0 * k, 10.0 * k, 15.0] for k in range(1, 5)}
+    sensor = dict(limits_deg=[-180, 180, -90, 90], max_range_m=70.0, mount_position=[0, 0, 0], mount_rotation=np.eye(3))
+    agents = {name: sensor | {"route": [[0.0, *position, 1.0, 0, 0, 0]]} for name, position in poles.items()}
+
+    def directive(*victims: str) -> np.ndarray:
+        selection = CoordinatedSelection(region="paper", n_false_positives=20.0)
+        coordinator = Coordinator(selection=selection, propagation=StaticPropagation(), start_s=0.0)
+        coordinator.inform(Surroundings(scene="x", agents=agents, victims=victims))
+        coordinator.bind(1, "coordinator")
+        nothing = (ObjectStates.empty(), np.zeros(0, np.int64))
+        return coordinator.step(0, 0, *nothing, np.array([poles[name] for name in victims]))[0].add.position
+
+    assert len(directive("infra_3")) > 5
+    for victims in (("infra_1", "infra_3"), ("infra_3", "infra_1"), ("infra_2", "infra_4", "infra_1")):
+        np.testing.assert_array_equal(directive(*victims), directive("infra_3"))
