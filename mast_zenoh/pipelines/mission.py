@@ -8,7 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.neighbours import neighbours
-from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.pipelines.mission_ids import NONE, MissionIds
 from mast_zenoh.tracking.covariance_repair import make_positive_definite

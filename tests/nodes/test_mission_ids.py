@@ -145,8 +145,7 @@ def test_what_the_agent_saw_before_the_picture_was_made_counts_once() -> None:
     estimator.estimate(0, own, picture)
     coasting = own.with_(covariance=2.0 * own.covariance)
     assert estimator.estimate(PERIOD_NS, coasting, picture).position[0, 0] == pytest.approx(0.02, abs=1e-3)
-    updated = own.with_(position=own.position + [0.2, 0.0, 0.0], covariance=own.covariance)
-    after = estimator.estimate(2 * PERIOD_NS, updated, picture)
+    after = estimator.estimate(2 * PERIOD_NS, cars((1, 0.2)), picture)
     assert after.position[0, 0] > 0.04
 
 
