@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.pipelines.mission_ids import NONE, MissionIds
+from mast_zenoh.tracking.classes import ACCELERATION
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
-from mast_zenoh.tracking.prediction import predicted
 
 #: m^2, least variance of a horizontal position, both axes together, that a message can claim: 0.1 m per axis, as in
 #: `fusion.CheckedCovariances`.
@@ -134,7 +135,7 @@ class _OwnNews:
 
     def __init__(self) -> None:
         self.since_ns: int | None = None
-        self._earlier: list[tuple[int, ObjectStates]] = []  # own tracks by time
+        self._earlier: list[_Earlier] = []
 
     def update(self, time_ns: int, own: ObjectStates, rows: Ints) -> tuple[Floats, Floats]:
         """What is new of own tracks `rows` (p,): which share (p,), and the change (p, 9) of their means by it.
@@ -143,21 +144,45 @@ class _OwnNews:
         change is 0: all of them is. Means are in the order of `states.COVARIANCE_ORDER`.
         """
         share, change = np.ones(len(rows)), np.zeros((len(rows), 9))
+        now = _Earlier.of(time_ns, own)
         since_ns = time_ns if self.since_ns is None else self.since_ns
-        then_ns, before = next(
-            (each for each in reversed(self._earlier) if each[0] <= since_ns), (time_ns, ObjectStates.empty())
-        )
-        if len(before):
-            place = np.minimum(before.id.searchsorted(own.id[rows]), len(before) - 1)
-            known = (before.id[place] == own.id[rows]).nonzero()[0]
-            expected = predicted(before.select(place[known]), (time_ns - then_ns) * 1e-9)
-            now = rows[known]
-            variance = np.maximum(_variance(expected.covariance), LEAST_VARIANCE)
-            share[known] = np.clip(1.0 - _variance(own.covariance[now]) / variance, 0.0, 1.0)
-            change[known] = _means(own, now) - _means(expected)
-        self._earlier = [*self._earlier[1 - MAX_EARLIER :], (time_ns, own)]
+        then = next((each for each in reversed(self._earlier) if each.time_ns <= since_ns), None)
+        if then is not None and len(then.id):
+            place = np.minimum(then.id.searchsorted(own.id.take(rows)), len(then.id) - 1)
+            known = (then.id.take(place) == own.id.take(rows)).nonzero()[0]
+            dt, place, rows = (time_ns - then.time_ns) * 1e-9, place.take(known), rows.take(known)
+            steps = np.array([1.0, dt, dt * dt, dt**3])
+            variance = np.maximum(then.growth.take(place, 0) @ steps, LEAST_VARIANCE)
+            share[known] = np.clip(1.0 - now.growth[:, 0].take(rows) / variance, 0.0, 1.0)
+            expected = then.mean.take(place, 0)
+            expected[:, :3] += dt * expected[:, 6:]
+            change[known] = now.mean.take(rows, 0) - expected
+        self._earlier = [*self._earlier[1 - MAX_EARLIER :], now]
         self.since_ns = None
         return share, change
+
+
+class _Earlier(NamedTuple):
+    """n own tracks at a time.
+
+    mean: (n, 9); growth: (n, 4), coefficients of the variance of their horizontal positions, m^2, as a polynomial of
+        the s that have passed, see `tracking.prediction.predicted`
+    """
+
+    time_ns: int
+    id: Ints
+    mean: Floats
+    growth: Floats
+
+    @classmethod
+    def of(cls, time_ns: int, own: ObjectStates) -> _Earlier:
+        """The tracks of an estimate."""
+        P = own.covariance
+        growth = np.empty((len(own), 4))
+        growth[:, 0], growth[:, 2] = _variance(P), P[:, 6, 6] + P[:, 7, 7]
+        growth[:, 1] = 2.0 * (P[:, 0, 6] + P[:, 1, 7])
+        growth[:, 3] = (2.0 / 3.0) * ACCELERATION.take(own.class_id)
+        return cls(time_ns, own.id, _means(own), growth)
 
 
 def _average_pairs(
