@@ -21,6 +21,9 @@ LEAST_VARIANCE = 0.02
 #: Of the variance that a picture claims, how much its errors have: covariance intersection bounds them for any
 #: correlation of the agents' errors. Measured: 0.2 to 0.4 (docs/tracking.md).
 PICTURE_SHARE = 0.3
+#: How much of an own track counts by its disagreement with the picture: this times their squared distance, relative to
+#: the variance that both claim. Then a picture from badly surveyed sensors makes the estimate hardly worse.
+DISAGREEMENT = 3.0
 #: Estimates whose own tracks are remembered: a picture's age in frames, at most.
 MAX_EARLIER = 16
 
@@ -201,7 +204,7 @@ def _average_pairs(
     own_mean, picture_mean = _means(own, i), _means(picture, j)
     difference = own_mean - picture_mean
     apart = difference[:, 0] * difference[:, 0] + difference[:, 1] * difference[:, 1]
-    share = np.maximum(share, np.minimum(apart / (own_variance + picture_variance), 1.0))
+    share = np.maximum(share, np.minimum(DISAGREEMENT * apart / (own_variance + picture_variance), 1.0))
     picture_variance = np.maximum(PICTURE_SHARE * picture_variance, LEAST_VARIANCE)
     gain = picture_variance / (share * picture_variance + own_variance)
     weight = gain * share  # of the own track
