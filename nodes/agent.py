@@ -45,6 +45,8 @@ class Agent(Node):
 
     pipeline: its stages; lidar: its first sensor; mobile: whether it moves; status_every: frames between two statuses
     picture_age_s: the greatest age of a picture that is used
+    unsupported_std_m: m, the greatest standard deviation of the horizontal position of an object in a picture that no
+        agent supports; above, it is not used, because the picture itself is about to lose it
     sensors: all of its sensors, if they are several, or measure at times of their own; empty: `lidar`, in every frame
     measurement_times: False: treats measurements as made at the time of their frame; only to show the effect
     """
@@ -66,6 +68,7 @@ class Agent(Node):
         mobile: bool = False,
         status_every: int = 10,
         picture_age_s: float = 0.5,
+        unsupported_std_m: float = 0.5,
         sensors: tuple[AgentSensor, ...] = (),
         measurement_times: bool = True,
     ) -> None:
@@ -73,6 +76,8 @@ class Agent(Node):
             raise ValueError(f"status_every: found {status_every}, expected 1 or more")
         if picture_age_s < 0.0:
             raise ValueError(f"picture_age_s: found {picture_age_s}, expected 0 or more")
+        if not unsupported_std_m > 0.0:
+            raise ValueError(f"unsupported_std_m: found {unsupported_std_m}, expected more than 0")
         self.pipeline = pipeline
         self.sensors = sensors
         self.measurement_times = measurement_times
@@ -81,6 +86,7 @@ class Agent(Node):
         self.mobile = mobile
         self.status_every = status_every
         self.picture_age_ns = round(picture_age_s * 1e9)
+        self.unsupported_variance = unsupported_std_m**2
         self.sensed: Gather[str, Received | None] = Gather({"clock", "pose", *self.members})
         self.pictures: LatestBefore[tuple[int, ObjectStates]] = LatestBefore()
         self.last: Pose | None = None
@@ -125,9 +131,11 @@ class Agent(Node):
         self.sense("sweep", received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """Store the common picture for the frames after its arrival, however late."""
-        picture = (received.time_ns, ObjectStates.from_columns(received.body))
-        self.pictures.add(context.frame, picture, received.frame)
+        """Store the common picture for the frames after its arrival, however late, without objects about to be lost."""
+        objects = ObjectStates.from_columns(received.body)
+        variance = objects.covariance[:, 0, 0] + objects.covariance[:, 1, 1]
+        certain = (received.body["support"] > 0) | (variance <= self.unsupported_variance)
+        self.pictures.add(context.frame, (received.time_ns, objects.select(certain)), received.frame)
 
     def sense(self, port: str, received: Received | None, context: Context) -> None:
         """Process a frame once its clock, its pose and all data of its sensors have arrived.
@@ -231,16 +239,17 @@ class Agent(Node):
         return {} if innovations is None else {"innovations": innovations.summary()}
 
     def picture_at(self, frame: int, time_ns: int) -> ObjectStates:
-        """The latest picture of an earlier frame, predicted to `time_ns`.
+        """The objects of the latest picture of an earlier frame, predicted to `time_ns`.
 
-        Earlier by its frame of arrival. Empty if it is too old.
+        Earlier by its frame of arrival. Empty if it is too old. Tells the mission estimator its time.
         """
         latest = self.pictures.get(frame)
-        if latest is None:
-            return ObjectStates.empty()
-        picture_ns, states = latest[1]
+        picture_ns, states = (time_ns + 1, ObjectStates.empty()) if latest is None else latest[1]
         age_ns = time_ns - picture_ns
-        return predicted(states, age_ns * 1e-9) if 0 <= age_ns <= self.picture_age_ns else ObjectStates.empty()
+        if not 0 <= age_ns <= self.picture_age_ns:
+            return ObjectStates.empty()
+        self.pipeline.mission.date_picture(picture_ns)
+        return predicted(states, age_ns * 1e-9)
 
 
 def _mount(sensor: AgentSensor) -> Pose:

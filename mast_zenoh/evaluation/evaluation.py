@@ -219,6 +219,7 @@ class _Results:
                     scores.pairs, scores.series, data.record.agents, data.ego, scored, data.period_s
                 ),
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
+                "picture_age_s": data.picture_age_s(frames[scored].tolist()),
                 "latency_ms": {"sim_to_picture": data.latency_percentiles_ms()},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **integrity,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -51,6 +52,18 @@ class RunData:
         """The main agent of the evaluation: "ego" if there is one, else the first."""
         agents = self.record.agents
         return "ego" if "ego" in agents else next(iter(agents), "")
+
+    def picture_age_s(self, frames: Sequence[int]) -> dict[str, dict[str, float | int | None]]:
+        """By agent: mean and maximum age in s of the picture in its mission estimates, and the `frames` without any.
+
+        Known after `record.hold_pictures`; None without pictures.
+        """
+        summary: dict[str, dict[str, float | int | None]] = {}
+        for agent, ages_ns in self.record.picture_ages_ns.items():
+            ages_s = [ages_ns[frame] * 1e-9 for frame in frames if frame in ages_ns]
+            mean, most = (sum(ages_s) / len(ages_s), max(ages_s)) if ages_s else (None, None)
+            summary[agent] = {"mean": mean, "max": most, "frames_without": len(frames) - len(ages_s)}
+        return summary
 
     def latencies_ns(self) -> list[int]:
         """ns of scene time between each frame and the one in which its picture was sent."""

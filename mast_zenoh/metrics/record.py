@@ -113,6 +113,7 @@ class Record:
 
     The first of several messages about a frame in a series counts.
     agents: names, in the order of the columns of `points` and `agent_position`
+    picture_ages_ns: by agent and frame, ns, age of the picture for its mission estimate: one of an earlier frame
     """
 
     def __init__(self, agents: Sequence[str]) -> None:
@@ -120,6 +121,7 @@ class Record:
         self._truth: dict[int, tuple[Snapshot, Ints, Floats, Ints]] = {}
         self._tracks: dict[Series, dict[int, Snapshot]] = {}
         self._arrivals: dict[str, list[tuple[int, int, int, Snapshot]]] = {}  # by agent: step, frame, ns, picture
+        self.picture_ages_ns: dict[str, dict[int, int]] = {}
 
     def add_truth(
         self, frame: int, objects: ObjectStates, points: Ints, agent_position: Floats, agent_object: Ints
@@ -165,7 +167,7 @@ class Record:
                 self._arrivals.setdefault(each.agent, []).append(arrival)
 
     def hold_pictures(self, max_age_ns: Mapping[str, int], times_ns: Mapping[int, int]) -> None:
-        """Compute the series PICTURE_ON_ARRIVAL from the received pictures.
+        """Compute the series PICTURE_ON_ARRIVAL from the received pictures, and `picture_ages_ns`.
 
         In each frame it has the received picture about the latest frame. Pictures older than `max_age_ns` of the agent,
         or from the future, are not used. times_ns: of the frames
@@ -177,7 +179,10 @@ class Record:
             )  # stable: the first of equals stays first
             newest: tuple[int, int, Snapshot] | None = None
             held = self._tracks.setdefault(Series(agent, PICTURE_ON_ARRIVAL), {})
+            ages = self.picture_ages_ns[agent] = {}
             for now in frames:
+                if newest is not None and 0 <= (age_ns := times_ns.get(now, 0) - newest[1]) <= max_age_ns[agent]:
+                    ages[now] = age_ns
                 while waiting and waiting[0][0] <= now:
                     _, about, time_ns, snapshot = waiting.popleft()
                     if newest is None or about > newest[0]:

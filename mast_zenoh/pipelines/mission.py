@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.neighbours import neighbours
-from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.pipelines.mission_ids import NONE, MissionIds
+from mast_zenoh.tracking.classes import ACCELERATION
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
 
 #: m^2, least variance of a horizontal position, both axes together, that a message can claim: 0.1 m per axis, as in
 #: `fusion.CheckedCovariances`.
 LEAST_VARIANCE = 0.02
+#: Of the variance that a picture claims, how much its errors have: covariance intersection bounds them for any
+#: correlation of the agents' errors. Measured: 0.2 to 0.4 (docs/tracking.md).
+PICTURE_SHARE = 0.3
+#: How much of an own track counts by its disagreement with the picture: this times their squared distance, relative to
+#: the variance that both claim. Then a picture from badly surveyed sensors makes the estimate hardly worse.
+DISAGREEMENT = 3.0
+#: Estimates whose own tracks are remembered: a picture's age in frames, at most.
+MAX_EARLIER = 16
 
 
 class MissionEstimator(ABC):
@@ -26,6 +36,9 @@ class MissionEstimator(ABC):
 
         Called only where agents get the sweeps of their sensors (keyexpr_maps/views.toml).
         """
+
+    def date_picture(self, time_ns: int) -> None:  # noqa: B027 (a hook: most estimators need no age)
+        """Set the time for which the picture of the next estimate was made; otherwise that of the last estimate."""
 
     @abstractmethod
     def estimate(self, time_ns: int, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
@@ -41,13 +54,20 @@ class OwnAndPicture(MissionEstimator):
     radius: m, in the bird's-eye view, how far apart the two of a pair may be
 
     The weights are inverse to the variances of the horizontal positions: where the agent sees an object well itself,
-    its own track has most of the weight, and errors of other agents' poses do little harm. The picture already contains
-    this agent's tracks in an unknown proportion, so the covariance is the average of both with the same weights: it
-    bounds that of the average whatever the correlation, because covariances are convex.
+    its own track has most of the weight, and errors of other agents' poses do little harm. But the picture already
+    contains what this agent saw until the picture was made. So what it has seen since counts fully, and what it saw
+    before only as far as the two disagree: `_OwnNews`. Of the variance that the picture claims, `PICTURE_SHARE` counts.
+
+    The covariance is an average of both, with the weights of the positions. It bounds that of the average whatever the
+    correlation, because covariances are convex.
     """
 
     def __init__(self, *, radius: float = 2.0) -> None:
         self._pairs = _Pairs(radius)
+        self._news = _OwnNews()
+
+    def date_picture(self, time_ns: int) -> None:
+        self._news.since_ns = time_ns
 
     def estimate(self, time_ns: int, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
         """The objects of both, world frame; see `MissionEstimator.estimate`."""
@@ -55,7 +75,8 @@ class OwnAndPicture(MissionEstimator):
         i, j, _ = self._pairs.find(own, picture)
         alone = np.ones(len(own), bool)
         alone[i] = False
-        return self._pairs.with_ids(time_ns, own, _average_pairs(own, picture, i, j), i, j, alone)
+        objects = _average_pairs(own, picture, i, j, *self._news.update(time_ns, own, i))
+        return self._pairs.with_ids(time_ns, own, objects, i, j, alone)
 
 
 class PictureFirst(MissionEstimator):
@@ -109,28 +130,104 @@ class _Pairs:
         return objects.with_(id=ids)
 
 
-def _average_pairs(own: ObjectStates, picture: ObjectStates, i: Ints, j: Ints) -> ObjectStates:
+class _OwnNews:
+    """What an agent has seen since the picture was made.
+
+    since_ns: time of the picture; None: that of the last estimate
+    """
+
+    def __init__(self) -> None:
+        self.since_ns: int | None = None
+        self._earlier: list[_Earlier] = []
+
+    def update(self, time_ns: int, own: ObjectStates, rows: Ints) -> tuple[Floats, Floats]:
+        """What is new of own tracks `rows` (p,): which share (p,), and the change (p, 9) of their means by it.
+
+        The share is that of the certainty of their positions which they have gained; 1 for tracks that are new, whose
+        change is 0: all of them is. Means are in the order of `states.COVARIANCE_ORDER`.
+        """
+        share, change = np.ones(len(rows)), np.zeros((len(rows), 9))
+        now = _Earlier.of(time_ns, own)
+        since_ns = time_ns if self.since_ns is None else self.since_ns
+        then = next((each for each in reversed(self._earlier) if each.time_ns <= since_ns), None)
+        if then is not None and len(then.id):
+            place = np.minimum(then.id.searchsorted(own.id.take(rows)), len(then.id) - 1)
+            known = (then.id.take(place) == own.id.take(rows)).nonzero()[0]
+            dt, place, rows = (time_ns - then.time_ns) * 1e-9, place.take(known), rows.take(known)
+            steps = np.array([1.0, dt, dt * dt, dt**3])
+            variance = np.maximum(then.growth.take(place, 0) @ steps, LEAST_VARIANCE)
+            share[known] = np.clip(1.0 - now.growth[:, 0].take(rows) / variance, 0.0, 1.0)
+            expected = then.mean.take(place, 0)
+            expected[:, :3] += dt * expected[:, 6:]
+            change[known] = now.mean.take(rows, 0) - expected
+        self._earlier = [*self._earlier[1 - MAX_EARLIER :], now]
+        self.since_ns = None
+        return share, change
+
+
+class _Earlier(NamedTuple):
+    """n own tracks at a time.
+
+    mean: (n, 9); growth: (n, 4), coefficients of the variance of their horizontal positions, m^2, as a polynomial of
+        the s that have passed, see `tracking.prediction.predicted`
+    """
+
+    time_ns: int
+    id: Ints
+    mean: Floats
+    growth: Floats
+
+    @classmethod
+    def of(cls, time_ns: int, own: ObjectStates) -> _Earlier:
+        """The tracks of an estimate."""
+        P = own.covariance
+        growth = np.empty((len(own), 4))
+        growth[:, 0], growth[:, 2] = _variance(P), P[:, 6, 6] + P[:, 7, 7]
+        growth[:, 1] = 2.0 * (P[:, 0, 6] + P[:, 1, 7])
+        growth[:, 3] = (2.0 / 3.0) * ACCELERATION.take(own.class_id)
+        return cls(time_ns, own.id, _means(own), growth)
+
+
+def _average_pairs(
+    own: ObjectStates, picture: ObjectStates, i: Ints, j: Ints, share: Floats, change: Floats
+) -> ObjectStates:
     """The picture's objects; where object j is paired with own track i, the weighted average of both.
+
+    share, change: (p,) and (p, 9) of the own tracks, see `_OwnNews`
 
     Class and score are those of the picture, the heading that of the more certain one.
     """
-    own_covariance = make_positive_definite(own.covariance[i])
-    picture_covariance = make_positive_definite(picture.covariance[j])
-    variances = [
-        np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], LEAST_VARIANCE)
-        for covariance in (own_covariance, picture_covariance)
-    ]
-    weight = variances[1] / (variances[0] + variances[1])  # of the own track
+    if len(i) == 0:
+        return picture
+    own_covariance, claimed = make_positive_definite(own.covariance[i]), make_positive_definite(picture.covariance[j])
+    own_variance, picture_variance = (np.maximum(_variance(each), LEAST_VARIANCE) for each in (own_covariance, claimed))
+    own_mean, picture_mean = _means(own, i), _means(picture, j)
+    difference = own_mean - picture_mean
+    apart = difference[:, 0] * difference[:, 0] + difference[:, 1] * difference[:, 1]
+    share = np.maximum(share, np.minimum(DISAGREEMENT * apart / (own_variance + picture_variance), 1.0))
+    picture_variance = np.maximum(PICTURE_SHARE * picture_variance, LEAST_VARIANCE)
+    gain = picture_variance / (share * picture_variance + own_variance)
+    weight = gain * share  # of the own track
+    mean = picture_mean + weight[:, None] * difference + (gain - weight)[:, None] * change
     covariance, yaw = picture.covariance.copy(), picture.yaw.copy()
-    covariance[j] = picture_covariance + weight[:, None, None] * (own_covariance - picture_covariance)
-    nearer = (weight > 0.5).nonzero()[0]
+    covariance[j] = claimed + weight[:, None, None] * (own_covariance - claimed)
+    nearer = (own_variance < picture_variance).nonzero()[0]
     yaw[j[nearer]] = own.yaw[i[nearer]]
     columns = {"covariance": covariance, "yaw": yaw}
-    for name in ("position", "velocity", "size"):
-        column = columns[name] = getattr(picture, name).copy()
-        of_picture = column[j]
-        column[j] = of_picture + weight[:, None] * (getattr(own, name)[i] - of_picture)
+    for name, part in (("position", slice(0, 3)), ("size", slice(3, 6)), ("velocity", slice(6, 9))):
+        columns[name] = getattr(picture, name).copy()
+        columns[name][j] = mean[:, part]
     return picture.with_(**columns)
+
+
+def _means(states: ObjectStates, rows: Ints | slice = slice(None)) -> Floats:
+    """(n, 9) means of rows, in the order of `states.COVARIANCE_ORDER`."""
+    return np.concatenate([states.position[rows], states.size[rows], states.velocity[rows]], axis=1)
+
+
+def _variance(covariance: Floats) -> Floats:
+    """(n,) m^2, variance of the horizontal position, both axes together."""
+    return np.asarray(covariance[:, 0, 0] + covariance[:, 1, 1])
 
 
 def _by_id(states: ObjectStates) -> ObjectStates:

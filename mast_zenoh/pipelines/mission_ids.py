@@ -77,6 +77,7 @@ class MissionIds:
         position, velocity: (n, 2) m and m/s, world frame
         """
         own_ids, picture_ids, before = own.tolist(), picture.tolist(), self._newest
+        self._inherit(own_ids)
         ids, unclear = self._known(own_ids, picture_ids)
         if unclear:
             self._decide(time_ns, own_ids, picture_ids, position, ids, unclear)
@@ -107,10 +108,7 @@ class MissionIds:
         self, time_ns: int, own: list[int], picture: list[int], position: Floats, ids: list[int], unclear: list[int]
     ) -> None:
         """Set the ids of the unclear rows, first of the objects that are where their id should be."""
-        choices = {
-            row: [id_ for id_ in (self._own.ids.get(own[row]), self._picture.ids.get(picture[row])) if id_ is not None]
-            for row in unclear
-        }
+        choices = {row: self._choices(own[row], picture[row]) for row in unclear}
         places = self._predicted(time_ns)
         away = {row: _distance(places.get(c[0]) if c else None, position[row]) for row, c in choices.items()}
         order = sorted(unclear, key=lambda row: (away[row], own[row], picture[row]))
@@ -125,6 +123,22 @@ class MissionIds:
                 self._own.ids[own[row]] = ids[row]
             if picture[row] != NONE:
                 self._continue(picture[row], own[row], ids[row])
+
+    def _choices(self, own_id: int, picture_id: int) -> list[int]:
+        """The ids that an object had, the one that it should keep first."""
+        choices = [self._own.ids.get(own_id), self._picture.ids.get(picture_id)]
+        if self._own.away(own_id) and not self._picture.away(picture_id):
+            choices.reverse()  # the agent has not seen it itself of late
+        return [id_ for id_ in choices if id_ is not None]
+
+    def _inherit(self, own: list[int]) -> None:
+        """Let objects of the picture whose own track has just been lost continue as it did."""
+        if self._partners:
+            present, number = set(own), self._newest.number
+            for picture_id, (partner, _, last) in list(self._partners.items()):
+                if last == number - 1 and partner not in present:
+                    self._picture.ids[picture_id] = self._own.ids[partner]
+                    del self._partners[picture_id]
 
     def _predicted(self, time_ns: int) -> dict[int, tuple[float, float, int]]:
         """Where the objects with ids should be now, m, and since when they are unseen, ns."""
@@ -194,6 +208,10 @@ class _IdMap:
     def __init__(self) -> None:
         self.ids: dict[int, int] = {}
         self._gone: dict[int, int] = {}  # since when, ns
+
+    def away(self, source_id: int) -> bool:
+        """Whether the source did not have an object in the newest estimate."""
+        return source_id in self._gone
 
     def note_gone(self, time_ns: int, before: list[int], now: list[int]) -> None:
         """Remember which ids of the source are gone since a time, and which are back."""

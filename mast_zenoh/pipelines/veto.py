@@ -30,6 +30,9 @@ class FreeSpaceVeto(MissionEstimator):
         self._view = view
         self.mission.look(view)
 
+    def date_picture(self, time_ns: int) -> None:
+        self.mission.date_picture(time_ns)
+
     def estimate(self, time_ns: int, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
         """The objects of both, world frame; see `MissionEstimator.estimate`."""
         boxes = ClusterBoxes(picture.position, picture.velocity, picture.size, picture.yaw)

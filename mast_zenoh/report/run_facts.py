@@ -24,6 +24,9 @@ def facts(run: RunFolder) -> list[str]:
     latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})
     if latency.get("p50") is not None and latency.get("p99"):  # lock-step has no latency: scene time stands still
         facts.append(f"simulator to picture {latency['p50']:.1f} ms (99 %: {latency['p99']:.1f} ms)")
+    ages = run.metrics.get("picture_age_s", {})
+    age = ages.get("ego", next(iter(ages.values()), {}))
+    facts += [f"pictures used at an age of {age['mean']:.2f} s (at most {age['max']:.2f} s)"] if age.get("max") else []
     return facts
 
 

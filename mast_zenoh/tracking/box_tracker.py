@@ -152,6 +152,9 @@ class KalmanBoxTracker3D(Tracker):
             new_tracks[:, ODDS] = self._birth_odds
         reported = self._finish(match, new_tracks)
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
+        doubtful = self._evidence.doubtful(reported)
+        if np.count_nonzero(doubtful):
+            reported = reported[~doubtful]
         return self._states(reported, self._evidence.probability(reported), None)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:

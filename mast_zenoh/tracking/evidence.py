@@ -6,10 +6,21 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.tracking.score_calibration import STAGES_S, ScoreCalibration
-from mast_zenoh.tracking.tracks import AGE, CONFIRMED, DUE, HITS, ODDS, SCORE, SPAN
+from mast_zenoh.tracking.tracks import AGE, CONFIRMED, DUE, HITS, ODDS, SCORE, SPAN, planar
 
 #: s, span of a new track at which its first stage ends.
 FIRST_DUE = float(STAGES_S[0])
+#: Score below which a confirmed track is doubtful as long as scores are taken for probabilities: of a real detector's
+#: detections that score 0.2 to 0.25, 26 % are true, of those with 0.5 to 0.6, 92 % (docs/tracking.md).
+DOUBTFUL = 1.0 / 3.0
+#: m/s, speed from which an established track is known to move. What never moves may be a lasting false detection.
+MOVING = 2.0
+#: Largest share of doubtful tracks among moving ones, relative to that among all, with which scores are believed.
+BELIEVED_SHARE = 0.5
+#: Largest share of doubtful tracks among established ones with which scores are believed.
+BELIEVED_DOUBT = 0.8
+#: Number of established tracks that are remembered, about.
+MEMORY = 256
 _NEXT_DUE = np.append(STAGES_S[1:], np.inf)
 
 
@@ -37,10 +48,50 @@ def tempered_probability(odds: Floats) -> Floats:
     return np.asarray(power / (1.0 + power))
 
 
+class ScorePrior:
+    """Takes scores for probabilities until there is evidence that they are none.
+
+    Lasting alone does not tell an object from a lasting false detection, such as a pole; moving does. If the scores are
+    probabilities, few of the tracks that move score low. They are believed while the share of low scores among moving
+    tracks is at most half of that among all established tracks, and while most are not low. Scores outside 0 to 1 are
+    never believed.
+    """
+
+    def __init__(self) -> None:
+        self._counts = np.zeros((2, 2))  # established tracks, by whether they move, by whether they are doubtful
+        self._in_range = True
+
+    def see(self, score: Floats) -> None:
+        """Learn the range of scores (m,) from detections."""
+        if self._in_range and len(score):
+            self._in_range = bool(score.min() >= 0.0 and score.max() <= 1.0)
+
+    def add(self, tracks: Floats) -> None:
+        """Learn from tracks (n, WIDTH) that have just been established."""
+        cell = 2 * _moving(tracks) + (tracks[:, SCORE] < DOUBTFUL)
+        self._counts += np.bincount(cell, minlength=4).reshape(2, 2)
+        if self._counts.sum() > MEMORY:
+            self._counts *= 0.5
+
+    @property
+    def believed(self) -> bool:
+        """Whether scores are taken for probabilities."""
+        (n_certain, n_doubtful), (certain_moving, doubtful_moving) = self._counts.tolist()
+        n_moving, n_doubtful = certain_moving + doubtful_moving, n_doubtful + doubtful_moving
+        n = n_certain + certain_moving + n_doubtful
+        expected = BELIEVED_SHARE * n_doubtful / max(n, 1.0) * n_moving
+        return self._in_range and doubtful_moving <= expected + 1.0 and n_doubtful <= BELIEVED_DOUBT * n + 2.0
+
+    def doubtful(self, tracks: Floats) -> Bools:
+        """Which tracks (n, WIDTH) score too low to be reported: not if they are established and move."""
+        low = tracks[:, SCORE] < DOUBTFUL
+        return low & ~(established(tracks) & _moving(tracks)) if low.any() and self.believed else np.zeros_like(low)
+
+
 class ScoreEvidence:
     """What the scores of one source of detections tell about its tracks, by its own `ScoreCalibration`.
 
-    Without differences between the scores, there is nothing to learn.
+    Without differences between the scores, there is nothing to learn, and no score is doubtful.
 
     DUE is the span at which a track's stage ends, infinite for established tracks. It is negated once the track has
     failed. Then it gives no more samples, and if it is found again, its stage follows its span alone.
@@ -48,6 +99,7 @@ class ScoreEvidence:
 
     def __init__(self) -> None:
         self._calibration = ScoreCalibration()
+        self._prior = ScorePrior()
         self._constant: float | None = None  # the only score so far
         self._varies = False
 
@@ -56,6 +108,7 @@ class ScoreEvidence:
 
         score: (m,) of the step's detections; report_odds: odds up to which a confirmed track counts as gone
         """
+        self._prior.see(score)
         if not self._varies and len(score):
             if self._constant is None:
                 self._constant = float(score[0])
@@ -73,12 +126,24 @@ class ScoreEvidence:
         """Add samples of the tracks in `rows`, whose stage ends; survived: (n,) of all tracks."""
         stage, lasts, due = _stage(tracks[rows]), survived[rows], tracks[rows, DUE]
         tracks[rows, DUE] = np.where(lasts, np.copysign(_NEXT_DUE[stage], due), -due)
+        lasting = lasts & (due == STAGES_S[-1])
+        if lasting.any():
+            self._prior.add(tracks[rows[lasting]])
         sample = (tracks[rows, CONFIRMED] > 0.0) & (due > 0.0)
         self._calibration.add(tracks[rows[sample], SCORE], stage[sample], lasts[sample])
 
     def probability(self, tracks: Floats) -> Floats | None:
         """(k,) probability that tracks (k, WIDTH) are objects, by their scores; None: the scores tell nothing."""
         return self._calibration.probability(tracks[:, SCORE], _stage(tracks))
+
+    def doubtful(self, tracks: Floats) -> Bools:
+        """Which tracks (k, WIDTH) score too low to be reported: (k,), see `ScorePrior`."""
+        return self._prior.doubtful(tracks) if self._varies else np.zeros(len(tracks), np.bool_)
+
+
+def _moving(tracks: Floats) -> Bools:
+    """Whether tracks (n, WIDTH) move: (n,)."""
+    return np.asarray(np.abs(planar(tracks[:, 6:8])) > MOVING)
 
 
 def established(tracks: Floats) -> Bools:

@@ -120,6 +120,16 @@ def test_a_late_picture_scores_the_same_by_stamp_and_worse_on_arrival(once: Once
     assert baseline.metrics["same_as"]["ego"]["picture_on_arrival"] == "picture", "without latency both are identical"
 
 
+def test_results_tell_how_old_the_pictures_are_that_agents_use(once: Once, baseline: Played) -> None:
+    late = once("baseline", "broker.latency_s=0.3")
+    for played, age_s in ((baseline, 0.1), (late, 0.4)):
+        assert set(played.metrics["picture_age_s"]) == set(played.agents)
+        ages = played.metrics["picture_age_s"]["ego"]
+        assert ages["mean"] == pytest.approx(age_s)
+        assert ages["max"] == pytest.approx(age_s)
+        assert ages["frames_without"] == 0
+
+
 METRICS = {
     "judged": """
 import numpy as np

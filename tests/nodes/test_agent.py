@@ -200,6 +200,20 @@ def test_the_picture_is_propagated_to_the_frame_and_dropped_when_too_old(resolve
     assert places == [[], [], pytest.approx([51.0]), pytest.approx([52.0]), pytest.approx([53.0]), [], []]
 
 
+def test_objects_that_no_agent_supports_are_left_out_before_the_picture_loses_them(resolved) -> None:
+    sizes = {}
+    for support, std_m in ((0, 1.0), (1, 1.0), (0, 0.4)):
+        ego = bench(resolved)
+        for frame in range(3):
+            frame_of(ego, frame)
+            body = picture(FAR)
+            body["support"][:] = support
+            body["covariance"][:] = 0.5 * std_m**2 * np.eye(9)
+            ego.send("picture", body, frame)
+        sizes[support, std_m] = len(ego.heard(MISSION)[-1].body["id"])
+    assert sizes == {(0, 1.0): 1, (1, 1.0): 2, (0, 0.4): 2}, "the car ahead, and the object of the picture"
+
+
 def test_a_picture_from_the_future_is_not_used(resolved) -> None:
     ego = bench(resolved)
     for frame in range(3):
@@ -225,6 +239,7 @@ def test_a_status_is_sent_with_the_first_frame_and_then_regularly(resolved) -> N
     [
         ({"status_every": 0}, "ego: Agent: status_every: found 0, expected 1 or more"),
         ({"picture_age_s": -1.0}, "ego: Agent: picture_age_s: found -1.0, expected 0 or more"),
+        ({"unsupported_std_m": 0.0}, "ego: Agent: unsupported_std_m: found 0.0, expected more than 0"),
     ],
 )
 def test_invalid_parameters_are_refused(resolved, config: dict, reason: str) -> None:
@@ -268,7 +283,9 @@ def test_either_estimate_may_be_empty(name: str, own: int, common: int) -> None:
 def test_picture_first_keeps_the_picture_and_the_other_averages() -> None:
     own, common = states(tracks((0.0, 0.0))), states(picture((1.0, 0.0)))
     assert estimator("PictureFirst").estimate(0, own, common).position[0, 0] == 1.0
-    assert estimator("OwnAndPicture").estimate(0, own, common).position[0, 0] == pytest.approx(0.5)
+    assert estimator("OwnAndPicture").estimate(0, own, common).position[0, 0] == pytest.approx(1.0 / 1.3), (
+        "of the picture's variance, 0.3 counts"
+    )
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)

@@ -129,11 +129,53 @@ def test_ids_are_unique_and_independent_of_the_order_of_the_rows(estimator_type:
 
 
 def test_a_precise_own_track_outweighs_a_vague_picture() -> None:
+    """Of the picture's variance, `PICTURE_SHARE` counts."""
     own, picture = cars((1, 0.0)), cars((1, 1.0))
     vague = picture.with_(covariance=9.0 * picture.covariance)
     mission = OwnAndPicture().estimate(0, own, vague)
-    assert mission.position[0, 0] == pytest.approx(0.1)
-    assert np.diag(mission.covariance[0])[0] == pytest.approx(0.9 * 0.04 + 0.1 * 0.36)
+    weight = 0.3 * 0.36 / (0.3 * 0.36 + 0.04)
+    assert mission.position[0, 0] == pytest.approx(1.0 - weight)
+    assert np.diag(mission.covariance[0])[0] == pytest.approx(weight * 0.04 + (1.0 - weight) * 0.36)
+
+
+def test_what_the_agent_saw_before_the_picture_was_made_counts_once() -> None:
+    """A track that is not updated adds nothing to a picture that has it; one that has just moved moves the object."""
+    estimator = OwnAndPicture()
+    own, picture = cars((1, 0.0)), cars((1, 0.02))
+    estimator.estimate(0, own, picture)
+    coasting = own.with_(covariance=2.0 * own.covariance)
+    assert estimator.estimate(PERIOD_NS, coasting, picture).position[0, 0] == pytest.approx(0.02, abs=1e-3)
+    after = estimator.estimate(2 * PERIOD_NS, cars((1, 0.2)), picture)
+    assert after.position[0, 0] > 0.04
+
+
+def test_more_of_an_own_track_is_new_to_an_older_picture() -> None:
+    """A car drives off: the own track has followed it, the picture has not yet."""
+    places = {}
+    for made in (0, 2):
+        estimator = OwnAndPicture()
+        for frame in range(4):
+            estimator.date_picture(made * PERIOD_NS)
+            own = cars((1, 0.03 * frame))
+            mission = estimator.estimate(frame * PERIOD_NS, own, cars((1, 0.0)))
+        places[made] = float(mission.position[0, 0])
+    assert places[0] > places[2]
+
+
+def test_an_own_track_that_returns_does_not_rename_what_the_picture_continued() -> None:
+    estimator = OwnAndPicture()
+    ids(estimator, 0, cars((7, 0.0)), cars((3, 10.0)))
+    before = ids(estimator, 1, cars(), cars((3, 10.0)))
+    after = ids(estimator, 2, cars((7, 10.2)), cars((3, 10.0)))
+    assert after[10.0] == before[10.0]
+
+
+def test_the_picture_continues_at_once_what_the_agent_has_just_lost() -> None:
+    estimator = OwnAndPicture()
+    ids(estimator, 0, cars((7, 0.0)), cars((3, 10.0)))
+    together = ids(estimator, 1, cars((7, 0.0)), cars((3, 0.4)))
+    assert ids(estimator, 2, cars(), cars((3, 0.4)))[0.0] in together.values()
+    assert set(ids(estimator, 3, cars(), cars((3, 0.4))).values()) == set(together.values())
 
 
 @pytest.mark.parametrize("claimed", [-0.159, 0.0, 1e-9])

@@ -10,7 +10,7 @@ from tracking_worlds import detected, joined, matched, nanoseconds
 
 from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.tracking import KalmanBoxTracker3D, tracks
-from mast_zenoh.tracking.evidence import FIRST_DUE, ScoreEvidence
+from mast_zenoh.tracking.evidence import DOUBTFUL, FIRST_DUE, MOVING, ScoreEvidence, ScorePrior
 from mast_zenoh.tracking.score_calibration import INTERVALS, MEMORY, STAGES, STAGES_S, ScoreCalibration, isotonic
 
 FRAMES, OBJECTS = 200, 12
@@ -220,3 +220,75 @@ def test_no_stream_of_false_detections_hides_what_has_long_been_seen() -> None:
         tracks = tracker.step(nanoseconds(frame), replace(detected(places.tolist()), score=scores))
         reported.append(np.count_nonzero(np.abs(tracks.position[:, 1] - 30.0) < 1.0))
     assert min(reported[30:]) == len(parked)
+
+
+def with_poles(frames: list[Detections], n: int = 12, least: float = 0.15, most: float = 0.3) -> list[Detections]:
+    """With false detections at poles, which never end and score low."""
+    random = np.random.default_rng(0)
+    place, score = random.uniform(-70.0, 70.0, (n, 2)) * [1.0, 0.25], random.uniform(least, most, n)
+    poles = [detected(place + random.normal(0.0, 0.1, place.shape)) for _ in frames]
+    return [joined(one, replace(two, score=score)) for one, two in zip(frames, poles, strict=True)]
+
+
+def test_false_detections_that_never_end_are_told_by_scores_that_are_probabilities() -> None:
+    frames = with_poles(world())
+    without, with_scores = errors(frames, constant), errors(frames, MAPS["as they are"])
+    assert without[1] > 12.0
+    assert with_scores[1] < 0.2 * without[1]
+    assert with_scores[0] < without[0] + 0.6
+
+
+def test_scores_below_which_objects_move_are_not_taken_for_probabilities() -> None:
+    """A detector whose objects score 0.02 to 0.3."""
+    frames = world()
+    without, with_scores = errors(frames, constant), errors(frames, lambda score: 0.3 * score)
+    assert with_scores[0] < without[0] + 0.6
+
+
+def tracks_of(score: float, speed_mps: float, n: int = 1) -> np.ndarray:
+    table = tracks.empty(n)
+    table[:, tracks.SCORE], table[:, 6], table[:, tracks.DUE] = score, speed_mps, np.inf
+    return table
+
+
+LOW, HIGH, STILL, FAST = 0.5 * DOUBTFUL, 0.9, 0.0, 2.0 * MOVING
+
+
+def test_what_moves_is_reported_whatever_its_score_and_a_high_score_is_never_doubtful() -> None:
+    prior = ScorePrior()
+    cases = [(LOW, STILL), (LOW, FAST), (HIGH, STILL), (HIGH, FAST)]
+    assert [bool(prior.doubtful(tracks_of(*case))[0]) for case in cases] == [True, False, False, False]
+
+
+@pytest.mark.parametrize("score", [-0.1, 1.1, 80.0])
+def test_scores_on_another_scale_are_no_probabilities(score: float) -> None:
+    prior = ScorePrior()
+    prior.see(np.array([0.2, score]))
+    prior.see(np.array([0.2, 0.9]))
+    assert not prior.believed
+    assert not prior.doubtful(tracks_of(LOW, STILL)).any()
+
+
+def test_scores_that_say_nothing_about_moving_tracks_are_no_probabilities() -> None:
+    prior = ScorePrior()
+    for _ in range(10):
+        assert prior.believed or prior._counts.sum() > 8
+        for case in ((LOW, STILL), (LOW, FAST), (HIGH, STILL), (HIGH, FAST)):
+            prior.add(tracks_of(*case))
+    assert not prior.believed
+
+
+def test_scores_are_no_probabilities_if_nearly_everything_that_lasts_scores_low() -> None:
+    prior = ScorePrior()
+    prior.add(tracks_of(LOW, STILL, 20))
+    assert not prior.believed
+
+
+def test_lasting_false_detections_leave_the_scores_believed() -> None:
+    prior = ScorePrior()
+    for _ in range(40):
+        prior.add(tracks_of(HIGH, STILL, 2))
+        prior.add(tracks_of(HIGH, FAST))
+        prior.add(tracks_of(LOW, STILL, 3))
+    assert prior.believed
+    assert prior._counts.sum() < 400, "the memory is bounded"
