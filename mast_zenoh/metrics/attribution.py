@@ -20,6 +20,7 @@ from mast_zenoh.metrics.causes import (
     SIGHT,
     TRACKING,
     UNKNOWN,
+    WITHHELD,
     Hidden,
     Labels,
     claimed_positions,
@@ -31,31 +32,36 @@ from mast_zenoh.metrics.lookup import find, latest, occurs
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, Manipulations
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.record import LOCAL, RECEIVED, TruthTable
-from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores
+from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores, Texts
+from mast_zenoh.metrics.trust import lasting
+from mast_zenoh.metrics.withheld import Withheld
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attribution:
     """How near and how recent the cause of an error must be.
 
-    lie_m:     m, maximum distance from a false track to the object that an adversary inserted or moved there
+    lie_m:     m, maximum distance from a false track to the object that an adversary inserted or moved there; the gate
+               of the scorer: a track that is farther away is of something else
     same_m:    m, adversaries whose false objects are this near each other show the same object
     object_m:  m, maximum distance from a duplicate track, or the track of an unevaluated object, to the truth object
     astray_m:  m, maximum distance from an inaccurate track to its missed truth object
     hidden_m:  m, maximum distance from where an object was removed, moved or altered to its truth object
     least_move_m: m, smaller displacements do not count, because the metrics cannot detect them
+    withheld_m: m, maximum distance from a missed truth object to the object that the command centre withheld
     coast_s:   s, how long a track may coast, and an estimate may be wrong after a manipulation
-    begin_s:   s, how long an object that has come into view may have no track
+    begin_s:   s, how long an object may have no track after it has come into view, was hidden or was withheld
     late_picture_s: s, how long an estimate may be wrong after a link delayed a picture
     Raises ValueError for a value below 0.
     """
 
-    lie_m: float = 5.0
+    lie_m: float = 2.0
     same_m: float = 0.25
     object_m: float = 3.0
     astray_m: float = 6.0
     hidden_m: float = 4.0
     least_move_m: float = 0.5
+    withheld_m: float = 2.0
     coast_s: float = 4.0
     begin_s: float = 1.0
     late_picture_s: float = 0.5
@@ -74,6 +80,7 @@ class Attribution:
         period_s: float,
         cut_off_objects: CutOffObjects | None = None,
         min_points: int = 5,
+        withheld: Withheld | None = None,
     ) -> Labels:
         """The cause of every false track, missed object and identity switch.
 
@@ -83,9 +90,11 @@ class Attribution:
         period_s: s, frame period
         cut_off_objects:  objects known only to disconnected agents; None: no agent was disconnected
         min_points: lidar points from which an agent sees an object
+        withheld: by the command centre; None: it judges nobody
         """
+        cut_off_objects = cut_off_objects or CutOffObjects.nothing()
         return _Attributor(
-            self, scores, manipulations, truth, agents, period_s, cut_off_objects or CutOffObjects.nothing(), min_points
+            self, scores, manipulations, truth, agents, period_s, cut_off_objects, min_points, withheld
         ).labels()
 
 
@@ -102,33 +111,37 @@ class _Attributor:
         period_s: float,
         cut_off_objects: CutOffObjects,
         min_points: int,
+        withheld: Withheld | None,
     ) -> None:
-        self.min_points = min_points
+        self.min_points, self.agents, self.withheld = min_points, tuple(agents), withheld
         self.limits, self.scores, self.manipulations, self.truth = limits, scores, manipulations, truth
         self.period_s, self.cut_off_objects = period_s, cut_off_objects
-        self.coast = round(limits.coast_s / period_s)
+        self.coast, self.begin = round(limits.coast_s / period_s), round(limits.begin_s / period_s)
         self.span = int(scores.frames.max(initial=0)) + 1
         self.tracks = Histories.of_wrong(scores, FALSE, self.span, tracks=True)
         self.truths = Histories.of_wrong(scores, MISSED, self.span, tracks=False)
         #: whether a series is computed from an agent's own sensor alone
         own = [estimator in (LOCAL, RECEIVED) for _, estimator in scores.series]
         self.own = np.array(own, bool)
+        self.local = np.array([estimator == LOCAL for _, estimator in scores.series], bool)
         self.column = np.array([agents.index(agent) for agent, _ in scores.series], np.int64)
         self.truth_frame = scores.frames[truth.boxes.group]
 
     def labels(self) -> Labels:
-        n = len(self.scores.judged.frame)
-        cause, by = np.full(n, UNKNOWN), np.zeros((n, len(self.manipulations.culprits)), bool)
+        n, names = len(self.scores.judged.frame), self.manipulations.culprits
+        cause, by = np.full(n, UNKNOWN), np.zeros((n, len(names)), bool)
         false, missed = self.tracks.outcome == FALSE, self.truths.outcome == MISSED
         self.hidden = Hidden.of(self.manipulations)
-        track_cause, track_by = self._attack_tracks(false)
-        self._natural_tracks(false, track_cause)
+        natural = self._natural_tracks(false)
+        track_cause, track_by = self._attack_tracks(false, natural)
+        track_cause = np.where(track_cause == UNKNOWN, natural, track_cause)
         cause[self.tracks.row], by[self.tracks.row] = track_cause, track_by
         truth_cause, truth_by = self._missed_objects(missed, track_cause, track_by)
         cause[self.truths.row], by[self.truths.row] = truth_cause, truth_by
         switch_cause, switch_by = self._switches(track_cause, track_by)
-        names = self.manipulations.culprits
-        return Labels(cause, joined_names(names, by), switch_cause, joined_names(names, switch_by))
+        names_by = joined_names(names, by)
+        self._withhold(missed.nonzero()[0], cause, names_by)
+        return Labels(cause, names_by, switch_cause, joined_names(names, switch_by))
 
     def _switches(self, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the identity switches: hiding, a false object, otherwise tracking."""
@@ -147,8 +160,11 @@ class _Attributor:
             cause[recent], by[recent] = track_cause[blamed[last[recent]]], track_by[blamed[last[recent]]]
         return np.where(cause == UNKNOWN, TRACKING, cause), by
 
-    def _attack_tracks(self, false: Bools) -> tuple[Ints, Bools]:
-        """Cause and culprits of track rows that follow an object shown by an adversary."""
+    def _attack_tracks(self, false: Bools, natural: Ints) -> tuple[Ints, Bools]:
+        """Cause and culprits of track rows that follow an object shown by an adversary.
+
+        natural: the cause that each row would have without manipulations
+        """
         tracks, manipulations = self.tracks, self.manipulations
         cause, by = np.full(len(tracks.row), UNKNOWN), np.zeros((len(tracks.row), len(manipulations.culprits)), bool)
         if not len(manipulations):
@@ -157,13 +173,21 @@ class _Attributor:
         places = tracks.places(false_rows)
         best, nearest_kind = np.full(len(false_rows), np.inf), np.full(len(false_rows), UNKNOWN)
         near: list[tuple[int, int, Floats]] = []
+        seen = (self.truth.seen >= self.min_points).nonzero()[0]
         for kind in (INSERTED, MOVED):
             for culprit in range(-1, len(manipulations.culprits)):
                 rows = ((manipulations.kind == kind) & (manipulations.culprit == culprit)).nonzero()[0]
+                if kind == MOVED:  # what was false where it was is no more false elsewhere
+                    keys = manipulations.object[rows], manipulations.frame[rows]
+                    rows = rows[occurs(keys, (self.truth.boxes.id[seen], self.truth_frame[seen]))]
                 if not len(rows):
                     continue
-                claimed = claimed_positions(manipulations.select(rows), self.period_s, self.coast, self.span)
+                claimed, original = claimed_positions(
+                    manipulations.select(rows), self.period_s, self.coast, self.span
+                )
                 _, distance = nearest(places, claimed, self.limits.lie_m)
+                if kind == MOVED:
+                    distance = self._only_as_moved(places, natural[false_rows], original, distance)
                 near.append((kind, culprit, distance))
                 closer = distance < best
                 best[closer], nearest_kind[closer] = distance[closer], kind if culprit >= 0 else FAULT
@@ -173,21 +197,55 @@ class _Attributor:
             if culprit >= 0:
                 same = explained & (nearest_kind == kind) & (distance <= best + self.limits.same_m)
                 by[false_rows[same], culprit] = True
-        # A cause extends to rows of the track up to `coast` frames later and earlier, but not past a real object.
+        local = self.local[tracks.series]
+        self._extend_causes(false & local, cause, by)
+        # What an agent itself reports wrongly, by no manipulation, is in the other estimates without them too.
+        genuine = (false & local & (cause < 0)).nonzero()[0]
+        others = (~local & (cause >= 0)).nonzero()[0]
+        places = Places(tracks.frame[others], tracks.position[others])
+        row, _ = nearest(places, Places(tracks.frame[genuine], tracks.position[genuine]), self.limits.lie_m)
+        cause[others[row >= 0]], by[others[row >= 0]] = UNKNOWN, False
+        self._extend_causes(false & ~local, cause, by)
+        # A track of a real object becomes inaccurate while that object is hidden, moved or altered, if it is there.
+        free = (false & (cause < 0)).nonzero()[0]
+        last, evaluated = self._last_objects(free)[1:]
+        free, last = free[evaluated], last[evaluated]
+        self._blame_hiding(last, tracks.frame[free], tracks.series[free], free, cause, by)
+        return cause, by
+
+    def _extend_causes(self, false: Bools, cause: Ints, by: Bools) -> None:
+        """Extend causes to rows of the track up to `coast` frames later and earlier, but not past a real object."""
+        tracks, matched = self.tracks, self.tracks.outcome == MATCHED
         for later in (False, True):
-            source = tracks.adjacent(cause >= 0, (cause >= 0) | (tracks.outcome == MATCHED), self.coast, later=later)
+            source = tracks.adjacent(cause >= 0, (cause >= 0) | matched, self.coast, later=later)
             extended = (false & (cause < 0) & (source >= 0)).nonzero()[0]
             if later:  # a cause cannot precede the manipulation
                 first_shown = self._first_shown(tracks.series[extended], by[source[extended]])
                 extended = extended[tracks.frame[extended] >= first_shown]
             cause[extended], by[extended] = cause[source[extended]], by[source[extended]]
-        # A track of a real object becomes inaccurate while that object is hidden, moved or altered.
+
+    def _only_as_moved(self, places: Places, natural: Ints, original: Places, distance: Floats) -> Floats:
+        """Distances (n,) of false tracks from moved objects; inf where the track would be false without the move too.
+
+        That is so near the original position, unless the track is beside an object that is evaluated there, and nearer
+        to the claimed position.
+        """
+        _, unmoved = nearest(places, original, self.limits.lie_m)
+        beside = np.isin(natural, (LAG, DUPLICATE)) & (distance < unmoved)
+        return np.where(np.isfinite(unmoved) & ~beside, np.inf, distance)
+
+    def _last_objects(self, rows: Ints) -> tuple[Bools, Ints, Bools]:
+        """The real object that each track row matched last.
+
+        Whether there is one within `coast` frames; its id, -1: none; whether it is evaluated in this frame: (n,) each
+        """
+        tracks, truths = self.tracks, self._truths_beside(self.tracks.row[rows])
         matched = tracks.outcome == MATCHED
-        free = (false & (cause < 0)).nonzero()[0]
-        last = tracks.adjacent(matched, matched, self.coast)[free]
-        free, last = free[last >= 0], last[last >= 0]
-        self._blame_hiding(tracks.match[last], tracks.frame[free], tracks.series[free], free, cause, by)
-        return cause, by
+        last = tracks.adjacent(matched, matched, self.coast)[rows]
+        id_ = np.where(last >= 0, np.append(tracks.match, -1)[last], -1)
+        there = (truths.outcome != UNEVALUATED).nonzero()[0]
+        keys = tracks.series[rows], id_, tracks.frame[rows]
+        return last >= 0, id_, (last >= 0) & occurs(keys, (truths.series[there], truths.id[there], truths.frame[there]))
 
     def _first_shown(self, series: Ints, by: Bools) -> Ints:
         """First frame (n,) in which any of the culprits (n, c) showed an object.
@@ -201,53 +259,58 @@ class _Attributor:
         for culprit in range(-1, len(manipulations.culprits)):
             rows = (shows & (manipulations.culprit == culprit)).nonzero()[0]
             if len(rows):
-                reach = manipulations.reach[manipulations.passage[rows]]
-                frame = np.where(reach, manipulations.frame[rows, None], self.span)
+                shown = manipulations.shown[manipulations.passage[rows]]
+                frame = np.where(shown, manipulations.frame[rows, None], self.span)
                 first_frame[culprit] = frame.min(axis=0)
         responsible = np.column_stack([by, ~by.any(axis=1)])
         return np.asarray(np.where(responsible, first_frame[:, series].T, self.span).min(axis=1))
 
-    def _blame_hiding(self, truth_id: Ints, frame: Ints, series: Ints, rows: Ints, cause: Ints, by: Bools) -> None:
-        """Set cause and culprits of `rows` whose object was recently hidden."""
-        for code, culprit, blamed in self.hidden.recent(truth_id, frame, series):
+    def _blame_hiding(
+        self,
+        truth_id: Ints,
+        frame: Ints,
+        series: Ints,
+        rows: Ints,
+        cause: Ints,
+        by: Bools,
+        most: int | None = None,
+        received: Bools | None = None,
+    ) -> None:
+        """Set cause and culprits of `rows` whose object was recently hidden; most, received: see `Hidden.recent`."""
+        for code, culprit, blamed in self.hidden.recent(truth_id, frame, series, self.own, most, received):
             selected = rows[blamed]
             selected = selected[(cause[selected] < 0) | (cause[selected] == code)]
             cause[selected] = code
             if culprit >= 0:
                 by[selected, culprit] = True
 
-    def _natural_tracks(self, false: Bools, cause: Ints) -> None:
-        """Causes of the false tracks that no adversary shows."""
+    def _natural_tracks(self, false: Bools) -> Ints:
+        """Causes (n,) of false tracks without an adversary; UNKNOWN: not false."""
         tracks, limits = self.tracks, self.limits
-        matched = tracks.outcome == MATCHED
-        free = (false & (cause < 0)).nonzero()[0]  # rows without a cause yet
+        cause = np.full(len(tracks.row), UNKNOWN)
+        free = false.nonzero()[0]
         if not len(free):
-            return
+            return cause
         truths = self._truths_beside(tracks.row[free])
-        last = tracks.adjacent(matched, matched, self.coast)[free]
+        coasting, last_id, evaluated = self._last_objects(free)
         places = tracks.places(free)
         all_objects = Places(self.truth_frame, self.truth.boxes.position)
         real, _ = nearest(Places(tracks.frame[free], tracks.position[free]), all_objects, limits.object_m)
         double, _ = nearest(places, truths.places(truths.outcome == MATCHED), limits.object_m)
         missed = (truths.outcome == MISSED).nonzero()[0]
         astray, _ = nearest(places, truths.places(missed), limits.astray_m)
-        # Whether the object of the track is still evaluated in this series and frame.
-        rows = (truths.outcome != UNEVALUATED).nonzero()[0]
-        keys = tracks.match[last], tracks.frame[free]
-        evaluated = occurs((tracks.series[free], *keys), (truths.series[rows], truths.id[rows], truths.frame[rows]))
-        exists = occurs(keys, (self.truth.boxes.id, self.truth_frame))
-        coasting = last >= 0
+        exists = occurs((last_id, tracks.frame[free]), (self.truth.boxes.id, self.truth_frame))
         cause[free] = np.select(
             [astray >= 0, double >= 0, real >= 0, coasting & exists & ~evaluated, coasting],
             [LAG, DUPLICATE, SIGHT, SIGHT, LAG],
             CLUTTER,
         )
         # Tracks of objects known only to disconnected agents.
-        last_id = np.where(coasting, tracks.match[last], -1)
         truth_id = np.where(astray >= 0, np.append(truths.id[missed], -1)[astray], last_id)
         disconnected = np.isin(cause[free], (LAG, DUPLICATE)) & ~self.own[tracks.series[free]]
         disconnected &= self.cut_off_objects.contains(truth_id, tracks.frame[free])
         cause[free[disconnected]] = FAULT
+        return cause
 
     def _truths_beside(self, rows: Ints) -> Histories:
         """The truth rows in the series and frames of these rows of `scores.judged`."""
@@ -263,7 +326,12 @@ class _Attributor:
         n = len(truths.row)
         cause, by = np.full(n, UNKNOWN), np.zeros((n, len(self.manipulations.culprits)), bool)
         rows = missed.nonzero()[0]
-        self._blame_hiding(truths.id[rows], truths.frame[rows], truths.series[rows], rows, cause, by)
+        received = ~self.own[truths.series[rows]]
+        if len(self.manipulations):
+            received &= self._reporting(rows).any(axis=1)
+        self._blame_hiding(
+            truths.id[rows], truths.frame[rows], truths.series[rows], rows, cause, by, self.begin, received
+        )
         # The previous track of the object now follows a manipulated object.
         matched = truths.outcome == MATCHED
         last = truths.adjacent(matched, matched, self.coast)
@@ -275,15 +343,54 @@ class _Attributor:
         cause[free], by[free] = track_cause[at], track_by[at]
         free = rows[cause[rows] < 0]
         tracked = self._tracked(truths, free)
-        is_new = truths.frame[free] - truths.period_start()[free] < round(self.limits.begin_s / self.period_s)
+        is_new = truths.frame[free] - truths.period_start()[free] < self.begin
         own = self.own[truths.series[free]]
-        disconnected = ~own & self.cut_off_objects.contains(truths.id[free], truths.frame[free], tracked=is_new)
-        inaccurate = (tracks.outcome == FALSE) & np.isin(track_cause, (LAG, FAULT))
-        near_inaccurate = nearest(truths.places(free), tracks.places(inaccurate), self.limits.astray_m)[0] >= 0
+        keys = truths.id[free], truths.frame[free]
+        disconnected = ~own & self.cut_off_objects.contains(*keys, tracked=is_new)
+        disturbed = ~own & tracked & self.cut_off_objects.concerns(*keys)
+        near_inaccurate, near_faulty = (
+            nearest(
+                truths.places(free), tracks.places((tracks.outcome == FALSE) & (track_cause == code)), limit
+            )[0] >= 0
+            for code, limit in ((LAG, self.limits.astray_m), (FAULT, self.limits.astray_m))
+        )
         cause[free] = np.select(
-            [disconnected, is_new, near_inaccurate, ~tracked, own], [FAULT, LAG, LAG, SIGHT, TRACKING], FUSION
+            [disconnected, is_new, near_faulty, near_inaccurate, ~tracked, own, disturbed],
+            [FAULT, LAG, FAULT, LAG, SIGHT, TRACKING, FAULT],
+            FUSION,
         )
         return cause, by
+
+    def _withhold(self, rows: Ints, cause: Ints, by: Texts) -> None:
+        """Set the cause of missed objects that the command centre withheld, and the agents that reported them.
+
+        That comes before all other causes: the centre had the object.
+        rows: of `truths`; cause, by: of `scores.judged`
+        """
+        if self.withheld is None:
+            return
+        truths = self.truths
+        rows = rows[~self.own[truths.series[rows]]]
+        frame = truths.frame[rows]
+        at_place = Places(frame, truths.position[rows])
+        tracked = nearest(at_place, self.withheld.places, self.limits.withheld_m)[0] >= 0
+        reporting = self._reporting(rows)
+        suspended = lasting(self.withheld.suspended, self.begin)[frame]
+        only_suspended = reporting.any(axis=1) & ~(reporting & ~suspended).any(axis=1)
+        chosen = tracked | only_suspended
+        cause[truths.row[rows[chosen]]] = WITHHELD
+        by[truths.row[rows[chosen]]] = joined_names(self.agents, reporting[chosen])
+
+    def _reporting(self, rows: Ints) -> Bools:
+        """Whether the broker received a good track of each truth row from each agent: (n, a)."""
+        judged, truths = self.scores.judged, self.truths
+        result = np.zeros((len(rows), len(self.agents)), bool)
+        matched = np.flatnonzero(~judged.is_track & (judged.outcome == MATCHED))
+        for column, agent in enumerate(self.agents):
+            series = self.scores.every_series.get((agent, RECEIVED), self.scores.every_series.get((agent, LOCAL), -1))
+            own = matched[judged.series[matched] == series]
+            result[:, column] = occurs((truths.id[rows], truths.frame[rows]), (judged.id[own], judged.frame[own]))
+        return result
 
     def _tracked(self, rows: Histories, selected: Ints) -> Bools:
         """Whether the input of each row's estimate contains its object.
