@@ -131,15 +131,17 @@ class Evaluation:
             interposed, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, duration
         )
         updates = [data.trust[frame] for frame in sorted(data.trust)]
+        displaced = displaced_by_links(interposed, effects, agents, truth, scores.frames)
         labels = self.attribution.label(
             scores,
             interposed,
             truth,
             agents,
             data.period_s,
-            self._cut_off_objects(data, scores, truth, effects, interposed),
+            self._cut_off_objects(data, scores, truth, effects, displaced),
             self.scorer.min_points,
             Withheld.of(updates, agents, scores.frames, SUSPENDED),
+            displaced.any(axis=1),
         )
         return _Results(self, data, scores, truth, effects, from_absence, interposed, labels)
 
@@ -153,14 +155,13 @@ class Evaluation:
         return self.skip_first + self.skip_last <= frames // 2
 
     def _cut_off_objects(
-        self, data: RunData, scores: Scores, truth: TruthTable, effects: Effects, interposed: Manipulations
+        self, data: RunData, scores: Scores, truth: TruthTable, effects: Effects, displaced: Bools
     ) -> CutOffObjects:
-        """Objects known to agents whose tracks links did not deliver, or displaced."""
+        """Objects known only to agents whose tracks links did not deliver, or displaced."""
         agents, frames = data.record.agents, scores.frames
         silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
         undelivered = self._undelivered(data, frames.tolist())
         points = self.scorer.min_points
-        displaced = displaced_by_links(interposed, effects, agents, truth, frames)
         return self.cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, points, displaced)
 
     def _undelivered(self, data: RunData, frames: Sequence[int]) -> Bools:

@@ -10,6 +10,7 @@
     manipulations    manipulated objects, and the estimates that they can influence
     attribution, histories, causes, blame   the cause of every false and every missed object of every estimate
     cut_off     objects known only to disconnected agents
+    withheld    objects and agents that the command centre kept out of the picture
     achievement results of each adversary
     driving, braking, consequences   effects of errors on driving
     trust/      the command centre's trust compared with the agents' conduct; ROC curves
@@ -24,7 +25,7 @@ from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, IoU3
 from mast_zenoh.metrics.attribution import Attribution
 from mast_zenoh.metrics.blame import causes_of
 from mast_zenoh.metrics.boxes import Boxes
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, cause_names
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES, cause_names
 from mast_zenoh.metrics.consistency import Consistency
 from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence
 from mast_zenoh.metrics.driving import Driving
@@ -41,6 +42,7 @@ __all__ = [
     "ATTACK_CAUSES",
     "CAUSES",
     "ESTIMATORS",
+    "DEFENCE_CAUSES",
     "FAULT_CAUSES",
     "OUTCOMES",
     "Assigner",

@@ -81,6 +81,7 @@ class Attribution:
         cut_off_objects: CutOffObjects | None = None,
         min_points: int = 5,
         withheld: Withheld | None = None,
+        displaced: Bools | None = None,
     ) -> Labels:
         """The cause of every false track, missed object and identity switch.
 
@@ -91,10 +92,11 @@ class Attribution:
         cut_off_objects:  objects known only to disconnected agents; None: no agent was disconnected
         min_points: lidar points from which an agent sees an object
         withheld: by the command centre; None: it judges nobody
+        displaced: (n,) rows of `truth` of which a link moved a track; None: none
         """
         cut_off_objects = cut_off_objects or CutOffObjects.nothing()
         return _Attributor(
-            self, scores, manipulations, truth, agents, period_s, cut_off_objects, min_points, withheld
+            self, scores, manipulations, truth, agents, period_s, cut_off_objects, min_points, withheld, displaced
         ).labels()
 
 
@@ -112,6 +114,7 @@ class _Attributor:
         cut_off_objects: CutOffObjects,
         min_points: int,
         withheld: Withheld | None,
+        displaced: Bools | None,
     ) -> None:
         self.min_points, self.agents, self.withheld = min_points, tuple(agents), withheld
         self.limits, self.scores, self.manipulations, self.truth = limits, scores, manipulations, truth
@@ -126,6 +129,9 @@ class _Attributor:
         self.local = np.array([estimator == LOCAL for _, estimator in scores.series], bool)
         self.column = np.array([agents.index(agent) for agent, _ in scores.series], np.int64)
         self.truth_frame = scores.frames[truth.boxes.group]
+        rows = np.zeros(0, np.int64) if displaced is None else displaced.nonzero()[0]
+        #: ids and frames of truth objects of which a link moved an agent's track
+        self.displaced = truth.boxes.id[rows], self.truth_frame[rows]
 
     def labels(self) -> Labels:
         n, names = len(self.scores.judged.frame), self.manipulations.culprits
@@ -347,7 +353,7 @@ class _Attributor:
         own = self.own[truths.series[free]]
         keys = truths.id[free], truths.frame[free]
         disconnected = ~own & self.cut_off_objects.contains(*keys, tracked=is_new)
-        disturbed = ~own & tracked & self.cut_off_objects.concerns(*keys)
+        disturbed = ~own & tracked & occurs(keys, self.displaced)
         near_inaccurate, near_faulty = (
             nearest(
                 truths.places(free), tracks.places((tracks.outcome == FALSE) & (track_cause == code)), limit

@@ -22,34 +22,28 @@ CENTRE = ("broker", "command_center")
 
 @dataclass(frozen=True, slots=True)
 class CutOffObjects:
-    """n objects, each in one frame, that disconnected agents could have reported.
+    """n objects, each in one frame, that only disconnected agents could have reported.
 
     truth_id, frame: (n,) int64; tracked: (n,) whether such an agent tracks it, as opposed to only sensing it
-    alone: (n,) whether no other agent tracks it
     """
 
     truth_id: Ints
     frame: Ints
     tracked: Bools
-    alone: Bools
 
     @classmethod
     def nothing(cls) -> CutOffObjects:
         """The result without disconnected agents."""
-        return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(0, bool))
+        return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, bool))
 
     def contains(self, truth_id: Ints, frame: Ints, tracked: Bools | None = None) -> Bools:
-        """Whether m objects in frames are among these, and no other agent tracks them: (m,).
+        """Whether m objects in frames are among these: (m,).
 
         tracked: (m,) where set, only tracked objects count; None: all count
         """
         row = find((truth_id, frame), (self.truth_id, self.frame))
-        is_cut_off = np.append(self.alone, False)[row]
+        is_cut_off = row >= 0
         return is_cut_off if tracked is None else is_cut_off & (~tracked | np.append(self.tracked, False)[row])
-
-    def concerns(self, truth_id: Ints, frame: Ints) -> Bools:
-        """Whether disconnected agents track m objects in frames, as perhaps others do: (m,)."""
-        return np.append(self.tracked, False)[find((truth_id, frame), (self.truth_id, self.frame))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,8 +75,9 @@ class CutOff:
         min_points: int = 5,
         displaced: Bools | None = None,
     ) -> CutOffObjects:
-        """Objects known to agents that are missing from the picture, and whether to them alone.
+        """Objects known only to agents that are missing from the picture.
 
+        No other agent tracks them.
         An agent knows the objects in its own tracks. If these were not received, and during the recovery after that,
         the objects that its sensor sees are used instead.
 
@@ -108,9 +103,8 @@ class CutOff:
         undelivered_rows = self._extend_through_recovery(undelivered, period_s)[row]
         tracked_by_missing = np.asarray((disconnected & tracked).any(axis=1))
         seen_by_missing = (disconnected & undelivered_rows & (truth.points >= min_points)).any(axis=1)
-        known = tracked_by_missing | seen_by_missing
-        alone = ~(~disconnected & tracked).any(axis=1)
-        return CutOffObjects(ids[known], frames[row[known]], tracked_by_missing[known], alone[known])
+        only_missing = (tracked_by_missing | seen_by_missing) & ~(~disconnected & tracked).any(axis=1)
+        return CutOffObjects(ids[only_missing], frames[row[only_missing]], tracked_by_missing[only_missing])
 
     def missing(self, silent: Bools, undelivered: Bools, period_s: float) -> Bools:
         """Whether an agent's tracks are missing from the picture: (f, a).

@@ -19,15 +19,22 @@ NOTHING = ObjectStates.empty()
 def recorded(truth, picture, local=None, points=None) -> Record:
     """A run of the ego alone.
 
-    truth, picture: a set of cars for each frame; local: the ego's own tracks
+    truth, picture: a set of cars for each frame; local: the ego's own tracks, by default those of the picture that
+    are within 1 m of a true object
     """
     record = Record(["ego"])
     for frame, (objects, tracks) in enumerate(zip(truth, picture, strict=True)):
         n_points = np.full((len(objects), 1), 50) if points is None else np.array(points[frame]).reshape(-1, 1)
         record.add_truth(frame, objects, n_points, np.zeros((1, 3)), np.array([-1]))
         record.add(frame, [Series("", "picture")], Snapshot.of(tracks))
-        record.add(frame, [Series("ego", "local")], Snapshot.of((picture if local is None else local)[frame]))
+        record.add(frame, [Series("ego", "local")], Snapshot.of(good(objects, tracks) if local is None else local[frame]))
     return record
+
+
+def good(objects: ObjectStates, tracks: ObjectStates) -> ObjectStates:
+    """The tracks within 1 m of a true object."""
+    apart = np.linalg.norm(tracks.position[:, None] - objects.position, axis=2)
+    return tracks.select((apart <= 1.0).any(axis=1))
 
 
 def cause_table(truth, picture, manipulations: tuple[Row, ...] | list[Row] = (), local=None, points=None):
@@ -202,7 +209,7 @@ def test_causes_are_counted_by_estimate_in_the_scored_frames() -> None:
     counted = causes_of(scores, labels.cause, labels.switch_cause, np.arange(8))
     by_series = dict(zip(scores.series, counted, strict=True))
     assert by_series["ego", "picture"]["causes"] == {"fp": {"inserted": 3}, "fn": {}, "id_switches": {}}
-    assert by_series["ego", "picture"]["fp_split"] == {"fault": 0.0, "attack": 3 / 8, "natural": 0.0}
+    assert by_series["ego", "picture"]["fp_split"] == {"fault": 0.0, "attack": 3 / 8, "withheld": 0.0, "natural": 0.0}
     assert by_series["ego", "local"]["causes"] == {"fp": {}, "fn": {}, "id_switches": {}}
 
 
@@ -220,7 +227,8 @@ def test_an_attack_on_one_agents_detections_does_not_affect_another_agents_own_t
     def cause(agent: str, estimator: str) -> set[str]:
         return set(table["cause"][(table["agent"] == agent) & (table["estimator"] == estimator)])
 
-    assert cause("infra_1", "local") == cause("ego", "picture") == {"inserted"}
+    assert cause("infra_1", "local") == {"inserted"}
+    assert cause("ego", "picture") == {"clutter"}  # the ego reports it too, without the attack
     assert cause("ego", "local") == {"clutter"}
 
 
