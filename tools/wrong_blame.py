@@ -5,7 +5,7 @@
 
 Each cell is a pair of runs that differ in one thing: an attack, a fault or a defence. An error of the first run (of the
 pictures of all agents) exists in the second one too if the same object is missed there in the same frame, or if a false
-track is within 2 m of the false track, in this frame or at most two frames away (each for one). It prints for each cell and kind of error:
+track is within 2 m, in this frame or at most two frames away (each for one). It prints for each cell and kind of error:
 
     present   errors that exist in the twin too, and the share of them that is blamed on what the twin lacks
     new       errors that do not, and the share of them that is blamed on it

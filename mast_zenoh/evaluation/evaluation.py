@@ -141,7 +141,7 @@ class Evaluation:
             self._cut_off_objects(data, scores, truth, effects, displaced),
             self.scorer.min_points,
             Withheld.of(updates, agents, scores.frames, SUSPENDED),
-            displaced.any(axis=1),
+            np.asarray(displaced.any(axis=1)),
         )
         return _Results(self, data, scores, truth, effects, from_absence, interposed, labels)
 
@@ -162,7 +162,9 @@ class Evaluation:
         silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
         undelivered = self._undelivered(data, frames.tolist())
         points = self.scorer.min_points
-        return self.cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, points, displaced)
+        return self.cut_off.objects(
+            scores, truth, agents, frames, data.period_s, silent, undelivered, points, displaced
+        )
 
     def _undelivered(self, data: RunData, frames: Sequence[int]) -> Bools:
         """Whether an agent's tracks of a frame were too late for the broker: (f, a)."""

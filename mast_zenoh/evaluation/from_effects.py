@@ -21,6 +21,8 @@ from mast_zenoh.wiring.subjects import agent_of
 
 #: Share of the frames of a second in which an agent that tracks an object sees it.
 SEEN_SHARE = 0.8
+#: Detections in two seconds without which no track begins.
+LEAST_DETECTIONS = 3
 
 
 def manipulations(
@@ -174,6 +176,7 @@ def without_unseen(
         seen_keys = truth_keys[0][seen], truth_keys[1][seen]
         ids, frame = object_ids[rows], manipulations.frame[rows]
         count = sum(occurs((ids, frame - back), seen_keys).astype(np.int64) for back in range(begin))
-        unseen = rows[count < SEEN_SHARE * begin]
+        lost = sum(occurs((ids, frame - back), (ids, frame)).astype(np.int64) for back in range(2 * begin))
+        unseen = rows[(count < SEEN_SHARE * begin) | (lost < LEAST_DETECTIONS)]
         object_ids[unseen] = -1 - len(object_ids) - np.arange(len(unseen))
     return replace(manipulations, object=object_ids)

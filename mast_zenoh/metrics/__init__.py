@@ -41,8 +41,8 @@ from mast_zenoh.metrics.user_metrics import Estimate, FrameMetric, Metric, RunMe
 __all__ = [
     "ATTACK_CAUSES",
     "CAUSES",
-    "ESTIMATORS",
     "DEFENCE_CAUSES",
+    "ESTIMATORS",
     "FAULT_CAUSES",
     "OUTCOMES",
     "Assigner",

@@ -188,9 +188,7 @@ class _Attributor:
                     rows = rows[occurs(keys, (self.truth.boxes.id[seen], self.truth_frame[seen]))]
                 if not len(rows):
                     continue
-                claimed, original = claimed_positions(
-                    manipulations.select(rows), self.period_s, self.coast, self.span
-                )
+                claimed, original = claimed_positions(manipulations.select(rows), self.period_s, self.coast, self.span)
                 _, distance = nearest(places, claimed, self.limits.lie_m)
                 if kind == MOVED:
                     distance = self._only_as_moved(places, natural[false_rows], original, distance)
@@ -351,14 +349,13 @@ class _Attributor:
         tracked = self._tracked(truths, free)
         is_new = truths.frame[free] - truths.period_start()[free] < self.begin
         own = self.own[truths.series[free]]
-        keys = truths.id[free], truths.frame[free]
-        disconnected = ~own & self.cut_off_objects.contains(*keys, tracked=is_new)
-        disturbed = ~own & tracked & occurs(keys, self.displaced)
+        id_frame = truths.id[free], truths.frame[free]
+        disconnected = ~own & self.cut_off_objects.contains(*id_frame, tracked=is_new)
+        disturbed = ~own & tracked & occurs(id_frame, self.displaced)
+        false, places = tracks.outcome == FALSE, truths.places(free)
         near_inaccurate, near_faulty = (
-            nearest(
-                truths.places(free), tracks.places((tracks.outcome == FALSE) & (track_cause == code)), limit
-            )[0] >= 0
-            for code, limit in ((LAG, self.limits.astray_m), (FAULT, self.limits.astray_m))
+            nearest(places, tracks.places(false & (track_cause == code)), self.limits.astray_m)[0] >= 0
+            for code in (LAG, FAULT)
         )
         cause[free] = np.select(
             [disconnected, is_new, near_faulty, near_inaccurate, ~tracked, own, disturbed],

@@ -16,7 +16,17 @@ from mast_zenoh.metrics.places import Places
 from mast_zenoh.metrics.scores import Texts
 
 #: Causes of false tracks, missed objects and identity switches: attacks first, with the codes of KINDS.
-CAUSES = (*KINDS, "duplicate", "lag", "occlusion or range", "clutter", "tracking", "fusion", "link or fault", "withheld")
+CAUSES = (
+    *KINDS,
+    "duplicate",
+    "lag",
+    "occlusion or range",
+    "clutter",
+    "tracking",
+    "fusion",
+    "link or fault",
+    "withheld",
+)
 DUPLICATE, LAG, SIGHT, CLUTTER, TRACKING, FUSION, FAULT, WITHHELD = range(len(KINDS), len(CAUSES))
 UNKNOWN = -1
 #: Causes that count as attacks, as faults, and as the defence's doing; all others are natural.
@@ -30,9 +40,7 @@ def cause_names(causes: Ints) -> NDArray[np.object_]:
     return np.array([*CAUSES, ""], object)[causes]
 
 
-def claimed_positions(
-    manipulations: Manipulations, period_s: float, coast: int, span: int
-) -> tuple[Places, Places]:
+def claimed_positions(manipulations: Manipulations, period_s: float, coast: int, span: int) -> tuple[Places, Places]:
     """Claimed and original positions of objects, extrapolated over `coast` frames and gaps.
 
     They are extrapolated at constant velocity, which covers tracks that coast. Groups are series * `span` + frame, for
@@ -98,7 +106,13 @@ class Hidden:
         return cls(tuple(parts))
 
     def recent(
-        self, truth_id: Ints, frame: Ints, series: Ints, own: Bools, most: int | None = None, received: Bools | None = None
+        self,
+        truth_id: Ints,
+        frame: Ints,
+        series: Ints,
+        own: Bools,
+        most: int | None = None,
+        received: Bools | None = None,
     ) -> Iterator[tuple[int, int, Bools]]:
         """For each part, code of the cause, culprit, and whether objects (n,) were recently hidden.
 

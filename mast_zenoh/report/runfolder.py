@@ -230,7 +230,9 @@ class RunFolder:
     @property
     def withholds(self) -> bool:
         """Whether objects are missed because the command centre withheld them."""
-        return self.objects is not None and "cause" in self.objects and bool((self.objects["cause"] == "withheld").any())
+        return (
+            self.objects is not None and "cause" in self.objects and bool((self.objects["cause"] == "withheld").any())
+        )
 
     @property
     def defence(self) -> str:

@@ -11,7 +11,7 @@ from played import Played
 
 ATTACKS = ("inserted", "removed", "moved", "altered")
 COAST, FRESH = 40, 10  # frames: 4 s and 1 s
-LIE_M, OBJECT_M, ASTRAY_M = 5.0, 3.0, 6.0
+LIE_M, OBJECT_M, ASTRAY_M = 2.0, 3.0, 6.0
 MIN_POINTS = 5
 DOWNLINK = ("picture_received", "picture_on_arrival", "mission")
 Row = dict[str, Any]

@@ -30,7 +30,9 @@ _COLOURS = {
 def causes_over_time(run: RunFolder, frame: int | None) -> Figure | None:
     """Missed and false objects of the ego's picture by time, stacked by cause.
 
-    frame: marked by a line, if given. Returns None if there is no link, fault or withheld object, or causes are not known.
+    frame: marked by a line, if given
+
+    Returns None if there is no link, fault or withheld object, or causes are not known.
     """
     objects, counts = run.objects, run.counts_of("picture")
     if not (run.faulted or run.withholds) or counts is None or objects is None or "cause" not in objects:

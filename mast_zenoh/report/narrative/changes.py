@@ -120,7 +120,9 @@ def attributed(run: RunFolder, agents: Iterable[str] | None = None) -> list[Chan
                     changes.append(_change(run, agent, estimate, kind, (amount, weight, attack, fault, withheld)))
             displacement_m, weight = _displacement(run, estimate) if agent == run.ego else (None, 0.0)
             if displacement_m is not None:
-                changes.append(_change(run, agent, estimate, DISPLACED, (displacement_m, weight, displacement_m, 0.0, 0.0)))
+                changes.append(
+                    _change(run, agent, estimate, DISPLACED, (displacement_m, weight, displacement_m, 0.0, 0.0))
+                )
     return changes
 
 

@@ -213,9 +213,8 @@ def _blame(run: RunFolder) -> list[str]:
     if not parts:
         return []
     parts += [f"{split['attack']:.2f} because of attacks"] if split["attack"] > 0.0 else []
-    return [
-        f"Of the objects that the picture misses, {', '.join(parts)}, and {split['natural']:.2f} would be missed anyway."
-    ]
+    natural = f"{split['natural']:.2f} would be missed anyway"
+    return [f"Of the objects that the picture misses, {', '.join(parts)}, and {natural}."]
 
 
 def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
