@@ -12,10 +12,10 @@ from mast_zenoh.arrays.states import Bools
 from mast_zenoh.effects import Effects, effects_of, reports
 from mast_zenoh.evaluation import trust
 from mast_zenoh.evaluation.from_effects import (
+    cut_off_objects,
     displaced_by_links,
     effects_of_absence,
     manipulations,
-    stopped_by_links,
     without_unseen,
 )
 from mast_zenoh.evaluation.poses import add_pose_manipulations
@@ -27,7 +27,6 @@ from mast_zenoh.metrics import (
     Attribution,
     Consistency,
     CutOff,
-    CutOffObjects,
     Driving,
     Manipulations,
     Metric,
@@ -111,7 +110,7 @@ class Evaluation:
             effects,
             data.roles,
             scores.series,
-            _boxes_by_frame(truth, scores),
+            truth.boxes.in_group(scores.frames[truth.boxes.group]),
             data.period_s,
             from_absence,
             self.attribution,
@@ -138,7 +137,7 @@ class Evaluation:
             truth,
             agents,
             data.period_s,
-            self._cut_off_objects(data, scores, truth, effects, displaced),
+            cut_off_objects(self.cut_off, data, scores, truth, effects, displaced, self.scorer.min_points),
             self.scorer.min_points,
             Withheld.of(updates, agents, scores.frames, SUSPENDED),
             np.asarray(displaced.any(axis=1)),
@@ -154,35 +153,11 @@ class Evaluation:
         """Whether a run is long enough to leave frames out of the summary."""
         return self.skip_first + self.skip_last <= frames // 2
 
-    def _cut_off_objects(
-        self, data: RunData, scores: Scores, truth: TruthTable, effects: Effects, displaced: Bools
-    ) -> CutOffObjects:
-        """Objects known only to agents whose tracks links did not deliver, or displaced."""
-        agents, frames = data.record.agents, scores.frames
-        silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
-        undelivered = self._undelivered(data, frames.tolist())
-        points = self.scorer.min_points
-        return self.cut_off.objects(
-            scores, truth, agents, frames, data.period_s, silent, undelivered, points, displaced
-        )
-
-    def _undelivered(self, data: RunData, frames: Sequence[int]) -> Bools:
-        """Whether an agent's tracks of a frame were too late for the broker: (f, a)."""
-        agents, within = data.record.agents, self.cut_off.useful_age_s / data.period_s + 1e-6
-        sent = [
-            [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames
-        ]
-        return ~np.array(sent, bool).reshape(len(frames), len(agents))
-
 
 def _measured(data: RunData, scores: Scores) -> Effects:
     """The effects of interposers, after the end of the run."""
     data.meter.close(int(scores.frames.max(initial=-1)))
     return effects_of(data.meter.meters, data.poses)
-
-
-def _boxes_by_frame(truth: TruthTable, scores: Scores) -> Any:
-    return truth.boxes.in_group(scores.frames[truth.boxes.group])
 
 
 @dataclass(frozen=True, slots=True)

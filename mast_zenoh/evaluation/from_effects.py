@@ -11,7 +11,8 @@ from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
 from mast_zenoh.evaluation.downstream import influence
-from mast_zenoh.metrics import Attribution, Boxes, Manipulations
+from mast_zenoh.evaluation.run_data import RunData
+from mast_zenoh.metrics import Attribution, Boxes, CutOff, CutOffObjects, Manipulations, Scores
 from mast_zenoh.metrics.lookup import occurs
 from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.places import Places, nearest
@@ -180,3 +181,24 @@ def without_unseen(
         unseen = rows[(count < SEEN_SHARE * begin) | (lost < LEAST_DETECTIONS)]
         object_ids[unseen] = -1 - len(object_ids) - np.arange(len(unseen))
     return replace(manipulations, object=object_ids)
+
+
+def cut_off_objects(
+    cut_off: CutOff,
+    data: RunData,
+    scores: Scores,
+    truth: TruthTable,
+    effects: Effects,
+    displaced: Bools,
+    min_points: int,
+) -> CutOffObjects:
+    """Objects known only to agents whose tracks links did not deliver, or displaced (n, a)."""
+    agents, frames = data.record.agents, scores.frames
+    silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
+    within = cut_off.useful_age_s / data.period_s + 1e-6
+    sent = [
+        [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents]
+        for frame in frames.tolist()
+    ]
+    undelivered = ~np.array(sent, bool).reshape(len(frames), len(agents))
+    return cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, min_points, displaced)

@@ -8,7 +8,8 @@
     ranking     AMOTA: accuracy over recall, for tracks ranked by their scores
     scores      tables, and the summary in metrics.json
     manipulations    manipulated objects, and the estimates that they can influence
-    attribution, histories, causes, blame   the cause of every false and every missed object of every estimate
+    attribution, attribution_limits, attributor, histories, causes, blame
+                the cause of every false and every missed object of every estimate
     cut_off     objects known only to disconnected agents
     withheld    objects and agents that the command centre kept out of the picture
     achievement results of each adversary

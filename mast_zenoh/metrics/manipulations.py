@@ -54,6 +54,21 @@ class Manipulations:
         """The rows selected by a mask or an index array."""
         return Manipulations(self.culprits, self.reach, self.shown, *(getattr(self, name)[rows] for name in COLUMNS))
 
+    def first_shown(self, series: Ints, by: Bools, span: int) -> Ints:
+        """First frame (n,) in which any of the culprits (n, c) showed an object; `span` if none did.
+
+        The object must be visible in the series. For rows without a culprit, links are used.
+        """
+        first_frame = np.full((len(self.culprits) + 1, self.shown.shape[1]), span)  # the last row is for links
+        shows = np.isin(self.kind, (INSERTED, MOVED))
+        for culprit in range(-1, len(self.culprits)):
+            rows = (shows & (self.culprit == culprit)).nonzero()[0]
+            if len(rows):
+                frame = np.where(self.shown[self.passage[rows]], self.frame[rows, None], span)
+                first_frame[culprit] = frame.min(axis=0)
+        responsible = np.column_stack([by, ~by.any(axis=1)])
+        return np.asarray(np.where(responsible, first_frame[:, series].T, span).min(axis=1))
+
 
 def no_manipulations(n_series: int) -> Manipulations:
     """Manipulations without rows."""
