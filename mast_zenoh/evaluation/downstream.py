@@ -21,8 +21,8 @@ def influence(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is
     """Whether messages of each of p passages can affect each of s series: (p, s).
 
     A series is (agent, estimator). An agent's own tracks depend on its sensors alone. An unknown port may affect all
-    other estimates. Here, effects of links on tracks affect only the tracks as received: whether the picture lacks
-    an object because of them depends on the other agents that report it (`metrics.cut_off`).
+    other estimates. is_link: (p,) passages of links, whose effects on tracks count only for the tracks as received:
+    whether the picture lacks an object because of them depends on the other agents that report it (`metrics.cut_off`).
     """
     result = np.zeros((len(passages), len(series)), bool)
     for row, passage in enumerate(passages):

@@ -11,16 +11,22 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.effects import Effects, effects_of, reports
 from mast_zenoh.evaluation import trust
-from mast_zenoh.evaluation.from_effects import effects_of_absence, manipulations, stopped_by_links
+from mast_zenoh.evaluation.from_effects import (
+    cut_off_objects,
+    displaced_by_links,
+    effects_of_absence,
+    manipulations,
+    without_unseen,
+)
 from mast_zenoh.evaluation.poses import add_pose_manipulations
 from mast_zenoh.evaluation.run_data import RunData
 from mast_zenoh.evaluation.tables import attacks
+from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.links import WIRES
 from mast_zenoh.metrics import (
     Attribution,
     Consistency,
     CutOff,
-    CutOffObjects,
     Driving,
     Manipulations,
     Metric,
@@ -37,6 +43,7 @@ from mast_zenoh.metrics.ranking import rankings
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import COLUMNS
 from mast_zenoh.metrics.trust import Fault
+from mast_zenoh.metrics.withheld import Withheld
 from mast_zenoh.wiring.subjects import agent_of
 
 
@@ -96,26 +103,44 @@ class Evaluation:
         ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in data.record.agents}
         data.record.hold_pictures({agent: round(age_s * 1e9) for agent, age_s in ages_s.items()}, data.times_ns)
         scores = self.scorer.score(data.record)
-        truth = data.record.truth(scores.frames)
+        truth, agents = data.record.truth(scores.frames), data.record.agents
         effects = _measured(data, scores)
         from_absence = effects_of_absence(effects, data.presence.idle(scores.frames), scores.frames)
         interposed = manipulations(
             effects,
             data.roles,
             scores.series,
-            _boxes_by_frame(truth, scores),
+            truth.boxes.in_group(scores.frames[truth.boxes.group]),
             data.period_s,
             from_absence,
             self.attribution,
         )
-        spoofs, agents = [meter.effects.spoofs for meter in data.meter.meters], data.record.agents
+        interposed = without_unseen(
+            interposed,
+            effects,
+            agents,
+            truth,
+            scores.frames,
+            self.scorer.min_points,
+            round(self.attribution.begin_s / data.period_s),
+        )
+        spoofs = [meter.effects.spoofs for meter in data.meter.meters]
         duration = round(self.attribution.coast_s / data.period_s)
         interposed = add_pose_manipulations(
             interposed, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, duration
         )
-        cut_off_objects = self._cut_off_objects(data, scores, truth, effects)
+        updates = [data.trust[frame] for frame in sorted(data.trust)]
+        displaced = displaced_by_links(interposed, effects, agents, truth, scores.frames)
         labels = self.attribution.label(
-            scores, interposed, truth, data.record.agents, data.period_s, cut_off_objects, self.scorer.min_points
+            scores,
+            interposed,
+            truth,
+            agents,
+            data.period_s,
+            cut_off_objects(self.cut_off, data, scores, truth, effects, displaced, self.scorer.min_points),
+            self.scorer.min_points,
+            Withheld.of(updates, agents, scores.frames, SUSPENDED),
+            np.asarray(displaced.any(axis=1)),
         )
         return _Results(self, data, scores, truth, effects, from_absence, interposed, labels)
 
@@ -128,31 +153,11 @@ class Evaluation:
         """Whether a run is long enough to leave frames out of the summary."""
         return self.skip_first + self.skip_last <= frames // 2
 
-    def _cut_off_objects(self, data: RunData, scores: Scores, truth: TruthTable, effects: Effects) -> CutOffObjects:
-        """Objects known only to agents whose tracks were not delivered."""
-        agents, frames = data.record.agents, scores.frames
-        silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
-        undelivered = self._undelivered(data, frames.tolist())
-        points = self.scorer.min_points
-        return self.cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, points)
-
-    def _undelivered(self, data: RunData, frames: Sequence[int]) -> Bools:
-        """Whether an agent's tracks of a frame were too late for the broker: (f, a)."""
-        agents, within = data.record.agents, self.cut_off.useful_age_s / data.period_s + 1e-6
-        sent = [
-            [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames
-        ]
-        return ~np.array(sent, bool).reshape(len(frames), len(agents))
-
 
 def _measured(data: RunData, scores: Scores) -> Effects:
     """The effects of interposers, after the end of the run."""
     data.meter.close(int(scores.frames.max(initial=-1)))
     return effects_of(data.meter.meters, data.poses)
-
-
-def _boxes_by_frame(truth: TruthTable, scores: Scores) -> Any:
-    return truth.boxes.in_group(scores.frames[truth.boxes.group])
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,10 +11,19 @@ from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
 from mast_zenoh.evaluation.downstream import influence
-from mast_zenoh.metrics import Attribution, Boxes, Manipulations
-from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED
+from mast_zenoh.evaluation.run_data import RunData
+from mast_zenoh.metrics import Attribution, Boxes, CutOff, CutOffObjects, Manipulations, Scores
+from mast_zenoh.metrics.lookup import occurs
+from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.places import Places, nearest
+from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.subjects import agent_of
+
+#: Share of the frames of a second in which an agent that tracks an object sees it.
+SEEN_SHARE = 0.8
+#: Detections in two seconds without which no track begins.
+LEAST_DETECTIONS = 3
 
 
 def manipulations(
@@ -51,6 +61,7 @@ def manipulations(
     result = Manipulations(
         culprits=culprits,
         reach=influence(effects.passages, series, is_link),
+        shown=influence(effects.passages, series, np.zeros(len(is_link), bool)),
         passage=passage,
         culprit=culprit_row[passage] if len(rows) else passage,
         kind=np.concatenate([np.full(len(inserted), INSERTED), kind]),
@@ -59,6 +70,7 @@ def manipulations(
             [episode, np.where(truth_row >= 0, np.append(truth.id, 0)[truth_row], -1 - np.arange(len(truth_row)))]
         ),
         position=np.where(np.isfinite(effects.after[rows]), effects.after[rows], effects.before[rows]),
+        original=effects.before[rows],
         velocity=np.nan_to_num(np.concatenate([velocity, effects.velocity[hidden]])),
         lasts=lasts[passage] if len(rows) else passage,
     )
@@ -118,3 +130,75 @@ def stopped_by_links(effects: Effects, roles: Mapping[str, str], agents: Sequenc
         elif passage.subject in agents:
             result[:, list(agents).index(passage.subject)] |= lost
     return result
+
+
+def displaced_by_links(
+    manipulations: Manipulations, effects: Effects, agents: Sequence[str], truth: TruthTable, frames: Ints
+) -> Bools:
+    """Whether a link moved an agent's track of a truth object: (n, a) of n rows of `truth`.
+
+    truth: of (f,) `frames`
+    """
+    result = np.zeros((len(truth.boxes.id), len(agents)), bool)
+    moved = (manipulations.kind == MOVED) & (manipulations.culprit < 0)
+    for index, passage in enumerate(effects.passages):
+        rows = (moved & (manipulations.passage == index)).nonzero()[0]
+        if len(rows) and passage.port == "tracks" and passage.subject in agents:
+            keys = truth.boxes.id, frames[truth.boxes.group]
+            result[:, list(agents).index(passage.subject)] |= occurs(
+                keys, (manipulations.object[rows], manipulations.frame[rows])
+            )
+    return result
+
+
+def without_unseen(
+    manipulations: Manipulations,
+    effects: Effects,
+    agents: Sequence[str],
+    truth: TruthTable,
+    frames: Ints,
+    min_points: int,
+    begin: int,
+) -> Manipulations:
+    """Manipulations in which a detection that was removed stands for an object only if the agent would track it.
+
+    That is if its sensor has seen the object in most of the last `begin` frames: a single detection makes no track.
+    truth: of (f,) `frames`;  min_points: lidar points from which an agent sees an object
+    """
+    object_ids = manipulations.object.copy()
+    removed = (manipulations.kind == REMOVED) & (object_ids >= 0)
+    truth_keys = truth.boxes.id, frames[truth.boxes.group]
+    for index, passage in enumerate(effects.passages):
+        rows = (removed & (manipulations.passage == index)).nonzero()[0]
+        agent = agent_of(passage.subject)
+        if not len(rows) or passage.message != "detections" or agent not in agents:
+            continue
+        seen = truth.points[:, list(agents).index(agent)] >= min_points
+        seen_keys = truth_keys[0][seen], truth_keys[1][seen]
+        ids, frame = object_ids[rows], manipulations.frame[rows]
+        count = sum(occurs((ids, frame - back), seen_keys).astype(np.int64) for back in range(begin))
+        lost = sum(occurs((ids, frame - back), (ids, frame)).astype(np.int64) for back in range(2 * begin))
+        unseen = rows[(count < SEEN_SHARE * begin) | (lost < LEAST_DETECTIONS)]
+        object_ids[unseen] = -1 - len(object_ids) - np.arange(len(unseen))
+    return replace(manipulations, object=object_ids)
+
+
+def cut_off_objects(
+    cut_off: CutOff,
+    data: RunData,
+    scores: Scores,
+    truth: TruthTable,
+    effects: Effects,
+    displaced: Bools,
+    min_points: int,
+) -> CutOffObjects:
+    """Objects known only to agents whose tracks links did not deliver, or displaced (n, a)."""
+    agents, frames = data.record.agents, scores.frames
+    silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
+    within = cut_off.useful_age_s / data.period_s + 1e-6
+    sent = [
+        [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents]
+        for frame in frames.tolist()
+    ]
+    undelivered = ~np.array(sent, bool).reshape(len(frames), len(agents))
+    return cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, min_points, displaced)

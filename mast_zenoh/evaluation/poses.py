@@ -14,7 +14,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.effects import Effects
 from mast_zenoh.effects.message_effects import Spoof
 from mast_zenoh.metrics import Manipulations
-from mast_zenoh.metrics.manipulations import MOVED, REMOVED
+from mast_zenoh.metrics.manipulations import COLUMNS, MOVED, REMOVED
 from mast_zenoh.metrics.record import TruthTable
 
 #: Effects on a pose that leave an agent without its pose, so that it cannot locate objects.
@@ -54,12 +54,14 @@ def add_pose_manipulations(
                 Manipulations(
                     manipulations.culprits,
                     manipulations.reach,
+                    manipulations.shown,
                     passage=np.full(n, index),
                     culprit=np.full(n, culprit),
                     kind=np.full(n, kind),
                     frame=of_frame[rows],
                     object=truth.boxes.id[rows],
                     position=position[rows],
+                    original=truth.boxes.position[rows],
                     velocity=truth.velocity[rows],
                     lasts=np.full(n, lasts),
                 )
@@ -69,9 +71,11 @@ def add_pose_manipulations(
 
 def concatenate_manipulations(parts: Sequence[Manipulations]) -> Manipulations:
     """Concatenate manipulations that share culprits and reach."""
-    names = ("passage", "culprit", "kind", "frame", "object", "position", "velocity", "lasts")
     return Manipulations(
-        parts[0].culprits, parts[0].reach, *(np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        parts[0].culprits,
+        parts[0].reach,
+        parts[0].shown,
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS),
     )
 
 

@@ -8,8 +8,10 @@
     ranking     AMOTA: accuracy over recall, for tracks ranked by their scores
     scores      tables, and the summary in metrics.json
     manipulations    manipulated objects, and the estimates that they can influence
-    attribution, histories, causes, blame   the cause of every false and every missed object of every estimate
+    attribution, attribution_limits, attributor, histories, causes, blame
+                the cause of every false and every missed object of every estimate
     cut_off     objects known only to disconnected agents
+    withheld    objects and agents that the command centre kept out of the picture
     achievement results of each adversary
     driving, braking, consequences   effects of errors on driving
     trust/      the command centre's trust compared with the agents' conduct; ROC curves
@@ -24,7 +26,7 @@ from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, IoU3
 from mast_zenoh.metrics.attribution import Attribution
 from mast_zenoh.metrics.blame import causes_of
 from mast_zenoh.metrics.boxes import Boxes
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, cause_names
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES, cause_names
 from mast_zenoh.metrics.consistency import Consistency
 from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence
 from mast_zenoh.metrics.driving import Driving
@@ -40,6 +42,7 @@ from mast_zenoh.metrics.user_metrics import Estimate, FrameMetric, Metric, RunMe
 __all__ = [
     "ATTACK_CAUSES",
     "CAUSES",
+    "DEFENCE_CAUSES",
     "ESTIMATORS",
     "FAULT_CAUSES",
     "OUTCOMES",

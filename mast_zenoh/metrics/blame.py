@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Ints
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, UNKNOWN
+from mast_zenoh.metrics.causes import CAUSES, PARTS, UNKNOWN
 from mast_zenoh.metrics.scores import Scores
 
 
@@ -18,7 +18,7 @@ def causes_of(scores: Scores, cause: Ints, switch_cause: Ints, frames: Ints) -> 
     cause, switch_cause: of `scores.judged` and `scores.switches`, as returned by `Attribution.label`
 
     Returns {"causes": {"fp" | "fn" | "id_switches": {cause: number of rows}}, "fn_split" | "fp_split": {"fault",
-    "attack", "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}.
+    "attack", "withheld", "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}.
     """
     n = len(scores.series)
     rows = np.flatnonzero(cause != UNKNOWN)
@@ -45,12 +45,11 @@ def _count_causes(series: Ints, cause: Ints, n: int) -> list[dict[str, int]]:
 
 
 def split(counts: Mapping[str, int], frames: int) -> dict[str, float | None]:
-    """Mean number of rows per frame, by {"fault", "attack", "natural"}.
+    """Mean number of rows per frame, by {"fault", "attack", "withheld", "natural"}.
 
     None without frames.
     counts: rows by cause
     """
-    rows = {"fault": sum(counts.get(cause, 0) for cause in FAULT_CAUSES)}
-    rows["attack"] = sum(counts.get(cause, 0) for cause in ATTACK_CAUSES)
+    rows = {part: sum(counts.get(cause, 0) for cause in causes) for part, causes in PARTS.items()}
     rows["natural"] = sum(counts.values()) - sum(rows.values())
     return {name: number / frames if frames else None for name, number in rows.items()}

@@ -16,11 +16,23 @@ from mast_zenoh.metrics.places import Places
 from mast_zenoh.metrics.scores import Texts
 
 #: Causes of false tracks, missed objects and identity switches: attacks first, with the codes of KINDS.
-CAUSES = (*KINDS, "duplicate", "lag", "occlusion or range", "clutter", "tracking", "fusion", "link or fault")
-DUPLICATE, LAG, SIGHT, CLUTTER, TRACKING, FUSION, FAULT = range(len(KINDS), len(CAUSES))
+CAUSES = (
+    *KINDS,
+    "duplicate",
+    "lag",
+    "occlusion or range",
+    "clutter",
+    "tracking",
+    "fusion",
+    "link or fault",
+    "withheld",
+)
+DUPLICATE, LAG, SIGHT, CLUTTER, TRACKING, FUSION, FAULT, WITHHELD = range(len(KINDS), len(CAUSES))
 UNKNOWN = -1
-#: Causes that count as attacks and as faults; all others are natural.
-ATTACK_CAUSES, FAULT_CAUSES = KINDS, CAUSES[FAULT:]
+#: Causes that count as attacks, as faults, and as the defence's doing; all others are natural.
+ATTACK_CAUSES, FAULT_CAUSES, DEFENCE_CAUSES = KINDS, (CAUSES[FAULT],), (CAUSES[WITHHELD],)
+#: The causes of each part of `split` but "natural", which is the rest.
+PARTS = {"fault": FAULT_CAUSES, "attack": ATTACK_CAUSES, "withheld": DEFENCE_CAUSES}
 
 
 def cause_names(causes: Ints) -> NDArray[np.object_]:
@@ -28,11 +40,11 @@ def cause_names(causes: Ints) -> NDArray[np.object_]:
     return np.array([*CAUSES, ""], object)[causes]
 
 
-def claimed_positions(manipulations: Manipulations, period_s: float, coast: int, span: int) -> Places:
-    """Claimed positions of objects, extrapolated over `coast` frames and gaps.
+def claimed_positions(manipulations: Manipulations, period_s: float, coast: int, span: int) -> tuple[Places, Places]:
+    """Claimed and original positions of objects, extrapolated over `coast` frames and gaps.
 
     They are extrapolated at constant velocity, which covers tracks that coast. Groups are series * `span` + frame, for
-    every series that a manipulation can have influenced.
+    every series that can show the object.
     """
     order = np.lexsort((manipulations.frame, manipulations.object, manipulations.passage))
     manipulations = manipulations.select(order)
@@ -43,16 +55,21 @@ def claimed_positions(manipulations: Manipulations, period_s: float, coast: int,
     lead_frames = within_runs(steps)
     frame = manipulations.frame[row] + lead_frames
     row, frame, lead_frames = row[frame < span], frame[frame < span], lead_frames[frame < span]
-    position = manipulations.position[row] + manipulations.velocity[row] * (lead_frames * period_s)[:, None]
-    index, series = manipulations.reach[manipulations.passage[row]].nonzero()
-    return Places(series * span + frame[index], position[index])
+    ahead = manipulations.velocity[row] * (lead_frames * period_s)[:, None]
+    index, series = manipulations.shown[manipulations.passage[row]].nonzero()
+    group = series * span + frame[index]
+    return (
+        Places(group, (manipulations.position[row] + ahead)[index]),
+        Places(group, (manipulations.original[row] + ahead)[index]),
+    )
 
 
 class Labels(NamedTuple):
     """Causes of the errors of a run.
 
     cause: (n,) of each row of `Scores.judged`, an index into CAUSES; UNKNOWN: no error
-    by:    (n,) str, the adversaries, joined by "+" if several showed the same object; empty without an attack
+    by:    (n,) str, the adversaries, joined by "+" if several showed the same object; of a withheld object, the agents
+           whose tracks of it were not believed; empty for other causes
     switch_cause, switch_by: (k,) likewise for `Scores.switches`
     """
 
@@ -66,7 +83,7 @@ class Labels(NamedTuple):
 class Hidden:
     """Truth objects that were removed, moved or altered, with their frames.
 
-    parts: for each kind and passage: code of the cause, culprit (-1: a link), influenced series (s,) bool, ids of the
+    parts: for each kind and passage: the kind, culprit (-1: a link), influenced series (s,) bool, ids of the
            objects and frames (n,), sorted by both, and the number of frames after that for which it counts
     """
 
@@ -84,24 +101,37 @@ class Hidden:
                     continue
                 rows = rows[np.lexsort((hidden.frame[rows], hidden.object[rows]))]
                 culprit = int(hidden.culprit[rows[0]])
-                code = kind if culprit >= 0 else FAULT
                 lasts = int(hidden.lasts[rows[0]])
-                parts.append((code, culprit, hidden.reach[passage], hidden.object[rows], hidden.frame[rows], lasts))
+                parts.append((kind, culprit, hidden.reach[passage], hidden.object[rows], hidden.frame[rows], lasts))
         return cls(tuple(parts))
 
-    def recent(self, truth_id: Ints, frame: Ints, series: Ints) -> Iterator[tuple[int, int, Bools]]:
-        """For each part, code, culprit, and whether objects (n,) were recently hidden.
+    def recent(
+        self,
+        truth_id: Ints,
+        frame: Ints,
+        series: Ints,
+        own: Bools,
+        most: int | None = None,
+        received: Bools | None = None,
+    ) -> Iterator[tuple[int, int, Bools]]:
+        """For each part, code of the cause, culprit, and whether objects (n,) were recently hidden.
 
         They must have been hidden from an influenced series.
+        own: (s,) series of what the broker receives from an agent
+        most: largest number of frames after the manipulation; None: as long as that counts
+        received: (n,) objects that the broker received from some agent: no removal before it hid them; None: none
         """
         if not len(truth_id):
             return
-        for code, culprit, reach, ids, frames, lasts in self.parts:
+        for kind, culprit, reach, ids, frames, lasts in self.parts:
             span = int(max(frames.max(), frame.max())) + 1
             known = ids * span + frames
             last = np.searchsorted(known, truth_id * span + frame, side="right") - 1
-            same = (last >= 0) & (ids[last] == truth_id) & (frame - frames[last] <= lasts)
-            yield code, culprit, same & reach[series]
+            longest = lasts if most is None else min(lasts, most)
+            same = (last >= 0) & (ids[last] == truth_id) & (frame - frames[last] <= longest)
+            if received is not None and kind == REMOVED and (reach & own).any():
+                same &= ~received
+            yield (kind if culprit >= 0 else FAULT), culprit, same & reach[series]
 
 
 def joined_names(names: Sequence[str], by: Bools) -> NDArray[np.object_]:

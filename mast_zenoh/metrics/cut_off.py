@@ -73,6 +73,7 @@ class CutOff:
         silent: Bools,
         undelivered: Bools,
         min_points: int = 5,
+        displaced: Bools | None = None,
     ) -> CutOffObjects:
         """Objects known only to agents that are missing from the picture.
 
@@ -86,9 +87,10 @@ class CutOff:
         silent:     (f, a) of a agents: its tracks did not reach the broker in time
         undelivered:    (f, a) its tracks were not received in time by any node, including the evaluator
         min_points: lidar points from which an agent sees an object
+        displaced:  (n, a) the agent's tracks of the object of n rows of `truth` arrived elsewhere; None: nowhere
         """
         missing = self.missing(silent, undelivered, period_s)
-        if not missing.any():
+        if not missing.any() and (displaced is None or not displaced.any()):
             return CutOffObjects.nothing()
         ids, row = truth.boxes.id, truth.boxes.group
         judged = scores.judged
@@ -97,7 +99,8 @@ class CutOff:
             series = scores.every_series.get((agent, LOCAL), -1)
             own = (judged.series == series) & ~judged.is_track & (judged.outcome == MATCHED)
             tracked[:, k] = occurs((ids, frames[row]), (judged.id[own], judged.frame[own]))
-        disconnected, undelivered_rows = missing[row], self._extend_through_recovery(undelivered, period_s)[row]
+        disconnected = missing[row] if displaced is None else missing[row] | displaced
+        undelivered_rows = self._extend_through_recovery(undelivered, period_s)[row]
         tracked_by_missing = np.asarray((disconnected & tracked).any(axis=1))
         seen_by_missing = (disconnected & undelivered_rows & (truth.points >= min_points)).any(axis=1)
         only_missing = (tracked_by_missing | seen_by_missing) & ~(~disconnected & tracked).any(axis=1)

@@ -12,6 +12,9 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 KINDS = ("inserted", "removed", "moved", "altered")
 INSERTED, REMOVED, MOVED, ALTERED = range(len(KINDS))
 
+#: The columns of `Manipulations` with a row for each of them.
+COLUMNS = ("passage", "culprit", "kind", "frame", "object", "position", "original", "velocity", "lasts")
+
 
 @dataclass(frozen=True, slots=True)
 class Manipulations:
@@ -24,19 +27,23 @@ class Manipulations:
     frame:    (n,)
     object:   (n,) episode of an insertion, else the id of the truth object; below 0: unknown
     position: (n, 3) m, world frame: the claimed position, or the original one of a removed object
+    original: (n, 3) m, world frame: the original position; NaN for an inserted object
     velocity: (n, 3) m/s, world frame; zero if unknown
     lasts:    (n,) number of frames after its own in which it still counts
-    reach:    (p, s) bool: which of s series can be influenced through each of p passages
+    reach:    (p, s) bool: which of s series can lack or displace an object because of each of p passages
+    shown:    (p, s) bool: which can have a false track because of it
     """
 
     culprits: tuple[str, ...]
     reach: Bools
+    shown: Bools
     passage: Ints
     culprit: Ints
     kind: Ints
     frame: Ints
     object: Ints
     position: Floats
+    original: Floats
     velocity: Floats
     lasts: Ints
 
@@ -45,11 +52,26 @@ class Manipulations:
 
     def select(self, rows: Bools | Ints) -> Manipulations:
         """The rows selected by a mask or an index array."""
-        columns = ("passage", "culprit", "kind", "frame", "object", "position", "velocity", "lasts")
-        return Manipulations(self.culprits, self.reach, *(getattr(self, name)[rows] for name in columns))
+        return Manipulations(self.culprits, self.reach, self.shown, *(getattr(self, name)[rows] for name in COLUMNS))
+
+    def first_shown(self, series: Ints, by: Bools, span: int) -> Ints:
+        """First frame (n,) in which any of the culprits (n, c) showed an object; `span` if none did.
+
+        The object must be visible in the series. For rows without a culprit, links are used.
+        """
+        first_frame = np.full((len(self.culprits) + 1, self.shown.shape[1]), span)  # the last row is for links
+        shows = np.isin(self.kind, (INSERTED, MOVED))
+        for culprit in range(-1, len(self.culprits)):
+            rows = (shows & (self.culprit == culprit)).nonzero()[0]
+            if len(rows):
+                frame = np.where(self.shown[self.passage[rows]], self.frame[rows, None], span)
+                first_frame[culprit] = frame.min(axis=0)
+        responsible = np.column_stack([by, ~by.any(axis=1)])
+        return np.asarray(np.where(responsible, first_frame[:, series].T, span).min(axis=1))
 
 
 def no_manipulations(n_series: int) -> Manipulations:
     """Manipulations without rows."""
     zero, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
-    return Manipulations((), np.zeros((0, n_series), bool), zero, zero, zero, zero, zero, nowhere, nowhere, zero)
+    no_reach = np.zeros((0, n_series), bool)
+    return Manipulations((), no_reach, no_reach, zero, zero, zero, zero, zero, nowhere, nowhere, nowhere, zero)

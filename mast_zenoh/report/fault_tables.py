@@ -11,7 +11,7 @@ from rich.table import Table
 from mast_zenoh.report.tables.scores import DASH
 
 #: Groups of causes, as in `fn_split` and `fp_split` of metrics.json.
-CAUSE_GROUPS = ("fault", "attack", "natural")
+CAUSE_GROUPS = ("fault", "attack", "withheld", "natural")
 _PERCENTILES = ("p50", "p95", "p99")
 _MAIN_WIRES = ("tracks", "collated", "picture")
 _SPLITS = (("fn_split", "missed"), ("fp_split", "false"))

@@ -194,7 +194,7 @@ def _write_run(
         "bad_verdicts": BAD,
         "results": run.results,
         "blamed": CAUSE_GROUPS,
-        "blame": cause_rows(run.metrics) if run.faulted else [],
+        "blame": cause_rows(run.metrics) if run.faulted or run.withholds else [],
         "checks": check_rows(run.checks),
         "healed": healing(run),
         "latency": latency_rows(run.metrics),

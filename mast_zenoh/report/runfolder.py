@@ -227,6 +227,24 @@ class RunFolder:
         """Whether links or faults are part of the run."""
         return with_faults(self.scenario)
 
+    @property
+    def withholds(self) -> bool:
+        """Whether objects are missed because the command centre withheld them."""
+        return (
+            self.objects is not None and "cause" in self.objects and bool((self.objects["cause"] == "withheld").any())
+        )
+
+    @property
+    def defence(self) -> str:
+        """The type of the command centre's integrity stage; empty: none, or not known."""
+        for spec in self.scenario.get("nodes", {}).values():
+            value = spec
+            for key in ("config", "pipeline", "integrity", "type"):
+                value = value.get(key) if isinstance(value, dict) else None
+            if isinstance(value, str):
+                return value.rpartition(":")[2]
+        return ""
+
     def summary(self, estimate: str, agent: str | None = None) -> dict[str, Any]:
         """The metrics of one estimate of an agent, by default the ego; empty: none."""
         scores: dict[str, Any] = self.metrics.get("agents", {}).get(agent or self.ego or "", {}).get(estimate, {})

@@ -67,7 +67,7 @@ def show_loaded(console: Console, run: RunFolder, reference: Reference | None = 
 
 
 def _show_causes(console: Console, runs: Mapping[str, RunFolder], agent: str) -> None:
-    causes = cause_table({label: run.metrics for label, run in runs.items() if run.faulted}, agent)
+    causes = cause_table({label: run.metrics for label, run in runs.items() if run.faulted or run.withholds}, agent)
     if causes is not None:
         console.print(causes)
 

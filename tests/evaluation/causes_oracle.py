@@ -11,7 +11,7 @@ from played import Played
 
 ATTACKS = ("inserted", "removed", "moved", "altered")
 COAST, FRESH = 40, 10  # frames: 4 s and 1 s
-LIE_M, OBJECT_M, ASTRAY_M = 5.0, 3.0, 6.0
+LIE_M, OBJECT_M, ASTRAY_M = 2.0, 3.0, 6.0
 MIN_POINTS = 5
 DOWNLINK = ("picture_received", "picture_on_arrival", "mission")
 Row = dict[str, Any]
@@ -46,6 +46,9 @@ class Causes:
         self.local = {
             agent: played.metrics["same_as"].get(agent, {}).get("local", "local") for agent in self.run.agents
         }
+        self.arrived = {
+            agent: played.metrics["same_as"].get(agent, {}).get("received", "received") for agent in self.run.agents
+        }
         self.attacks = [row for row in self.run.attacks if row["role"] != "link" and row["effect"] in ATTACKS]
         self.hiding: dict[int, list[Row]] = defaultdict(list)
         self.showing: dict[int, list[Row]] = defaultdict(list)
@@ -61,17 +64,53 @@ class Causes:
                 self.hiding[attack["object"]].append(attack)
 
     def hidden(self, row: Row) -> dict[str, set[str]]:
-        """Adversaries that manipulated a missed object in the last 4 s, by kind."""
+        """Adversaries that manipulated a missed object in the last second, by kind."""
         by_kind: dict[str, set[str]] = defaultdict(set)
+        central = row["estimator"] not in ("local", "received")
         for attack in self.hiding[row["id"]]:
             late = row["frame"] - attack["frame"]
-            if 0 <= late <= COAST and reaches(attack, row["agent"], row["estimator"]):
+            if attack["effect"] == "removed" and attack["message"] != "picture" and central and self.received(row):
+                continue
+            if attack["effect"] == "removed" and attack["message"] == "detections" and not self.would_track(attack):
+                continue
+            if 0 <= late <= FRESH and reaches(attack, row["agent"], row["estimator"]):
                 by_kind[attack["effect"]].add(attack["interposer"])
         return by_kind
 
+    def received(self, row: Row) -> bool:
+        """Whether the broker received a good track of a truth object from some agent."""
+        return any(
+            self.of[agent, self.arrived[agent], "truth", row["id"]].get(row["frame"], {}).get("outcome") == "matched"
+            for agent in self.run.agents
+        )
+
+    def would_track(self, attack: Row) -> bool:
+        """Whether an agent would have a track of an object of which a detection was removed."""
+        agent = self.run.agents.index(attack["wire"].split("/")[1])
+        seen = 0
+        for frame in range(attack["frame"] - FRESH + 1, attack["frame"] + 1):
+            body = self.run.truth.get(frame)
+            ids = [] if body is None else body["id"].tolist()
+            seen += attack["object"] in ids and body["points"][ids.index(attack["object"]), agent] >= MIN_POINTS
+        removed = {
+            other["frame"]
+            for other in self.hiding[attack["object"]]
+            if other["wire"] == attack["wire"] and other["effect"] == "removed"
+        }
+        recent = range(attack["frame"] - 2 * FRESH + 1, attack["frame"] + 1)
+        return seen >= 0.8 * FRESH and len(removed.intersection(recent)) >= 3
+
+    def genuine(self, row: Row) -> bool:
+        """Whether an agent has a false track there without an attack, and this is another estimate."""
+        return row["estimator"] != "local" and any(
+            other["outcome"] == "false" and other["cause"] not in ATTACKS and apart(other, row) <= LIE_M
+            for agent in self.run.agents
+            for other in self.at[agent, self.local[agent], row["frame"]]
+        )
+
     def shown(self, row: Row) -> bool:
         """Whether an adversary inserted an object at a false track, in its frame."""
-        return any(
+        return not self.genuine(row) and any(
             math.dist((attack["after_x"], attack["after_y"]), (row["x"], row["y"])) <= LIE_M
             and reaches(attack, row["agent"], row["estimator"])
             for attack in self.showing[row["frame"]]

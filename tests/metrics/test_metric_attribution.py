@@ -12,6 +12,8 @@ from metric_oracles import cars
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Record, Series, causes_of
 from mast_zenoh.metrics.record import Snapshot
+from mast_zenoh.metrics.trust import TrustUpdate
+from mast_zenoh.metrics.withheld import Withheld
 
 NOTHING = ObjectStates.empty()
 
@@ -19,15 +21,24 @@ NOTHING = ObjectStates.empty()
 def recorded(truth, picture, local=None, points=None) -> Record:
     """A run of the ego alone.
 
-    truth, picture: a set of cars for each frame; local: the ego's own tracks
+    truth, picture: a set of cars for each frame; local: the ego's own tracks, by default those of the picture that
+    are within 1 m of a true object
     """
     record = Record(["ego"])
     for frame, (objects, tracks) in enumerate(zip(truth, picture, strict=True)):
         n_points = np.full((len(objects), 1), 50) if points is None else np.array(points[frame]).reshape(-1, 1)
         record.add_truth(frame, objects, n_points, np.zeros((1, 3)), np.array([-1]))
         record.add(frame, [Series("", "picture")], Snapshot.of(tracks))
-        record.add(frame, [Series("ego", "local")], Snapshot.of((picture if local is None else local)[frame]))
+        record.add(
+            frame, [Series("ego", "local")], Snapshot.of(good(objects, tracks) if local is None else local[frame])
+        )
     return record
+
+
+def good(objects: ObjectStates, tracks: ObjectStates) -> ObjectStates:
+    """The tracks within 1 m of a true object."""
+    apart = np.linalg.norm(tracks.position[:, None] - objects.position, axis=2)
+    return tracks.select((apart <= 1.0).any(axis=1))
 
 
 def cause_table(truth, picture, manipulations: tuple[Row, ...] | list[Row] = (), local=None, points=None):
@@ -202,7 +213,7 @@ def test_causes_are_counted_by_estimate_in_the_scored_frames() -> None:
     counted = causes_of(scores, labels.cause, labels.switch_cause, np.arange(8))
     by_series = dict(zip(scores.series, counted, strict=True))
     assert by_series["ego", "picture"]["causes"] == {"fp": {"inserted": 3}, "fn": {}, "id_switches": {}}
-    assert by_series["ego", "picture"]["fp_split"] == {"fault": 0.0, "attack": 3 / 8, "natural": 0.0}
+    assert by_series["ego", "picture"]["fp_split"] == {"fault": 0.0, "attack": 3 / 8, "withheld": 0.0, "natural": 0.0}
     assert by_series["ego", "local"]["causes"] == {"fp": {}, "fn": {}, "id_switches": {}}
 
 
@@ -220,7 +231,8 @@ def test_an_attack_on_one_agents_detections_does_not_affect_another_agents_own_t
     def cause(agent: str, estimator: str) -> set[str]:
         return set(table["cause"][(table["agent"] == agent) & (table["estimator"] == estimator)])
 
-    assert cause("infra_1", "local") == cause("ego", "picture") == {"inserted"}
+    assert cause("infra_1", "local") == {"inserted"}
+    assert cause("ego", "picture") == {"clutter"}  # the ego reports it too, without the attack
     assert cause("ego", "local") == {"clutter"}
 
 
@@ -247,3 +259,46 @@ def test_an_identity_switch_after_hiding_is_attributed_to_the_adversary(same_obj
 def test_an_empty_run_has_no_causes() -> None:
     assert causes(cause_table([], [])) == []
     assert causes(cause_table([NOTHING], [NOTHING])) == []
+
+
+def trust(frame: int, withheld: tuple[tuple[float, float], ...] = (), suspended: bool = False) -> TrustUpdate:
+    """A message about trust in infra_1 and infra_2, of whom the second may be suspended."""
+    n = len(withheld)
+    return TrustUpdate(
+        frame,
+        {
+            "agents": ["infra_1", "infra_2"],
+            "state": np.array([1, 3 if suspended else 1], np.uint8),
+            "log_odds": np.zeros(2),
+            "reason": ["", ""],
+            "position": np.array([(*place, 0.0) for place in withheld]).reshape(n, 3),
+            "withheld": np.ones(n, np.uint8),
+        },
+    )
+
+
+def defended(frames: int, reporting: tuple[str, ...], updates: list[TrustUpdate]) -> list[tuple[int, str, str, str]]:
+    """Causes of errors where agents report a car that is not in the picture."""
+    agents = ("infra_1", "infra_2")
+    record = Record(agents)
+    for frame in range(frames):
+        record.add_truth(frame, CAR, np.full((1, 2), 50), np.zeros((2, 3)), np.array([-1, -1]))
+        record.add(frame, [Series("", "picture")], Snapshot.of(NOTHING))
+        for agent in agents:
+            record.add(frame, [Series(agent, "local")], Snapshot.of(CAR if agent in reporting else NOTHING))
+    eve = [("eve", frame, "removed", 0, (0.5, 0.0), (0.0, 0.0)) for frame in range(frames)]
+    withheld = Withheld.of(updates, agents, np.arange(frames), 3)
+    return causes(explained(record, effects(*eve), withheld=withheld))[: frames - 10]
+
+
+def test_a_missed_object_that_the_command_centre_withheld_is_not_attributed_to_the_attack() -> None:
+    updates = [trust(frame, ((0.4, 0.0), (30.0, 0.0))) for frame in range(12)]
+    rows = defended(12, ("infra_1", "infra_2"), updates)
+    assert rows == [(frame, "truth", "withheld", "infra_1+infra_2") for frame in range(2)]
+
+
+def test_a_missed_object_that_only_a_suspended_agent_reports_is_withheld() -> None:
+    updates = [trust(frame, suspended=True) for frame in range(12)]
+    assert defended(12, ("infra_2",), updates) == [(frame, "truth", "withheld", "infra_2") for frame in range(2)]
+    assert {cause for _, _, cause, _ in defended(12, ("infra_1", "infra_2"), updates)} != {"withheld"}
+    assert {cause for _, _, cause, _ in defended(12, (), updates)} == {"removed"}

@@ -185,7 +185,12 @@ def test_simultaneous_attack_partition_and_natural_errors_are_distinguished() ->
     assert causes_by_id == {1: {"link or fault"}, 2: {"removed"}, 3: {"occlusion or range"}, 4: set()}
     missing = (table["kind"] == "truth") & (table["outcome"] == "missed")
     counted = dict(zip(*np.unique(table["cause"][missing], return_counts=True), strict=True))
-    assert split(counted, FRAMES) == {"fault": 20 / FRAMES, "attack": 20 / FRAMES, "natural": 20 / FRAMES}
+    assert split(counted, FRAMES) == {
+        "fault": 20 / FRAMES,
+        "attack": 20 / FRAMES,
+        "withheld": 0.0,
+        "natural": 20 / FRAMES,
+    }
 
 
 def test_own_tracks_of_an_agent_are_never_blamed_on_a_disconnection() -> None:
@@ -327,4 +332,4 @@ def test_objects_are_looked_up_by_frame_and_id() -> None:
 
 
 def test_without_frames_there_is_no_split_by_cause() -> None:
-    assert split({}, 0) == {"fault": None, "attack": None, "natural": None}
+    assert split({}, 0) == {"fault": None, "attack": None, "withheld": None, "natural": None}

@@ -300,8 +300,8 @@ def blamed(linked, *, at: Any = None, passes: Any = None, frames: int = 30, **co
 def test_a_missed_object_without_any_loss_is_natural(linked) -> None:
     causes = blamed(linked)
     assert causes["causes"]["fn"] == {"fusion": 5}
-    assert causes["fn_split"] == {"fault": 0.0, "attack": 0.0, "natural": pytest.approx(5 / 30)}
-    assert causes["fp_split"] == {"fault": 0.0, "attack": 0.0, "natural": 0.0}
+    assert causes["fn_split"] == {"fault": 0.0, "attack": 0.0, "withheld": 0.0, "natural": pytest.approx(5 / 30)}
+    assert causes["fp_split"] == {"fault": 0.0, "attack": 0.0, "withheld": 0.0, "natural": 0.0}
 
 
 def test_a_missed_object_after_a_dropped_message_is_due_to_the_fault_even_if_unreported(linked) -> None:

@@ -8,20 +8,21 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mast_zenoh.metrics import ATTACK_CAUSES, CAUSES, FAULT_CAUSES
+from mast_zenoh.metrics import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES
 from mast_zenoh.report.figures.bands import HATCH, bands, shade
 from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, Figure, light_axes
 from mast_zenoh.report.figures.timeaxis import padded, rows_over_time
 from mast_zenoh.report.runfolder import RunFolder
 
 _ROWS = (("truth", "missed", "missed objects"), ("track", "false", "false objects"))
-#: From the bottom up: natural causes in greys, then links and faults, then attacks.
-_NATURAL = tuple(cause for cause in CAUSES if cause not in (*FAULT_CAUSES, *ATTACK_CAUSES))
+#: From the bottom up: natural causes in greys, then links and faults, the defence, then attacks.
+_NATURAL = tuple(cause for cause in CAUSES if cause not in (*FAULT_CAUSES, *DEFENCE_CAUSES, *ATTACK_CAUSES))
 _GREYS = ("#4b535d", "#6f7883", "#939ba6", "#b4bac3", "#d0d5db", "#e6e9ec")
 _HOSTILE = (ADVERSARY_ON_LIGHT, "#d35fbb", "#e391cf", "#f0c4e5")
 _COLOURS = {
     **dict(zip(_NATURAL, _GREYS, strict=True)),
     **dict.fromkeys(FAULT_CAUSES, "#d9b25c"),
+    **dict.fromkeys(DEFENCE_CAUSES, "#3f8f8a"),
     **dict(zip(ATTACK_CAUSES, _HOSTILE, strict=True)),
 }
 
@@ -29,10 +30,12 @@ _COLOURS = {
 def causes_over_time(run: RunFolder, frame: int | None) -> Figure | None:
     """Missed and false objects of the ego's picture by time, stacked by cause.
 
-    frame: marked by a line, if given. Returns None if there is no link or fault, or causes are not known.
+    frame: marked by a line, if given
+
+    Returns None if there is no link, fault or withheld object, or causes are not known.
     """
     objects, counts = run.objects, run.counts_of("picture")
-    if not run.faulted or counts is None or objects is None or "cause" not in objects:
+    if not (run.faulted or run.withholds) or counts is None or objects is None or "cause" not in objects:
         return None
     frames = counts["frame"].astype(np.int64)
     seconds = run.seconds(frames)

@@ -1,4 +1,4 @@
-"""Names the measured causes of a change: adversaries, links and faults.
+"""Names the measured causes of a change: adversaries, links and faults, and the defence.
 
 Over a reference run, a cause is named only if the runs differ in nothing but adversaries, errors increase, and the
 adversary's changes can reach the estimate. A decrease has no cause.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mast_zenoh.report.narrative.changes import DISPLACED, MIN_CULPRIT_SHARE, Change
+from mast_zenoh.report.narrative.changes import DISPLACED, MIN_CULPRIT_SHARE, Change, withheld_from
 from mast_zenoh.report.narrative.other_differences import attacking_nodes, join_differences, other_differences
 from mast_zenoh.report.narrative.phrases import amount, count, join_names
 from mast_zenoh.report.narrative.reach import reaches
@@ -39,7 +39,7 @@ def cause_clause(run: RunFolder, change: Change, reference: RunFolder) -> str:
 
 
 def causes(run: RunFolder, change: Change, reference: RunFolder | None = None) -> list[str]:
-    """Adversaries, links and faults that cause a change.
+    """Adversaries, links, faults and the defence that cause a change.
 
     May be empty with a reference.
 
@@ -54,6 +54,8 @@ def causes(run: RunFolder, change: Change, reference: RunFolder | None = None) -
     own_displacement = reference is None and change.kind == DISPLACED and not descriptions
     if change.is_fault or own_displacement:
         descriptions = descriptions + _faults(run, any_effect=own_displacement and not change.is_fault)
+    if change.is_withheld:
+        descriptions = [*descriptions, _defence(run, change)]
     return descriptions or ["adversaries"] if reference is None else descriptions
 
 
@@ -75,6 +77,14 @@ def culprit_names(run: RunFolder, change: Change, reference: RunFolder | None = 
     candidates = measured if change.is_attack else acting if exact else []
     added = attacking_nodes(run) - attacking_nodes(reference)
     return [name for name in candidates if name in added and reaches(run, name, change.estimate, change.agent)]
+
+
+def _defence(run: RunFolder, change: Change) -> str:
+    """The integrity stage, and the agents of which it withheld what they reported."""
+    agents = [name for name, _ in withheld_from(run, change.estimate).most_common()] if change.agent == run.ego else []
+    of_whom = f"{count(len(agents))} agents" if len(agents) > _MAX_NAMED else join_names(sorted(agents))
+    what = f"objects that {of_whom} reported" if agents else "objects"
+    return f"{run.defence or 'the command centre'}, which withheld {what}"
 
 
 def _faults(run: RunFolder, *, any_effect: bool = False) -> list[str]:

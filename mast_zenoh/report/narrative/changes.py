@@ -31,6 +31,9 @@ IN_TRANSIT = ("picture_received", "picture_on_arrival")
 MIN_TRANSFERRED_SHARE = 0.2
 
 
+#: Groups of causes that are not natural, as in `fn_split` of metrics.json.
+_GROUPS = ("attack", "fault", "withheld")
+
 #: The metrics of one estimate of one agent, as in metrics.json.
 Summary = dict[str, Any]
 
@@ -41,7 +44,8 @@ class Change:
 
     amount: false, missed: objects per frame; displaced: m, of the RMSE; identity: switches in the run
     weight: objects per frame, see OBJECT_M2; below zero: fewer errors
-    attack, fault: the parts of `amount` due to attacks, and to links and faults; None: not measured
+    attack, fault, withheld: the parts of `amount` due to attacks, to links and faults, and to what the command centre
+            withheld; None: not measured
     by:     rows by responsible adversary; may be empty
     """
 
@@ -52,6 +56,7 @@ class Change:
     weight: float
     attack: float | None = None
     fault: float | None = None
+    withheld: float | None = None
     by: Counter[str] = field(default_factory=Counter)
 
     @property
@@ -63,6 +68,11 @@ class Change:
     def is_fault(self) -> bool:
         """Whether links and faults cause a share of at least MIN_NAMED_SHARE."""
         return self.fault is not None and _share(self.fault, self.amount) >= MIN_NAMED_SHARE
+
+    @property
+    def is_withheld(self) -> bool:
+        """Whether the command centre withheld a share of at least MIN_NAMED_SHARE."""
+        return self.withheld is not None and _share(self.withheld, self.amount) >= MIN_NAMED_SHARE
 
 
 def against(run: RunFolder, reference: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
@@ -85,31 +95,34 @@ def between(
         if value is None or reference_value is None:
             continue
         weight = _weight(run, kind, here, value) - _weight(run, kind, there, reference_value)
-        attack, fault = (_part(here, kind, group, there) for group in ("attack", "fault"))
+        attack, fault, withheld = (_part(here, kind, group, there) for group in _GROUPS)
         if kind == DISPLACED:
             attack = _displacement(run, estimate)[0] if agent == run.ego else None
         changes.append(
-            _change(run, agent or run.ego or "", estimate, kind, (value - reference_value, weight, attack, fault))
+            _change(
+                run, agent or run.ego or "", estimate, kind, (value - reference_value, weight, attack, fault, withheld)
+            )
         )
     return changes
 
 
 def attributed(run: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
-    """Errors of a run due to attacks, links and faults, by its own measurements."""
+    """Errors of a run due to attacks, links and faults, and the defence, by its own measurements."""
     changes = []
     for agent in agents or [run.ego or ""]:
         for estimate in ESTIMATES:
             here = run.summary(estimate, agent)
             for kind in (FALSE, MISSED, IDENTITY):
-                attack, fault = _part(here, kind, "attack"), _part(here, kind, "fault")
+                attack, fault, withheld = (_part(here, kind, group) for group in _GROUPS)
                 if attack is not None and fault is not None:
-                    amount = attack + fault
-                    changes.append(
-                        _change(run, agent, estimate, kind, (amount, _weight(run, kind, here, amount), attack, fault))
-                    )
+                    amount = attack + fault + (withheld or 0.0)  # a run of an earlier version does not have it
+                    weight = _weight(run, kind, here, amount)
+                    changes.append(_change(run, agent, estimate, kind, (amount, weight, attack, fault, withheld)))
             displacement_m, weight = _displacement(run, estimate) if agent == run.ego else (None, 0.0)
             if displacement_m is not None:
-                changes.append(_change(run, agent, estimate, DISPLACED, (displacement_m, weight, displacement_m, 0.0)))
+                changes.append(
+                    _change(run, agent, estimate, DISPLACED, (displacement_m, weight, displacement_m, 0.0, 0.0))
+                )
     return changes
 
 
@@ -157,7 +170,11 @@ def largest_change(run: RunFolder, reference: RunFolder | None) -> Change | None
 
 
 def _change(
-    run: RunFolder, agent: str, estimate: str, kind: str, numbers: tuple[float, float, float | None, float | None]
+    run: RunFolder,
+    agent: str,
+    estimate: str,
+    kind: str,
+    numbers: tuple[float, float, float | None, float | None, float | None],
 ) -> Change:
     by = culprits(run, estimate, kind) if agent == run.ego and numbers[2] else Counter[str]()
     return Change(agent, estimate, kind, *numbers, by)
@@ -171,8 +188,8 @@ def culprits(run: RunFolder, estimate: str, kind: str) -> Counter[str]:
         selected = (
             (table["estimator"] == run.original(estimate)) & (table["outcome"] == outcome) & (table["kind"] == box_kind)
         )
-        selected &= (table["by"] != "") & scored(run, table["frame"])
-        return Counter(name for names in table["by"][selected].tolist() for name in str(names).split("+") if name)
+        selected &= (table["by"] != "") & (table["cause"] != "withheld") & scored(run, table["frame"])
+        return _names(table["by"][selected])
     if kind == DISPLACED and run.targets is not None:
         moved = np.isin(run.targets["kind"], ("moved", "altered")) & scored(run, run.targets["frame"])
         return Counter(run.targets["adversary"][moved].tolist())
@@ -180,6 +197,20 @@ def culprits(run: RunFolder, estimate: str, kind: str) -> Counter[str]:
     achieved: dict[str, Any] = run.metrics.get("achieved", {})
     switches = {name: each.get(f"id_switches_{viewer}", 0) for name, each in achieved.items() if name != "all"}
     return Counter({name: count for name, count in switches.items() if count})
+
+
+def withheld_from(run: RunFolder, estimate: str) -> Counter[str]:
+    """Number of the ego's missed objects in scored frames that the centre withheld, by agent that reported them."""
+    if run.objects is None or "by" not in run.objects:
+        return Counter()
+    table = run.objects
+    selected = (table["estimator"] == run.original(estimate)) & (table["cause"] == "withheld")
+    return _names(table["by"][selected & scored(run, table["frame"])])
+
+
+def _names(by: np.ndarray) -> Counter[str]:
+    """How often each name is in a column `by`."""
+    return Counter(name for names in by.tolist() for name in str(names).split("+") if name)
 
 
 def scored(run: RunFolder, frames: np.ndarray) -> np.ndarray:
@@ -230,7 +261,7 @@ def _frames(run: RunFolder) -> int:
 
 
 def _part(summary: Summary, kind: str, group: str, reference: Summary | None = None) -> float | None:
-    """The part of a score due to attacks or faults over a reference; None: unknown."""
+    """The part of a score due to a group of causes over a reference; None: unknown."""
     here = (summary.get(f"{KEYS[kind]}_split") or {}).get(group)
     if reference is None or here is None:
         return here

@@ -208,15 +208,18 @@ def _verdicts(all_interposers: Sequence[Interposer]) -> list[str]:
 
 
 def _blame(run: RunFolder) -> list[str]:
-    """Causes of the picture's missed objects; empty without links and faults."""
+    """Causes of the picture's missed objects; empty without links and faults, and if nothing is withheld."""
     split = run.summary("picture").get("fn_split") or {}
-    if not run.faulted or split.get("fault") is None or split.get("attack") is None:
+    if split.get("fault") is None or split.get("attack") is None:
         return []
-    attack = f", {split['attack']:.2f} because of attacks" if split["attack"] > 0.0 else ""
-    return [
-        f"Of the objects that the picture misses, {split['fault']:.2f} a frame are missed because of links and "
-        f"faults{attack}, and {split['natural']:.2f} would be missed anyway."
-    ]
+    parts = [f"{split['fault']:.2f} a frame are missed because of links and faults"] if run.faulted else []
+    if split.get("withheld"):
+        parts.append(f"{split['withheld']:.2f} a frame are missed because the command centre withheld them")
+    if not parts:
+        return []
+    parts += [f"{split['attack']:.2f} because of attacks"] if split["attack"] > 0.0 else []
+    natural = f"{split['natural']:.2f} would be missed anyway"
+    return [f"Of the objects that the picture misses, {', '.join(parts)}, and {natural}."]
 
 
 def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:

@@ -31,6 +31,7 @@ const CAUSES = {
   moved: "its object was moved",
   removed: "its object was removed",
   altered: "its object was altered",
+  withheld: "withheld by the command centre",
 };
 
 /**
@@ -51,6 +52,7 @@ export function describe(box) {
   if (box.kind === "track") lines.push(`score ${box.score.toFixed(2)}`);
   if (box.error !== null) lines.push(`error ${box.error.toFixed(2)} m from object ${box.match}`);
   if (box.sx) lines.push(`claims σ ${box.sx.toFixed(2)} m, ${box.sy.toFixed(2)} m`);
-  if (box.cause) lines.push(`cause: ${CAUSES[box.cause] ?? box.cause}${box.by ? ` by ${box.by.replaceAll("+", ", ")}` : ""}`);
+  const by = box.cause === "withheld" ? ", reported by" : " by";
+  if (box.cause) lines.push(`cause: ${CAUSES[box.cause] ?? box.cause}${box.by ? `${by} ${box.by.replaceAll("+", ", ")}` : ""}`);
   return lines;
 }
