@@ -61,6 +61,7 @@ class Resolved:
     steps: actions on processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
     messages: the message types that its nodes declare; the codec must know them (`user_types.use`) when nodes are built
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
+    max_rows: limits on the rows of a message by type, see `row_limits`; none in earlier versions
     """
 
     name: str
@@ -78,6 +79,7 @@ class Resolved:
     network: dict[str, Any] = field(default_factory=dict)
     leeway_ns: int | None = None
     messages: tuple[Schema, ...] = ()
+    max_rows: dict[str, int] = field(default_factory=dict)
     recording: Recording | None = field(default=None, compare=False)
 
     @property
@@ -103,7 +105,7 @@ class Resolved:
             for name, spec in self.nodes.items()
         }
         names = ["name", "seed", "mode", "rate", "frames", "period_ns", "leeway_ns"]
-        names += ["scene", "modules", "timeline", "network"]
+        names += ["scene", "modules", "timeline", "network", "max_rows"]
         steps = [step._asdict() for step in self.steps]
         declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
         return {**{name: getattr(self, name) for name in names}, **declared, "steps": steps, "nodes": nodes}

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.kernels import kernel
+from mast_zenoh.messages.row_limits import shortened
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Schema
 
 MAX_BYTES = 16 * 1024 * 1024  #: limit of a message
@@ -113,16 +114,21 @@ class Layout:
         sizes = tuple([body[name].shape[axis] for name, axis in self._sources])
         return self._plans.get(sizes) or self.plan(sizes)
 
-    def unpack(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
-        """The columns of a packed body; None if it is invalid in any way."""
+    def unpack(self, body: Mapping[str, Any], limited: bool) -> Body | None:
+        """The columns of a packed body; None if it is invalid in any way.
+
+        limited: without the rows beyond the limit of the schema, which are not checked
+        """
         try:
             plan = self.plan(tuple([body[name][1][axis] for name, axis in self._sources]))
         except (KeyError, IndexError, TypeError, ValueError):
             return None
         columns = packed_columns(body, plan)
-        if columns is None or not sound_values(columns, plan.names, plan.limits) <= MAX_SQUARES:
+        if columns is None:
             return None
-        return columns
+        kept = shortened(self.schema.name, columns) if limited else columns
+        checked = columns if kept is columns else dict(kept)
+        return kept if sound_values(checked, plan.names, plan.limits) <= MAX_SQUARES else None
 
     def is_valid(self, body: Body) -> bool:
         """Whether the values of a body that `conform` made are valid."""

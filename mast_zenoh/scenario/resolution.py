@@ -14,7 +14,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
-from mast_zenoh.messages import user_types
+from mast_zenoh.messages import row_limits, user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
@@ -87,6 +87,7 @@ def resolve(
         network=timeline.network,
         leeway_ns=_leeway_ns(built_nodes, recording, n_frames) if _uses_shipped_simulator(nodes) else None,
         messages=messages,
+        max_rows=_max_rows(recording, options["max_rows"]),
         recording=recording,
     )
 
@@ -127,6 +128,15 @@ def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:
     """Whether the shipped simulator plays the scene; others may use other times."""
     shipped = (bundle.ROOT / "nodes" / "simulator.py").resolve()
     return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == DRIVER_ROLE)
+
+
+def _max_rows(recording: Recording, per_agent: int | None) -> dict[str, int]:
+    """Limits on the rows of messages, from what the sensors of a scene detect; per_agent: the scenario's own."""
+    sensors = [len(agent.sensors) for agent in recording.agents]
+    counts = np.diff(recording.detection_start).reshape(-1, sum(sensors))
+    by_agent = np.add.reduceat(counts, np.cumsum([0, *sensors[:-1]]), axis=1)
+    objects = int(np.diff(recording.truth_start).max(initial=0))
+    return row_limits.limits_for(by_agent, objects, per_agent)
 
 
 def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:

@@ -128,7 +128,7 @@ class Overheard:
         if isinstance(self._content, Message):
             if self._flaw:
                 raise MessageError(self._flaw)
-            return self._content.body
+            return codec.limited(self._content).body
         return codec.decode(self._content, self.wire.message).body
 
     def check(self) -> None:
