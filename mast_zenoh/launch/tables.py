@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.unpacking.parquet import read as read_arrow
+from mast_zenoh.unpacking import parquet as bounded_parquet
 from mast_zenoh.unpacking.text import check_expanded
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
@@ -61,6 +61,14 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
         return from_arrow(read_arrow(path))
     except (OSError, pyarrow.ArrowException) as error:
         raise RunFolderError(f"{path}: {error}") from None
+
+
+def read_arrow(path: Path) -> Any:
+    """Read a Parquet file as an Arrow table.
+
+    Raises OSError or ArrowException if it is missing, broken or too large when unpacked.
+    """
+    return bounded_parquet.read(path)
 
 
 def to_arrow(columns: Mapping[str, Any]) -> Any:

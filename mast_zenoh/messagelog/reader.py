@@ -308,7 +308,7 @@ def _unpacked(chunk: Chunk) -> bytes:
     if chunk.compression:
         size = zstandard.frame_content_size(chunk.data)  # the decompressor allocates this much; -1: it is not given
     if size not in (-1, chunk.uncompressed_size):
-        raise ValueError(f"found {size} bytes in one chunk, expected {chunk.uncompressed_size}, which it claims to have")
+        raise ValueError(f"found {size} bytes in one chunk, which claims to have {chunk.uncompressed_size}")
     if not chunk.compression:
         return chunk.data
     return zstandard.decompress(chunk.data, chunk.uncompressed_size)

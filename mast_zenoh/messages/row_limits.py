@@ -1,4 +1,6 @@
-"""Limits on the rows of a message: what the sensors of a scene can see. Rows beyond are dropped before they cost anything.
+"""Limits on the rows of a message: what the sensors of a scene can see.
+
+Rows beyond are dropped before they cost anything.
 
 One node that sends 20,000 objects would otherwise slow every node that compares, fuses or scores them. The rows that
 are kept do not depend on their order: those with the highest scores, then the lowest ids, then the lowest positions.
@@ -27,6 +29,7 @@ class Shortened(dict[str, Any]):
     found: int
 
 
+#: The latest message with too many rows, and what is left of it: in one process, all subscribers get the same message.
 _latest: tuple[Body, Shortened] | None = None
 
 
@@ -58,13 +61,13 @@ def excess(body: Body) -> str:
 
 
 def shortened(schema: str, columns: Body) -> Body:
-    """The columns without the rows beyond the limit of their type, values unchecked; the same object if there are none."""
+    """The columns without the rows beyond the limit of their type; the same object if there are none."""
     global _latest
     limit = LIMITS.get(schema)
     if limit is None or len(columns["score"]) <= limit:
         return columns
     if _latest is not None and _latest[0] is columns:
-        return _latest[1]  # in one process, all subscribers get the same message
+        return _latest[1]
     score, position = columns["score"], columns["position"]
     ids = [columns["id"]] if "id" in columns else []
     rows = _lowest([-score, *ids, *position.T], limit)

@@ -11,7 +11,14 @@ from mast_zenoh.errors import ConfigurationError, nearest
 MODES = ("lockstep", "realtime")
 
 #: The `run` part of a scenario.
-RUN_DEFAULTS: dict[str, Any] = {"mode": "lockstep", "rate": 1.0, "frames": None, "seed": 0, "record": True, "max_rows": None}
+RUN_DEFAULTS: dict[str, Any] = {
+    "mode": "lockstep",
+    "rate": 1.0,
+    "frames": None,
+    "seed": 0,
+    "record": True,
+    "max_rows": None,
+}
 #: Keys whose values are dicts; `coordinator` may be None.
 _DICTS = (
     *("broker", "command_center", "evaluator", "coordinator"),

@@ -54,7 +54,7 @@ def _check_size(file: Any, max_bytes: int) -> None:
             continue
         try:
             size += _unpacked_size(message.metadata.to_pybytes(), message.body, columns)
-        except (struct.error, TypeError) as error:
+        except (struct.error, TypeError, IndexError) as error:
             raise pyarrow.ArrowInvalid(f"a damaged {message.type}: {error}") from None
         if size > max_bytes:
             raise pyarrow.ArrowInvalid(f"found {size} bytes unpacked or more, expected at most {max_bytes}")

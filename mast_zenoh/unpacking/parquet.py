@@ -37,6 +37,13 @@ def read(path: Path, columns: Collection[str] | None = None, max_bytes: int = MA
     Raises OSError if it cannot be read, ArrowException if it is broken, has columns of lists, or unpacks to more than
     `max_bytes`.
     """
+    try:
+        return _read(path, columns, max_bytes)
+    except UnicodeDecodeError as error:
+        raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
+
+
+def _read(path: Path, columns: Collection[str] | None, max_bytes: int) -> pyarrow.Table:
     with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
         wanted = [
             index
@@ -117,10 +124,13 @@ def _pages(content: mmap.mmap, chunk: Any) -> Iterator[dict[int, Any]]:
         try:
             header, at = _struct(content, at, 0)
             unpacked, packed = header[_UNPACKED], header[_PACKED]
+            if not all(type(header.get(kind, {})) is dict for kind in _ENCODING_OF):
+                raise ValueError("its header has no fields")
+            values = [header.get(kind, {}).get(_VALUES, 0) for kind in _DATA_PAGES]
+            if not all(type(number) is int and number >= 0 for number in (unpacked, packed, *values)):
+                raise ValueError(f"found {unpacked!r} bytes, packed {packed!r}, with {values} values")
         except (IndexError, KeyError, TypeError, ValueError) as error:
             raise pyarrow.ArrowInvalid(f"column {chunk.path_in_schema}: a damaged page: {error!r}") from None
-        if unpacked < 0 or packed < 0:
-            raise pyarrow.ArrowInvalid(f"column {chunk.path_in_schema}: a page of {packed} bytes, {unpacked} unpacked")
         yield header
         at += packed
 

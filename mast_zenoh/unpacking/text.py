@@ -24,7 +24,10 @@ def longest(column: Any) -> int:
     if not any(is_known(kind) for is_known in known):
         raise pyarrow.ArrowInvalid(f"found a column of {column.type}, expected text")
     texts = (chunk.dictionary if pyarrow.types.is_dictionary(column.type) else chunk for chunk in column.chunks)
-    return max((len(text) for part in texts for text in part.to_pylist() if text is not None), default=0)
+    try:
+        return max((len(text) for part in texts for text in part.to_pylist() if text is not None), default=0)
+    except UnicodeDecodeError as error:
+        raise pyarrow.ArrowInvalid(f"found text that is not UTF-8: {error}") from None
 
 
 def check_expanded(column: Any, max_bytes: int = MAX_BYTES) -> int:
