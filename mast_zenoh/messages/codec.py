@@ -80,7 +80,7 @@ def check_values(message: Message) -> None:
     """Raise MessageError if `decode` would refuse a message that `conform` made."""
     header, full = message
     _check_header(header)
-    message = Message(header, row_limits.shortened(header.schema, full))
+    message = Message(header, row_limits.shortened(header.schema, full, header.schema))
     if LAYOUTS[header.schema].is_valid(message.body) and (message.body is full or _fits(full)):
         validation.check_references(message)
         return
@@ -94,9 +94,10 @@ def check_values(message: Message) -> None:
     validation.check_references(message)
 
 
-def limited(message: Message) -> Message:
+def limited(message: Message, limit_of: str | None = None) -> Message:
     """The message as `decode` returns it: without the rows beyond the limit of its type."""
-    body = row_limits.shortened(message.header.schema, message.body)
+    schema = message.header.schema
+    body = row_limits.shortened(schema, message.body, schema if limit_of is None else limit_of)
     return message if body is message.body else Message(message.header, body)
 
 
@@ -119,10 +120,10 @@ def encode(message: Message) -> bytes:
     return packed
 
 
-def decode(payload: bytes, expected: str | Schema, *, limited: bool = True) -> Message:
+def decode(payload: bytes, expected: str | Schema, limit_of: str | None = None) -> Message:
     """Decode a message of type `expected`: its name, or the schema of a recording.
 
-    limited: without the rows beyond the limit of its type, see `row_limits`; they are not checked either
+    limit_of: which of `row_limits.LIMITS` holds, None: that of its type; rows beyond it are left out, and not checked
 
     Raises MessageError for anything else: a truncated or oversized message, another version, a missing or unknown
     column, a forged shape, a value that is not finite.
@@ -131,7 +132,7 @@ def decode(payload: bytes, expected: str | Schema, *, limited: bool = True) -> M
     header, body = _unpack(payload, schema)
     if not isinstance(body, dict) or len(body) != len(schema.columns):
         raise MessageError(validation.names_differ(schema.name, body, schema.columns))
-    message = Message(header, _columns(schema, body, limited))
+    message = Message(header, _columns(schema, body, schema.name if limit_of is None else limit_of))
     validation.check_references(message)
     return message
 
@@ -150,7 +151,7 @@ class LazyBody(Mapping[str, NDArray[Any]]):
 
     def _decoded(self) -> Body:
         if self._columns is None:
-            self._columns = decode(self._payload, self._expected, limited=False).body
+            self._columns = decode(self._payload, self._expected, "").body
         return self._columns
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -222,9 +223,9 @@ def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
     return header, body
 
 
-def _columns(schema: Schema, body: Mapping[str, Any], limited: bool) -> Body:
+def _columns(schema: Schema, body: Mapping[str, Any], limit_of: str) -> Body:
     """The checked columns of a packed body."""
-    checked = layout_of(schema).unpack(body, limited)
+    checked = layout_of(schema).unpack(body, limit_of)
     if checked is not None:
         return checked
     # Invalid: checking each column names the error.
@@ -234,7 +235,7 @@ def _columns(schema: Schema, body: Mapping[str, Any], limited: bool) -> Body:
         if column.name not in body:
             raise MessageError(validation.names_differ(schema.name, body, schema.columns))
         columns[column.name] = validation.array_of(schema.name, column, body[column.name], sizes)
-    kept = row_limits.shortened(schema.name, columns) if limited else columns
+    kept = row_limits.shortened(schema.name, columns, limit_of)
     for column in schema.columns:
         validation.check_values(schema.name, column, kept[column.name])
     return kept

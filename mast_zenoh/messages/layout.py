@@ -119,10 +119,10 @@ class Layout:
         sizes = tuple([body[name].shape[axis] for name, axis in self._sources])
         return self._plans.get(sizes) or self.plan(sizes)
 
-    def unpack(self, body: Mapping[str, Any], limited: bool) -> Body | None:
+    def unpack(self, body: Mapping[str, Any], limit_of: str) -> Body | None:
         """The columns of a packed body; None if it is invalid in any way.
 
-        limited: without the rows beyond the limit of the schema, which are not checked
+        limit_of: which of `row_limits.LIMITS` holds; rows beyond it are left out, and not checked
         """
         try:
             plan = self.plan(tuple([body[name][1][axis] for name, axis in self._sources]))
@@ -131,7 +131,7 @@ class Layout:
         columns = packed_columns(body, plan)
         if columns is None:
             return None
-        kept = shortened(self.schema.name, columns) if limited else columns
+        kept = shortened(self.schema.name, columns, limit_of)
         return kept if sound_values(_plain(kept), plan.names, plan.limits) <= MAX_SQUARES else None
 
     def is_valid(self, body: Body) -> bool:

@@ -29,16 +29,18 @@ class Shortened(dict[str, Any]):
     found: int
 
 
-#: The latest message with too many rows, and what is left of it: in one process, all subscribers get the same message.
-_latest: tuple[Body, Shortened] | None = None
+#: Limit of overheard messages of the type `tracks`: an agent's mission estimate has its tracks and the picture.
+OVERHEARD = "overheard"
+
+#: By limit, the latest message with too many rows, and what is left: in one process, all subscribers get the same one.
+_latest: dict[str, tuple[Body, Shortened]] = {}
 
 
 def use(limits: Mapping[str, int]) -> None:
     """Use these limits from now on, and no others."""
-    global _latest
     LIMITS.clear()
     LIMITS.update(limits)
-    _latest = None
+    _latest.clear()
 
 
 def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | None = None) -> dict[str, int]:
@@ -49,7 +51,9 @@ def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | Non
     """
     rows = per_agent or _MARGIN + 2 * int(detections.max(initial=0))
     picture = _MARGIN + 2 * max(objects, int(detections.sum(axis=1).max(initial=0)))
-    return {"detections": rows, "tracks": rows, "collated": detections.shape[1] * rows, "picture": max(rows, picture)}
+    picture = max(rows, picture)
+    limits = {"detections": rows, "tracks": rows, "collated": detections.shape[1] * rows, "picture": picture}
+    return limits | {OVERHEARD: rows + picture}
 
 
 def excess(body: Body) -> str:
@@ -60,14 +64,16 @@ def excess(body: Body) -> str:
     return f"rows: found {body.found} rows, expected at most {rows}: only those with the highest scores are used"
 
 
-def shortened(schema: str, columns: Body) -> Body:
-    """The columns without the rows beyond the limit of their type; the same object if there are none."""
-    global _latest
-    limit = LIMITS.get(schema)
+def shortened(schema: str, columns: Body, limit_of: str) -> Body:
+    """The columns without the rows beyond the limit of their type; the same object if there are none.
+
+    limit_of: which of LIMITS
+    """
+    limit = LIMITS.get(limit_of)
     if limit is None or len(columns["score"]) <= limit:
         return columns
-    if _latest is not None and _latest[0] is columns:
-        return _latest[1]
+    if limit_of in _latest and _latest[limit_of][0] is columns:
+        return _latest[limit_of][1]
     score, position = columns["score"], columns["position"]
     ids = [columns["id"]] if "id" in columns else []
     rows = _lowest([-score, *ids, *position.T], limit)
@@ -77,7 +83,7 @@ def shortened(schema: str, columns: Body) -> Body:
         result[name] = values[rows] if name in per_row else values
         result[name].setflags(write=False)
     result.found = len(score)
-    _latest = columns, result
+    _latest[limit_of] = columns, result
     return result
 
 
