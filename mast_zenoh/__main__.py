@@ -6,6 +6,7 @@ It sets up signal handlers and standard streams before slow imports.
 import os
 import signal
 import sys
+from typing import NoReturn
 
 
 def _end_at_once(number: int, frame: object) -> None:
@@ -23,14 +24,31 @@ for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
     if _number != signal.SIGHUP or signal.getsignal(_number) != signal.SIG_IGN:
         signal.signal(_number, _end_at_once)
 
-from mast_zenoh.cli import standard_streams  # noqa: E402  # these import what takes time
-from mast_zenoh.launch import stop_signals  # noqa: E402
+
+def _cannot_start(error: BaseException) -> NoReturn:
+    """Report on one line that a module could not be imported, such as for want of memory; exit."""
+    from mast_zenoh.errors import MastError, ResourcesExhausted, is_out_of_resources
+
+    kind = ResourcesExhausted if is_out_of_resources(error) else MastError
+    reason = " ".join(str(error).split()) or type(error).__name__
+    sys.stderr.write(f"error: {kind.__name__}: cannot start: {reason}\n")
+    sys.exit(kind.exit_code)
+
+
+try:
+    from mast_zenoh.cli import standard_streams  # these import what takes time
+    from mast_zenoh.launch import stop_signals
+except (ImportError, MemoryError) as _error:
+    _cannot_start(_error)
 
 
 def main() -> None:
     """Run the command and exit with its code (docs/exit_codes.md)."""
     standard_streams.replace()
-    from mast_zenoh.cli import app
+    try:
+        from mast_zenoh.cli import app
+    except (ImportError, MemoryError) as error:
+        _cannot_start(error)
 
     code = stop_signals.EXIT_CODE
     try:

@@ -26,6 +26,7 @@ Each error that can end a command has its own exit code (docs/exit_codes.md).
         ├── ImplausibleCounts    31   a node reports impossible message counts
         ├── ServiceDied          32   a service of the launcher has ended
         ├── NodeLost             33   a node was unexpectedly lost in lock-step
+        ├── ResourcesExhausted   34   there is too little memory, or too few file descriptors
         └── Interrupted         130   Ctrl-C, SIGTERM or SIGHUP
 
 A usage error on the command line exits with 2, as usual.
@@ -224,6 +225,15 @@ class NodeLost(RunError):
     exit_code = 33
 
 
+class ResourcesExhausted(RunError):
+    """There is too little memory, or too few file descriptors.
+
+    Names what is missing, and how much is needed if that is known.
+    """
+
+    exit_code = 34
+
+
 class Interrupted(RunError):
     """The run was stopped by Ctrl-C, SIGTERM or SIGHUP.
 
@@ -240,6 +250,19 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 def is_disk_full(error: BaseException) -> bool:
     """Whether the operating system reports that there is no space for a file."""
     return isinstance(error, OSError) and error.errno in _NO_ROOM
+
+
+#: What dynamic linkers and modules say when memory does not suffice for a library.
+_NO_MEMORY = ("cannot allocate memory", "failed to map segment", "out of memory", "memoryerror")
+
+
+def is_out_of_resources(error: BaseException) -> bool:
+    """Whether there was too little memory, or too few file descriptors."""
+    if isinstance(error, OSError) and error.errno in (errno.ENOMEM, errno.EMFILE, errno.ENFILE):
+        return True
+    if isinstance(error, ImportError):
+        return any(words in str(error).lower() for words in _NO_MEMORY)
+    return isinstance(error, MemoryError)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

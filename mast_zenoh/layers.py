@@ -42,6 +42,7 @@ LAYERS: dict[str, str] = {
     "sensing": "lidar and detector models",
     "gather": "collects messages from many publishers by frame",
     "arrays": "states, geometry, matching, neighbours",
+    "unpacking": "reads tables up to a limit on their unpacked size",
     "version": "version number and fingerprint of the sources",
     "kernels": "compiled versions of a few functions",
     "streams": "named random streams",

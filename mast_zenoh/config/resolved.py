@@ -62,6 +62,7 @@ class Resolved:
     messages: the message types that its nodes declare; the codec must know them (`user_types.use`) when nodes are built
     inert: a sentence for each part of the scenario that matches nothing in this run, or begins after it
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
+    max_rows: limits on the rows of a message by type, see `row_limits`; none in earlier versions
     """
 
     name: str
@@ -80,6 +81,7 @@ class Resolved:
     leeway_ns: int | None = None
     messages: tuple[Schema, ...] = ()
     inert: tuple[str, ...] = ()
+    max_rows: dict[str, int] = field(default_factory=dict)
     recording: Recording | None = field(default=None, compare=False)
 
     @property
@@ -105,7 +107,7 @@ class Resolved:
             for name, spec in self.nodes.items()
         }
         names = ["name", "seed", "mode", "rate", "frames", "period_ns", "leeway_ns"]
-        names += ["scene", "modules", "timeline", "network"]
+        names += ["scene", "modules", "timeline", "network", "max_rows"]
         steps = [step._asdict() for step in self.steps]
         declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
         inert = {"inert": list(self.inert)} if self.inert else {}

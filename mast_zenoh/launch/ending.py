@@ -16,10 +16,12 @@ from mast_zenoh.errors import (
     Interrupted,
     MastError,
     NodeLost,
+    ResourcesExhausted,
     RunError,
     StallError,
     StartError,
     is_disk_full,
+    is_out_of_resources,
 )
 from mast_zenoh.launch import stop_signals
 
@@ -50,6 +52,9 @@ def from_exception(caught: BaseException, activity: str = "") -> MastError | Non
         caught = caught.__cause__
     if isinstance(caught, KeyboardInterrupt):
         return Interrupted(f"stopped by {_SIGNAL_NAMES.get(str(caught), caught)}")
+    if is_out_of_resources(caught):
+        reason = " ".join(str(caught).split()) or type(caught).__name__
+        return ResourcesExhausted(f"{activity or 'this command'}: too little memory, or too few descriptors: {reason}")
     if isinstance(caught, OSError):
         return RunError(_sentence(caught, activity))
     return None

@@ -196,7 +196,7 @@ def _write_named(folder: Path, name: object, table: object) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         write_table(folder / f"{name}.parquet", table)
-    except OSError:
+    except (OSError, MemoryError, ImportError):  # not the table's fault: the run has not written all it should
         raise
     except Exception as error:  # Arrow has many error classes, and users write tables
         return " ".join(str(error).split())[:200]

@@ -19,7 +19,7 @@ from mast_zenoh import checks, kernels
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures
 from mast_zenoh.errors import BackendError, MastError
-from mast_zenoh.launch import conclusion, ending, liveness, mesh_run, steps, stop_signals
+from mast_zenoh.launch import conclusion, descriptors, ending, liveness, mesh_run, steps, stop_signals
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.display import Display
@@ -84,10 +84,11 @@ def run(
     """
     console = console or Console(quiet=True)
     where = f"engine {engine.name}" if engine else "one process" if runtime == "inproc" else "processes of this machine"
+    descriptors.ensure(len(resolved.nodes) if runtime == "mesh" else 0)
     steps.check(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)
-    user_types.use(resolved.messages)
+    user_types.use(resolved.messages, resolved.max_rows)
     with stop_signals.collected() as received:
         folder = run_folder.create(out, resolved.name)
         record: dict[str, Any] = {

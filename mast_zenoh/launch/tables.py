@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.unpacking import parquet as bounded_parquet
+from mast_zenoh.unpacking.text import check_expanded
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
@@ -64,10 +66,9 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
 def read_arrow(path: Path) -> Any:
     """Read a Parquet file as an Arrow table.
 
-    Raises OSError or ArrowException if it is missing or broken.
+    Raises OSError or ArrowException if it is missing, broken or too large when unpacked.
     """
-    with parquet.ParquetFile(path) as file:
-        return file.read()
+    return bounded_parquet.read(path)
 
 
 def to_arrow(columns: Mapping[str, Any]) -> Any:
@@ -92,14 +93,16 @@ def to_arrow(columns: Mapping[str, Any]) -> Any:
 def from_arrow(table: Any, rows: NDArray[Any] | slice = slice(None)) -> dict[str, NDArray[Any]]:
     """The inverse of `to_arrow`, for some rows.
 
-    Text becomes arrays of str, a missing number NaN.
+    Text becomes arrays of str, a missing number NaN. Raises ArrowInvalid if text would take too much memory.
     """
     columns: dict[str, NDArray[Any]] = {}
     for name in table.column_names:
         column = table.column(name).unify_dictionaries().combine_chunks()
         if not pyarrow.types.is_dictionary(column.type):
             columns[name] = column.to_numpy(zero_copy_only=False)[rows]
-        elif column.null_count:
+            continue
+        check_expanded(table.column(name))
+        if column.null_count:
             columns[name] = np.array([text or "" for text in column.to_pylist()], str)[rows]
         else:
             columns[name] = np.array([*column.dictionary.to_pylist(), ""], str)[column.indices.to_numpy()[rows]]

@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import accumulate
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -19,9 +20,8 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.records import Schema as SchemaRecord
-from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from mast_zenoh.errors import MessageError, RunFolderError
@@ -35,8 +35,15 @@ from mast_zenoh.messages.schemas import BUILT_IN, Schema
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
 
-#: A chunk holds at most little more than one message, and messages are limited by the inboxes of nodes.
-MAX_CHUNK_BYTES = 256 << 20
+#: Limits on a chunk, unpacked. The writer begins a new one after 1 MiB or CHUNK_MESSAGES, and a message has 16 MiB at
+#: most.
+MAX_CHUNK_BYTES = 64 << 20
+MAX_CHUNK_MESSAGES = 200_000
+#: Limit on a metadata record.
+MAX_METADATA_BYTES = 16 << 20
+#: Limit on the messages that wait for earlier ones in later chunks, with what each of them takes beside its bytes.
+MAX_WAITING_BYTES = 400 << 20
+_OVERHEAD = 1000
 
 #: Limit of the difference between a message's log time and the time in its header, which is the rank of its key.
 _RANKS_NS = 1 << 16
@@ -97,13 +104,14 @@ def file_of(path: Path) -> Path:
 class _ChunkIndex(NamedTuple):
     """A chunk of the file.
 
-    byte:     its offset;  start_ns: the earliest log time in it
+    byte:     its offset;  length: in bytes, packed;  start_ns: the earliest log time in it
     steps:    by place in the chunk, the steps of messages that were not sent in their own frame
     ranks:    by place in the chunk, the ranks of messages that share key and frame with another one
     """
 
     start_ns: int
     byte: int
+    length: int
     steps: Mapping[int, int]
     ranks: Mapping[int, int]
 
@@ -127,15 +135,21 @@ def read(path: Path) -> Iterator[Recorded]:
         channels: dict[int, Channel] = {}
         schemas: dict[int, Schema] = {}
         queue: list[tuple[tuple[int, int, str, str, int, str], int, Recorded]] = []
-        loaded = count = 0
+        loaded = count = waiting = 0
         while queue or loaded < len(chunks):
             while loaded < len(chunks) and (not queue or floors[loaded] <= queue[0][0][0] + _RANKS_NS):
                 for message in _messages(file, path, chunks[loaded], channels, schemas):
                     heapq.heappush(queue, (message.order, count, message))
                     count += 1
+                    waiting += len(message.payload) + _OVERHEAD
+                    if waiting > MAX_WAITING_BYTES:
+                        problem = f"{waiting} bytes of messages that wait for earlier ones in later chunks"
+                        raise RunFolderError(f"{path}: found {problem}, expected at most {MAX_WAITING_BYTES}")
                 loaded += 1
             if queue:
-                yield heapq.heappop(queue)[2]
+                message = heapq.heappop(queue)[2]
+                waiting -= len(message.payload) + _OVERHEAD
+                yield message
 
 
 def events(path: Path) -> list[Event]:
@@ -196,12 +210,15 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
             break
         if opcode == Opcode.CHUNK and length >= _TIMES.size:
             start_ns, _ = _TIMES.unpack(file.read(_TIMES.size))
-            yield _ChunkIndex(start_ns, byte, chunk_metadata.pop(STEPS, {}), chunk_metadata.pop(ORDER, {}))
+            yield _ChunkIndex(start_ns, byte, length, chunk_metadata.pop(STEPS, {}), chunk_metadata.pop(ORDER, {}))
         elif opcode == Opcode.CHUNK:
             raise RunFolderError(f"{path}: byte {byte}: a damaged chunk: found {length} bytes")
         elif opcode == Opcode.METADATA:
+            if length > MAX_METADATA_BYTES:
+                expected = f"expected at most {MAX_METADATA_BYTES}"
+                raise RunFolderError(f"{path}: byte {byte}: found {length} bytes of metadata, {expected}")
             try:
-                record = Metadata.read(ReadDataStream(file))
+                record = Metadata.read(ReadDataStream(BytesIO(file.read(length))))
                 if record.name in (STEPS, ORDER):
                     chunk_metadata[record.name] = {int(place): int(number) for place, number in record.metadata.items()}
                 elif record.name == EVENT:
@@ -217,12 +234,10 @@ def _messages(
     """The messages of a chunk; its new channels and user types go into the dicts."""
     file.seek(index.byte)
     try:
-        chunk = Chunk.read(ReadDataStream(file))
-        if chunk.uncompressed_size > MAX_CHUNK_BYTES:  # zeros compress to almost nothing
-            problem = f"{chunk.uncompressed_size} bytes in one chunk, expected at most {MAX_CHUNK_BYTES}"
-            raise RunFolderError(f"{path}: byte {index.byte}: found {problem}")
-        records = breakup_chunk(chunk, validate_crc=True)
-    except (McapError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
+        if index.length > MAX_CHUNK_BYTES:
+            raise ValueError(f"found {index.length} bytes, expected at most {MAX_CHUNK_BYTES}")
+        records = _records_of(Chunk.read(ReadDataStream(BytesIO(file.read(index.length)))))
+    except (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError) as error:
         raise RunFolderError(f"{path}: byte {index.byte}: a damaged chunk: {error}") from None
     count = 0
     for record in records:
@@ -244,6 +259,44 @@ def _messages(
             step, rank = index.steps.get(count), index.ranks.get(count, -1)
             yield _recorded(channel, record, path, step, rank, schemas.get(channel.schema_id))
             count += 1
+
+
+def _records_of(chunk: Chunk) -> list[McapRecord]:
+    """The channels, schemas and messages in a chunk. Raises ValueError if they exceed a limit."""
+    content = _unpacked(chunk)
+    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+        raise ValueError("its checksum is not that of its content")
+    stream, records, messages = ReadDataStream(BytesIO(content)), list[McapRecord](), 0
+    while stream.count < len(content):
+        opcode, length = stream.read1(), stream.read8()
+        if opcode == Opcode.MESSAGE:
+            messages += 1
+            if messages > MAX_CHUNK_MESSAGES:
+                raise ValueError(f"found more than {MAX_CHUNK_MESSAGES} messages, expected at most as many")
+            records.append(Message.read(stream, length))
+        elif opcode == Opcode.CHANNEL:
+            records.append(Channel.read(stream))
+        elif opcode == Opcode.SCHEMA:
+            records.append(SchemaRecord.read(stream))
+        else:
+            stream.read(length)
+    return records
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """The content of a chunk. Raises ValueError before more memory is used than MAX_CHUNK_BYTES."""
+    if chunk.uncompressed_size > MAX_CHUNK_BYTES:  # zeros compress to almost nothing
+        raise ValueError(f"found {chunk.uncompressed_size} bytes in one chunk, expected at most {MAX_CHUNK_BYTES}")
+    if chunk.compression not in ("zstd", ""):
+        raise ValueError(f"found compression {chunk.compression!r:.20}, expected 'zstd', as recordings are written")
+    size = len(chunk.data)
+    if chunk.compression:
+        size = zstandard.frame_content_size(chunk.data)  # the decompressor allocates this much; -1: it is not given
+    if size not in (-1, chunk.uncompressed_size):
+        raise ValueError(f"found {size} bytes in one chunk, which claims to have {chunk.uncompressed_size}")
+    if not chunk.compression:
+        return chunk.data
+    return zstandard.decompress(chunk.data, chunk.uncompressed_size)
 
 
 def _recorded(

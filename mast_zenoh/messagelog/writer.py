@@ -23,6 +23,7 @@ FILE = "messages.mcap"
 #: A chunk is written when its messages have this many bytes, or when it spans this many frames.
 CHUNK_BYTES = 1 << 20
 CHUNK_FRAMES = 25
+CHUNK_MESSAGES = 50_000
 
 _SEQUENCES = 1 << 32  # MCAP has 32 bits for a sequence number
 
@@ -175,7 +176,11 @@ class MessageLog:
         log_time = entry.time_ns + self._ranks.setdefault(key, len(self._ranks))
         self._chunk.append(entry._replace(log_time=log_time, rank=self._added))
         self._bytes += len(entry.payload)
-        if self._bytes >= CHUNK_BYTES or entry.frame >= self._frame + CHUNK_FRAMES:
+        if (
+            self._bytes >= CHUNK_BYTES
+            or len(self._chunk) >= CHUNK_MESSAGES
+            or entry.frame >= self._frame + CHUNK_FRAMES
+        ):
             self._flush()
 
     def _flush(self) -> None:

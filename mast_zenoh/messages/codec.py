@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import validation
+from mast_zenoh.messages import row_limits, validation
 from mast_zenoh.messages.layout import LAYOUTS, MAX_BYTES, MAX_ROWS, MAX_TEXT, WIRE_DTYPE, exact_columns, layout_of
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Message, Schema
 
@@ -78,12 +78,13 @@ def _converted(schema: str, column: str, array: Any, wire: np.dtype[Any]) -> NDA
 
 def check_values(message: Message) -> None:
     """Raise MessageError if `decode` would refuse a message that `conform` made."""
-    header = message.header
+    header, full = message
     _check_header(header)
-    if LAYOUTS[header.schema].is_valid(message.body):
+    message = Message(header, row_limits.shortened(header.schema, full, header.schema))
+    if LAYOUTS[header.schema].is_valid(message.body) and (message.body is full or _fits(full)):
         validation.check_references(message)
         return
-    if sum(column.nbytes for column in message.body.values()) > MAX_BYTES:
+    if not _fits(full):
         raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
     for column in SCHEMAS[header.schema].columns:
         array = message.body[column.name]
@@ -91,6 +92,17 @@ def check_values(message: Message) -> None:
             validation.check_strings(header.schema, column, array)
         validation.check_values(header.schema, column, array)
     validation.check_references(message)
+
+
+def limited(message: Message, limit_of: str | None = None) -> Message:
+    """The message as `decode` returns it: without the rows beyond the limit of its type."""
+    schema = message.header.schema
+    body = row_limits.shortened(schema, message.body, schema if limit_of is None else limit_of)
+    return message if body is message.body else Message(message.header, body)
+
+
+def _fits(body: Body) -> bool:
+    return sum(column.nbytes for column in body.values()) <= MAX_BYTES
 
 
 def encode(message: Message) -> bytes:
@@ -108,8 +120,10 @@ def encode(message: Message) -> bytes:
     return packed
 
 
-def decode(payload: bytes, expected: str | Schema) -> Message:
+def decode(payload: bytes, expected: str | Schema, limit_of: str | None = None) -> Message:
     """Decode a message of type `expected`: its name, or the schema of a recording.
+
+    limit_of: which of `row_limits.LIMITS` holds, None: that of its type; rows beyond it are left out, and not checked
 
     Raises MessageError for anything else: a truncated or oversized message, another version, a missing or unknown
     column, a forged shape, a value that is not finite.
@@ -118,7 +132,7 @@ def decode(payload: bytes, expected: str | Schema) -> Message:
     header, body = _unpack(payload, schema)
     if not isinstance(body, dict) or len(body) != len(schema.columns):
         raise MessageError(validation.names_differ(schema.name, body, schema.columns))
-    message = Message(header, _columns(schema, body))
+    message = Message(header, _columns(schema, body, schema.name if limit_of is None else limit_of))
     validation.check_references(message)
     return message
 
@@ -137,7 +151,7 @@ class LazyBody(Mapping[str, NDArray[Any]]):
 
     def _decoded(self) -> Body:
         if self._columns is None:
-            self._columns = decode(self._payload, self._expected).body
+            self._columns = decode(self._payload, self._expected, "").body
         return self._columns
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -209,21 +223,22 @@ def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
     return header, body
 
 
-def _columns(schema: Schema, body: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+def _columns(schema: Schema, body: Mapping[str, Any], limit_of: str) -> Body:
     """The checked columns of a packed body."""
-    columns = layout_of(schema).unpack(body)
-    if columns is not None:
-        return columns
+    checked = layout_of(schema).unpack(body, limit_of)
+    if checked is not None:
+        return checked
     # Invalid: checking each column names the error.
-    columns = {}
+    columns: dict[str, NDArray[Any]] = {}
     sizes: dict[str, int] = {}
     for column in schema.columns:
         if column.name not in body:
             raise MessageError(validation.names_differ(schema.name, body, schema.columns))
-        array = validation.array_of(schema.name, column, body[column.name], sizes)
-        validation.check_values(schema.name, column, array)
-        columns[column.name] = array
-    return columns
+        columns[column.name] = validation.array_of(schema.name, column, body[column.name], sizes)
+    kept = row_limits.shortened(schema.name, columns, limit_of)
+    for column in schema.columns:
+        validation.check_values(schema.name, column, kept[column.name])
+    return kept
 
 
 def _check_header(header: Header) -> None:

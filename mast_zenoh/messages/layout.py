@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.kernels import kernel
+from mast_zenoh.messages.row_limits import shortened
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Schema
 
 MAX_BYTES = 16 * 1024 * 1024  #: limit of a message
@@ -56,6 +57,11 @@ def limit_of(column: Column) -> float:
     if column.dtype == "str":
         return MAX_TEXT
     return column.below if column.dtype == "uint8" else column.least_length**2
+
+
+def _plain(body: Body) -> Body:
+    """A body as compiled functions need it: a dict of no other class."""
+    return body if type(body) is dict else dict(body)
 
 
 class Layout:
@@ -113,21 +119,25 @@ class Layout:
         sizes = tuple([body[name].shape[axis] for name, axis in self._sources])
         return self._plans.get(sizes) or self.plan(sizes)
 
-    def unpack(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
-        """The columns of a packed body; None if it is invalid in any way."""
+    def unpack(self, body: Mapping[str, Any], limit_of: str) -> Body | None:
+        """The columns of a packed body; None if it is invalid in any way.
+
+        limit_of: which of `row_limits.LIMITS` holds; rows beyond it are left out, and not checked
+        """
         try:
             plan = self.plan(tuple([body[name][1][axis] for name, axis in self._sources]))
         except (KeyError, IndexError, TypeError, ValueError):
             return None
         columns = packed_columns(body, plan)
-        if columns is None or not sound_values(columns, plan.names, plan.limits) <= MAX_SQUARES:
+        if columns is None:
             return None
-        return columns
+        kept = shortened(self.schema.name, columns, limit_of)
+        return kept if sound_values(_plain(kept), plan.names, plan.limits) <= MAX_SQUARES else None
 
     def is_valid(self, body: Body) -> bool:
         """Whether the values of a body that `conform` made are valid."""
         plan = self.plan_of(body)
-        return plan.fits and sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
+        return plan.fits and sound_values(_plain(body), plan.names, plan.limits) <= MAX_SQUARES
 
 
 @kernel

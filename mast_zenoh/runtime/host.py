@@ -15,7 +15,7 @@ from typing import Any
 from mast_zenoh.control import results
 from mast_zenoh.control.failures import Failure
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import codec
+from mast_zenoh.messages import codec, row_limits
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
@@ -132,7 +132,12 @@ class Host(NodeContext):
         try:
             if flaw:
                 raise MessageError(flaw)
-            message = payload if isinstance(payload, Message) else codec.decode(payload, port_input.message)
+            if not isinstance(payload, Message):
+                message = codec.decode(payload, port_input.message)
+            elif port_input.port in self.node.unopened:
+                message = payload
+            else:
+                message = codec.limited(payload)
             _, source, frame, time_ns, _ = message.header
             if source != port_input.source:
                 raise MessageError(f"{port_input.message}: source {source[:40]!r}, expected {port_input.source!r}")
@@ -144,6 +149,8 @@ class Host(NodeContext):
         except MessageError as error:
             self._reject(key, str(error), counted)
             return
+        if excess := row_limits.excess(message.body):
+            self._count_rejected(key, excess)
         if self.observe:
             self.observe(key, message.header)
         received = Received(message, port_input.subject, payload if isinstance(payload, bytes) else None, step)

@@ -45,7 +45,7 @@ class InProcess:
         progress: Callable[[int], bool | None] | None = None,
     ) -> None:
         self._resolved = resolved
-        user_types.use(resolved.messages)
+        user_types.use(resolved.messages, resolved.max_rows)
         self._wiring = Wiring.from_json(resolved.wiring)
         self._encode = encode
         self._roles = {name: spec.role for name, spec in resolved.nodes.items()}

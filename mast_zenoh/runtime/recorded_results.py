@@ -41,7 +41,7 @@ def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
     changes = deque(events(path) or _initial_events(resolved))
     if changes[0].what != REWIRED:
         raise RunFolderError(f"{path}: the first event is not the wiring that the run began with")
-    user_types.use(resolved.messages)
+    user_types.use(resolved.messages, resolved.max_rows)
     node = build_node(resolved.nodes[name], name)
     overhearers = [Endpoint(name, port) for port, message in node.inputs.items() if message == ANY]
     wiring = _wiring(changes.popleft(), overhearers, path)

@@ -13,8 +13,8 @@ from mast_zenoh import scenes
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
 from mast_zenoh.control.results import EVALUATOR
-from mast_zenoh.errors import ConfigurationError, WiringError, nearest
-from mast_zenoh.messages import user_types
+from mast_zenoh.errors import ConfigurationError, NodeFileError, WiringError, nearest
+from mast_zenoh.messages import row_limits, user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
@@ -28,6 +28,9 @@ from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import ANY, Wiring
 from mast_zenoh.wiring.subjects import subject_of
+
+#: s, limit on what a node may add to times: a century.
+_MAX_RESTAMPS_S = 3e9
 
 
 def resolve(
@@ -88,6 +91,7 @@ def resolve(
         leeway_ns=_leeway_ns(built_nodes, recording, n_frames) if _uses_shipped_simulator(nodes) else None,
         messages=messages,
         inert=timeline.inert,
+        max_rows=_max_rows(recording, options["max_rows"]),
         recording=recording,
     )
 
@@ -130,12 +134,36 @@ def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:
     return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == DRIVER_ROLE)
 
 
+def _max_rows(recording: Recording, per_agent: int | None) -> dict[str, int]:
+    """Limits on the rows of messages, from what the sensors of a scene detect; per_agent: the scenario's own."""
+    sensors = [len(agent.sensors) for agent in recording.agents]
+    counts = np.diff(recording.detection_start).reshape(-1, sum(sensors))
+    by_agent = np.add.reduceat(counts, np.cumsum([0, *sensors[:-1]]), axis=1)
+    objects = int(np.diff(recording.truth_start).max(initial=0))
+    return row_limits.limits_for(by_agent, objects, per_agent)
+
+
 def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:
     """Tolerance for the times of messages, relative to evenly spaced frames, ns."""
     times_ns = recording.times_ns[:frames] - recording.times_ns[0]
     uneven = np.abs(times_ns - np.arange(frames) * recording.period_ns).max(initial=0)
     duration_s = float(times_ns[-1]) * 1e-9 if frames else 0.0
-    return int(uneven) + round((LEEWAY_S + sum(node.restamps_s(duration_s) for node in nodes)) * 1e9)
+    return int(uneven) + round((LEEWAY_S + sum(_restamps_s(node, duration_s) for node in nodes)) * 1e9)
+
+
+def _restamps_s(node: Node, duration_s: float) -> float:
+    """What a node may add to times, s; it may be a user's. Raises NodeFileError for anything but a number."""
+    place = f"{type(node).__module__}: {type(node).__name__}.restamps_s"
+    expected = "expected a method of the run's length, s, that returns a number of seconds from 0"
+    if not callable(node.restamps_s):
+        raise NodeFileError(f"{place}: found {node.restamps_s!r:.80}, {expected}")
+    try:
+        seconds = node.restamps_s(duration_s)
+    except Exception as error:
+        raise NodeFileError(f"{place}: {type(error).__name__}: {error}; {expected}") from error
+    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0.0 <= seconds < _MAX_RESTAMPS_S:
+        raise NodeFileError(f"{place}: returned {seconds!r:.80}, {expected}")
+    return seconds
 
 
 def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec], more: Sequence[Any]) -> Wiring:

@@ -11,7 +11,14 @@ from mast_zenoh.errors import ConfigurationError, nearest
 MODES = ("lockstep", "realtime")
 
 #: The `run` part of a scenario.
-RUN_DEFAULTS: dict[str, Any] = {"mode": "lockstep", "rate": 1.0, "frames": None, "seed": 0, "record": True}
+RUN_DEFAULTS: dict[str, Any] = {
+    "mode": "lockstep",
+    "rate": 1.0,
+    "frames": None,
+    "seed": 0,
+    "record": True,
+    "max_rows": None,
+}
 #: Keys whose values are dicts; `coordinator` may be None.
 _DICTS = (
     *("broker", "command_center", "evaluator", "coordinator"),
@@ -51,6 +58,9 @@ def check_run(options: Mapping[str, Any], place: str) -> None:
         raise ConfigurationError(f"{place}: run.seed: found {options['seed']!r}, expected a whole number from 0")
     if options["frames"] is not None and (type(options["frames"]) is not int or options["frames"] < 1):
         raise ConfigurationError(f"{place}: run.frames: found {options['frames']!r}, expected a whole number from 1")
+    rows = options["max_rows"]
+    if rows is not None and (type(rows) is not int or rows < 1):
+        raise ConfigurationError(f"{place}: run.max_rows: found {rows!r}, expected a whole number from 1")
     if type(options["record"]) is not bool:
         raise ConfigurationError(f"{place}: run.record: found {options['record']!r}, expected True or False")
     if not isinstance(options["rate"], (int, float)) or not 0 < options["rate"] < float("inf"):

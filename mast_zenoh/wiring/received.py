@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import codec
+from mast_zenoh.messages import codec, row_limits
 from mast_zenoh.messages.schemas import Body, Header, Message, same_columns
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.wiring.model import Input
@@ -125,11 +125,12 @@ class Overheard:
     @property
     def body(self) -> Body:
         """The columns, decoded at each access; raises MessageError if invalid."""
+        limit_of = row_limits.OVERHEARD if self.wire.message == "tracks" else None
         if isinstance(self._content, Message):
             if self._flaw:
                 raise MessageError(self._flaw)
-            return self._content.body
-        return codec.decode(self._content, self.wire.message).body
+            return codec.limited(self._content, limit_of).body
+        return codec.decode(self._content, self.wire.message, limit_of).body
 
     def check(self) -> None:
         """Raise MessageError if a subscriber of the key would refuse the message."""

@@ -224,7 +224,7 @@ def test_a_damaged_table_is_refused_by_column_and_row(
 def test_a_truncated_table_is_refused(saved: Path, whole: Recording, tmp_path: Path) -> None:
     path = write_table(tmp_path / "d.parquet", whole)
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(SceneError, match=r"d.parquet: not a Parquet file"):
+    with pytest.raises(SceneError, match=r"d.parquet: cannot be read as Parquet"):
         replayed(saved, path)
 
 

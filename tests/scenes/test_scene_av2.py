@@ -227,7 +227,7 @@ def test_a_damaged_table_is_refused_with_file_column_and_reason(
 @pytest.mark.parametrize("file", [POSES, BOXES])
 def test_a_truncated_file_is_refused_by_name(log: Path, file: str) -> None:
     (log / file).write_bytes((log / file).read_bytes()[:200])
-    with pytest.raises(SceneError, match=rf"{file}: not a feather file"):
+    with pytest.raises(SceneError, match=rf"{file}: cannot be read as Feather"):
         read(log)
 
 

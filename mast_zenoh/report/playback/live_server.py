@@ -6,7 +6,6 @@ import threading
 from contextlib import suppress
 from http import HTTPStatus
 from types import TracebackType
-from urllib.parse import urlsplit
 
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -78,14 +77,14 @@ class LiveServer:
         try:
             host = request.headers.get("Host", "").lower()
             # Browsers let any page open a WebSocket here, but say which page it is.
-            origin = urlsplit(request.headers.get("Origin", f"http://{host}")).netloc.lower()
+            origin = request.headers.get("Origin", f"http://{host}").lower()
         except (ValueError, LookupError):  # no address, or several
             return _refusal(HTTPStatus.FORBIDDEN, "expected one host and one origin")
         if not is_own_host(host):
             return _refusal(HTTPStatus.FORBIDDEN, HOST_EXPECTED)
         path = request.path.partition("?")[0]
         if path == FRAMES:
-            if origin != host:
+            if origin != f"http://{host}":
                 return _refusal(HTTPStatus.FORBIDDEN, "expected a page of this server")
             return None
         if path != "/":

@@ -33,7 +33,7 @@ LISTENER_NICENESS = 10
 
 def build(resolved: Resolved, name: str, place: str = "scenario.json", cls: type[Node] | None = None) -> Node:
     """Build a node of a scenario, after importing the user's modules; see `build_node`."""
-    user_types.use(resolved.messages)
+    user_types.use(resolved.messages, resolved.max_rows)
     for file in resolved.modules:
         loading.module(Path(file))
     return build_node(resolved.nodes[name], name, place, cls)

@@ -164,12 +164,14 @@ def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
     """The expected columns of a feather file, complete and finite."""
     # Imported here because it is slow and few processes of a run need it.
     import pyarrow
-    from pyarrow import feather
+
+    from mast_zenoh.unpacking import feather
+    from mast_zenoh.unpacking.text import check_expanded
 
     try:
-        table = feather.read_table(path, memory_map=False)
+        table = feather.read(path)
     except (pyarrow.ArrowException, OSError) as error:
-        raise SceneError(f"{path}: not a feather file: {error}") from error
+        raise SceneError(f"{path}: cannot be read as Feather: {error}") from error
     columns: dict[str, NDArray[Any]] = {}
     for name, kind in expected.items():
         if name not in table.column_names:
@@ -179,6 +181,7 @@ def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
             raise SceneError(f"{path}: column {name} has {column.null_count} empty values")
         try:
             if kind == "text":
+                check_expanded(column)
                 values: NDArray[Any] = np.array(column.cast(pyarrow.string()).to_pylist(), dtype=np.str_)
             else:
                 values = column.cast(pyarrow.float64() if kind == "float" else pyarrow.int64()).to_numpy()

@@ -19,6 +19,11 @@ from mast_zenoh.errors import SceneError
 #: Limit on the members of an archive, of any kind.
 MAX_MEMBERS = 200_000
 
+#: Limit on the unpacked size of an archive, its other files included, by its own size; beyond `max_bytes`.
+_MAX_RATIO = 100
+#: Limit on the memory in which xz unpacks; its highest level takes 65 MB.
+_MAX_XZ_MEMORY = 200_000_000
+
 #: Limit on the header bytes of one member: a header may hold a path of any length, and is read into memory.
 _MAX_HEADER = 64 << 10
 
@@ -38,7 +43,7 @@ def unpack(path: Path, folder: Path, suffixes: tuple[str, ...], max_bytes: int) 
     total = 0
     try:
         with _decompressed(path) as content:
-            bounded = _Bounded(content, path)
+            bounded = _Bounded(content, path, max_bytes + _MAX_RATIO * path.stat().st_size)
             with tarfile.open(fileobj=cast("IO[bytes]", bounded), mode="r:") as archive:
                 for member in _members(archive, bounded, path):
                     if not member.name.endswith(suffixes) or member.isdir():
@@ -59,9 +64,11 @@ def unpack(path: Path, folder: Path, suffixes: tuple[str, ...], max_bytes: int) 
 
 def _decompressed(path: Path) -> IO[bytes]:
     with path.open("rb") as file:
-        start = file.read(8)
+        start = file.read(1 << 16)
     for magic, opener in _COMPRESSIONS.items():
         if start.startswith(magic):
+            if opener is lzma.open:
+                lzma.LZMADecompressor(memlimit=_MAX_XZ_MEMORY).decompress(start, 1)
             return cast("IO[bytes]", opener(path, "rb"))
     return path.open("rb")
 
@@ -69,10 +76,11 @@ def _decompressed(path: Path) -> IO[bytes]:
 class _Bounded:
     """The file that tarfile reads; `budget` is the number of bytes it may still read.
 
-    Seeking is not limited.
+    Seeking unpacks what is skipped, up to `end` bytes from the start.
     """
 
-    def __init__(self, content: IO[bytes], path: Path) -> None:
+    def __init__(self, content: IO[bytes], path: Path, end: int) -> None:
+        self._end = end
         self.budget = _MAX_HEADER
         self._content = content
         self._path = path
@@ -84,6 +92,11 @@ class _Bounded:
         return self._content.read(size)
 
     def seek(self, offset: int) -> int:
+        if offset > self._end:
+            raise SceneError(
+                f"{self._path}: found {_mb(offset)} unpacked or more, files that are not needed included; "
+                f"expected at most {_mb(self._end)}"
+            )
         return self._content.seek(offset)
 
     def tell(self) -> int:

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import SceneError, nearest
-from mast_zenoh.scenes.files.bounded_file import MAX_BYTES
 from mast_zenoh.scenes.files.class_names import class_of
 from mast_zenoh.scenes.own_detections.rows import DetectionRows
 
 _NEEDED = ("frame", "agent", "x", "y", "z", "l", "w", "h", "yaw")
 #: Position covariance, m²; all six or none.
 _COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
+_OPTIONAL = ("score", "class", "truth_id", *_COVARIANCE)
 
 
 def read_parquet(path: Path, agents: Sequence[str], first_frame: int) -> DetectionRows:
@@ -48,16 +48,13 @@ def read_parquet(path: Path, agents: Sequence[str], first_frame: int) -> Detecti
 
 def _open(path: Path) -> Any:
     import pyarrow  # takes 0.15 s, and every run imports this module
-    from pyarrow import parquet
+
+    from mast_zenoh.unpacking import parquet
 
     try:
-        file = parquet.ParquetFile(path)
-        unpacked = sum(file.metadata.row_group(k).total_byte_size for k in range(file.metadata.num_row_groups))
-        if unpacked > MAX_BYTES:
-            raise SceneError(f"{path}: unpacks to {unpacked} bytes, expected at most {MAX_BYTES}")
-        table = file.read()
+        table = parquet.read(path, (*_NEEDED, *_OPTIONAL))
     except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise SceneError(f"{path}: not a Parquet file: {error}") from error
+        raise SceneError(f"{path}: cannot be read as Parquet: {error}") from error
     repeated = [name for name in table.column_names if table.column_names.count(name) > 1]
     if repeated:
         raise SceneError(f"{path}: column {repeated[0]} occurs twice")

@@ -69,7 +69,7 @@ class ObservedRun:
                 )
             credentials = Path(record[VIEWER_CREDENTIALS])
         resolved = measurement.scenario_of(path)
-        user_types.use(resolved.messages)
+        user_types.use(resolved.messages, resolved.max_rows)
         for module in resolved.modules:
             loading.module(Path(module))
         scene = Recording.load(path / RECORDING) if (path / RECORDING).is_file() else None
@@ -93,7 +93,7 @@ class ObservedRun:
         (description,) = runs.values()
         try:
             resolved = Resolved.from_json(description.scenario, description.wiring)
-            user_types.use(resolved.messages)
+            user_types.use(resolved.messages, resolved.max_rows)
             wiring_of(description.wiring, DESCRIBE)
         except (KeyError, TypeError, ValueError, AttributeError, MessageError) as error:
             raise NotRunning(f"{endpoint}: the run describes itself in a way that cannot be read: {error!r}") from None

@@ -1,0 +1,105 @@
+"""Too little memory and too few file descriptors are told on one line, and never look like a success."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import NodeFileError, ResourcesExhausted
+from mast_zenoh.launch import descriptors, ending
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.scenario.resolution import _restamps_s
+
+CODE = ResourcesExhausted.exit_code
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ImportError("libarrow.so: failed to map segment from shared object")])
+def test_a_table_that_cannot_be_written_for_want_of_memory_fails_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("mast_zenoh.launch.tables.write_table", fail)
+    path, loaded = scenario.load("baseline", [])
+    resolved = scenario.resolve(path, loaded, frames=2)
+    ended = launcher.run(resolved, runtime="inproc", out=tmp_path / "run")
+    assert isinstance(ended.error, ResourcesExhausted)
+    assert run_folder.read_json(tmp_path / "run" / "run.json")["status"] == "failed"
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.EMFILE, "Too many open files"),
+        ImportError("libblas.so: cannot allocate memory in static TLS block"),
+    ],
+)
+def test_exhausted_resources_have_their_own_error(error: Exception) -> None:
+    assert isinstance(ending.from_exception(error), ResourcesExhausted)
+
+
+def test_a_missing_module_is_a_defect_and_no_lack_of_memory() -> None:
+    assert ending.from_exception(ImportError("No module named 'x'")) is None
+
+
+def test_a_low_hard_limit_of_descriptors_is_told_at_once(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "mast_zenoh", "run", "baseline", "--frames", "2", "--out", str(tmp_path / "run")],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40)),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == CODE
+    assert "found a limit of 40 file descriptors, expected at least" in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_low_soft_limit_is_raised_as_far_as_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = []
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (40, 4096))
+    monkeypatch.setattr(resource, "setrlimit", lambda kind, pair: limits.append(pair))
+    descriptors.ensure(10)
+    assert limits == [(descriptors.BASE + 10 * descriptors.PER_NODE, 4096)]
+
+
+def test_a_start_without_memory_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "typer.py").write_text("raise MemoryError\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "mast_zenoh"],
+        env=dict(os.environ, PYTHONPATH=str(tmp_path)),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout) == (CODE, "")
+    assert done.stderr == "error: ResourcesExhausted: cannot start: MemoryError\n"
+
+
+@pytest.mark.parametrize(
+    ("definition", "found"),
+    [
+        ("restamps_s = 3.0", "found 3.0"),
+        ("def restamps_s(self, duration_s): return 'long'", "returned 'long'"),
+        ("def restamps_s(self, duration_s): return 1 / 0", "ZeroDivisionError"),
+        ("def restamps_s(self): return 0.0", "TypeError"),
+    ],
+)
+def test_an_unusable_restamps_s_of_a_user_is_named(definition: str, found: str) -> None:
+    namespace: dict[str, object] = {}
+    exec(f"from mast_zenoh.node import Node\nclass Mine(Node):\n    {definition}\n", namespace)
+    with pytest.raises(NodeFileError, match=rf"Mine\.restamps_s: .*{found}.*expected a method"):
+        _restamps_s(namespace["Mine"](), 10.0)  # type: ignore[operator]

@@ -1,0 +1,138 @@
+"""Rows beyond what the sensors of a scene can see are dropped by rule, counted and told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from tiny_world import Bench, tiny, tracks
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import ConfigurationError, MessageError
+from mast_zenoh.launch import notices
+from mast_zenoh.messages import codec, row_limits
+from mast_zenoh.messages.schemas import Header, Message
+from mast_zenoh.runtime.context import NodeContext
+from mast_zenoh.runtime.inproc import InProcess
+
+
+@pytest.fixture(autouse=True)
+def no_limits_afterwards():
+    yield
+    row_limits.use({})
+
+
+def flood(n: int, *, score: Any = 1.0) -> dict[str, Any]:
+    """Columns of n tracks in a row."""
+    body = dict(tracks(*((float(x), 0.0) for x in range(n))))
+    body["score"] = np.broadcast_to(np.asarray(score, float), n).copy()
+    return body
+
+
+def message(body: dict[str, Any]) -> Message:
+    return codec.conform(Header("tracks", "infra_1", 3, 3 * 10**8, 3), body)
+
+
+def test_the_kept_rows_have_the_highest_scores_then_the_lowest_ids_in_any_order() -> None:
+    row_limits.use({"tracks": 5})
+    score = np.repeat([0.2, 0.9, 0.5], 4)
+    body = flood(12, score=score)
+    kept = codec.decode(codec.encode(message(body)), "tracks").body
+    assert kept["id"].tolist() == sorted([*body["id"][4:8], body["id"][8:].min()])
+    order = np.random.default_rng(0).permutation(12)
+    rows = ("id", "position", "velocity", "size", "yaw", "covariance", "score", "class_id")
+    shuffled = body | {name: np.asarray(body[name])[order] for name in rows}
+    other = codec.decode(codec.encode(message(shuffled)), "tracks").body
+    assert sorted(other["id"].tolist()) == sorted(kept["id"].tolist())
+    assert row_limits.excess(kept).startswith("rows: found 12 rows, expected at most 5")
+
+
+def test_rows_are_limited_equally_with_and_without_encoding() -> None:
+    row_limits.use({"tracks": 50})
+    sent = message(flood(2000, score=np.random.default_rng(1).uniform(size=2000)))
+    encoded, plain = codec.decode(codec.encode(sent), "tracks").body, codec.limited(sent).body
+    for name, column in plain.items():
+        np.testing.assert_array_equal(column, encoded[name])
+    assert len(plain["id"]) == 50
+
+
+def test_dropped_rows_are_not_checked_and_kept_rows_are() -> None:
+    row_limits.use({"tracks": 5})
+    score = np.arange(10) / 10.0
+    body = flood(10, score=score)
+    body["position"] = np.array(body["position"])
+    body["position"][0, 0] = np.nan  # of the lowest score
+    codec.check_values(message(body))
+    assert len(codec.decode(codec.encode(message(body)), "tracks").body["id"]) == 5
+    body["position"][9, 0] = np.nan
+    with pytest.raises(MessageError, match="position"):
+        codec.decode(codec.encode(message(body)), "tracks")
+    with pytest.raises(MessageError, match="position"):
+        codec.check_values(message(body))
+
+
+def test_messages_within_the_limit_are_the_same_object_as_before() -> None:
+    row_limits.use({"tracks": 5})
+    small = message(flood(5))
+    assert codec.limited(small) is small
+
+
+def test_a_node_counts_the_messages_that_it_shortened_and_a_notice_tells_them() -> None:
+    broker = Bench(tiny(), "broker")
+    row_limits.use({"tracks": 3})
+    broker.clock(0)
+    broker.send("tracks", flood(20), 0, subject="infra_1")
+    rejected = broker.host.rejected
+    ((key, kind),) = rejected
+    assert (kind, rejected[key, kind]) == ("rows", 1)
+    count, text = notices._rejected(
+        {"broker": {"rejected": {f"{key}: rows": 1}, "first_rejected": broker.host.first_rejected}}
+    )
+    assert count == 1
+    assert "by broker" in text
+    assert "found 20 rows, expected at most 3" in text
+
+
+@pytest.fixture(scope="module")
+def baseline():
+    path, loaded = scenario.load("baseline", [])
+    return scenario.resolve(path, loaded, frames=12)
+
+
+def test_the_limit_comes_from_what_the_sensors_detect_or_from_the_scenario(baseline) -> None:
+    recording = baseline.recording
+    most = int(np.diff(recording.detection_start).max())
+    assert baseline.max_rows["tracks"] == baseline.max_rows["detections"] == 16 + 2 * most
+    path, loaded = scenario.load("baseline", [])
+    assert scenario.resolve(path, loaded, frames=2, max_rows=7).max_rows["tracks"] == 7
+    with pytest.raises(ConfigurationError, match=r"run\.max_rows: found 0, expected a whole number from 1"):
+        scenario.resolve(path, loaded, frames=2, max_rows=0)
+
+
+def run_flooded(baseline, monkeypatch: pytest.MonkeyPatch, extra: int) -> tuple[list[int], dict[Any, int]]:
+    """Rows of each message that a handler of the broker, the command centre or the ego got; rejections."""
+    sizes: list[int] = []
+    publish = NodeContext.publish
+
+    def publish_more(self: NodeContext, port: str, body: Any, **options: Any) -> None:
+        if extra and self.name == "infra_1" and port == "tracks":
+            body = flood(extra) | {name: body[name] for name in ("origin", "rotation")}
+        if port in ("collated", "picture"):
+            sizes.append(len(body["id"]))
+        publish(self, port, body, **options)
+
+    monkeypatch.setattr(NodeContext, "publish", publish_more)
+    process = InProcess(baseline)
+    process.run()
+    assert process.failures() == {}
+    rejected = {key: n for host in process.hosts.values() for key, n in host.rejected.items() if key[1] == "rows"}
+    return sizes, rejected
+
+
+def test_an_agent_that_floods_leaves_at_most_its_limit_in_every_batch(baseline, monkeypatch) -> None:
+    honest, none = run_flooded(baseline, monkeypatch, 0)
+    assert none == {}
+    flooded, rejected = run_flooded(baseline, monkeypatch, 5000)
+    assert max(flooded) <= max(honest) + baseline.max_rows["tracks"]
+    assert sum(rejected.values()) == 12
