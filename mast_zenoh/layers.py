@@ -42,6 +42,7 @@ LAYERS: dict[str, str] = {
     "sensing": "lidar and detector models",
     "gather": "collects messages from many publishers by frame",
     "arrays": "states, geometry, matching, neighbours",
+    "run_files": "files of run folders: names, bounded reading, writing that follows no link",
     "version": "version number and fingerprint of the sources",
     "kernels": "compiled versions of a few functions",
     "streams": "named random streams",

@@ -18,6 +18,7 @@ from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.launch import folder, liveness
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.tables import read_arrow
+from mast_zenoh.run_files import read_json
 
 if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.api.plots import Plots
@@ -45,7 +46,7 @@ class Run:
     @property
     def record(self) -> dict[str, Any]:
         """run.json: id, status, seed, versions, timings, node endings (docs/endings.md)."""
-        return liveness.current_record(folder.read_json(self.path / "run.json"))
+        return liveness.current_record(read_json(self.path / "run.json"))
 
     @property
     def id(self) -> str:
@@ -82,7 +83,7 @@ class Run:
     @property
     def summary(self) -> dict[str, Any]:
         """metrics.json: means and deviations over scored frames (docs/metrics.md)."""
-        return dict(self._written("metrics.json", folder.read_json))
+        return dict(self._written("metrics.json", read_json))
 
     @property
     def metrics(self) -> pyarrow.Table:
@@ -160,7 +161,7 @@ class Run:
     @property
     def agents(self) -> tuple[str, ...]:
         """The names of the agents."""
-        nodes = folder.read_json(self.path / "scenario.json")["nodes"]
+        nodes = read_json(self.path / "scenario.json")["nodes"]
         return tuple(name for name, spec in nodes.items() if spec["role"] == "agent")
 
     def agent(self, name: str) -> Agent:

@@ -15,6 +15,7 @@ from rich.console import Console
 from typer.core import TyperCommand
 
 from mast_zenoh.cli import completion
+from mast_zenoh.config.trust import OWN_RUN, Trust
 from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.launch import ending
@@ -87,6 +88,9 @@ AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn
 Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
 
 
+Trusted = Annotated[
+    bool, typer.Option("--trust", help="Run the code, and contact the hosts, that the run folder names.")
+]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Print warnings and errors only, to standard error; name the --out.")
 ]
@@ -201,7 +205,7 @@ def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Refe
     if interrupted:
         return None, NotComparable(f"{run.path}: was interrupted: expected a finished run")
     try:
-        return comparison.reference(run, reference_folder(run.path, against)), None
+        return comparison.reference(run, reference_folder(run.path, against, OWN_RUN)), None
     except RunFolderError as error:
         return None, error
 
@@ -231,11 +235,23 @@ def check_reference(against: str | None) -> None:
         raise NotComparable(f"{folder}: has a damaged metrics.json: {expected}")
 
 
-def reference_folder(run_folder: Path, against: str) -> Path:
-    """The folder of the reference run; an unattacked twin runs first if needed."""
+def trust(*named: str | Path | None, confirmed: bool) -> Trust:
+    """Trust in the files that this command line names, and with --trust in all; those are printed."""
+
+    def announce(sentence: str) -> None:
+        err.print(sentence, style="yellow", markup=False, highlight=False)
+
+    return Trust.of(*named, confirmed=confirmed, announce=announce)
+
+
+def reference_folder(run_folder: Path, against: str, trusted: Trust) -> Path:
+    """The folder of the reference run; an unattacked twin runs first if needed.
+
+    trusted: which of the code that the run folder names may run
+    """
     from mast_zenoh.launch import twin
 
-    return twin.of(run_folder, out) if against == twin.FOLDER else Path(against)
+    return twin.of(run_folder, out, trusted) if against == twin.FOLDER else Path(against)
 
 
 def show_notices(finished: Run, label: str = "") -> None:

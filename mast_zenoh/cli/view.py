@@ -11,8 +11,10 @@ from typing import Annotated
 import typer
 
 from mast_zenoh.cli import completion, viewer_process
+from mast_zenoh.cli.options import Trusted, trust
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.launch.liveness import check_from_here
 
 _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
 
@@ -30,6 +32,7 @@ class _Options:
     rerun: bool
     rate: float
     loop: bool
+    trusted: bool
 
     def check(self) -> None:
         """Raise BadParameter for options that exclude each other for every run."""
@@ -71,17 +74,21 @@ def view(
         float, typer.Option(min=0.01, max=100.0, help="--foxglove, finished run: s of the scene per s.")
     ] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="--foxglove, finished run: begin again at the end.")] = False,
+    trusted: Trusted = False,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
     """Show a run in a browser while it is running or afterwards, or two finished runs on one timeline.
 
     Ctrl-C ends the viewer; it never ends the run.
     """
-    options = _Options(other, frame, run, port, browser, foxglove, rerun, rate, loop)
+    options = _Options(other, frame, run, port, browser, foxglove, rerun, rate, loop, trusted)
     options.check()
     remote = _is_router(target)
     if attached:
-        viewer_process.observe(target, run, port, remote=remote, browser=browser, foxglove=foxglove, rerun=rerun)
+        trust_ = trust(confirmed=trusted)
+        viewer_process.observe(
+            target, run, port, trust_, remote=remote, browser=browser, foxglove=foxglove, rerun=rerun
+        )
     elif remote:
         _view_router(target, options)
     elif _is_running(Path(target)):
@@ -113,6 +120,8 @@ def _view_running(folder: Path, options: _Options) -> None:
         raise _in_progress(folder)
     _check_for_running(options)
     _check_for_folder(folder, options)
+    record = viewer_process.record_of(folder)
+    check_from_here(folder, record, trust(confirmed=options.trusted), f"the router {record.get('endpoint')}")
     _observe(str(folder), options)
 
 
@@ -145,7 +154,12 @@ def _in_progress(folder: Path) -> RunFolderError:
 
 def _observe(target: str, options: _Options) -> None:
     """Show a running run in a process of its own; ends the command with its exit code."""
-    chosen = {"--open": options.browser, "--foxglove": options.foxglove, "--rerun": options.rerun}
+    chosen = {
+        "--open": options.browser,
+        "--foxglove": options.foxglove,
+        "--rerun": options.rerun,
+        "--trust": options.trusted,
+    }
     words = [
         f"--port={options.port}",
         *([f"--run={options.run}"] if options.run else []),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.run_files import check_regular, replacing
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
@@ -46,11 +47,9 @@ _hide_pandas()
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
     """Write a table as Parquet, whole or not at all; a NaN is a missing value."""
-    try:
-        parquet.write_table(to_arrow(columns), path)
-    except BaseException:
-        path.unlink(missing_ok=True)  # a truncated file cannot be read
-        raise
+    table = to_arrow(columns)
+    with replacing(path) as new:
+        parquet.write_table(table, new)
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:
@@ -64,9 +63,9 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
 def read_arrow(path: Path) -> Any:
     """Read a Parquet file as an Arrow table.
 
-    Raises OSError or ArrowException if it is missing or broken.
+    Raises OSError, RunFolderError or ArrowException if it is missing or broken.
     """
-    with parquet.ParquetFile(path) as file:
+    with parquet.ParquetFile(check_regular(path)) as file:
         return file.read()
 
 

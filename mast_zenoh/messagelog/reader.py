@@ -7,14 +7,14 @@ before the other messages of its frame.
 from __future__ import annotations
 
 import heapq
-import json
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -31,6 +31,7 @@ from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
+from mast_zenoh.run_files import read_object
 
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
@@ -96,15 +97,12 @@ def file_of(path: Path) -> Path:
 
 def _without_recording(folder: Path) -> str:
     """Why a folder has no recording, as text."""
-    try:
-        run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not (folder / "run.json").exists():
         return f"{folder} is not the folder of a run"
-    except (OSError, ValueError):
-        run = None
-    recorded = run.get("recorded") if isinstance(run, dict) else None
-    messages = recorded.get("messages") if isinstance(recorded, dict) else None
-    if messages:
+    run: dict[str, Any] = {}
+    with suppress(RunFolderError):
+        run = read_object(folder / "run.json")
+    if messages := (run.get("recorded") or {}).get("messages"):
         return f"the run was recorded, and run.json counts {messages} messages: expected the recording in {folder}"
     return f"{folder} is a run that was not recorded"
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from mast_zenoh.run_files import check_shape
+
 #: The message type of an input port that receives every key. A node with such a port publishes nothing.
 ANY = "*"
 
@@ -224,7 +226,8 @@ class Wiring:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Wiring:
-        """The wiring that `to_json` wrote."""
+        """The wiring that `to_json` wrote; raises ValueError, KeyError or IndexError for anything else."""
+        check_shape(data, "wiring.json")
         return cls(
             tuple(_wire_of(wire) for wire in data["wires"]),
             tuple(Endpoint(end["node"], end["port"]) for end in data.get("overhearers", ())),

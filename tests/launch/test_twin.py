@@ -70,6 +70,7 @@ def run_id(folder: Path) -> str:
 
 OWN_AGENT = """
 from mast_zenoh.config import bundle, loading
+from mast_zenoh.config.trust import OWN_RUN
 from offset import OFFSET
 
 Base = loading.node_class(bundle.ROOT / "nodes" / "agent.py")
@@ -91,12 +92,12 @@ def test_a_twin_is_played_again_if_a_users_file_or_one_next_to_it_changed(tmp_pa
         "    content['agents'] = {'*': {**content['agents']['*'], 'file': 'own_agent.py'}}\n    return content\n"
     )
     attacked = played(tmp_path / "attacked", str(user_files / "own.py"))
-    first = run_id(twin.of(attacked))
-    assert run_id(twin.of(attacked)) == first
+    first = run_id(twin.of(attacked, trust=OWN_RUN))
+    assert run_id(twin.of(attacked, trust=OWN_RUN)) == first
     (user_files / "offset.py").write_text("OFFSET = 2\n")
-    second = run_id(twin.of(attacked))
+    second = run_id(twin.of(attacked, trust=OWN_RUN))
     assert second != first
-    assert run_id(twin.of(attacked)) == second
+    assert run_id(twin.of(attacked, trust=OWN_RUN)) == second
 
 
 def test_a_twin_is_played_again_if_a_version_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,14 +17,15 @@ from typing import Any
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
+from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.control import control_prefix
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.interception import answer_of, place_json
 from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, WiringError, nearest
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.interception.server import SECRET_FILE, seal
 from mast_zenoh.node import Node
+from mast_zenoh.run_files import check_regular, read_json
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenes.recording import Recording
@@ -46,6 +47,7 @@ def intercept(
     input: str | None = None,
     output: str | None = None,
     settings: Sequence[str] = (),
+    trust: Trust = NOTHING,
 ) -> dict[str, Any]:
     """Put the node in `file` on a wire of a run; return node, wires, frame, took_ms.
 
@@ -53,12 +55,13 @@ def intercept(
     name:  name of the new node; None: the file's name with a number
     input, output: its ports on the wire; None: the ports that carry the wire's messages
     settings: its parameters, `key=value`; a dotted key sets an item of a dict
+    trust: which of the code that the run folder names may run here
 
     Raises NotRunning, WiringError (the wire), NodeFileError (the node's file or ports), ConfigurationError (its
     parameters or name), StartError (it did not start), RunError (nothing was changed).
     """
-    record = _running(run)
-    resolved = Resolved.read(run)
+    record = _running(run, trust)
+    resolved = Resolved.read(run, trust)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
     add_surroundings({node: spec}, Recording.load(run / RECORDING))
     fields = {
@@ -71,14 +74,14 @@ def intercept(
     return _ask(run, record, {"do": "intercept", "name": node, "spec": fields, "place": place_json(place)})
 
 
-def release(run: Path, *, name: str | None = None, wire: str | None = None) -> dict[str, Any]:
+def release(run: Path, *, name: str | None = None, wire: str | None = None, trust: Trust = NOTHING) -> dict[str, Any]:
     """Take a node off its wires: the named one, or the only one on a wire.
 
     Returns as `intercept` does. Raises NotRunning, WiringError (no such node or wire), RunError (nothing was changed).
     """
     if (name is None) == (wire is None):
         raise ConfigurationError("release: expected either a name or a wire")
-    return _ask(run, _running(run), {"do": "release", "name": name, "wire": wire})
+    return _ask(run, _running(run, trust), {"do": "release", "name": name, "wire": wire})
 
 
 def plan(
@@ -99,8 +102,7 @@ def plan(
     wires = {candidate.key: candidate for candidate in wiring.wires}
     if wire not in wires:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
-    for module in resolved.modules:
-        loading.module(Path(module))
+    resolved.load_modules()
     path = bundle.find("nodes", file, Path.cwd())
     if path is None:
         raise NodeFileError(f"no node file {file!r}{nearest(file, bundle.names('nodes', Path.cwd()))}")
@@ -208,13 +210,14 @@ def _own_wires(cls: type[Node], name: str, resolved: Resolved) -> list[Wire]:
     return wires
 
 
-def _running(run: Path) -> dict[str, Any]:
+def _running(run: Path, trust: Trust) -> dict[str, Any]:
     """Read run.json of a run; raises NotRunning unless it is running on a mesh."""
-    record: dict[str, Any] = liveness.current_record(run_folder.read_json(run / "run.json"))
+    record: dict[str, Any] = liveness.current_record(read_json(run / "run.json"))
     if record.get("status") != "running":
         raise NotRunning(f"{run}: the run is over: {record.get('status')}")
     if record.get("runtime") != "mesh":
         raise NotRunning(f"{run}: the run is in one process: expected a run on a mesh")
+    liveness.check_from_here(run, record, trust, f"the router {record.get('endpoint')}")
     if record.get("security", "open") != "open":
         level = record["security"]
         raise NotRunning(
@@ -228,7 +231,7 @@ def _running(run: Path) -> dict[str, Any]:
 
 def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[str, Any]:
     """Send a request, return the answer; raises the launcher's error, and NotRunning."""
-    sealed = seal(request, (run / SECRET_FILE).read_bytes())
+    sealed = seal(request, check_regular(run / SECRET_FILE).read_bytes())
     endpoint = record["endpoint"]
     if not _reachable(endpoint):
         raise NotRunning(f"{run}: nothing answers at {endpoint}: the run was killed")

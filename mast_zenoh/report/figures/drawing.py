@@ -16,6 +16,7 @@ from mast_zenoh.report.figures.camera import draw_camera, ego_eye
 from mast_zenoh.report.figures.style import FAINT, GROUND, Figure, plain, png, svg
 from mast_zenoh.report.figures.view import FrameView, clipped, window
 from mast_zenoh.report.tables.scores import MEASURES, ScoreTable, number
+from mast_zenoh.run_files import subfolder, write_bytes
 
 _PANELS = {
     "local": "the ego alone: its own tracks",
@@ -58,10 +59,10 @@ class RenderedFigure:
 
     def save(self, folder: Path) -> None:
         """Write `folder/<name>.png`, and `.svg` where there is one."""
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{self.name}.png").write_bytes(self.png)
+        folder = subfolder(folder.parent, folder.name)
+        write_bytes(folder / f"{self.name}.png", self.png)
         if self.svg:
-            (folder / f"{self.name}.svg").write_bytes(self.svg)
+            write_bytes(folder / f"{self.name}.svg", self.svg)
 
 
 def render(name: str, figure: figures.Figure, alt: str, caption: str, *, vector: bool = False) -> RenderedFigure:
