@@ -80,6 +80,19 @@ def read_object(path: Path, *, shaped: bool = True) -> dict[str, Any]:
     return content
 
 
+@contextmanager
+def reading(folder: Path) -> Iterator[None]:
+    """Turn errors that only contents of a run folder explain into RunFolderError.
+
+    SHAPES has what every run has; nodes of users add what they like.
+    """
+    try:
+        yield
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
+        description = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RunFolderError(f"{folder}: its contents cannot be used: {description:.300}") from error
+
+
 def parse_json(content: bytes | str) -> Any:
     """JSON of limited size and depth; raises ValueError for any other."""
     data = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
@@ -96,6 +109,8 @@ def parse_json(content: bytes | str) -> Any:
         depth = _depth(value)
     if depth > MAX_DEPTH:
         raise ValueError(f"found JSON that is nested more than {MAX_DEPTH} levels deep")
+    if b"\\u" in data:  # a lone surrogate cannot be written anywhere; bytes of paths that are not UTF-8 can
+        json.dumps(value, ensure_ascii=False).encode("utf-8", "surrogateescape")
     return value
 
 
@@ -204,6 +219,7 @@ SHAPES: dict[str, Any] = {
     "metrics.json": {
         "agents": {ANY: {ANY: {}}},
         "same_as": {ANY: {ANY: str}},
+        "scored_frames": [int],
         **{name: {ANY: {}} for name in ("latency_ms", "interposers", "achieved")},
     },
     "study.json": {"name": str},

@@ -15,6 +15,7 @@ from mast_zenoh.cli.options import Trusted, trust
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.launch.liveness import check_from_here
+from mast_zenoh.run_files import reading
 
 _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
 
@@ -171,7 +172,9 @@ def _observe(target: str, options: _Options) -> None:
 def _show_finished(folders: list[Path], options: _Options) -> None:
     from mast_zenoh.report.playback.server import ViewerServer, viewer_page
 
-    with ViewerServer(viewer_page(folders, options.frame), options.port) as server:
+    with reading(folders[-1]):
+        page = viewer_page(folders, options.frame)
+    with ViewerServer(page, options.port) as server:
         viewer_process.announce(server.url, options.browser)
         with suppress(KeyboardInterrupt):
             server.serve_forever()
@@ -183,7 +186,9 @@ def _serve_to_other_viewers(folder: Path, options: _Options) -> None:
     from mast_zenoh.viewer.frames import RunFrames
     from mast_zenoh.viewer.servers.other_viewers import serve_to_foxglove, serve_to_rerun
 
-    run, never, print_line = RunFrames.load(folder), threading.Event(), viewer_process.print_line
+    with reading(folder):
+        run = RunFrames.load(folder)
+    never, print_line = threading.Event(), viewer_process.print_line
     if options.foxglove:
         serve_to_foxglove(run, options.port, never, print_line, rate=options.rate, loop=options.loop)
     else:

@@ -164,7 +164,7 @@ def _initial_wiring(folder: Path) -> tuple[Wiring, set[str]]:
 def _player(spec: NodeSpec, script: Script) -> NodeSpec:
     """The spec of the player of a recorded node."""
     cls = player.ScenePlayer if spec.role == DRIVER_ROLE else player.Player
-    own = {name: getattr(spec, name) for name in ("file", "type", "on_exit", "config")}
+    own = {"file": str(spec.file)} | {name: getattr(spec, name) for name in ("type", "on_exit", "config")}
     recorded = spec.config.get("recorded") or own  # a replay can be replayed
     return NodeSpec(spec.role, str(player.__file__), cls.__name__, {"script": script, "recorded": recorded}, "fail")
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh import scenario, version
+from mast_zenoh.config.trust import OWN_RUN
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.launch import run, twin
 
@@ -70,7 +71,6 @@ def run_id(folder: Path) -> str:
 
 OWN_AGENT = """
 from mast_zenoh.config import bundle, loading
-from mast_zenoh.config.trust import OWN_RUN
 from offset import OFFSET
 
 Base = loading.node_class(bundle.ROOT / "nodes" / "agent.py")
