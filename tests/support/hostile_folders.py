@@ -399,6 +399,7 @@ for _file in JSON_FILES:
     _named(f"deep_objects_{_stem}", _content(_file, '{"nodes":' * 200_000 + "1" + "}" * 200_000))
     _named(f"list_as_{_stem}", _content(_file, "[]"))
     _named(f"empty_{_stem}", _content(_file, b""))
+    _named(f"nothing_in_{_stem}", _content(_file, "{}"))
 _named("run_of_bytes", _content("run.json", b"\xff\xfe\x00"))
 _named("wide_metrics", _content("metrics.json", "[" + "[]," * 3_000_000 + "[]]"))
 _named("wide_run", _content("run.json", '{"nodes": [' + "{}," * 3_000_000 + "{}]}"))
