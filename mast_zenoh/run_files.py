@@ -188,7 +188,7 @@ SHAPES: dict[str, Any] = {
         **dict.fromkeys(("endpoint", "viewer_credentials"), str),
         **dict.fromkeys(("seed", "frames"), int),
         "rate": _NUMBER,
-        "command": [str],
+        "command": (str, list),
         "launcher": _LAUNCHER,
         "versions": {ANY: str},
         "timings": {},
@@ -253,7 +253,8 @@ def _check(value: Any, shape: Any, place: str) -> None:
     elif shape is _Name:
         expected = None if is_name(value) else f"a name: {EXPECTED_NAME.removeprefix('expected ')}"
     elif not isinstance(value, shape) or (isinstance(value, bool) and shape is not bool):
-        expected = {str: "a string", bool: "true or false", int: "a whole number"}.get(shape, "a number")
+        words = {str: "a string", bool: "true or false", int: "a whole number", (str, list): "a string or a list"}
+        expected = words.get(shape, "a number")
     elif isinstance(value, int) and not -_MAX_INT <= value < _MAX_INT:
         expected = "a number of 64 bits"
     if expected is not None:

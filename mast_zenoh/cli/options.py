@@ -15,13 +15,13 @@ from rich.console import Console
 from typer.core import TyperCommand
 
 from mast_zenoh.cli import completion
-from mast_zenoh.config.trust import OWN_RUN, Trust
 from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.launch import ending
 from mast_zenoh.security import levels
 
 if TYPE_CHECKING:
+    from mast_zenoh.config.trust import Trust
     from mast_zenoh.launch.run import Run
     from mast_zenoh.report.comparison import Reference
     from mast_zenoh.report.runfolder import RunFolder
@@ -200,6 +200,7 @@ def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolde
 
 def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
     """The run to compare with, or why that is not possible."""
+    from mast_zenoh.config.trust import OWN_RUN
     from mast_zenoh.report import comparison
 
     if interrupted:
@@ -237,6 +238,8 @@ def check_reference(against: str | None) -> None:
 
 def trust(*named: str | Path | None, confirmed: bool) -> Trust:
     """Trust in the files that this command line names, and with --trust in all; those are printed."""
+
+    from mast_zenoh.config.trust import Trust  # the classes of all nodes are slow to load
 
     def announce(sentence: str) -> None:
         err.print(sentence, style="yellow", markup=False, highlight=False)

@@ -14,7 +14,6 @@ from mast_zenoh.cli import completion, viewer_process
 from mast_zenoh.cli.options import Trusted, trust
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
-from mast_zenoh.launch.liveness import check_from_here
 from mast_zenoh.run_files import reading
 
 _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
@@ -121,6 +120,8 @@ def _view_running(folder: Path, options: _Options) -> None:
         raise _in_progress(folder)
     _check_for_running(options)
     _check_for_folder(folder, options)
+    from mast_zenoh.launch.liveness import check_from_here
+
     record = viewer_process.record_of(folder)
     check_from_here(folder, record, trust(confirmed=options.trusted), f"the router {record.get('endpoint')}")
     _observe(str(folder), options)

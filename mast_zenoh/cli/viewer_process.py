@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.cli.options import out as _out
-from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.errors import UntrustedCode
 from mast_zenoh.run_files import read_object
 
 if TYPE_CHECKING:
+    from mast_zenoh.config.trust import Trust
     from mast_zenoh.launch.context import RunContext
 
 _START_S = 60.0  # for a run to start its nodes
@@ -156,6 +156,7 @@ def observe(
 
 def _delete_keys_of_the_dead(folder: Path) -> None:
     """Delete the viewer's credentials if the launcher, which else does so, was killed."""
+    from mast_zenoh.config.trust import NOTHING
     from mast_zenoh.launch import liveness
     from mast_zenoh.launch.context import VIEWER_CREDENTIALS
     from mast_zenoh.security.credentials import VIEWER

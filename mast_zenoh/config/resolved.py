@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.config.trust import Trust
+from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog.script import Script
 from mast_zenoh.messagelog.writer import MessageLog
@@ -141,7 +141,7 @@ class Resolved:
         return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages})
 
     @classmethod
-    def read(cls, run_folder: Path, trust: Trust) -> Resolved:
+    def read(cls, run_folder: Path, trust: Trust = NOTHING) -> Resolved:
         """The resolved scenario in a run folder.
 
         trust: which of the Python files that it names may run; the others are UntrustedFile

@@ -10,11 +10,13 @@ import socket
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mast_zenoh.config.trust import Trust
 from mast_zenoh.errors import RunFolderError, UntrustedCode
 from mast_zenoh.launch.ending import KILLED, RUNNING
+
+if TYPE_CHECKING:
+    from mast_zenoh.config.trust import Trust
 
 
 def identity() -> dict[str, Any]:

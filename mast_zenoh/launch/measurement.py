@@ -59,7 +59,7 @@ def measure(folder: Path, trust: Trust = NOTHING) -> list[str]:
     return [*run_folder.write_results(folder, {EVALUATOR: results}, kept), *recorder_notices]
 
 
-def scenario_of(folder: Path, trust: Trust) -> Resolved:
+def scenario_of(folder: Path, trust: Trust = NOTHING) -> Resolved:
     """The scenario of a run; raises RunFolderError if it cannot be read.
 
     trust: which of the code that it names may run

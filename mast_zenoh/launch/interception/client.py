@@ -217,7 +217,6 @@ def _running(run: Path, trust: Trust) -> dict[str, Any]:
         raise NotRunning(f"{run}: the run is over: {record.get('status')}")
     if record.get("runtime") != "mesh":
         raise NotRunning(f"{run}: the run is in one process: expected a run on a mesh")
-    liveness.check_from_here(run, record, trust, f"the router {record.get('endpoint')}")
     if record.get("security", "open") != "open":
         level = record["security"]
         raise NotRunning(
@@ -226,6 +225,7 @@ def _running(run: Path, trust: Trust) -> dict[str, Any]:
         )
     if not record.get("endpoint") or not (run / SECRET_FILE).is_file():
         raise NotRunning(f"{run}: the run has not started its nodes yet, or was killed")
+    liveness.check_from_here(run, record, trust, f"the router {record.get('endpoint')}")
     return record
 
 

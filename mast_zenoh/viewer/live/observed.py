@@ -59,11 +59,11 @@ class ObservedRun:
         record = liveness.current_record(read_json(path / "run.json"))
         if record.get("status") != RUNNING:
             raise NotRunning(f"{path}: the run is over: {record.get('status')}")
-        check_from_here(path, record, trust, f"the router {record.get('endpoint')}")
         if record.get("runtime") != "mesh":
             raise NotRunning(f"{path}: the run is in one process: expected a run on a mesh, or a finished run")
         if not record.get("endpoint"):
             raise NotRunning(f"{path}: the run has not started its nodes yet")
+        check_from_here(path, record, trust, f"the router {record.get('endpoint')}")
         credentials = None
         if record.get("security", "open") != "open":
             if not record.get(VIEWER_CREDENTIALS):
