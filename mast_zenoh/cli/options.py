@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -245,6 +246,12 @@ def trust(*named: str | Path | None, confirmed: bool) -> Trust:
         err.print(sentence, style="yellow", markup=False, highlight=False)
 
     return Trust.of(*named, confirmed=confirmed, announce=announce)
+
+
+def with_trust(words: list[str]) -> str:
+    """A command with --trust; words: without `mast`."""
+    at = words.index("--") if "--" in words else len(words)
+    return shlex.join(["mast", *words[:at], "--trust", *words[at:]])
 
 
 def reference_folder(run_folder: Path, against: str, trusted: Trust) -> Path:
