@@ -9,7 +9,8 @@ Each error that can end a command has its own exit code (docs/exit_codes.md).
     ├── SceneError               13   a scene's data is missing, truncated or inconsistent
     ├── MessageError             14   bytes that are not a message of the expected schema
     ├── RunFolderError           15   a run folder is missing, incomplete or already in use
-    │   └── NotComparable        17   two runs cannot be compared
+    │   ├── NotComparable        17   two runs cannot be compared
+    │   └── UntrustedCode        19   a run folder names code that the user has not confirmed
     ├── CredentialsError         16   a certificate or key is missing, expired or refused
     ├── ExportError              18   a run cannot be written in another format
     └── RunError                 20   a run failed
@@ -97,6 +98,15 @@ class NotComparable(RunFolderError):
     """
 
     exit_code = 17
+
+
+class UntrustedCode(RunFolderError):
+    """A run folder names code, a host or containers that the user has not confirmed.
+
+    Names them; nothing of it was run. `--trust` confirms all.
+    """
+
+    exit_code = 19
 
 
 class CredentialsError(MastError):

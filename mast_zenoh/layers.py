@@ -43,6 +43,7 @@ LAYERS: dict[str, str] = {
     "gather": "collects messages from many publishers by frame",
     "arrays": "states, geometry, matching, neighbours",
     "unpacking": "reads tables up to a limit on their unpacked size",
+    "run_files": "files of run folders: names, bounded reading, writing that follows no link",
     "version": "version number and fingerprint of the sources",
     "kernels": "compiled versions of a few functions",
     "streams": "named random streams",

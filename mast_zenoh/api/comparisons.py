@@ -15,6 +15,7 @@ from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.run import result
 from mast_zenoh.report.tables.scores import as_markdown, as_rich, score_table
+from mast_zenoh.run_files import reading
 
 
 class Comparison:
@@ -29,12 +30,13 @@ class Comparison:
         self._folders = labelled(runs, {})
         self._reference, *others = self._folders
         first = self._folders[self._reference]
-        for label in others:
-            comparison.reference(self._folders[label], first.path)
-        metrics = {label: run.metrics for label, run in self._folders.items()}
-        counts = {label: run.counts for label, run in self._folders.items()}
-        agent = first.ego or "ego"
-        self._scores = score_table(metrics, counts=counts, agent=agent, reference=self._reference)
+        with reading(first.path):
+            for label in others:
+                comparison.reference(self._folders[label], first.path)
+            metrics = {label: run.metrics for label, run in self._folders.items()}
+            counts = {label: run.counts for label, run in self._folders.items()}
+            agent = first.ego or "ego"
+            self._scores = score_table(metrics, counts=counts, agent=agent, reference=self._reference)
 
     @property
     def table(self) -> pyarrow.Table:

@@ -15,10 +15,10 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.evaluation.trust import UPSTREAM
-from mast_zenoh.launch import folder
 from mast_zenoh.launch.tables import from_arrow, to_arrow
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.trust import detection_delay
+from mast_zenoh.run_files import read_json
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.observability import PlacedSensor, observable
@@ -105,7 +105,7 @@ def observability(run: Run | str | Path) -> Observability:
 
 def _changes(run: Run) -> dict[str, NDArray[Any]]:
     """Measured changes to objects that agents report, by interposers other than links."""
-    wires = {wire.key: wire for wire in Wiring.from_json(folder.read_json(run.path / "wiring.json")).wires}
+    wires = {wire.key: wire for wire in Wiring.from_json(read_json(run.path / "wiring.json")).wires}
     upstream = {
         key: agent_of(wire.subject)
         for key, wire in wires.items()

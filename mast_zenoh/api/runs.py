@@ -18,6 +18,7 @@ from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.launch import folder, liveness
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.tables import read_arrow
+from mast_zenoh.run_files import read_json, read_object, reading
 
 if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.api.plots import Plots
@@ -45,27 +46,27 @@ class Run:
     @property
     def record(self) -> dict[str, Any]:
         """run.json: id, status, seed, versions, timings, node endings (docs/endings.md)."""
-        return liveness.current_record(folder.read_json(self.path / "run.json"))
+        return liveness.current_record(read_object(self.path / "run.json"))
 
     @property
     def id(self) -> str:
         """The run's own id."""
-        return str(self.record["id"])
+        return str(self._entry("id"))
 
     @property
     def name(self) -> str:
         """The scenario's name."""
-        return str(self.record["name"])
+        return str(self._entry("name"))
 
     @property
     def status(self) -> str:
         """`running`, `ok`, or another status (docs/endings.md)."""
-        return str(self.record["status"])
+        return str(self._entry("status"))
 
     @property
     def seed(self) -> int:
         """The seed of all its random draws."""
-        return int(self.record["seed"])
+        return int(self._entry("seed"))
 
     @property
     def running(self) -> bool:
@@ -77,12 +78,13 @@ class Run:
         """The report's first sentence: the largest change that adversaries or faults made."""
         from mast_zenoh.report.narrative.run import headline
 
-        return f"{headline(self._folder())}."
+        with reading(self.path):
+            return f"{headline(self._folder())}."
 
     @property
     def summary(self) -> dict[str, Any]:
         """metrics.json: means and deviations over scored frames (docs/metrics.md)."""
-        return dict(self._written("metrics.json", folder.read_json))
+        return dict(self._written("metrics.json", read_json))
 
     @property
     def metrics(self) -> pyarrow.Table:
@@ -160,8 +162,8 @@ class Run:
     @property
     def agents(self) -> tuple[str, ...]:
         """The names of the agents."""
-        nodes = folder.read_json(self.path / "scenario.json")["nodes"]
-        return tuple(name for name, spec in nodes.items() if spec["role"] == "agent")
+        nodes = read_object(self.path / "scenario.json").get("nodes") or {}
+        return tuple(name for name, spec in nodes.items() if spec and spec.get("role") == "agent")
 
     def agent(self, name: str) -> Agent:
         """The agent of this name; raises ConfigurationError if there is none."""
@@ -183,7 +185,8 @@ class Run:
         """
         from mast_zenoh.report import html as page
 
-        return page.write_report(self.path, frame, None if against is None else against.path)
+        with reading(self.path):
+            return page.write_report(self.path, frame, None if against is None else against.path)
 
     def export(self, to: str, out: str | Path) -> Exported:
         """Write the finished run in another format (docs/exports.md).
@@ -195,7 +198,8 @@ class Run:
         """
         from mast_zenoh.viewer.export import export
 
-        return export(self.path, to, Path(out))
+        with reading(self.path):
+            return export(self.path, to, Path(out))
 
     def animate(
         self,
@@ -220,7 +224,9 @@ class Run:
         from mast_zenoh.report.film import writing
 
         options: dict[str, Any] = {"start": start, "end": end, "speed": speed, "fps": fps}
-        writing.animate(self.path, Path(out), _look(look), None if against is None else against.path, **options)
+        other = None if against is None else against.path
+        with reading(self.path):
+            writing.animate(self.path, Path(out), _look(look), other, **options)
         return Path(out)
 
     def snapshot(self, out: str | Path, frame: int | None = None, *, against: Run | None = None, **look: Any) -> Path:
@@ -232,8 +238,16 @@ class Run:
         from mast_zenoh.report.film import writing
 
         other = None if against is None else against.path
-        writing.snapshot(self.path, Path(out), _look({"theme": "light", **look}), frame, other)
+        with reading(self.path):
+            writing.snapshot(self.path, Path(out), _look({"theme": "light", **look}), frame, other)
         return Path(out)
+
+    def _entry(self, name: str) -> Any:
+        """An entry of run.json that every run has."""
+        record = self.record
+        if record.get(name) is None:
+            raise RunFolderError(f"{self.path / 'run.json'}: has no {name!r}, expected the record of a run")
+        return record[name]
 
     def _folder(self) -> RunFolder:
         """The folder as the report reads it; reloaded while the run is in progress."""
@@ -262,15 +276,14 @@ class Run:
             raise RunFolderError(f"{path}: {error}") from None
 
     def __repr__(self) -> str:
-        record = self.record
-        facts = f"{record['status']}, {record['frames']} frames, seed {record['seed']}, {record['runtime']}"
-        return f"<Run {record['id']}: {facts}; {self.path}>"
+        return f"<Run {self._entry('id')}: {self._facts()}; {self.path}>"
 
     def _repr_html_(self) -> str:
-        record = self.record
         words = html.escape(f"{self.headline} Folder: {self.path}")
-        facts = f"{record['status']}, {record['frames']} frames, seed {record['seed']}, {record['runtime']}"
-        return f"<p><b>{html.escape(record['id'])}</b> ({html.escape(facts)})<br>{words}</p>"
+        return f"<p><b>{html.escape(self._entry('id'))}</b> ({html.escape(self._facts())})<br>{words}</p>"
+
+    def _facts(self) -> str:
+        return f"{self.status}, {self._entry('frames')} frames, seed {self.seed}, {self._entry('runtime')}"
 
 
 def _look(options: dict[str, Any]) -> Look:

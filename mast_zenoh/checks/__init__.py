@@ -26,6 +26,7 @@ from mast_zenoh.checks.sequences import check_sequences
 from mast_zenoh.checks.user_checks import RunCheck, apply, of_scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.run_files import write_bytes
 
 __all__ = ["FILE", "Check", "RunCheck", "is_checked", "run"]
 
@@ -60,5 +61,5 @@ def run(folder: Path, resolved: Resolved) -> list[Check]:
         "heals_s": heals,
         "converged_after_s": converged_after_s,
     }
-    (folder / FILE).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_bytes(folder / FILE, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
     return checks

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -19,6 +18,7 @@ from mast_zenoh.links import FATES, WIRES
 from mast_zenoh.messagelog import channels, reader
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.run_files import read_object
 from mast_zenoh.wiring.model import Wiring
 
 #: s of scene time by which events of a real-time run may be early or late.
@@ -87,11 +87,11 @@ class Evidence:
 
         Raises RunFolderError if the run or its recording is incomplete.
         """
-        run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        run = read_object(folder / "run.json")
         if run["status"] not in ("ok", "handler_failures"):
             raise RunFolderError(f"the run did not finish: {run['status']}")
         metrics = folder / "metrics.json"
-        scores = json.loads(metrics.read_text(encoding="utf-8")) if metrics.is_file() else {}
+        scores = read_object(metrics) if metrics.is_file() else {}
         evidence = cls(folder, resolved, Wiring.from_json(resolved.wiring), run, scores)
         for message in reader.read(folder):
             key = message.key.removesuffix(f"/{channels.MALFORMED}")

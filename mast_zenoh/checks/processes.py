@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from mast_zenoh.checks.base import Check
+from mast_zenoh.run_files import read_object
 
 NAME = "processes"
 _PROC = Path("/proc")
@@ -13,7 +13,7 @@ _PROC = Path("/proc")
 
 def check_processes(folder: Path) -> Check:
     """Check that no process has the id and folder of the run on its command line."""
-    run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    run = read_object(folder / "run.json")
     if run.get("runtime") == "inproc":
         return Check.skipped(NAME, "the run was a single process")
     if not _PROC.is_dir():

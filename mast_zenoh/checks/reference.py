@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
@@ -72,8 +71,7 @@ def _run(resolved: Resolved) -> dict[int, Floats]:
             )
             positions[message.header.frame] = message.body["position"].copy()
 
-    for module in resolved.modules:
-        loading.module(Path(module))
+    resolved.load_modules()
     InProcess(resolved, tap=tap).run()
     return positions
 

@@ -9,6 +9,7 @@ import typer
 
 from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import out as _out
+from mast_zenoh.run_files import reading
 
 if TYPE_CHECKING:
     from mast_zenoh.report.film.look import Look
@@ -74,7 +75,8 @@ def animate(
         plain=plain,
         title=title,
     )
-    images = writing.animate(run_folder, out, look, against, start=start, end=end, speed=speed, fps=fps)
+    with reading(run_folder):
+        images = writing.animate(run_folder, out, look, against, start=start, end=end, speed=speed, fps=fps)
     _out.print(f"film: {out} ({images} images, {out.stat().st_size / 1e6:.1f} MB)", markup=False, highlight=False)
 
 
@@ -109,7 +111,8 @@ def snapshot(
         plain=plain,
         title=title,
     )
-    shown = writing.snapshot(run_folder, out, look, frame, against)
+    with reading(run_folder):
+        shown = writing.snapshot(run_folder, out, look, frame, against)
     _out.print(f"frame {shown}: {out}", markup=False, highlight=False)
 
 

@@ -18,6 +18,7 @@ from mast_zenoh.cli import (
     listing,
     logs,
     replay,
+    report,
     scene,
     view,
     viewer_process,
@@ -44,14 +45,14 @@ from mast_zenoh.cli.options import (
     check_environment,
     check_reference,
     conclude,
-    reference_folder,
     reporting,
     show_notices,
     silenced,
+    with_trust,
 )
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
-from mast_zenoh.errors import ConfigurationError, Interrupted, MastError
+from mast_zenoh.errors import Interrupted, MastError, UntrustedCode
 from mast_zenoh.launch import ending
 
 if TYPE_CHECKING:
@@ -238,37 +239,7 @@ app.command()(animate.snapshot)
 app.command()(logs.logs)
 app.command()(intercept.intercept)
 app.command()(intercept.release)
-
-
-@app.command()
-def report(
-    run_folder: Annotated[Path, typer.Argument(help="The folder of a run.", autocompletion=completion.run_folders)],
-    frame: Annotated[int | None, typer.Option(min=0, help="The frame that figures show.")] = None,
-    against: Against = None,
-    measure: Annotated[bool, typer.Option("--measure", help="Measure the run again, from its recording.")] = False,
-    figures: Annotated[list[Path] | None, typer.Option(help="A Python file whose figures are added.")] = None,
-) -> None:
-    """Write the report of a run again, compared with another run if one is named.
-
-    A run without metrics is measured first, if it was recorded.
-    """
-    from mast_zenoh.launch import measurement
-    from mast_zenoh.report import html, terminal
-
-    check_reference(against)
-    if missing := next((file for file in figures or () if not file.is_file()), None):
-        raise ConfigurationError(f"no file {str(missing)!r}: --figures expects a Python file")
-    if measure or measurement.can_fill_in(run_folder):
-        for refused in measurement.measure(run_folder):
-            _err.print(f"warning: {refused}", markup=False, highlight=False)
-        _out.print(f"measured: {run_folder / measurement.METRICS}", markup=False, highlight=False)
-    other = None if against is None else reference_folder(run_folder, against)
-    with reporting(run_folder):
-        if other is not None:
-            terminal.show_run(_out, run_folder, other)
-        _out.print(f"report: {html.write_report(run_folder, frame, other, figures or ())}", highlight=False)
-    if warning := terminal.failure(run_folder):
-        _err.print(f"warning: {warning}", style="bold yellow", markup=False, highlight=False)
+app.command()(report.report)
 
 
 def carry_out() -> int:
@@ -290,7 +261,8 @@ def carry_out() -> int:
 
 def _show(error: MastError) -> int:
     _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
-    _err.print(str(error), markup=False, highlight=False)
+    hint = f": {with_trust(sys.argv[1:])}" if isinstance(error, UntrustedCode) else ""
+    _err.print(f"{error}{hint}", markup=False, highlight=False)
     return error.exit_code
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -16,6 +17,8 @@ from typing import Any
 from mast_zenoh.config import bundle
 
 _MAX_FOLDERS = 50
+#: What may go into a command line: a shell would run other names.
+_WORD = re.compile(r"[\w@.-]+")
 _RUN = "run.json"  # of every run folder
 #: What `mast list` lists; a test compares it with `api.catalogue`, which is slow to load.
 KINDS = (
@@ -84,7 +87,8 @@ def against(ctx: Any, incomplete: str) -> Iterator[str]:
 @_safe
 def logged_nodes(ctx: Any, incomplete: str) -> Iterator[str]:
     """The nodes of the run on the command line that have a log."""
-    yield from sorted(path.stem for path in (Path(ctx.params["run_folder"]) / "logs").glob("*.log"))
+    names = sorted(path.stem for path in (Path(ctx.params["run_folder"]) / "logs").glob("*.log"))
+    yield from (name for name in names if _WORD.fullmatch(name))
 
 
 @_safe

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,10 +26,13 @@ from mast_zenoh.cli.options import (
     SecureCommand,
     Seed,
     Settings,
+    Trusted,
     conclude,
+    trust,
 )
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.run_files import read_json
 
 app = typer.Typer(help="Run a scenario in containers or on other hosts.", no_args_is_help=True, add_completion=False)
 
@@ -161,9 +165,9 @@ def certificates(
 
 
 @app.command()
-def status(run_folder: RunFolder) -> None:
+def status(run_folder: RunFolder, trusted: Trusted = False) -> None:
     """List the nodes of a run, their state and place."""
-    kind, record = _deployed(run_folder)
+    kind, record = _deployed(run_folder, trusted)
     table = Table("node", "state", "where", box=None)
     for row in kind.status(run_folder, record):
         table.add_row(row["node"], row["state"], row["where"])
@@ -178,16 +182,17 @@ def logs(
     run_folder: RunFolder,
     node: Annotated[str | None, typer.Argument(help="The node. Default: all.")] = None,
     follow: Annotated[bool, typer.Option("--follow", help="Continue with new output.")] = False,
+    trusted: Trusted = False,
 ) -> None:
     """Print the logs of a run's nodes."""
-    kind, record = _deployed(run_folder)
+    kind, record = _deployed(run_folder, trusted)
     kind.logs(run_folder, record, node, follow=follow)
 
 
 @app.command()
-def down(run_folder: RunFolder) -> None:
+def down(run_folder: RunFolder, trusted: Trusted = False) -> None:
     """Remove what is left of a run that lost its launcher or machine."""
-    kind, record = _deployed(run_folder)
+    kind, record = _deployed(run_folder, trusted)
     kind.down(run_folder, record)
     if record["status"] == "running":
         from mast_zenoh.launch.folder import write_json
@@ -234,15 +239,28 @@ def doctor(
     raise typer.Exit(1 if failed else 0)
 
 
-def _deployed(folder: Path) -> tuple[Any, dict[str, Any]]:
-    """The engine and run.json of a run that was deployed."""
+def _deployed(folder: Path, trusted: bool) -> tuple[Any, dict[str, Any]]:
+    """The engine and run.json of a run that was deployed.
+
+    Raises UntrustedCode if the run was not started on this machine, or by an engine that does not come with mast.
+    """
     from mast_zenoh.deploy import engines
-    from mast_zenoh.launch.folder import read_json
+    from mast_zenoh.launch import liveness
 
     record = read_json(folder / "run.json")
-    if "deployment" not in record:
+    deployment = record.get("deployment")
+    if deployment is None:
         raise RunFolderError(f"{folder}: was not deployed: it consists of this folder alone")
-    return engines.load(record["deployment"]["engine"]), record
+    if "engine" not in deployment or "id" not in record:
+        raise RunFolderError(f"{folder / 'run.json'}: names no engine or no id, expected those of a deployed run")
+    engine = str(deployment["engine"])
+    confirmed = trust(confirmed=trusted)
+    places = ", ".join([engine, *(deployment.get("hosts") or ())])
+    liveness.check_from_here(folder, record, confirmed, f"where it was deployed: {places}")
+    if engine not in engines.names():
+        file, colon, name = engine.rpartition(":") if not engine.endswith(".py") else (engine, "", "")
+        engine = f"{os.fspath(confirmed.files_in(str(folder), None, [file])[file])}{colon}{name}"
+    return engines.load(engine), record
 
 
 def _check_options(kind: Any, options: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ import typer
 from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
+from mast_zenoh.run_files import reading
 from mast_zenoh.viewer.formats import FormatName
 
 
@@ -23,7 +24,8 @@ def export(
     """Write a finished run in another format."""
     from mast_zenoh.viewer import export as formats
 
-    exported = formats.export(run_folder, to, out)
+    with reading(run_folder):
+        exported = formats.export(run_folder, to, out)
     for path in exported.paths:
         _out.print(f"exported: {path}", markup=False, highlight=False)
     for sentence in exported.missing:

@@ -42,7 +42,7 @@ def logs(
             running = follow and run_logs.running  # asked first: a node may log until the run ends
             for line in run_logs.new_lines(partial=not running):
                 prefix = f"{line.node}  " if node is None else ""
-                sys.stdout.write(f"{prefix}{escaped(line.text)}\n")
+                sys.stdout.write(f"{escaped(prefix + line.text)}\n")
                 printed = True
                 if received:
                     break

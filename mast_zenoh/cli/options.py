@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -21,6 +22,7 @@ from mast_zenoh.launch import ending
 from mast_zenoh.security import levels
 
 if TYPE_CHECKING:
+    from mast_zenoh.config.trust import Trust
     from mast_zenoh.launch.run import Run
     from mast_zenoh.report.comparison import Reference
     from mast_zenoh.report.runfolder import RunFolder
@@ -90,6 +92,9 @@ RecordStudy = Annotated[
 ]
 
 
+Trusted = Annotated[
+    bool, typer.Option("--trust", help="Run the code, and contact the hosts, that the run folder names.")
+]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Print warnings and errors only, to standard error; name the --out.")
 ]
@@ -199,12 +204,13 @@ def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolde
 
 def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
     """The run to compare with, or why that is not possible."""
+    from mast_zenoh.config.trust import OWN_RUN
     from mast_zenoh.report import comparison
 
     if interrupted:
         return None, NotComparable(f"{run.path}: was interrupted: expected a finished run")
     try:
-        return comparison.reference(run, reference_folder(run.path, against)), None
+        return comparison.reference(run, reference_folder(run.path, against, OWN_RUN)), None
     except RunFolderError as error:
         return None, error
 
@@ -234,11 +240,31 @@ def check_reference(against: str | None) -> None:
         raise NotComparable(f"{folder}: has a damaged metrics.json: {expected}")
 
 
-def reference_folder(run_folder: Path, against: str) -> Path:
-    """The folder of the reference run; an unattacked twin runs first if needed."""
+def trust(*named: str | Path | None, confirmed: bool) -> Trust:
+    """Trust in the files that this command line names, and with --trust in all; those are printed."""
+
+    from mast_zenoh.config.trust import Trust  # the classes of all nodes are slow to load
+
+    def announce(sentence: str) -> None:
+        err.print(sentence, style="yellow", markup=False, highlight=False)
+
+    return Trust.of(*named, confirmed=confirmed, announce=announce)
+
+
+def with_trust(words: list[str]) -> str:
+    """A command with --trust; words: without `mast`."""
+    at = words.index("--") if "--" in words else len(words)
+    return shlex.join(["mast", *words[:at], "--trust", *words[at:]])
+
+
+def reference_folder(run_folder: Path, against: str, trusted: Trust) -> Path:
+    """The folder of the reference run; an unattacked twin runs first if needed.
+
+    trusted: which of the code that the run folder names may run
+    """
     from mast_zenoh.launch import twin
 
-    return twin.of(run_folder, out) if against == twin.FOLDER else Path(against)
+    return twin.of(run_folder, out, trusted) if against == twin.FOLDER else Path(against)
 
 
 def show_notices(finished: Run, label: str = "") -> None:

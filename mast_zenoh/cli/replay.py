@@ -19,9 +19,11 @@ from mast_zenoh.cli.options import (
     Report,
     Runtime,
     Secure,
+    Trusted,
     check_environment,
     check_reference,
     conclude,
+    trust,
 )
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
@@ -60,6 +62,7 @@ def replay(
     against: Annotated[
         str | None, typer.Option(metavar="RUN", help="Compare with another run, such as the recorded one.")
     ] = None,
+    trusted: Trusted = False,
 ) -> None:
     """Play a recorded run to live nodes, such as a changed command centre.
 
@@ -77,6 +80,7 @@ def replay(
         raise typer.BadParameter("lock-step waits for every node: expected --mode realtime", param_hint="--rate")
     chosen = mode or ("lockstep" if rate is None else "realtime")
     check_environment(runtime, chosen, secure, endpoint)
+    files = [value for _, is_set, value in (item.partition(".file=") for item in settings or ()) if is_set]
     prepared = replays.resolve(
         run_folder,
         place,
@@ -87,6 +91,7 @@ def replay(
         mode=chosen,
         rate=1.0 if rate is None else rate,
         record=record,
+        trust=trust(scenario, *files, confirmed=trusted),
     )
     for line in prepared.lines():
         _out.print(line, markup=False, highlight=False)

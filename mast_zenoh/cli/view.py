@@ -11,8 +11,10 @@ from typing import Annotated
 import typer
 
 from mast_zenoh.cli import completion, viewer_process
+from mast_zenoh.cli.options import Trusted, trust
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.run_files import reading
 
 _PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")
 
@@ -30,6 +32,7 @@ class _Options:
     rerun: bool
     rate: float
     loop: bool
+    trusted: bool
 
     def check(self) -> None:
         """Raise BadParameter for options that exclude each other for every run."""
@@ -71,17 +74,21 @@ def view(
         float, typer.Option(min=0.01, max=100.0, help="--foxglove, finished run: s of the scene per s.")
     ] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="--foxglove, finished run: begin again at the end.")] = False,
+    trusted: Trusted = False,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
     """Show a run in a browser while it is running or afterwards, or two finished runs on one timeline.
 
     Ctrl-C ends the viewer; it never ends the run.
     """
-    options = _Options(other, frame, run, port, browser, foxglove, rerun, rate, loop)
+    options = _Options(other, frame, run, port, browser, foxglove, rerun, rate, loop, trusted)
     options.check()
     remote = _is_router(target)
     if attached:
-        viewer_process.observe(target, run, port, remote=remote, browser=browser, foxglove=foxglove, rerun=rerun)
+        trust_ = trust(confirmed=trusted)
+        viewer_process.observe(
+            target, run, port, trust_, remote=remote, browser=browser, foxglove=foxglove, rerun=rerun
+        )
     elif remote:
         _view_router(target, options)
     elif _is_running(Path(target)):
@@ -113,6 +120,10 @@ def _view_running(folder: Path, options: _Options) -> None:
         raise _in_progress(folder)
     _check_for_running(options)
     _check_for_folder(folder, options)
+    from mast_zenoh.launch.liveness import check_from_here
+
+    record = viewer_process.record_of(folder)
+    check_from_here(folder, record, trust(confirmed=options.trusted), f"the router {record.get('endpoint')}")
     _observe(str(folder), options)
 
 
@@ -145,7 +156,12 @@ def _in_progress(folder: Path) -> RunFolderError:
 
 def _observe(target: str, options: _Options) -> None:
     """Show a running run in a process of its own; ends the command with its exit code."""
-    chosen = {"--open": options.browser, "--foxglove": options.foxglove, "--rerun": options.rerun}
+    chosen = {
+        "--open": options.browser,
+        "--foxglove": options.foxglove,
+        "--rerun": options.rerun,
+        "--trust": options.trusted,
+    }
     words = [
         f"--port={options.port}",
         *([f"--run={options.run}"] if options.run else []),
@@ -157,7 +173,9 @@ def _observe(target: str, options: _Options) -> None:
 def _show_finished(folders: list[Path], options: _Options) -> None:
     from mast_zenoh.report.playback.server import ViewerServer, viewer_page
 
-    with ViewerServer(viewer_page(folders, options.frame), options.port) as server:
+    with reading(folders[-1]):
+        page = viewer_page(folders, options.frame)
+    with ViewerServer(page, options.port) as server:
         viewer_process.announce(server.url, options.browser)
         with suppress(KeyboardInterrupt):
             server.serve_forever()
@@ -169,7 +187,9 @@ def _serve_to_other_viewers(folder: Path, options: _Options) -> None:
     from mast_zenoh.viewer.frames import RunFrames
     from mast_zenoh.viewer.servers.other_viewers import serve_to_foxglove, serve_to_rerun
 
-    run, never, print_line = RunFrames.load(folder), threading.Event(), viewer_process.print_line
+    with reading(folder):
+        run = RunFrames.load(folder)
+    never, print_line = threading.Event(), viewer_process.print_line
     if options.foxglove:
         serve_to_foxglove(run, options.port, never, print_line, rate=options.rate, loop=options.loop)
     else:

@@ -15,8 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.cli.options import out as _out
+from mast_zenoh.errors import UntrustedCode
+from mast_zenoh.run_files import read_object
 
 if TYPE_CHECKING:
+    from mast_zenoh.config.trust import Trust
     from mast_zenoh.launch.context import RunContext
 
 _START_S = 60.0  # for a run to start its nodes
@@ -26,11 +29,12 @@ _LAST_LINE = "Ctrl-C ends it."
 
 
 def record_of(folder: Path) -> dict[str, Any]:
-    """run.json of a run as of now; {}: there is none."""
-    from mast_zenoh.launch import folder as run_folder
+    """run.json of a run as of now; {}: there is none. Raises RunFolderError for one that cannot be read."""
     from mast_zenoh.launch import liveness
 
-    return liveness.current_record(run_folder.json_or_empty(folder / "run.json"))
+    if not (folder / "run.json").exists():
+        return {}
+    return liveness.current_record(read_object(folder / "run.json"))
 
 
 # -- in the process that starts it -------------------------------------------------------------------------------------
@@ -48,7 +52,7 @@ def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
         if not wanted:
             return
         context.viewer = True
-        child = start(str(context.folder), stdout=subprocess.PIPE)
+        child = start(str(context.folder), "--trust", stdout=subprocess.PIPE)  # this process's own run
         children.append(child)
         assert child.stdout is not None
         for line in child.stdout:  # until the page can be opened, or the viewer has failed
@@ -100,10 +104,13 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 # -- in the process itself ---------------------------------------------------------------------------------------------
 
 
-def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, foxglove: bool, rerun: bool) -> None:
+def observe(
+    target: str, run: str, port: int, trust: Trust, *, remote: bool, browser: bool, foxglove: bool, rerun: bool
+) -> None:
     """Show a running run until standard input ends.
 
     target: the folder of a run or, `remote`, a router with a run of this id, "": its only one
+    trust: which of the code that the run folder names may run
     foxglove, rerun: to these viewers instead of a browser
     """
     from mast_zenoh.report.playback import live_view
@@ -130,7 +137,9 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
             announce(server.url, browser)
         live_view.yield_processors()
         if not remote:
-            running = live_view.await_start(Path(target), _START_S, stop)
+            running = live_view.await_start(Path(target), _START_S, stop, trust)
+            if running.refused:
+                print_line(f"warning: {running.refused}")
             session = stack.enter_context(hosting.join(running.endpoint, running.credentials, observer=True))
         if in_browser:
             live_view.show(running, session, server, stop)
@@ -146,10 +155,16 @@ def observe(target: str, run: str, port: int, *, remote: bool, browser: bool, fo
 
 def _delete_keys_of_the_dead(folder: Path) -> None:
     """Delete the viewer's credentials if the launcher, which else does so, was killed."""
+    from mast_zenoh.config.trust import NOTHING
+    from mast_zenoh.launch import liveness
     from mast_zenoh.launch.context import VIEWER_CREDENTIALS
     from mast_zenoh.security.credentials import VIEWER
     from mast_zenoh.security.deployment import KEYS
 
+    try:
+        liveness.check_from_here(folder, record_of(folder), NOTHING, "a folder of keys")
+    except UntrustedCode:
+        return
     credentials = Path(str(record_of(folder).get(VIEWER_CREDENTIALS, "")))
     if credentials.name != VIEWER or not credentials.parent.name.startswith(KEYS):  # a file may say anything
         return

@@ -6,16 +6,20 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.trust import NOTHING, Trust
+from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog.script import Script
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
+from mast_zenoh.run_files import read_object
+from mast_zenoh.wiring.model import Wiring
 
 if TYPE_CHECKING:  # most nodes never load a scene
     from mast_zenoh.scenes.recording import Recording
@@ -99,7 +103,7 @@ class Resolved:
         nodes = {
             name: {
                 "role": spec.role,
-                "file": spec.file,
+                "file": str(spec.file),
                 "type": spec.type,
                 "on_exit": spec.on_exit,
                 "config": self._plain(spec.config),
@@ -111,7 +115,14 @@ class Resolved:
         steps = [step._asdict() for step in self.steps]
         declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
         inert = {"inert": list(self.inert)} if self.inert else {}
-        return {**{name: getattr(self, name) for name in names}, **declared, **inert, "steps": steps, "nodes": nodes}
+        return {
+            **{name: getattr(self, name) for name in names},
+            "modules": [str(module) for module in self.modules],
+            **declared,
+            **inert,
+            "steps": steps,
+            "nodes": nodes,
+        }
 
     def _plain(self, value: Any) -> Any:
         """A configuration as JSON values; recorded scene, log and scripts become file names."""
@@ -136,10 +147,35 @@ class Resolved:
         return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages})
 
     @classmethod
-    def read(cls, run_folder: Path) -> Resolved:
-        """The resolved scenario in a run folder."""
-        scenario = json.loads((run_folder / "scenario.json").read_text(encoding="utf-8"))
-        return cls.from_json(scenario, json.loads((run_folder / "wiring.json").read_text(encoding="utf-8")))
+    def read(cls, run_folder: Path, trust: Trust = NOTHING) -> Resolved:
+        """The resolved scenario in a run folder.
+
+        trust: which of the Python files that it names may run; the others are UntrustedFile
+        Raises RunFolderError for a folder whose scenario cannot be read.
+        """
+        scenario, wiring = (read_object(run_folder / name) for name in ("scenario.json", "wiring.json"))
+        try:
+            Wiring.from_json(wiring)
+            return cls.from_json(scenario, wiring).trusting(trust, str(run_folder), run_folder)
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            raise RunFolderError(
+                f"{run_folder}: scenario.json and wiring.json cannot be read: {type(error).__name__}: {error!s:.200}"
+            ) from None
+
+    def trusting(self, trust: Trust, origin: str, folder: Path | None = None) -> Resolved:
+        """A copy that runs no code but what is shipped or trusted; see `Trust.files_in`."""
+        names = {**dict.fromkeys(self.modules), **dict.fromkeys(spec.file for spec in self.nodes.values())}
+        files = cast("dict[str, str]", trust.files_in(origin, folder, names))  # an UntrustedFile is shown as text
+        return replace(
+            self,
+            modules=tuple(files[name] for name in self.modules),
+            nodes={name: replace(spec, file=files[spec.file]) for name, spec in self.nodes.items()},
+        )
+
+    def load_modules(self) -> None:
+        """Load the user's Python files that define algorithms; raises UntrustedCode before any is loaded."""
+        for file in [Path(module) for module in self.modules]:
+            loading.module(file)
 
     def in_folder(self, run_folder: Path) -> Resolved:
         """A copy for nodes that write into a run folder from another directory."""

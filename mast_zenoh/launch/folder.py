@@ -8,7 +8,6 @@ import os
 import platform
 import re
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -26,6 +25,7 @@ from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import churn, script
 from mast_zenoh.messagelog.completeness import first_incomplete_frame, first_missing_frame
+from mast_zenoh.run_files import read_object, replacing, subfolder
 
 #: Reserves room for the final run.json, so a run that filled the disk can still write it.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
@@ -102,35 +102,17 @@ def _unused(path: Path) -> Path:
 
 def write_json(path: Path, content: Any) -> None:
     """Write a JSON file atomically: a reader sees the old file or the new one."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump(content, file, indent=2, allow_nan=False)
-            file.write("\n")
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
-
-
-def read_json(path: Path) -> Any:
-    """Read a JSON file of a run folder; raises RunFolderError if missing or broken."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RunFolderError(f"{path}: missing; is {path.parent} a run folder?") from None
-    except (OSError, ValueError) as error:
-        raise RunFolderError(f"{path}: {error}") from None
+    with replacing(path) as new, new.open("w", encoding="utf-8") as file:
+        json.dump(content, file, indent=2, allow_nan=False)
+        file.write("\n")
 
 
 def json_or_empty(path: Path) -> dict[str, Any]:
     """Read the object in a JSON file; {} if that fails."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_object(path)
+    except RunFolderError:
         return {}
-    return content if isinstance(content, dict) else {}
 
 
 def versions() -> dict[str, str]:
@@ -156,7 +138,7 @@ def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measur
     """
     refused: list[str] = []
     for node, result in results.items():
-        node_folder, other_parts = folder / "results" / node, dict(result)
+        other_parts = dict(result)
         tables = other_parts.pop("tables", {})
         if not _NAME.fullmatch(node):
             refused.append(f"{node!r:.80}: {_EXPECTED_NAME}")
@@ -172,17 +154,16 @@ def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measur
                 f"only the first {MAX_TABLES} are written"
             )
         for name, table in islice(tables.items(), MAX_TABLES):
-            target = folder if node == EVALUATOR and name in TABLES else node_folder
-            if problem := _write_named(target, name, table):
+            place = () if node == EVALUATOR and name in TABLES else ("results", node)
+            if problem := _write_named(folder, place, name, table):
                 refused.append(f"{node}: table {name!r:.80}: {problem}")
         if other_parts:
-            node_folder.mkdir(parents=True, exist_ok=True)
-            write_json(node_folder / "results.json", finite(other_parts))
+            write_json(subfolder(folder, "results", node) / "results.json", finite(other_parts))
     return refused
 
 
-def _write_named(folder: Path, name: object, table: object) -> str:
-    """Write a node's table; return why it is refused, or an empty string."""
+def _write_named(folder: Path, place: tuple[str, ...], name: object, table: object) -> str:
+    """Write a node's table into a subfolder; return why it is refused, or an empty string."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         return _EXPECTED_NAME
     if not isinstance(table, Mapping):
@@ -193,10 +174,9 @@ def _write_named(folder: Path, name: object, table: object) -> str:
         write_table,  # only the launcher writes tables; nodes must not pay for the import
     )
 
-    folder.mkdir(parents=True, exist_ok=True)
     try:
-        write_table(folder / f"{name}.parquet", table)
-    except (OSError, MemoryError, ImportError):  # not the table's fault: the run has not written all it should
+        write_table(subfolder(folder, *place) / f"{name}.parquet", table)
+    except (OSError, MemoryError, ImportError, RunFolderError):  # not the table's fault: the run lacks a file
         raise
     except Exception as error:  # Arrow has many error classes, and users write tables
         return " ".join(str(error).split())[:200]

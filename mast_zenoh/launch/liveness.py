@@ -10,10 +10,13 @@ import socket
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.errors import RunFolderError, UntrustedCode
 from mast_zenoh.launch.ending import KILLED, RUNNING
+
+if TYPE_CHECKING:
+    from mast_zenoh.config.trust import Trust
 
 
 def identity() -> dict[str, Any]:
@@ -32,6 +35,23 @@ def lives(launcher: Mapping[str, Any]) -> bool | None:
         return None  # in a container, for example
     began = _began(launcher["pid"])
     return began is not None and began == launcher.get("began")
+
+
+def check_from_here(folder: Path, record: Mapping[str, Any], trust: Trust, named: str) -> None:
+    """Raise UntrustedCode unless a run was started on this machine since it was booted, or its folder is confirmed.
+
+    A folder from elsewhere must not make this machine connect to a host, or change containers, that it names: nobody
+    can guess the id of a boot. named: what the folder names, for the message
+    """
+    launcher = record.get("launcher")
+    launcher = launcher if isinstance(launcher, Mapping) else {}
+    here = _here()
+    if trust.confirmed or (here["boot"] and all(launcher.get(key) == here[key] for key in ("machine", "boot"))):
+        return
+    raise UntrustedCode(
+        f"{folder}: was not written by a run of this machine since it was started, and names {named}: nothing was "
+        "contacted; if you trust it, confirm it with --trust"
+    )
 
 
 def current_record(record: Mapping[str, Any]) -> dict[str, Any]:

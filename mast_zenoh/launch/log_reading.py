@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import json
 import re
 from collections.abc import Iterator
 from operator import itemgetter
@@ -13,6 +12,7 @@ from typing import NamedTuple
 from mast_zenoh.errors import RunFolderError, nearest
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.launch.folder import json_or_empty
 
 #: Bytes of a line; a longer one is continued on the next.
 MAX_LINE = 1 << 16
@@ -75,11 +75,7 @@ class RunLogs:
         return [path for path in (self._folder / "logs").glob("*.log") if path.is_file()]
 
     def _record(self) -> dict[str, object]:
-        try:
-            record = json.loads((self._folder / "run.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return {}
-        return record if isinstance(record, dict) else {}
+        return json_or_empty(self._folder / "run.json")
 
     def _nodes(self) -> set[str]:
         nodes = self._record().get("nodes")

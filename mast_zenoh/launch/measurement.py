@@ -5,19 +5,19 @@ Useful with a later version, or for a run that was killed before it had results.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mast_zenoh.config import bundle, loading
-from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control.failures import described
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import notices
 from mast_zenoh.messagelog import reader
 from mast_zenoh.messagelog.writer import FILE
+from mast_zenoh.run_files import read_object
 from mast_zenoh.runtime.recorded_results import results_of
 
 METRICS = "metrics.json"
@@ -31,25 +31,27 @@ def can_fill_in(folder: Path) -> bool:
     return not (folder / METRICS).exists() and (folder / FILE).is_file()
 
 
-def measure(folder: Path) -> list[str]:
+def measure(folder: Path, trust: Trust = NOTHING) -> list[str]:
     """Recompute metrics.json and the evaluator's tables from a run's recording.
+
+    trust: which of the code that the folder names may run: its evaluator, and classes of users
 
     Wall-clock times are kept as measured in the run. If the recording ends before the run did, `recording` in
     metrics.json gives its extent. Returns a sentence for each refused table, and one if the recorder was lost in the
     run. Raises RunFolderError if something is missing or damaged, or if metrics of more frames would be replaced, and
-    HandlerFailed if the evaluator fails.
+    HandlerFailed if the evaluator fails, UntrustedCode.
     """
-    resolved = scenario_of(folder)
+    resolved = scenario_of(folder, trust)
     if EVALUATOR not in resolved.nodes:
         raise RunFolderError(f"{folder / 'scenario.json'}: nodes: found no {EVALUATOR!r}, which measures a run")
-    for module in resolved.modules:
-        loading.module(Path(module))
-    evaluator = with_local_file(resolved.nodes[EVALUATOR], folder)
-    previous = run_folder.json_or_empty(folder / METRICS)
+    resolved.load_modules()
+    previous: dict[str, Any] = {}
+    with suppress(RunFolderError):
+        previous = read_object(folder / METRICS, shaped=False)
     incomplete = incomplete_recording(folder)
     if incomplete and previous:
         _refuse_worse(folder, previous, incomplete)
-    results = results_of(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
+    results = results_of(resolved, EVALUATOR, folder)
     kept: dict[str, Any] = {name: previous[name] for name in _NOT_RECORDED if name in previous}
     if incomplete:
         kept["recording"] = incomplete._asdict()
@@ -57,16 +59,15 @@ def measure(folder: Path) -> list[str]:
     return [*run_folder.write_results(folder, {EVALUATOR: results}, kept), *recorder_notices]
 
 
-def scenario_of(folder: Path) -> Resolved:
-    """The scenario of a run; raises RunFolderError if it cannot be read."""
+def scenario_of(folder: Path, trust: Trust = NOTHING) -> Resolved:
+    """The scenario of a run; raises RunFolderError if it cannot be read.
+
+    trust: which of the code that it names may run
+    """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
         raise RunFolderError(f"{folder}: found {found}, expected the folder of a run")
-    try:
-        return Resolved.read(folder)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        problem = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else described(error)
-        raise RunFolderError(f"{folder}: scenario.json and wiring.json cannot be read: {problem}") from None
+    return Resolved.read(folder, trust)
 
 
 class Incomplete(NamedTuple):
@@ -108,11 +109,3 @@ def _refuse_worse(folder: Path, metrics: dict[str, Any], incomplete: Incomplete)
         f"{folder / FILE}: {incomplete}, expected all that was played; {METRICS} is kept as it is: restore the "
         f"recording, or remove {METRICS} to measure the {incomplete.frames} frames that are left"
     )
-
-
-def with_local_file(spec: NodeSpec, folder: Path) -> NodeSpec:
-    """The node's spec with an existing file: the run's, or the shipped one."""
-    if Path(spec.file).is_file():
-        return spec
-    file = bundle.find("nodes", Path(spec.file).name, folder)
-    return spec if file is None else replace(spec, file=str(file))

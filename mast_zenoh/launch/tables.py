@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.run_files import check_regular, replacing
 from mast_zenoh.unpacking import parquet as bounded_parquet
 from mast_zenoh.unpacking.text import check_expanded
 
@@ -48,11 +49,9 @@ _hide_pandas()
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
     """Write a table as Parquet, whole or not at all; a NaN is a missing value."""
-    try:
-        parquet.write_table(to_arrow(columns), path)
-    except BaseException:
-        path.unlink(missing_ok=True)  # a truncated file cannot be read
-        raise
+    table = to_arrow(columns)
+    with replacing(path) as new:
+        parquet.write_table(table, new)
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:
@@ -66,9 +65,9 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
 def read_arrow(path: Path) -> Any:
     """Read a Parquet file as an Arrow table.
 
-    Raises OSError or ArrowException if it is missing, broken or too large when unpacked.
+    Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
     """
-    return bounded_parquet.read(path)
+    return bounded_parquet.read(check_regular(path))
 
 
 def to_arrow(columns: Mapping[str, Any]) -> Any:

@@ -12,9 +12,9 @@ from typing import Any
 from rich.console import Console
 
 from mast_zenoh import version
-from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.errors import HandlerFailed, MastError, NotComparable
+from mast_zenoh.config.trust import NOTHING, Trust
+from mast_zenoh.errors import HandlerFailed, MastError, NotComparable, UntrustedCode
 from mast_zenoh.launch import folder as run_folder_files
 from mast_zenoh.launch import run
 from mast_zenoh.launch.folder import json_or_empty
@@ -53,15 +53,18 @@ def unattacked(resolved: Resolved) -> Resolved:
     )
 
 
-def of(run_folder: Path, console: Console | None = None) -> Path:
+def of(run_folder: Path, console: Console | None = None, trust: Trust = NOTHING) -> Path:
     """The folder of the unattacked twin of a run; plays it unless it is up to date.
 
+    trust: which of the code that the run folder names may run
     A twin whose handlers failed is accepted: its run.json says so.
     Raises NotComparable if the run's scenario cannot be read, or cannot be played in one process.
     """
-    twin = _read(run_folder)
+    twin = _read(run_folder, trust)
     sources = {"versions": version.versions(), "files": _digests(twin)}
     folder = run_folder / FOLDER
+    if folder.is_symlink():
+        raise NotComparable(f"{folder}: is a link, expected a folder: remove it")
     if _is_played(folder, twin) and _is_up_to_date(folder, sources):
         return folder
     if folder.exists():
@@ -83,7 +86,7 @@ def of(run_folder: Path, console: Console | None = None) -> Path:
     return folder
 
 
-def _read(run_folder: Path) -> Resolved:
+def _read(run_folder: Path, trust: Trust) -> Resolved:
     """The twin of a run's scenario, with its scene loaded from the run folder."""
     if origin := json_or_empty(run_folder / "run.json").get("replay"):
         raise NotComparable(
@@ -91,7 +94,7 @@ def _read(run_folder: Path) -> Resolved:
             f"the recorded one, {origin.get('folder')}"
         )
     try:
-        resolved = Resolved.read(run_folder)
+        resolved = Resolved.read(run_folder, trust)
         recording = Recording.load(run_folder / RECORDING)
 
         def with_scene(config: dict[str, Any]) -> dict[str, Any]:
@@ -99,12 +102,13 @@ def _read(run_folder: Path) -> Resolved:
 
         nodes = {name: replace(spec, config=with_scene(spec.config)) for name, spec in resolved.nodes.items()}
         twin = unattacked(replace(resolved, nodes=nodes, recording=recording))
+    except UntrustedCode:
+        raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError, MastError) as error:
         raise NotComparable(
             f"{run_folder}: its unattacked twin needs scenario.json, wiring.json and {RECORDING}: {error!r}"
         ) from None
-    for module in twin.modules:
-        loading.module(Path(module))
+    twin.load_modules()
     return twin
 
 

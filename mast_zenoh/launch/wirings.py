@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch import folder
 from mast_zenoh.messagelog.events import REWIRED
 from mast_zenoh.messagelog.reader import events
+from mast_zenoh.run_files import read_json
 from mast_zenoh.wiring.model import Wiring
 
 
@@ -19,7 +19,7 @@ def recorded_wirings(path: Path) -> list[tuple[int, Wiring]]:
     changes = [(event.frame, event.wiring) for event in events(path) if event.what == REWIRED]
     try:
         if not changes or changes[0][0] >= 0:
-            changes.insert(0, (-1, folder.read_json(path / "wiring.json")))
+            changes.insert(0, (-1, read_json(path / "wiring.json")))
         return [(frame, Wiring.from_json(wiring)) for frame, wiring in changes]
     except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
         raise RunFolderError(f"{path}: the wiring of the run cannot be read: {error!r}") from None

@@ -7,6 +7,7 @@ from typing import Any
 
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import BUILT_IN, Column, Schema
+from mast_zenoh.run_files import parse_json
 from mast_zenoh.wiring.model import TAP
 
 PROFILE = "mast-zenoh"
@@ -67,9 +68,9 @@ def user_schema(content: bytes) -> Schema | None:
     Raises ValueError for anything else.
     """
     try:
-        definition = json.loads(content).get(DEFINITION)
+        definition = parse_json(content).get(DEFINITION)
         schema = None if definition is None else user_types.from_json(definition)
-    except (TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (TypeError, KeyError, AttributeError) as error:
         raise ValueError(f"{type(error).__name__}: {error}") from None
     if schema is not None and schema.name in BUILT_IN:
         raise ValueError(f"message type {schema.name!r}: found a definition, expected the built-in type")

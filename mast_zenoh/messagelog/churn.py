@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from mast_zenoh.errors import NodeLost, RunFolderError
+from mast_zenoh.run_files import read_object
 
 #: The events of a node, and their wording.
 LOST, BACK = "lost", "back"
@@ -57,7 +57,7 @@ def _reasons(path: Path) -> list[tuple[int, str]]:
     if not file.is_file():
         return []
     try:
-        record = json.loads(file.read_text(encoding="utf-8")) or {}
+        record = read_object(file)
         lost = [event for event in record.get("churn", ()) if event["what"] == LOST]
         reasons = []
         if "from_frame" in record.get("recording", {}):

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from mast_zenoh.run_files import parse_json
+
 #: Name of the metadata record of an event.
 EVENT = "event"
 #: Name of the metadata record before a chunk: the steps of messages not sent in their own frame, by place in the chunk.
@@ -45,7 +47,7 @@ class Event:
     def from_metadata(cls, values: Mapping[str, str]) -> Event:
         """The event that `to_metadata` wrote; raises KeyError or ValueError otherwise."""
         if values["what"] == REWIRED:
-            wiring = json.loads(values["wiring"])
+            wiring = parse_json(values["wiring"])
             if not isinstance(wiring, dict):
                 raise ValueError("wiring: expected an object")
             return cls(REWIRED, int(values["frame"]), wiring=wiring)

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import shlex
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.run_files import read_object
 
 
 def without_recording(folder: Path) -> str:
     """Why a folder has no recording, as text."""
-    try:
-        run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not (folder / "run.json").exists():
         return f"{folder} is not the folder of a run"
-    except (OSError, ValueError):
-        run = None
-    recorded = run.get("recorded") if isinstance(run, dict) else None
-    messages = recorded.get("messages") if isinstance(recorded, dict) else None
-    if messages:
+    run: dict[str, Any] = {}
+    with suppress(RunFolderError):
+        run = read_object(folder / "run.json")
+    if messages := (run.get("recorded") or {}).get("messages"):
         return f"the run was recorded, and run.json counts {messages} messages: expected the recording in {folder}"
     return f"{folder} is a run that was not recorded: {_how_to_record(run)}"
 
 
-def _how_to_record(run: object) -> str:
+def _how_to_record(run: dict[str, Any]) -> str:
     """The command that repeats a run with a recording; in general words if run.json does not say what started it."""
-    command = run.get("command") if isinstance(run, dict) else None
+    command = run.get("command")
     if isinstance(command, str) and command.startswith("mast_zenoh.run(") and command.isprintable():
         return f"repeat it with record=True: {command:.500}"
     if isinstance(command, list) and all(isinstance(word, str) and word.isprintable() for word in command):

@@ -13,6 +13,7 @@ from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import channels
 from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messages.schemas import SCHEMAS, Header
+from mast_zenoh.run_files import EXPECTED_NAME, is_name
 from mast_zenoh.wiring.model import Input
 
 if TYPE_CHECKING:
@@ -69,7 +70,9 @@ class MessageLog:
 
     @classmethod
     def load(cls, path: Path) -> MessageLog:
-        """The log of a path in a scenario."""
+        """The log of a path in a scenario; raises RunFolderError for one that is not in the run folder itself."""
+        if not is_name(str(path)):
+            raise RunFolderError(f"{str(path)!r:.120}: a recording is a file of the run folder, {EXPECTED_NAME}")
         return cls(path)
 
     @property

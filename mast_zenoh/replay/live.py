@@ -14,7 +14,6 @@ from mast_zenoh.config import loading, registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.config.settings import ALIASES, KEYS, literal, set_dotted
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.launch.measurement import with_local_file
 from mast_zenoh.messagelog.writer import FILE, MessageLog
 from mast_zenoh.scenario.builders import load_builders
 from mast_zenoh.scenario.nodes import node_spec
@@ -43,21 +42,18 @@ class Live:
     modules: tuple[str, ...]
 
 
-def live_nodes(
-    recorded: Resolved, live: Collection[str], folder: Path, file: str | None, settings: Sequence[str]
-) -> Live:
+def live_nodes(recorded: Resolved, live: Collection[str], file: str | None, settings: Sequence[str]) -> Live:
     """The specs of the live nodes of a recorded run.
 
-    folder: of the recorded run;  file: a scenario file, whose broker, command centre, evaluator and agents replace the
+    file: a scenario file, whose broker, command centre, evaluator and agents replace the
     recorded ones; None: none;  settings: as `KEY=VALUE`
 
     Raises ConfigurationError for a setting of a node that is not live, and for anything that the nodes refuse.
     """
-    specs = {name: _local(spec, folder) for name, spec in recorded.nodes.items() if name in live}
+    specs = {name: _with_own_log(spec) for name, spec in recorded.nodes.items() if name in live}
     path, content = Path("scenario.json"), _content(specs)
     modules: tuple[str, ...] = recorded.modules
-    for module in modules:
-        loading.module(Path(module))
+    recorded.load_modules()
     if file is not None:
         path, loaded = scenario.load(file, settings)
         content |= _of_file(path, loaded, specs)
@@ -77,10 +73,10 @@ def live_nodes(
     return Live(nodes, {name: keys for name, keys in changed.items() if keys}, modules)
 
 
-def _local(spec: NodeSpec, folder: Path) -> NodeSpec:
-    """A recorded node's spec with an existing file, and with a log of its own."""
+def _with_own_log(spec: NodeSpec) -> NodeSpec:
+    """A recorded node's spec, with a log of its own."""
     config = {key: MessageLog() if value == FILE else value for key, value in spec.config.items()}
-    return replace(with_local_file(spec, folder), config=config)
+    return replace(spec, config=config)
 
 
 def _content(specs: Mapping[str, NodeSpec]) -> dict[str, Any]:

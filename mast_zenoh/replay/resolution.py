@@ -11,6 +11,7 @@ from typing import Any
 from mast_zenoh.config import loading
 from mast_zenoh.config.process_steps import REALTIME, ProcessStep
 from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node
+from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.folder import json_or_empty
@@ -70,20 +71,21 @@ def resolve(
     mode: str = "lockstep",
     rate: float = 1.0,
     record: bool = True,
+    trust: Trust = NOTHING,
 ) -> Replay:
     """Prepare the replay of the run in a folder.
 
     place:    after which nodes the run is cut, see `cut`
     scenario: a scenario file with other settings of live nodes;  settings: the same, as `KEY=VALUE`
     frames:   how many to play, None: all;  repeats: how often, None: until it is stopped
-    record:   whether the replay is recorded, too
+    record:   whether the replay is recorded, too;  trust: which of the code that the folder names may run
 
     Raises RunFolderError for a run that cannot be replayed, ConfigurationError for invalid settings, and WiringError
     for changed nodes that do not fit the recorded wires.
     """
     file_of(folder)  # names what is missing
     run = liveness.finished_record(folder, json_or_empty(folder / "run.json"))
-    recorded = scenario_of(folder)
+    recorded = scenario_of(folder, trust)
     if not 0 < rate < float("inf"):
         raise ConfigurationError(f"rate: found {rate}, expected a number above 0")
     user_types.use(recorded.messages)
@@ -91,7 +93,7 @@ def resolve(
     roles = {name: spec.role for name, spec in recorded.nodes.items() if name not in rewired}
     division = cut(wiring, roles, place)
     kept = division.live if record else {name for name in division.live if roles[name] != "recorder"}
-    live = live_nodes(recorded, kept, folder, scenario, settings)
+    live = live_nodes(recorded, kept, scenario, settings)
     classes = {name: loading.node_class(Path(spec.file), spec.type) for name, spec in live.nodes.items()}
     messages = _messages(recorded.messages, classes)
     user_types.use(messages)
@@ -162,7 +164,7 @@ def _initial_wiring(folder: Path) -> tuple[Wiring, set[str]]:
 def _player(spec: NodeSpec, script: Script) -> NodeSpec:
     """The spec of the player of a recorded node."""
     cls = player.ScenePlayer if spec.role == DRIVER_ROLE else player.Player
-    own = {name: getattr(spec, name) for name in ("file", "type", "on_exit", "config")}
+    own = {"file": str(spec.file)} | {name: getattr(spec, name) for name in ("type", "on_exit", "config")}
     recorded = spec.config.get("recorded") or own  # a replay can be replayed
     return NodeSpec(spec.role, str(player.__file__), cls.__name__, {"script": script, "recorded": recorded}, "fail")
 

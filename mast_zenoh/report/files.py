@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.tables import from_arrow, read_arrow
+from mast_zenoh.run_files import check_regular, read_object
 from mast_zenoh.scenes.recording import Recording
 
 #: A table: one array per column, all of one length.
@@ -60,17 +60,13 @@ class Reader:
 
 def json_object(path: Path) -> dict[str, Any]:
     """A JSON file that holds an object."""
-    data = json.loads(path.read_text("utf-8"))
-    if not isinstance(data, dict):
-        raise ValueError(f"found {type(data).__name__}, expected an object")
-    return data
+    path.lstat()  # raises FileNotFoundError
+    return read_object(path)
 
 
 def scene(path: Path) -> Recording:
     """The recorded scene."""
-    if not path.is_file():
-        raise FileNotFoundError(path)
-    return Recording.load(path)
+    return Recording.load(check_regular(path))
 
 
 def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
@@ -91,7 +87,7 @@ def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...
 
 def effects(path: Path) -> Table:
     """The measured effects of interposers, links included."""
-    if "interposer" not in pyarrow.parquet.read_schema(path).names:
+    if "interposer" not in pyarrow.parquet.read_schema(check_regular(path)).names:
         raise ValueError("of an older version: what adversaries reported about themselves, not what was measured")
     return table(_ATTACKS, optional=("before_subscriber", "message", "wire"))(path)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from mast_zenoh.run_files import write_bytes
 from mast_zenoh.version import __version__
 
 #: Where a template wants its table of contents, and a heading that it lists.
@@ -22,11 +23,7 @@ def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
     page = page_text(template, content)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"
-    try:
-        path.write_text(page, "utf-8", errors="surrogateescape")  # paths that are not UTF-8
-    except BaseException:
-        path.unlink(missing_ok=True)  # a partial page could be taken for a complete one
-        raise
+    write_bytes(path, page.encode("utf-8", "surrogateescape"))  # paths that are not UTF-8
     return path
 
 

@@ -130,7 +130,7 @@ def _wiring(event: Event, overhearers: Sequence[Endpoint], path: Path) -> Wiring
     """The wiring in an event, with these overhearers even if the run lacked them."""
     try:
         wiring = Wiring.from_json(event.wiring)
-    except (KeyError, TypeError, IndexError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         raise RunFolderError(f"{path}: the wiring of frame {event.frame} cannot be read: {error!r}") from None
     added = [end for end in overhearers if end not in wiring.overhearers]
     return Wiring(wiring.wires, (*wiring.overhearers, *added))

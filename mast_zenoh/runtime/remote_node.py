@@ -25,6 +25,7 @@ import zenoh
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.trust import OWN_RUN
 from mast_zenoh.control.flow import LEAVE
 from mast_zenoh.errors import MastError, StartError
 from mast_zenoh.runtime.file_client import FileClient, HandIn, files_written_by
@@ -96,7 +97,7 @@ def _host(arguments: argparse.Namespace) -> None:
             folder, client = Path(own), FileClient(session, run, name)
             without = client.fetch(folder, arrival_s)
             os.chdir(folder)
-            resolved = Resolved.read(folder)
+            resolved = Resolved.read(folder, OWN_RUN)
             if resolved.mode == "lockstep":
                 hosting.use_batch_scheduling()
             instance = hosting.build(resolved, name)

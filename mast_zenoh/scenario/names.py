@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import re
-
 from mast_zenoh.errors import ConfigurationError
-
-_MAX = 100
-#: Path separators, special characters of key expressions, control characters, and surrogates (bytes that are not text).
-_REFUSED = re.compile(r"[/\\*#?$\x00-\x1f\x7f\ud800-\udfff]")
+from mast_zenoh.run_files import MAX_NAME, REFUSED, is_name
 
 
 def checked_name(name: object, place: str) -> str:
     """Return a name; raises ConfigurationError if it could escape its folder or key."""
-    if not isinstance(name, str) or not 0 < len(name) <= _MAX or _REFUSED.search(name) or name[0] in ".@-":
+    if not isinstance(name, str) or not is_name(name) or name[0] in "@-":
         raise ConfigurationError(
-            f"{place}: found {name!r:.120}, expected at most {_MAX} characters, none of / \\ * # ? $, "
+            f"{place}: found {name!r:.120}, expected at most {MAX_NAME} characters, none of / \\ * # ? $, "
             "and no . @ or - at the beginning"
         )
     return name
@@ -23,4 +18,4 @@ def checked_name(name: object, place: str) -> str:
 
 def name_of_file(stem: str) -> str:
     """A valid name made from a file's stem, for a scenario or study without one."""
-    return _REFUSED.sub("_", stem).lstrip(".@-")[:_MAX] or "unnamed"
+    return REFUSED.sub("_", stem).lstrip(".@-")[:MAX_NAME] or "unnamed"

@@ -13,6 +13,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.tables import from_arrow, read_arrow, to_arrow
 from mast_zenoh.messagelog.writer import FILE as RECORDING
+from mast_zenoh.run_files import check_regular, parse_json, read_json, subfolder
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.table_file import write_parquet
 from mast_zenoh.study.trial import Outcome, Trial
@@ -35,19 +36,19 @@ class Store:
         """
         if not resume:
             folder = run_folder.create(out, study.name)
-            for subfolder in ("logs", "figures"):
-                (folder / subfolder).rmdir()
+            for part in ("logs", "figures"):
+                (folder / part).rmdir()
         elif out is None:
             raise RunFolderError("--resume: expected --out too: the folder of the study to continue")
         elif not out.exists() or not any(out.iterdir()):
             return cls.create(out, study, resume=False)
         else:
             folder = out.resolve()
-            stored_name = run_folder.read_json(folder / "study.json").get("name")
+            stored_name = read_json(folder / "study.json").get("name")
             if stored_name != study.name:
                 raise RunFolderError(f"{folder}: holds the study {stored_name!r}, expected {study.name!r}")
         store = cls(folder)
-        store._trials.mkdir(exist_ok=True)
+        subfolder(folder, store._trials.name)
         for leftover in store._trials.glob(".*"):
             leftover.unlink(missing_ok=True)  # from a study that was killed while writing
         return store
@@ -101,7 +102,7 @@ class Store:
         """The stored outcome of a trial; None if absent, broken or with failures."""
         try:
             table = read_arrow(self._path(trial))
-            metadata = json.loads(table.schema.metadata[_METADATA])
+            metadata = parse_json(table.schema.metadata[_METADATA])
             columns = from_arrow(table)
             if metadata["warning"] and not trial.allow_failures:
                 return None
@@ -113,7 +114,7 @@ class Store:
                 cpu_s=metadata["cpu_s"],
                 warning=metadata["warning"],
             )
-        except (OSError, ValueError, KeyError, TypeError, pyarrow.ArrowException):
+        except (OSError, ValueError, KeyError, TypeError, RunFolderError, pyarrow.ArrowException):
             return None
 
     def run_folder(self, trial: Trial) -> Path:
@@ -129,8 +130,8 @@ class Store:
         schemas = [pyarrow.schema([])]
         for trial in trials:
             try:
-                schemas.append(parquet.read_schema(self._path(trial)).remove_metadata())
-            except (OSError, pyarrow.ArrowException):
+                schemas.append(parquet.read_schema(check_regular(self._path(trial))).remove_metadata())
+            except (OSError, RunFolderError, pyarrow.ArrowException):
                 continue  # absent or broken
         return pyarrow.unify_schemas(schemas, promote_options="permissive")
 

@@ -25,6 +25,7 @@ class TableFile:
         self._pending: list[pyarrow.Table] = []
 
     def __enter__(self) -> TableFile:
+        self._temporary.unlink(missing_ok=True)  # a link there would be followed
         self._writer = parquet.ParquetWriter(self._temporary, self._schema, compression="zstd")
         return self
 

@@ -15,6 +15,7 @@ from mast_zenoh.errors import TrialsFailed
 from mast_zenoh.launch.tables import to_arrow
 from mast_zenoh.report.study_facts import FailedTrial, IdleAttack, StudyFacts
 from mast_zenoh.report.tables.study_rows import StudyRow
+from mast_zenoh.run_files import write_bytes
 from mast_zenoh.study import results
 from mast_zenoh.study.defences.kinds import Collection, kind_named
 from mast_zenoh.study.defences.study_files import StudyFiles
@@ -94,7 +95,7 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
         "table.tex": study_export.as_latex(rows, facts),
     }
     for name, text in texts.items():
-        (store.folder / name).write_text(text, encoding="utf-8")
+        write_bytes(store.folder / name, text.encode())
     figures = {} if study.cells else figures_over_trials(rows, facts)
     for item in figures.values():
         item.save(store.folder)

@@ -16,6 +16,7 @@ from mast_zenoh.control import failures, results
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError
 from mast_zenoh.metrics import Table
+from mast_zenoh.run_files import read_json
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import identity
 from mast_zenoh.study.trial import Outcome, Trial
@@ -99,7 +100,6 @@ def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
 
 def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str]) -> RunResult:
     """Run a trial on the mesh, or one whose run folder is evaluated or kept, in that folder or a temporary one."""
-    from mast_zenoh.launch import folder as run_folder  # trials in this process need neither Zenoh nor Parquet
     from mast_zenoh.launch import run as launcher
     from mast_zenoh.launch.tables import read_table
 
@@ -119,7 +119,7 @@ def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str])
             raise HandlerFailed(failures.summary(finished.failures))  # without the logs, which are not kept
         if finished.error:
             raise finished.error
-        metrics = run_folder.read_json(finished.folder / "metrics.json")
+        metrics = read_json(finished.folder / "metrics.json")
         if (kind := _kind(trial)) is not None:
             metrics["defence"] = kind.evaluate(finished.folder, metrics, compromised)
         return metrics, read_table(finished.folder / "metrics.parquet"), finished.failures

@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow
 
 from mast_zenoh.errors import MastError, MessageError, RunFolderError
-from mast_zenoh.launch import folder, liveness, measurement
+from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.tables import from_arrow, read_arrow
 from mast_zenoh.launch.wirings import recorded_wirings
@@ -20,6 +20,7 @@ from mast_zenoh.messagelog.reader import Recorded, file_of, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.run_files import read_object
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.viewer import routes
 from mast_zenoh.viewer.evaluated import ChangeTable, Judgements, ScoreTable, Table
@@ -59,7 +60,7 @@ class RunFrames:
         file_of(path)
         if path.is_file():
             raise RunFolderError(f"{path}: found a file, expected the folder of a run")
-        run = liveness.finished_record(path, _json_object(path / "run.json"))
+        run = liveness.finished_record(path, read_object(path / "run.json"))
         missing = [] if run.get("status") == "ok" else [f"the run is {run.get('status')}: {run.get('message')}"]
         if run.get("status") == RUNNING:
             missing = ["run.json says that the run is in progress; whether it is cannot be known from here"]
@@ -71,7 +72,7 @@ class RunFrames:
         for _, wiring in wirings:
             topics |= routes.topics(wiring, agents)
         read = partial(_read_or_note, path, missing)
-        metrics = read("metrics.json", _json_object, "estimates that equal others may lack outcomes", {})
+        metrics = read("metrics.json", read_object, "estimates that equal others may lack outcomes", {})
         same_as = metrics.get("same_as") or {}
         no_outcomes = "no object is marked as matched, missed or false"
         return cls(
@@ -182,13 +183,6 @@ def _read_or_note(
     except (OSError, ValueError, TypeError, MastError, pyarrow.ArrowException) as error:
         missing.append(f"{name} cannot be read ({str(error).removeprefix(f'{file}: ')}): {consequence}")
     return default
-
-
-def _json_object(path: Path) -> dict[str, Any]:
-    content = folder.read_json(path)
-    if not isinstance(content, dict):
-        raise RunFolderError(f"{path}: found {type(content).__name__}, expected an object")
-    return content
 
 
 def _table(path: Path) -> Table:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from mast_zenoh.run_files import check_shape
+
 #: The message type of an input port that receives every key. A node with such a port publishes nothing.
 ANY = "*"
 
@@ -224,11 +226,9 @@ class Wiring:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Wiring:
-        """The wiring that `to_json` wrote."""
-        return cls(
-            tuple(_wire_of(wire) for wire in data["wires"]),
-            tuple(Endpoint(end["node"], end["port"]) for end in data.get("overhearers", ())),
-        )
+        """The wiring that `to_json` wrote; raises ValueError, TypeError or LookupError for another."""
+        check_shape(data, "wiring.json")
+        return cls(tuple(map(_wire_of, data["wires"])), tuple(Endpoint(**end) for end in data.get("overhearers", ())))
 
 
 #: A wiring without wires.
@@ -238,8 +238,8 @@ NO_WIRING = Wiring(())
 def _passages(wire: Wire, legs: Sequence[tuple[str, Leg]]) -> Iterator[Passage]:
     """The passages between consecutive legs, each with its only subscriber or ""."""
     for (_, into), (before, out) in pairwise(legs):
-        port = wire.legs[0].publisher.port
-        yield Passage(out.publisher.node, wire.key, wire.subject, wire.message, port, into.key, out.key, before)
+        of_wire = wire.key, wire.subject, wire.message, wire.legs[0].publisher.port
+        yield Passage(out.publisher.node, *of_wire, into.key, out.key, before)
 
 
 def _wire_of(data: Mapping[str, Any]) -> Wire:

@@ -18,6 +18,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run
 from mast_zenoh.launch.tables import read_arrow, read_table
+from mast_zenoh.run_files import read_json
 
 METRICS = {"frames": 3, "agents": {}}
 TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
@@ -49,10 +50,10 @@ def test_only_the_evaluator_writes_to_the_top_level_of_the_folder(tmp_path: Path
         "results/alpha/metrics.parquet",
     }
     top = tmp_path / "run"
-    assert run_folder.read_json(top / "metrics.json") == METRICS | {"late": {"ego": 1}}
+    assert read_json(top / "metrics.json") == METRICS | {"late": {"ego": 1}}
     assert read_table(top / "metrics.parquet").keys() == TABLE.keys()
-    assert run_folder.read_json(top / "results/zeta/results.json") == {"metrics": {"mine": 1}}
-    assert run_folder.read_json(top / "results/evaluator/results.json") == {"more": [1]}
+    assert read_json(top / "results/zeta/results.json") == {"metrics": {"mine": 1}}
+    assert read_json(top / "results/evaluator/results.json") == {"more": [1]}
 
 
 def test_numpy_arrays_and_numbers_become_plain_json(tmp_path: Path) -> None:
@@ -109,12 +110,10 @@ def test_metrics_and_tables_of_another_node_do_not_replace_the_evaluators(tmp_pa
     file, loaded = scenario.load(str(failing.write("second", tmp_path)), [])
     outcome = run.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
     assert outcome.error is None
-    assert run_folder.read_json(outcome.folder / "metrics.json")["frames"] == 5
+    assert read_json(outcome.folder / "metrics.json")["frames"] == 5
     assert "rmse_m" in read_table(outcome.folder / "metrics.parquet")
     own = outcome.folder / "results" / "counter"
-    assert run_folder.read_json(own / "results.json") == {
-        "metrics": {"frames": "mine", "mean": None, "all": [*range(5)]}
-    }
+    assert read_json(own / "results.json") == {"metrics": {"frames": "mine", "mean": None, "all": [*range(5)]}}
     assert read_table(own / "metrics.parquet")["frame"].tolist() == [*range(5)]
     assert not list(tmp_path.rglob("other.parquet"))
     (notice,) = (notice for notice in outcome.record["notices"] if notice["kind"] == "results")

@@ -12,9 +12,9 @@ import pytest
 from launched import Launched
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_table
+from mast_zenoh.run_files import read_json
 
 pytestmark = pytest.mark.mesh
 FRAMES = 12
@@ -115,7 +115,7 @@ def test_a_node_file_without_main_runs_and_its_process_title_names_the_node(laun
         assert commands[name][commands[name].index("--name") + 1] == name
     own = run.out / "results" / "counter"
     assert read_table(own / "metrics.parquet")["frame"].tolist() == [*range(20)]
-    assert run_folder.read_json(run.out / "metrics.json")["frames"] == 20
+    assert read_json(run.out / "metrics.json")["frames"] == 20
     assert "results: 1 refused: other: table '../other': expected a name" in output
     assert not list(tmp_path.rglob("other.parquet"))
 

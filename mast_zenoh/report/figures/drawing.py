@@ -16,6 +16,7 @@ from mast_zenoh.report.figures.camera import draw_camera, ego_eye
 from mast_zenoh.report.figures.style import FAINT, GROUND, Figure, pdf, plain, png, svg
 from mast_zenoh.report.figures.view import FrameView, clipped, window
 from mast_zenoh.report.tables.scores import MEASURES, ScoreTable, number
+from mast_zenoh.run_files import subfolder, write_bytes
 
 _PANELS = {
     "local": "the ego alone: its own tracks",
@@ -60,9 +61,9 @@ class RenderedFigure:
 
     def save(self, folder: Path) -> None:
         """Write `folder/<name>.png`, and `.svg` and `.pdf` where there are any."""
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = subfolder(folder.parent, folder.name)
         for suffix, data in self._files.items():
-            (folder / f"{self.name}.{suffix}").write_bytes(data)
+            write_bytes(folder / f"{self.name}.{suffix}", data)
 
     @property
     def names(self) -> list[str]:

@@ -17,9 +17,11 @@ from typing import Any
 
 from mast_zenoh.config import loading
 from mast_zenoh.control.failures import described, location
+from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.figures.drawing import RenderedFigure
 from mast_zenoh.report.figures.of_run import OURS, rendered
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
+from mast_zenoh.run_files import check_regular, read_json, write_bytes
 
 FILE = "user_figures.json"
 _KEYS = ("name", "heading", "after", "alt", "caption")
@@ -70,7 +72,7 @@ def save(figures: Iterable[UserFigure], folder: Path) -> None:
     if pictures:
         rows = [(each.name, each.heading, each.after, made.alt, made.caption) for each, made in pictures]
         content = [dict(zip(_KEYS, row, strict=True)) for row in rows]
-        (folder / FILE).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        write_bytes(folder / FILE, (json.dumps(content, indent=2) + "\n").encode())
 
 
 def _drawn(kind: type[RunFigure], context: FigureContext, taken: Container[str]) -> UserFigure | None:
@@ -107,15 +109,15 @@ def _names(kind: type[RunFigure]) -> tuple[str, str]:
 def _stored(folder: Path) -> list[UserFigure]:
     """The figures that an earlier report has drawn; a broken one is left out."""
     try:
-        content = json.loads((folder / FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = read_json(folder / FILE)
+    except RunFolderError:
         return []
     figures = []
     for entry in content if isinstance(content, list) else ():
         try:
             name, heading, after, alt, caption = (_text(entry, key) for key in _KEYS)
-            png = (folder / f"{name}.png").read_bytes() if name.isidentifier() else b""
-        except (OSError, ValueError):
+            png = check_regular(folder / f"{name}.png").read_bytes() if name.isidentifier() else b""
+        except (OSError, ValueError, RunFolderError):
             continue
         if png.startswith(_PNG) and len(png) > 24 and after in SECTIONS:
             figures.append(UserFigure(name, heading, after, RenderedFigure(name, png, alt, caption)))

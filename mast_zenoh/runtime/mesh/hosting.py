@@ -12,7 +12,6 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError
@@ -34,8 +33,7 @@ LISTENER_NICENESS = 10
 def build(resolved: Resolved, name: str, place: str = "scenario.json", cls: type[Node] | None = None) -> Node:
     """Build a node of a scenario, after importing the user's modules; see `build_node`."""
     user_types.use(resolved.messages, resolved.max_rows)
-    for file in resolved.modules:
-        loading.module(Path(file))
+    resolved.load_modules()
     return build_node(resolved.nodes[name], name, place, cls)
 
 

@@ -24,6 +24,7 @@ import threading
 from pathlib import Path
 
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.trust import OWN_RUN
 from mast_zenoh.errors import MastError
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh import hosting
@@ -67,7 +68,7 @@ def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     if not arguments.stay:  # first of all: the launcher may be killed while this process is starting
         threading.Thread(target=_leave_with_launcher, args=(mesh_nodes, arguments.credentials), daemon=True).start()
     os.chdir(arguments.run_folder)
-    resolved = Resolved.read(Path())
+    resolved = Resolved.read(Path(), OWN_RUN)
     instance = hosting.build(resolved, arguments.name, f"{arguments.run_folder}/scenario.json", node)
     if resolved.mode == "lockstep":
         hosting.use_batch_scheduling()  # before there is a session, so that Zenoh's threads do so too

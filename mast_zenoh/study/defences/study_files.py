@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mast_zenoh.run_files import write_bytes
+
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
 
@@ -25,7 +27,7 @@ def write_files(
 ) -> StudyFiles:
     """Write texts by file name, and figures; as_rich: makes the tables for the terminal."""
     for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        write_bytes(folder / name, text.encode())
     for figure in figures.values():
         figure.save(folder)
     return StudyFiles(figures, [*texts, *(name for figure in figures.values() for name in figure.names)], as_rich)

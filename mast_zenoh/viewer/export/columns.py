@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES, Floats, ObjectStates
+from mast_zenoh.errors import RunFolderError
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES
+from mast_zenoh.run_files import EXPECTED_NAME, is_name
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.palette import OUTCOME_COLOURS, rgb
@@ -23,8 +25,11 @@ _TRACK_COLOURS = np.array(
 
 
 def stem(series: Series) -> str:
-    """A name for files about a series: truth, picture, ego.local."""
-    return ".".join(filter(None, series))
+    """A name for files about a series: truth, picture, ego.local; raises RunFolderError if it is none."""
+    name = ".".join(filter(None, series))
+    if not is_name(name):
+        raise RunFolderError(f"found {name!r:.120} as the name of an agent and its estimate, {EXPECTED_NAME}")
+    return name
 
 
 def class_names(states: ObjectStates) -> list[str]:

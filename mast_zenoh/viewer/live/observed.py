@@ -12,17 +12,19 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import RECORDING, Resolved
+from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.control import fields, prefix
 from mast_zenoh.control.description import DESCRIBE, WITHOUT_SCENE, Description, decode_description
 from mast_zenoh.control.flow import wiring_of
-from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError
+from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError, UntrustedCode
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.context import VIEWER_CREDENTIALS
 from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.launch.liveness import check_from_here
 from mast_zenoh.messages import user_types
+from mast_zenoh.run_files import read_json
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring
 
@@ -36,7 +38,7 @@ class ObservedRun:
 
     id:       of the run;  endpoint: of its router;  credentials: folder of the viewer's, None on an open mesh
     resolved: its scenario, with the wiring it began with;  scene: None: not prepared, or not known
-    folder:   None: not on this machine
+    folder:   None: not on this machine;  refused: which of the user's modules were not loaded, and why; "": none
     """
 
     id: str
@@ -45,21 +47,23 @@ class ObservedRun:
     scene: Recording | None
     credentials: Path | None = None
     folder: Path | None = None
+    refused: str = ""
 
     @classmethod
-    def of_folder(cls, path: Path) -> ObservedRun:
-        """The run that is going on in a folder of this machine; imports the user's modules of its scenario.
+    def of_folder(cls, path: Path, trust: Trust = NOTHING) -> ObservedRun:
+        """The run that is going on in a folder; loads those of its scenario's modules that are trusted.
 
         Raises NotRunning if it is not running on a mesh, or not yet, or if it is secure and was started without
-        a viewer; RunFolderError for other folders.
+        a viewer; UntrustedCode if it was not started on this machine; RunFolderError for other folders.
         """
-        record = liveness.current_record(run_folder.read_json(path / "run.json"))
+        record = liveness.current_record(read_json(path / "run.json"))
         if record.get("status") != RUNNING:
             raise NotRunning(f"{path}: the run is over: {record.get('status')}")
         if record.get("runtime") != "mesh":
             raise NotRunning(f"{path}: the run is in one process: expected a run on a mesh, or a finished run")
         if not record.get("endpoint"):
             raise NotRunning(f"{path}: the run has not started its nodes yet")
+        check_from_here(path, record, trust, f"the router {record.get('endpoint')}")
         credentials = None
         if record.get("security", "open") != "open":
             if not record.get(VIEWER_CREDENTIALS):
@@ -68,12 +72,15 @@ class ObservedRun:
                     "with --view"
                 )
             credentials = Path(record[VIEWER_CREDENTIALS])
-        resolved = measurement.scenario_of(path)
+        resolved = measurement.scenario_of(path, trust)
         user_types.use(resolved.messages, resolved.max_rows)
-        for module in resolved.modules:
-            loading.module(Path(module))
+        refused = ""
+        try:
+            resolved.load_modules()
+        except UntrustedCode as error:  # frames are measured with shipped classes
+            refused = str(error)
         scene = Recording.load(path / RECORDING) if (path / RECORDING).is_file() else None
-        return cls(str(record["id"]), str(record["endpoint"]), resolved, scene, credentials, path)
+        return cls(str(record["id"]), str(record["endpoint"]), resolved, scene, credentials, path, refused)
 
     @classmethod
     def of_mesh(cls, session: zenoh.Session, endpoint: str, run: str = "") -> ObservedRun:
@@ -92,7 +99,7 @@ class ObservedRun:
             raise ConfigurationError(f"{endpoint}: several runs: expected --run with one of {', '.join(sorted(runs))}")
         (description,) = runs.values()
         try:
-            resolved = Resolved.from_json(description.scenario, description.wiring)
+            resolved = Resolved.from_json(description.scenario, description.wiring).trusting(NOTHING, endpoint)
             user_types.use(resolved.messages, resolved.max_rows)
             wiring_of(description.wiring, DESCRIBE)
         except (KeyError, TypeError, ValueError, AttributeError, MessageError) as error:

@@ -1,0 +1,28 @@
+"""Files of a run folder: names, bounded reading, and writing that never follows a link.
+
+A run folder is data, and may come from anybody: what is in it neither runs, nor hangs or fills its reader, nor makes it
+write elsewhere. All that reads or rewrites a run folder goes through this package.
+
+shapes   names, and the types in JSON files
+reading  JSON and plain files within bounds;  writing: never through a link
+"""
+
+from mast_zenoh.run_files.reading import check_regular, parse_json, read_json, read_object, reading
+from mast_zenoh.run_files.shapes import EXPECTED_NAME, MAX_NAME, REFUSED, check_shape, is_name
+from mast_zenoh.run_files.writing import replacing, subfolder, write_bytes
+
+__all__ = [
+    "EXPECTED_NAME",
+    "MAX_NAME",
+    "REFUSED",
+    "check_regular",
+    "check_shape",
+    "is_name",
+    "parse_json",
+    "read_json",
+    "read_object",
+    "reading",
+    "replacing",
+    "subfolder",
+    "write_bytes",
+]

@@ -1,0 +1,128 @@
+"""Reads files of a run folder within bounds: size, depth, types; only plain files."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.run_files.shapes import SHAPES, check_shape
+
+#: Limits of a JSON file. A run of a thousand agents needs a tenth of each; the largest content takes about 150 MB.
+MAX_JSON_BYTES = 32 << 20
+MAX_DEPTH = 64
+MAX_CONTAINERS = 200_000
+MAX_ITEMS = 2_000_000
+
+
+def check_regular(path: Path) -> Path:
+    """Return the path; raises RunFolderError for a device, a pipe, a socket or a folder: reading it may never end.
+
+    Raises FileNotFoundError if there is none.
+    """
+    mode = path.stat().st_mode
+    if not stat.S_ISREG(mode):
+        raise RunFolderError(f"{path}: found {_kind(mode)}, expected a file")
+    return path
+
+
+def read_json(path: Path, *, shaped: bool = True) -> Any:
+    """The content of a JSON file; that of run.json and of others in SHAPES has the types that they promise.
+
+    shaped: whether these types are checked
+
+    Raises RunFolderError for a file that is missing, is no plain file, is too large, or has another content.
+    """
+    try:
+        content = parse_json(_bytes(path))
+        if shaped and path.name in SHAPES:
+            check_shape(content, path.name)
+    except FileNotFoundError:
+        raise RunFolderError(f"{path}: missing; is {path.parent} a run folder?") from None
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise RunFolderError(f"{path}: cannot be read: {error}") from None
+    return content
+
+
+def read_object(path: Path, *, shaped: bool = True) -> dict[str, Any]:
+    """The object in a JSON file; raises RunFolderError as `read_json` does."""
+    content = read_json(path, shaped=shaped)
+    if not isinstance(content, dict):
+        raise RunFolderError(f"{path}: cannot be read: found {type(content).__name__}, expected an object")
+    return content
+
+
+@contextmanager
+def reading(folder: Path) -> Iterator[None]:
+    """Turn errors that only contents of a run folder explain into RunFolderError.
+
+    SHAPES has what every run has; nodes of users add what they like.
+    """
+    try:
+        yield
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
+        description = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RunFolderError(f"{folder}: its contents cannot be used: {description:.300}") from error
+
+
+def parse_json(content: bytes | str) -> Any:
+    """JSON of limited size and depth; raises ValueError for any other."""
+    data = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
+    if len(data) > MAX_JSON_BYTES:
+        raise ValueError(f"found {len(data)} bytes of JSON, expected at most {MAX_JSON_BYTES}")
+    if data.count(b"[") + data.count(b"{") > MAX_CONTAINERS or data.count(b",") > MAX_ITEMS:
+        raise ValueError(f"expected JSON with at most {MAX_CONTAINERS} objects and lists, and {MAX_ITEMS} items")
+    try:
+        value = json.loads(data)
+    except RecursionError:
+        value = None
+        depth = MAX_DEPTH + 1
+    else:
+        depth = _depth(value)
+    if depth > MAX_DEPTH:
+        raise ValueError(f"found JSON that is nested more than {MAX_DEPTH} levels deep")
+    if b"\\u" in data:  # a lone surrogate cannot be written anywhere; bytes of paths that are not UTF-8 can
+        json.dumps(value, ensure_ascii=False).encode("utf-8", "surrogateescape")
+    return value
+
+
+def _bytes(path: Path) -> bytes:
+    """The content of a file, unless it is a link, is no plain file or is too large."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        if path.is_symlink():
+            raise ValueError("found a link, expected a file") from None
+        raise
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise ValueError(f"found {_kind(status.st_mode)}, expected a file")
+        if status.st_size > MAX_JSON_BYTES:
+            raise ValueError(f"found {status.st_size} bytes of JSON, expected at most {MAX_JSON_BYTES}")
+        return file.read(MAX_JSON_BYTES + 1)
+
+
+def _kind(mode: int) -> str:
+    return "a folder" if stat.S_ISDIR(mode) else "a pipe" if stat.S_ISFIFO(mode) else "a special file"
+
+
+def _depth(value: Any) -> int:
+    """How many objects and lists are inside each other, up to one more than MAX_DEPTH."""
+    depth, level = 0, [value] if isinstance(value, (dict, list)) else []
+    while level and depth <= MAX_DEPTH:
+        depth += 1
+        level = [
+            item
+            for each in level
+            for item in (each.values() if isinstance(each, dict) else each)
+            if isinstance(item, (dict, list))
+        ]
+    return depth

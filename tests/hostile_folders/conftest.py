@@ -1,0 +1,16 @@
+"""A sound run, of which hostile folders are copies."""
+
+from pathlib import Path
+
+import pytest
+from commands_in_process import command
+
+
+@pytest.fixture(scope="session")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a short recorded run of shipped classes."""
+    folder = tmp_path_factory.mktemp("sound") / "run"
+    sizes = ("--set", "n_infrastructure=2", "--set", "n_adversaries=1")
+    words = ("run", "uncoordinated", "--frames", "3", "--runtime", "inproc", "--no-report", *sizes)
+    assert command(*words, "--out", folder).code == 0
+    return folder
