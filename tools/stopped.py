@@ -165,8 +165,9 @@ def _watcher(kind: str, out: Path, stack: ExitStack) -> subprocess.Popen[str]:
     endpoint = json.loads((out / "run.json").read_text())["endpoint"]
     view = ["-m", "mast_zenoh", "view", str(out), "--attached"]
     words = {"viewer": view, "stranger": ["-c", STRANGER, endpoint]}.get(kind, [*view, f"--{kind}"])
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    watcher = stack.enter_context(subprocess.Popen([sys.executable, *words], text=True, **pipes))
+    watcher = stack.enter_context(
+        subprocess.Popen([sys.executable, *words], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    )
     assert watcher.stdout is not None
     line = watcher.stdout.readline()
     if kind == "viewer":

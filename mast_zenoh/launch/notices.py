@@ -47,18 +47,8 @@ def of_run(
         _first(record.get("disconnected", ())),
         (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
-    kinds = (
-        "late",
-        *_DROPPED,
-        "rejected",
-        "foreign",
-        "control",
-        "behind",
-        "churn",
-        "recording",
-        "disconnected",
-        "results",
-    )
+    tail = ("rejected", "foreign", "control", "behind", "churn", "recording", "disconnected", "results")
+    kinds = ("late", *_DROPPED, *tail)
     of_nodes = [
         {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
     ]

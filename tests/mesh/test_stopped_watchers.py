@@ -44,8 +44,8 @@ sys.stdin.read()
 @contextmanager
 def watching(program: str, endpoint: str) -> Iterator[subprocess.Popen[str]]:
     """A process that subscribes to everything."""
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", program, endpoint], text=True, **pipes) as watcher:
+    command = [sys.executable, "-c", program, endpoint]
+    with subprocess.Popen(command, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as watcher:
         try:
             assert watcher.stdout is not None
             assert watcher.stdout.readline() == "there\n"
@@ -57,7 +57,7 @@ def watching(program: str, endpoint: str) -> Iterator[subprocess.Popen[str]]:
 def test_a_suspended_viewer_gets_fewer_messages_and_a_node_all_of_them() -> None:
     router, endpoint = open_router(patient=True)
     count = 2000
-    received = []
+    received: list[zenoh.Sample] = []
     with router, open_client(endpoint, patient=True) as node, open_client(endpoint, patient=True) as sender:
         subscriber = node.declare_subscriber("data", zenoh.handlers.Callback(received.append, indirect=False))
         publisher = sender.declare_publisher("data", congestion_control=zenoh.CongestionControl.BLOCK)
@@ -71,7 +71,7 @@ def test_a_suspended_viewer_gets_fewer_messages_and_a_node_all_of_them() -> None
 
 
 def test_a_run_goes_on_without_a_suspended_client_and_names_it(launch: Callable[..., Launched], tmp_path: Path) -> None:
-    words = ("coordinated", "--set", "attack_start_s=0.5", "--frames", "200", "--mode", "lockstep")
+    words = ("coordinated", "--set", "attack_start_s=0.5", "--frames", "150", "--mode", "lockstep")
     run = launch(*words)
     endpoint = run.until(lambda: run.record().get("endpoint"), "the run has a router")
     with watching(_STRANGER, endpoint) as stranger:
@@ -98,6 +98,5 @@ def test_a_viewer_gives_up_on_a_peer_without_a_run(tmp_path: Path, *, router: bo
         if opened is not None:
             opened.close()
     assert done.returncode == 26, done.stderr
-    assert done.stderr.startswith("error: NotRunning") or endpoint in done.stderr
     assert ("no run answers" if router else "no Zenoh router answered") in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
