@@ -11,7 +11,8 @@ from rich.table import Table
 from mast_zenoh.report.tables.scores import DASH
 
 #: Groups of causes, as in `fn_split` and `fp_split` of metrics.json.
-CAUSE_GROUPS = ("fault", "attack", "withheld", "natural")
+CAUSE_GROUPS = ("fault", "attack", "natural")
+_WITH_DEFENCE = ("fault", "attack", "withheld", "natural")
 _PERCENTILES = ("p50", "p95", "p99")
 _MAIN_WIRES = ("tracks", "collated", "picture")
 _SPLITS = (("fn_split", "missed"), ("fp_split", "false"))
@@ -53,13 +54,20 @@ def with_faults(scenario: Mapping[str, Any]) -> bool:
     return any(each.get("kind") != "attack" for each in scenario.get("timeline", ()))
 
 
-def cause_rows(metrics: Mapping[str, Any]) -> list[CauseRow]:
-    """A row per agent whose picture has causes of errors."""
+def cause_groups(*summaries: Mapping[str, Any]) -> tuple[str, ...]:
+    """The groups of causes in the tables of some runs: with "withheld" if objects were withheld in any."""
+    pictures = [each.get("picture", {}) for metrics in summaries for each in metrics.get("agents", {}).values()]
+    withheld = any((picture.get(name) or {}).get("withheld") for picture in pictures for name, _ in _SPLITS)
+    return _WITH_DEFENCE if withheld else CAUSE_GROUPS
+
+
+def cause_rows(metrics: Mapping[str, Any], groups: tuple[str, ...] = CAUSE_GROUPS) -> list[CauseRow]:
+    """A row per agent whose picture has causes of errors; groups: of its causes."""
     rows = []
     for agent, estimators in metrics.get("agents", {}).items():
         splits = [estimators.get("picture", {}).get(name) for name, _ in _SPLITS]
         if all(splits):
-            missed, false = (tuple(_two_decimals(each.get(group)) for group in CAUSE_GROUPS) for each in splits if each)
+            missed, false = (tuple(_two_decimals(each.get(group)) for group in groups) for each in splits if each)
             rows.append(CauseRow(agent, missed, false))
     return rows
 
@@ -103,14 +111,15 @@ def cause_table(metrics: Mapping[str, Mapping[str, Any]], agent: str) -> Table |
 
     metrics: by the run's label
     """
-    rows = {label: row for label, summary in metrics.items() for row in cause_rows(summary) if row.agent == agent}
+    groups = cause_groups(*metrics.values())
+    rows = {label: row for label, each in metrics.items() for row in cause_rows(each, groups) if row.agent == agent}
     if not rows:
         return None
     title = "Causes of missed and false objects, per frame in the picture"
     table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", justify="left", no_wrap=True)
     for _, error in _SPLITS:
-        for index, group in enumerate(CAUSE_GROUPS):
+        for index, group in enumerate(groups):
             table.add_column(f"{error if index == 0 else ''}\n{group}", justify="right")
     for label, row in rows.items():
         table.add_row(label, *row.missed, *row.false)

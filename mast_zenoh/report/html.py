@@ -14,7 +14,7 @@ import numpy as np
 
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.fault_tables import CAUSE_GROUPS, cause_rows, check_rows, late_rows, latency_rows
+from mast_zenoh.report.fault_tables import cause_groups, cause_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.figures import of_users
 from mast_zenoh.report.figures.catalogue import frame_choice, study_figures
 from mast_zenoh.report.figures.of_run import run_figures
@@ -193,8 +193,8 @@ def _write_run(
         "effects": EFFECTS,
         "bad_verdicts": BAD,
         "results": run.results,
-        "blamed": CAUSE_GROUPS,
-        "blame": cause_rows(run.metrics) if run.faulted or run.withholds else [],
+        "blamed": cause_groups(run.metrics),
+        "blame": cause_rows(run.metrics, cause_groups(run.metrics)) if run.faulted or run.withholds else [],
         "checks": check_rows(run.checks),
         "healed": healing(run),
         "latency": latency_rows(run.metrics),

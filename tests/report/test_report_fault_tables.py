@@ -216,7 +216,7 @@ def test_missing_metrics_have_no_row() -> None:
     assert cause_rows({"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}) == []
     nothing = dict.fromkeys(("fault", "attack", "natural"))
     (row,) = cause_rows({"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}})
-    assert row.missed == (DASH, DASH, DASH, DASH)
+    assert row.missed == (DASH, DASH, DASH)
     assert latency_rows({"latency_ms": {"sim_to_picture": {"p50": 1.0}}}) == []
     assert late_rows({}) == []
 
