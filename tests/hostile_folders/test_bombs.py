@@ -22,15 +22,13 @@ from mcap.writer import MCAP0_MAGIC
 from pyarrow import parquet
 from test_hostile_folders import KNOWN_CODES, MAX_BYTES, limited_to, spoilt
 
-#: Readers bound what they unpack only with the mending of finding 4 of issue 29: remove this line with it.
-pytestmark = pytest.mark.skip(reason="needs readers that bound what they unpack")
-
-_UNPACKED = 4 << 30
+#: Bytes, more than a command may use.
+_UNPACKED = 2 << 30
 
 
 def chunk_that_claims_to_be_small(place: Place) -> None:
     """A chunk of zeros whose record says that it holds a hundred bytes."""
-    packer = zstandard.ZstdCompressor(level=19).compressobj()
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
     block = bytes(1 << 24)
     packed = b"".join(packer.compress(block) for _ in range(_UNPACKED >> 24)) + packer.flush()
     body = struct.pack("<QQQI", 0, 0, 100, 0) + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
@@ -68,9 +66,8 @@ def scene_of_zeros(place: Place) -> None:
 BOMBS: tuple[Case, ...] = (chunk_that_claims_to_be_small, table_of_one_value, text_in_a_dictionary, scene_of_zeros)
 
 
-@pytest.mark.parametrize("command", ["export csv", "snapshot", "diff", "replay"])
 @pytest.mark.parametrize("bomb", BOMBS, ids=lambda bomb: bomb.__name__)
-def test_a_bomb_costs_bounded_memory_and_time(bomb: Case, command: str, sound: Path, tmp_path: Path) -> None:
+def test_a_bomb_costs_bounded_memory_and_time(bomb: Case, sound: Path, tmp_path: Path) -> None:
     place = spoilt(sound, tmp_path, bomb)
     paths = {
         "RUN": str(place.folder),
@@ -78,10 +75,11 @@ def test_a_bomb_costs_bounded_memory_and_time(bomb: Case, command: str, sound: P
         "OUT": str(tmp_path / "x"),
         "OUT.png": str(tmp_path / "x.png"),
     }
-    words = [sys.executable, "-P", "-m", "mast_zenoh", *(paths.get(word, word) for word in COMMANDS[command])]
-    child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    with limited_to(60):
-        _, status, usage = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    assert child.returncode in KNOWN_CODES
-    assert usage.ru_maxrss << 10 < MAX_BYTES
+    for command in ("export csv", "snapshot", "diff", "replay"):
+        words = [sys.executable, "-P", "-m", "mast_zenoh", *(paths.get(word, word) for word in COMMANDS[command])]
+        child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        with limited_to(60):
+            _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        assert child.returncode in KNOWN_CODES, command
+        assert usage.ru_maxrss << 10 < MAX_BYTES, command
