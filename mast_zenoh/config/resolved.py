@@ -153,14 +153,14 @@ class Resolved:
         trust: which of the Python files that it names may run; the others are UntrustedFile
         Raises RunFolderError for a folder whose scenario cannot be read.
         """
-        scenario, wiring = (read_object(run_folder / name) for name in ("scenario.json", "wiring.json"))
         try:
+            scenario, wiring = (read_object(run_folder / name) for name in ("scenario.json", "wiring.json"))
             Wiring.from_json(wiring)
-            return cls.from_json(scenario, wiring).trusting(trust, str(run_folder), run_folder)
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
-            raise RunFolderError(
-                f"{run_folder}: scenario.json and wiring.json cannot be read: {type(error).__name__}: {error!s:.200}"
-            ) from None
+            resolved = cls.from_json(scenario, wiring)
+        except (RunFolderError, ValueError, LookupError, TypeError, AttributeError) as error:
+            problem = f"{type(error).__name__}: {error!s:.300}" if not isinstance(error, RunFolderError) else str(error)
+            raise RunFolderError(f"{run_folder}: scenario.json and wiring.json cannot be read: {problem}") from None
+        return resolved.trusting(trust, str(run_folder), run_folder)
 
     def trusting(self, trust: Trust, origin: str, folder: Path | None = None) -> Resolved:
         """A copy that runs no code but what is shipped or trusted; see `Trust.files_in`."""
