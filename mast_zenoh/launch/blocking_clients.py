@@ -12,6 +12,8 @@ import json
 import socket
 import struct
 import time
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 
 import zenoh
 
@@ -20,6 +22,8 @@ from mast_zenoh.runtime.mesh.session import OBSERVERS, own_sockets
 #: s without a new frame after which links are looked at, and between two looks.
 _PAUSE_S, _LOOK_S = 2.0, 1.0
 _ADMIN_S = 2.0
+#: s in which a client that reads takes something.
+_TAKEN_S = 0.2
 #: Of Linux: the request for the number of unsent bytes, and the place of `bytes_acked` in `struct tcp_info`.
 _SIOCOUTQ, _ACKED_AT = 0x5411, 120
 _RESET = struct.pack("ii", 1, 0)  # SO_LINGER: closing waits for nobody
@@ -33,7 +37,7 @@ class BlockingClients:
 
     def __init__(self, session: zenoh.Session, endpoint: str, prefix: str) -> None:
         self._session = session
-        self._ports = {int(endpoint.rpartition(":")[2])}
+        self._port = _port(endpoint)
         self._alive = f"@/{session.info.zid()}/router/token/{prefix}/alive/*"
         self._frame = -1
         self._due = 0.0
@@ -50,38 +54,20 @@ class BlockingClients:
         if frame < 0 or now < self._due:
             return []
         self._due = now + _LOOK_S
-        before, self._before = self._before, self._full_links()
+        before, self._before = self._before, _full_links(self._port)
         stuck = {address for address, acked in self._before.items() if before.get(address) == acked}
         return self._end(stuck) if stuck else []
-
-    def _full_links(self) -> dict[str, int]:
-        """By address of the other side: the bytes that it has taken, of links on which more are waiting."""
-        links = {}
-        for own in own_sockets(self._ports):
-            if not own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-                waiting = struct.unpack("i", fcntl.ioctl(own.fileno(), _SIOCOUTQ, bytes(4)))[0]
-                info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ACKED_AT + 8)
-                if waiting:
-                    links[_address(own)] = int(struct.unpack_from("Q", info, _ACKED_AT)[0])
-        return links
 
     def _end(self, stuck: set[str]) -> list[str]:
         """End those of these links that lead neither to nodes, which lock-step waits for, nor to observers."""
         excepted = {*OBSERVERS, *self._nodes()}
         zids = {str(link.dst).partition("/")[2]: str(link.zid) for link in self._session.info.links()}
-        ended = []
-        for own in own_sockets(self._ports):
-            if own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-                continue
-            address = _address(own)
-            if address in stuck and (zid := zids.get(address)) is not None and zid not in excepted:
-                own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-                own.shutdown(socket.SHUT_RDWR)
-                ended.append(
-                    f"a client that is no node of this run held it up at frame {self._frame}: {address} (Zenoh id "
-                    f"{zid}) did not read what it subscribed to, and was disconnected"
-                )
-        return ended
+        foreign = {address for address in stuck if address in zids and zids[address] not in excepted}
+        return [
+            f"a client that is no node of this run held it up at frame {self._frame}: {address} (Zenoh id "
+            f"{zids[address]}) did not read what it subscribed to, and was disconnected"
+            for address in _reset(self._port, foreign)
+        ]
 
     def _nodes(self) -> set[str]:
         """The ids of the sessions that hold the tokens of the run's nodes."""
@@ -91,6 +77,55 @@ class BlockingClients:
             if reply.ok is not None
             for zid in json.loads(reply.ok.payload.to_string())["clients"]
         }
+
+
+@contextmanager
+def closing(router: zenoh.Session, endpoint: str) -> Iterator[zenoh.Session]:
+    """A router in this process, closed at the end, after the links of clients that take nothing any more.
+
+    Closing it would wait for them, and fail. The nodes have left by then.
+    """
+    try:
+        yield router
+    finally:
+        port = _port(endpoint)
+        if before := _full_links(port):
+            time.sleep(_TAKEN_S)
+            _reset(port, {address for address, acked in _full_links(port).items() if before.get(address) == acked})
+        router.close()
+
+
+def _port(endpoint: str) -> int:
+    return int(endpoint.rpartition(":")[2])
+
+
+def _links(port: int) -> Iterator[tuple[str, socket.socket]]:
+    """The links of a router in this process, by address of the other side."""
+    for own in own_sockets({port}):
+        if not own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+            yield _address(own), own
+
+
+def _full_links(port: int) -> dict[str, int]:
+    """By address of the other side: the bytes that it has taken, of links on which more are waiting."""
+    links = {}
+    for address, own in _links(port):
+        waiting = struct.unpack("i", fcntl.ioctl(own.fileno(), _SIOCOUTQ, bytes(4)))[0]
+        info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ACKED_AT + 8)
+        if waiting:
+            links[address] = int(struct.unpack_from("Q", info, _ACKED_AT)[0])
+    return links
+
+
+def _reset(port: int, addresses: Collection[str]) -> list[str]:
+    """End the links to these addresses without waiting; returns those that there were."""
+    ended = []
+    for address, own in _links(port):
+        if address in addresses:
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            own.shutdown(socket.SHUT_RDWR)
+            ended.append(address)
+    return ended
 
 
 def _address(own: socket.socket) -> str:
