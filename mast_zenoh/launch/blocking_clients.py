@@ -13,7 +13,7 @@ import socket
 import struct
 import time
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import zenoh
 
@@ -100,20 +100,24 @@ def _port(endpoint: str) -> int:
 
 
 def _links(port: int) -> Iterator[tuple[str, socket.socket]]:
-    """The links of a router in this process, by address of the other side."""
+    """The links of a router in this process that have another side, with its address."""
     for own in own_sockets({port}):
-        if not own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-            yield _address(own), own
+        try:
+            address = _address(own)
+        except OSError:  # the socket listens, or its other side has left
+            continue
+        yield address, own
 
 
 def _full_links(port: int) -> dict[str, int]:
     """By address of the other side: the bytes that it has taken, of links on which more are waiting."""
     links = {}
     for address, own in _links(port):
-        waiting = struct.unpack("i", fcntl.ioctl(own.fileno(), _SIOCOUTQ, bytes(4)))[0]
-        info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ACKED_AT + 8)
-        if waiting:
-            links[address] = int(struct.unpack_from("Q", info, _ACKED_AT)[0])
+        with suppress(OSError):
+            waiting = struct.unpack("i", fcntl.ioctl(own.fileno(), _SIOCOUTQ, bytes(4)))[0]
+            info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ACKED_AT + 8)
+            if waiting:
+                links[address] = int(struct.unpack_from("Q", info, _ACKED_AT)[0])
     return links
 
 
@@ -122,9 +126,10 @@ def _reset(port: int, addresses: Collection[str]) -> list[str]:
     ended = []
     for address, own in _links(port):
         if address in addresses:
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-            own.shutdown(socket.SHUT_RDWR)
-            ended.append(address)
+            with suppress(OSError):  # the other side may leave meanwhile
+                own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+                own.shutdown(socket.SHUT_RDWR)
+                ended.append(address)
     return ended
 
 
