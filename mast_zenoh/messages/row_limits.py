@@ -56,8 +56,7 @@ def use(limits: Mapping[str, int]) -> None:
     for name in LIMITS.keys() & BUILT_IN.keys():
         columns = BUILT_IN[name].columns
         if all(column.dtype != "str" and {*column.shape} <= {"n", *range(10)} for column in columns):
-            sizes = [np.dtype(column.dtype).itemsize * prod(column.shape[1:]) for column in columns if _per_row(column)]
-            _LONGEST[name] = _OTHER_BYTES + accepted_rows(name) * sum(sizes)
+            _LONGEST[name] = _OTHER_BYTES + accepted_rows(name) * sum(map(_row_bytes, columns))
 
 
 def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | None = None) -> dict[str, int]:
@@ -128,6 +127,11 @@ def shortened(schema: str, columns: Body, limit_of: str) -> Body:
 
 def _per_row(column: Column) -> bool:
     return column.shape[:1] == ("n",)
+
+
+def _row_bytes(column: Column) -> int:
+    shape: tuple[Any, ...] = column.shape[1:]  # numbers
+    return int(np.dtype(column.dtype).itemsize * prod(shape)) if _per_row(column) else 0
 
 
 def _lowest(keys: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64]:
