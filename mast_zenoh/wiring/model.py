@@ -174,15 +174,14 @@ class Wiring:
 
     def ports(self, node: str) -> Ports:
         """The keys of one node."""
+        outputs = {
+            (leg.publisher.port, wire.subject): leg.key for wire, leg in self.legs() if leg.publisher.node == node
+        }
         inputs: dict[str, Input] = {}
-        outputs: dict[tuple[str, str], str] = {}
         for wire, leg in self.legs():
-            if leg.publisher.node == node:
-                outputs[leg.publisher.port, wire.subject] = leg.key
-            for subscriber in (*wire.receivers(leg), *self.overhearers):
-                if subscriber.node == node:
-                    source = wire.legs[0].publisher
-                    inputs[leg.key] = Input(subscriber.port, wire.subject, wire.message, source.node, source.port)
+            source = wire.legs[0].publisher
+            for port in [end.port for end in (*wire.receivers(leg), *self.overhearers) if end.node == node]:
+                inputs[leg.key] = Input(port, wire.subject, wire.message, source.node, source.port)
         return Ports(inputs, outputs)
 
     def to_json(self) -> dict[str, Any]:
