@@ -174,9 +174,8 @@ class Wiring:
 
     def ports(self, node: str) -> Ports:
         """The keys of one node."""
-        outputs = {
-            (leg.publisher.port, wire.subject): leg.key for wire, leg in self.legs() if leg.publisher.node == node
-        }
+        own = [(wire, leg) for wire, leg in self.legs() if leg.publisher.node == node]
+        outputs = {(leg.publisher.port, wire.subject): leg.key for wire, leg in own}
         inputs: dict[str, Input] = {}
         for wire, leg in self.legs():
             source = wire.legs[0].publisher
