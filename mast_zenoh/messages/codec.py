@@ -123,12 +123,15 @@ def encode(message: Message) -> bytes:
 def decode(payload: bytes, expected: str | Schema, limit_of: str | None = None) -> Message:
     """Decode a message of type `expected`: its name, or the schema of a recording.
 
-    limit_of: which of `row_limits.LIMITS` holds, None: that of its type; rows beyond it are left out, and not checked
+    limit_of: which of `row_limits.LIMITS` holds, None: that of its type, "": none; rows beyond it are left out, and not
+              checked
 
-    Raises MessageError for anything else: a truncated or oversized message, another version, a missing or unknown
-    column, a forged shape, a value that is not finite.
+    Raises MessageError for anything else: a truncated or oversized message, far too many rows, another version, a
+    missing or unknown column, a forged shape, a value that is not finite.
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
+    if limit_of != "":
+        row_limits.check_length(schema.name, len(payload))
     header, body = _unpack(payload, schema)
     if not isinstance(body, dict) or len(body) != len(schema.columns):
         raise MessageError(validation.names_differ(schema.name, body, schema.columns))

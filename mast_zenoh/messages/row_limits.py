@@ -4,23 +4,33 @@ Rows beyond are dropped before they cost anything.
 
 One node that sends 20,000 objects would otherwise slow every node that compares, fuses or scores them. The rows that
 are kept do not depend on their order: those with the highest scores, then the lowest ids, then the lowest positions.
+A message with far too many rows is refused whole: most such messages by their length, before anything is unpacked.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.messages.schemas import SCHEMAS, Body
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Column
 
 #: Rows beyond twice what is there: the least limit.
 _MARGIN = 16
 
+#: A message with more than this many times the rows of its limit is refused.
+_REFUSED = 50
+#: Bytes of a message besides its rows: its header, names, and columns of fixed size.
+_OTHER_BYTES = 8192
+
 #: Limits by message type, of the scenario that is used (`user_types.use`); none for types that are not in it.
 LIMITS: dict[str, int] = {}
+#: Bytes of a message, by its type, beyond which it has more rows than are accepted; not for types of variable size.
+_LONGEST: dict[str, int] = {}
 
 
 class Shortened(dict[str, Any]):
@@ -29,7 +39,8 @@ class Shortened(dict[str, Any]):
     found: int
 
 
-#: Limit of overheard messages of the type `tracks`: an agent's mission estimate has its tracks and the picture.
+#: Limit of messages of the type `tracks` that agents do not send as their tracks: an agent's mission estimate has its
+#: tracks and the picture.
 OVERHEARD = "overheard"
 
 #: By limit, the latest message with too many rows, and what is left: in one process, all subscribers get the same one.
@@ -41,6 +52,11 @@ def use(limits: Mapping[str, int]) -> None:
     LIMITS.clear()
     LIMITS.update(limits)
     _latest.clear()
+    _LONGEST.clear()
+    for name in LIMITS.keys() & BUILT_IN.keys():
+        columns = BUILT_IN[name].columns
+        if all(column.dtype != "str" and {*column.shape} <= {"n", *range(10)} for column in columns):
+            _LONGEST[name] = _OTHER_BYTES + accepted_rows(name) * sum(map(_row_bytes, columns))
 
 
 def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | None = None) -> dict[str, int]:
@@ -56,6 +72,24 @@ def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | Non
     return limits | {OVERHEARD: rows + picture}
 
 
+def accepted_rows(schema: str) -> int:
+    """Most rows of a message of a type with a limit; with more it is refused, between this and the limit it is cut."""
+    return max(_REFUSED * LIMITS[schema], LIMITS.get(OVERHEARD, 0) if schema == "tracks" else 0)
+
+
+def check_length(schema: str, length: int) -> None:
+    """Raise MessageError for a message of so many bytes that it has more rows than are accepted, or is malformed."""
+    longest = _LONGEST.get(schema)
+    if longest is not None and length > longest:
+        raise _refusal(schema)
+
+
+def _refusal(schema: str) -> MessageError:
+    return MessageError(
+        f"rows: more than {accepted_rows(schema)} rows, expected at most {LIMITS[schema]}: the message is not used"
+    )
+
+
 def excess(body: Body) -> str:
     """Why rows of a message were dropped, or ""."""
     if type(body) is not Shortened:
@@ -68,16 +102,20 @@ def shortened(schema: str, columns: Body, limit_of: str) -> Body:
     """The columns without the rows beyond the limit of their type; the same object if there are none.
 
     limit_of: which of LIMITS
+
+    Raises MessageError for more rows than are accepted.
     """
     limit = LIMITS.get(limit_of)
     if limit is None or len(columns["score"]) <= limit:
         return columns
+    if schema in LIMITS and len(columns["score"]) > accepted_rows(schema):
+        raise _refusal(schema)
     if limit_of in _latest and _latest[limit_of][0] is columns:
         return _latest[limit_of][1]
     score, position = columns["score"], columns["position"]
     ids = [columns["id"]] if "id" in columns else []
     rows = _lowest([-score, *ids, *position.T], limit)
-    per_row = {column.name for column in SCHEMAS[schema].columns if column.shape[:1] == ("n",)}
+    per_row = {column.name for column in SCHEMAS[schema].columns if _per_row(column)}
     result = Shortened()
     for name, values in columns.items():
         result[name] = values[rows] if name in per_row else values
@@ -85,6 +123,15 @@ def shortened(schema: str, columns: Body, limit_of: str) -> Body:
     result.found = len(score)
     _latest[limit_of] = columns, result
     return result
+
+
+def _per_row(column: Column) -> bool:
+    return column.shape[:1] == ("n",)
+
+
+def _row_bytes(column: Column) -> int:
+    shape: tuple[Any, ...] = column.shape[1:]  # numbers
+    return int(np.dtype(column.dtype).itemsize * prod(shape)) if _per_row(column) else 0
 
 
 def _lowest(keys: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64]:

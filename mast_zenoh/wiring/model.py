@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -102,12 +102,13 @@ class Wire:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A node's input on one key; source: the wire's publisher."""
+    """A node's input on one key; source: the wire's publisher, output: the port on which it publishes."""
 
     port: str
     subject: str
     message: str
     source: str
+    output: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,14 +174,13 @@ class Wiring:
 
     def ports(self, node: str) -> Ports:
         """The keys of one node."""
+        own = [(wire, leg) for wire, leg in self.legs() if leg.publisher.node == node]
+        outputs = {(leg.publisher.port, wire.subject): leg.key for wire, leg in own}
         inputs: dict[str, Input] = {}
-        outputs: dict[tuple[str, str], str] = {}
         for wire, leg in self.legs():
-            if leg.publisher.node == node:
-                outputs[leg.publisher.port, wire.subject] = leg.key
-            for subscriber in (*wire.receivers(leg), *self.overhearers):
-                if subscriber.node == node:
-                    inputs[leg.key] = Input(subscriber.port, wire.subject, wire.message, wire.legs[0].publisher.node)
+            source = wire.legs[0].publisher
+            for port in [end.port for end in (*wire.receivers(leg), *self.overhearers) if end.node == node]:
+                inputs[leg.key] = Input(port, wire.subject, wire.message, source.node, source.port)
         return Ports(inputs, outputs)
 
     def to_json(self) -> dict[str, Any]:

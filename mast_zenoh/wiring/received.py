@@ -125,7 +125,8 @@ class Overheard:
     @property
     def body(self) -> Body:
         """The columns, decoded at each access; raises MessageError if invalid."""
-        limit_of = row_limits.OVERHEARD if self.wire.message == "tracks" else None
+        # An agent's own tracks as their receivers use them; its mission estimate has the picture's objects, too.
+        limit_of = row_limits.OVERHEARD if self.wire.message == "tracks" and self.wire.output != "tracks" else None
         if isinstance(self._content, Message):
             if self._flaw:
                 raise MessageError(self._flaw)

@@ -178,6 +178,16 @@ def test_a_failed_handler_gives_exit_code_30_and_is_named_unless_allowed(mast, t
     assert f"warning: handlers failed, so the numbers may be wrong:\n  {description}" in err
 
 
+def test_a_restamps_s_that_is_not_callable_is_one_line_with_exit_code_12(mast, tmp_path: Path) -> None:
+    path = failing.write("start", tmp_path)
+    node = tmp_path / "idle.py"
+    node.write_text(node.read_text().replace('role = "adversary"', 'role, restamps_s = "adversary", 3.0'))
+    code, out, err = mast("run", str(path), *SHORT, "--out", "here")
+    assert (code, out) == (12, "")
+    assert "Idle.restamps_s: found 3.0, expected a method of the run's length, s, that returns a number of sec" in err
+    assert (err[:7], err.count("\n")) == ("error: ", 1)
+
+
 def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> None:
     attack = ("--set", "attack_start_s=0", "--frames", "25", "--runtime", "inproc")
     code, out, _ = mast("run", "uncoordinated", *attack, "--out", "here", "--against", "twin")

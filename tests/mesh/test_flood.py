@@ -36,7 +36,10 @@ def tracks_of(source: str) -> bytes:
 
 
 def test_messages_waiting_for_a_clock_or_an_epoch_use_bounded_memory(launch) -> None:
-    run: Launched = launch("baseline", "--mode", "realtime", "--no-record", "--rate", "0.3")
+    # Within the limit on rows, so that the messages are kept.
+    run: Launched = launch(
+        "baseline", "--mode", "realtime", "--no-record", "--rate", "0.3", "--set", "run.max_rows=20000"
+    )
     record = run.started()
     observer = Observer(record, "clock")
     try:

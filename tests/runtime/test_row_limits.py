@@ -15,6 +15,8 @@ from mast_zenoh.messages import codec, row_limits
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.runtime.context import NodeContext
 from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.wiring.model import Input
+from mast_zenoh.wiring.received import Overheard
 
 
 @pytest.fixture(autouse=True)
@@ -72,6 +74,47 @@ def test_dropped_rows_are_not_checked_and_kept_rows_are() -> None:
         codec.check_values(message(body))
 
 
+def test_overheard_tracks_have_the_rows_that_receivers_use_and_mission_estimates_those_of_the_picture_too() -> None:
+    row_limits.use({"tracks": 50, row_limits.OVERHEARD: 120})
+    sent = message(flood(200))
+    for content in (sent, codec.encode(sent)):
+        for output, rows in (("tracks", 50), ("mission", 120)):
+            wire = Input("everything", "infra_1", "tracks", "infra_1", output)
+            assert len(Overheard("key", wire, content, 3).body["id"]) == rows
+
+
+def test_a_message_with_far_too_many_rows_is_refused_whole_with_and_without_encoding() -> None:
+    row_limits.use({"tracks": 5})
+    most = row_limits.accepted_rows("tracks")
+    assert len(codec.decode(codec.encode(message(flood(most))), "tracks").body["id"]) == 5
+    codec.check_values(message(flood(most)))
+    refused = message(flood(most + 1))
+    reason = f"rows: more than {most} rows, expected at most 5: the message is not used"
+    with pytest.raises(MessageError, match=reason):
+        codec.decode(codec.encode(refused), "tracks")
+    with pytest.raises(MessageError, match=reason):
+        codec.check_values(refused)
+    assert len(codec.decode(codec.encode(refused), "tracks", "").body["id"]) == most + 1, "recordings keep them"
+
+
+@pytest.mark.parametrize("schema", ["tracks", "detections", "picture"])
+def test_a_message_that_is_too_long_for_its_rows_is_refused_before_it_is_unpacked(
+    schema: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unpack(*arguments: object, **options: object) -> None:
+        pytest.fail("unpacked")
+
+    row_limits.use({schema: 5})
+    monkeypatch.setattr(codec.msgpack, "unpackb", unpack)
+    with pytest.raises(MessageError, match="rows: more than 250 rows, expected at most 5"):
+        codec.decode(bytes(1 << 20), schema)
+
+
+def test_mission_estimates_within_their_own_limit_are_never_refused() -> None:
+    row_limits.use(row_limits.limits_for(np.full((3, 2), 20), 40, per_agent=1))
+    assert row_limits.accepted_rows("tracks") >= row_limits.LIMITS[row_limits.OVERHEARD]
+
+
 def test_messages_within_the_limit_are_the_same_object_as_before() -> None:
     row_limits.use({"tracks": 5})
     small = message(flood(5))
@@ -110,7 +153,7 @@ def test_the_limit_comes_from_what_the_sensors_detect_or_from_the_scenario(basel
         scenario.resolve(path, loaded, frames=2, max_rows=0)
 
 
-def run_flooded(baseline, monkeypatch: pytest.MonkeyPatch, extra: int) -> tuple[list[int], dict[Any, int]]:
+def run_flooded(baseline, monkeypatch: pytest.MonkeyPatch, extra: int) -> tuple[list[int], dict[tuple[str, str], int]]:
     """Rows of each message that a handler of the broker, the command centre or the ego got; rejections."""
     sizes: list[int] = []
     publish = NodeContext.publish
@@ -126,13 +169,19 @@ def run_flooded(baseline, monkeypatch: pytest.MonkeyPatch, extra: int) -> tuple[
     process = InProcess(baseline)
     process.run()
     assert process.failures() == {}
-    rejected = {key: n for host in process.hosts.values() for key, n in host.rejected.items() if key[1] == "rows"}
+    rejected = {
+        (host.name, key): n
+        for host in process.hosts.values()
+        for (key, kind), n in host.rejected.items()
+        if kind == "rows"
+    }
     return sizes, rejected
 
 
-def test_an_agent_that_floods_leaves_at_most_its_limit_in_every_batch(baseline, monkeypatch) -> None:
+@pytest.mark.parametrize("extra", [2000, 5000], ids=["cut", "refused"])
+def test_an_agent_that_floods_leaves_at_most_its_limit_in_every_batch(baseline, monkeypatch, extra: int) -> None:
     honest, none = run_flooded(baseline, monkeypatch, 0)
     assert none == {}
-    flooded, rejected = run_flooded(baseline, monkeypatch, 5000)
+    flooded, rejected = run_flooded(baseline, monkeypatch, extra)
     assert max(flooded) <= max(honest) + baseline.max_rows["tracks"]
-    assert sum(rejected.values()) == 12
+    assert sum(n for (node, _), n in rejected.items() if node == "broker") == 12

@@ -100,8 +100,12 @@ def test_a_page_that_does_not_read_does_not_stop_the_others(server: LiveServer) 
 
 def test_other_pages_and_other_hosts_may_not_read_frames(server: LiveServer) -> None:
     address = f"ws://127.0.0.1:{server.port}{FRAMES}"
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(address, origin="http://attacker.example")  # type: ignore[arg-type]
+    own = f"127.0.0.1:{server.port}"
+    # This server has no https: such a page is another program's.
+    for origin in ("http://attacker.example", f"https://{own}", "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(address, origin=origin)  # type: ignore[arg-type]
+    connect(address, origin=f"http://{own}").close()  # type: ignore[arg-type]
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
     for host, path, status in (
         ("attacker.example", "/", 403),
