@@ -133,9 +133,11 @@ class Agent(Node):
     def on_picture(self, received: Received, context: Context) -> None:
         """Store the common picture for the frames after its arrival, however late, without objects about to be lost."""
         objects = ObjectStates.from_columns(received.body)
-        variance = objects.covariance[:, 0, 0] + objects.covariance[:, 1, 1]
-        certain = (received.body["support"] > 0) | (variance <= self.unsupported_variance)
-        self.pictures.add(context.frame, (received.time_ns, objects.select(certain)), received.frame)
+        supported = received.body["support"] > 0
+        if np.count_nonzero(supported) < len(supported):
+            variance = objects.covariance[:, 0, 0] + objects.covariance[:, 1, 1]
+            objects = objects.select(supported | (variance <= self.unsupported_variance))
+        self.pictures.add(context.frame, (received.time_ns, objects), received.frame)
 
     def sense(self, port: str, received: Received | None, context: Context) -> None:
         """Process a frame once its clock, its pose and all data of its sensors have arrived.

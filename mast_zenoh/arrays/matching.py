@@ -31,6 +31,8 @@ def greedy_matching(row: Ints, column: Ints, cost: Floats) -> Bools:
     """
     chosen = uncontested(row, column)
     contested = (~chosen).nonzero()[0]
+    if len(contested) == 0:
+        return chosen
     order = contested[np.lexsort((column[contested], row[contested], cost[contested]))]
     rows: set[int] = set()
     columns: set[int] = set()

@@ -80,14 +80,16 @@ def check_values(message: Message) -> None:
     """Raise MessageError if `decode` would refuse a message that `conform` made."""
     header, full = message
     _check_header(header)
-    message = Message(header, row_limits.shortened(header.schema, full, header.schema))
-    if LAYOUTS[header.schema].is_valid(message.body) and (message.body is full or _fits(full)):
+    kept = row_limits.shortened(header.schema, full, header.schema)
+    if kept is not full:
+        message = Message(header, kept)
+    if LAYOUTS[header.schema].is_valid(kept) and (kept is full or _fits(full)):
         validation.check_references(message)
         return
     if not _fits(full):
         raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
     for column in SCHEMAS[header.schema].columns:
-        array = message.body[column.name]
+        array = kept[column.name]
         if column.dtype == "str":
             validation.check_strings(header.schema, column, array)
         validation.check_values(header.schema, column, array)
@@ -96,9 +98,12 @@ def check_values(message: Message) -> None:
 
 def limited(message: Message, limit_of: str | None = None) -> Message:
     """The message as `decode` returns it: without the rows beyond the limit of its type."""
-    schema = message.header.schema
-    body = row_limits.shortened(schema, message.body, schema if limit_of is None else limit_of)
-    return message if body is message.body else Message(message.header, body)
+    header, body = message
+    limit_of = header.schema if limit_of is None else limit_of
+    if limit_of not in row_limits.LIMITS:
+        return message
+    kept = row_limits.shortened(header.schema, body, limit_of)
+    return message if kept is body else Message(header, kept)
 
 
 def _fits(body: Body) -> bool:

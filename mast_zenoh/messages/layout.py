@@ -59,11 +59,6 @@ def limit_of(column: Column) -> float:
     return column.below if column.dtype == "uint8" else column.least_length**2
 
 
-def _plain(body: Body) -> Body:
-    """A body as compiled functions need it: a dict of no other class."""
-    return body if type(body) is dict else dict(body)
-
-
 class Layout:
     """The shapes of one schema's columns for given sizes of its letters, cached."""
 
@@ -132,12 +127,14 @@ class Layout:
         if columns is None:
             return None
         kept = shortened(self.schema.name, columns, limit_of)
-        return kept if sound_values(_plain(kept), plan.names, plan.limits) <= MAX_SQUARES else None
+        plain = kept if type(kept) is dict else dict(kept)
+        return kept if sound_values(plain, plan.names, plan.limits) <= MAX_SQUARES else None
 
     def is_valid(self, body: Body) -> bool:
         """Whether the values of a body that `conform` made are valid."""
         plan = self.plan_of(body)
-        return plan.fits and sound_values(_plain(body), plan.names, plan.limits) <= MAX_SQUARES
+        body = body if type(body) is dict else dict(body)  # as compiled functions need it
+        return plan.fits and sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
 
 
 @kernel

@@ -90,10 +90,8 @@ def _refusal(schema: str) -> MessageError:
     )
 
 
-def excess(body: Body) -> str:
-    """Why rows of a message were dropped, or ""."""
-    if type(body) is not Shortened:
-        return ""
+def excess(body: Shortened) -> str:
+    """Why rows of a message were dropped."""
     rows = len(body["score"])
     return f"rows: found {body.found} rows, expected at most {rows}: only those with the highest scores are used"
 

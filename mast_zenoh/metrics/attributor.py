@@ -55,6 +55,9 @@ class Attributor:
         self.span = int(scores.frames.max(initial=0)) + 1
         self.tracks = Histories.of_wrong(scores, FALSE, self.span, tracks=True)
         self.truths = Histories.of_wrong(scores, MISSED, self.span, tracks=False)
+        #: the real object that a false track followed last, and whether it is evaluated, see `_last_objects`
+        self.last_id = np.full(len(self.tracks.row), -1)
+        self.last_evaluated = np.zeros(len(self.tracks.row), bool)
         #: whether a series is computed from an agent's own sensor alone
         own = [estimator in (LOCAL, RECEIVED) for _, estimator in scores.series]
         self.own = np.array(own, bool)
@@ -147,8 +150,8 @@ class Attributor:
         self._extend_causes(false & ~local, cause, by)
         # A track of a real object becomes inaccurate while that object is hidden, moved or altered, if it is there.
         free = (false & (cause < 0)).nonzero()[0]
-        last, evaluated = self._last_objects(free)[1:]
-        free, last = free[evaluated], last[evaluated]
+        free = free[self.last_evaluated[free]]
+        last = self.last_id[free]
         self._blame_hiding(last, tracks.frame[free], tracks.series[free], free, cause, by)
         return cause, by
 
@@ -173,12 +176,12 @@ class Attributor:
         beside = np.isin(natural, (LAG, DUPLICATE)) & (distance < unmoved)
         return np.where(np.isfinite(unmoved) & ~beside, np.inf, distance)
 
-    def _last_objects(self, rows: Ints) -> tuple[Bools, Ints, Bools]:
-        """The real object that each track row matched last.
+    def _last_objects(self, rows: Ints, truths: Histories) -> tuple[Bools, Ints, Bools]:
+        """The real object that each track row matched last; truths: beside the rows.
 
         Whether there is one within `coast` frames; its id, -1: none; whether it is evaluated in this frame: (n,) each
         """
-        tracks, truths = self.tracks, self._truths_beside(self.tracks.row[rows])
+        tracks = self.tracks
         matched = tracks.outcome == MATCHED
         last = tracks.adjacent(matched, matched, self.coast)[rows]
         id_ = np.where(last >= 0, np.append(tracks.match, -1)[last], -1)
@@ -213,7 +216,8 @@ class Attributor:
         if not len(free):
             return cause
         truths = self._truths_beside(tracks.row[free])
-        coasting, last_id, evaluated = self._last_objects(free)
+        coasting, last_id, evaluated = self._last_objects(free, truths)
+        self.last_id[free], self.last_evaluated[free] = last_id, evaluated
         places = tracks.places(free)
         all_objects = Places(self.truth_frame, self.truth.boxes.position)
         real, _ = nearest(Places(tracks.frame[free], tracks.position[free]), all_objects, limits.object_m)

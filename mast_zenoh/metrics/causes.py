@@ -29,6 +29,8 @@ CAUSES = (
 )
 DUPLICATE, LAG, SIGHT, CLUTTER, TRACKING, FUSION, FAULT, WITHHELD = range(len(KINDS), len(CAUSES))
 UNKNOWN = -1
+#: Names whose combinations fit in an integer.
+_BITS = 62
 #: Causes that count as attacks, as faults, and as the defence's doing; all others are natural.
 ATTACK_CAUSES, FAULT_CAUSES, DEFENCE_CAUSES = KINDS, (CAUSES[FAULT],), (CAUSES[WITHHELD],)
 #: The causes of each part of `split` but "natural", which is the rest.
@@ -138,7 +140,13 @@ def joined_names(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
     """The names set in each row of (n, a), joined by "+", (n,) str."""
     result = np.full(len(by), "", object)
     nonempty = np.flatnonzero(by.any(axis=1))
-    rows, kind = np.unique(by[nonempty], axis=0, return_inverse=True) if len(nonempty) else (by[:0], nonempty)
-    labels = ["+".join(name for name, is_set in zip(names, row, strict=True) if is_set) for row in rows.tolist()]
-    result[nonempty] = np.array([*labels, ""], object)[kind.ravel()]
+    code = np.zeros(len(nonempty), np.int64)  # the same for the same names
+    for column in by[nonempty].T:
+        code = 2 * code + column
+        if len(names) > _BITS:
+            code = np.unique(code, return_inverse=True)[1]
+    _, first, kind = np.unique(code, return_index=True, return_inverse=True)
+    rows = by[nonempty[first]].tolist()
+    labels = ["+".join(name for name, is_set in zip(names, row, strict=True) if is_set) for row in rows]
+    result[nonempty] = np.array([*labels, ""], object)[kind]
     return result

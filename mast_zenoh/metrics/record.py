@@ -179,15 +179,16 @@ class Record:
             )  # stable: the first of equals stays first
             newest: tuple[int, int, Snapshot] | None = None
             held = self._tracks.setdefault(Series(agent, PICTURE_ON_ARRIVAL), {})
-            ages = self.picture_ages_ns[agent] = {}
+            ages, most_ns = self.picture_ages_ns.setdefault(agent, {}), max_age_ns[agent]
             for now in frames:
-                if newest is not None and 0 <= (age_ns := times_ns.get(now, 0) - newest[1]) <= max_age_ns[agent]:
-                    ages[now] = age_ns
+                now_ns = times_ns.get(now, 0)
+                if newest is not None and 0 <= now_ns - newest[1] <= most_ns:
+                    ages[now] = now_ns - newest[1]
                 while waiting and waiting[0][0] <= now:
                     _, about, time_ns, snapshot = waiting.popleft()
                     if newest is None or about > newest[0]:
                         newest = about, time_ns, snapshot
-                if newest is not None and 0 <= times_ns.get(now, 0) - newest[1] <= max_age_ns[agent]:
+                if newest is not None and 0 <= now_ns - newest[1] <= most_ns:
                     held[now] = newest[2]
 
     def frames(self) -> Ints:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from collections import deque
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import greedy_matching
+from mast_zenoh.arrays.matching import greedy_matching, uncontested
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.integrity.views import SweptView
@@ -26,6 +26,9 @@ PICTURE_SHARE = 0.3
 DISAGREEMENT = 3.0
 #: Estimates whose own tracks are remembered: a picture's age in frames, at most.
 MAX_EARLIER = 16
+#: Where a flat covariance has the terms of a horizontal position's variance after some time: those of its x, then of y.
+_GROWING = np.array([0, 6, 60, 10, 16, 70])
+_ACCELERATED = (2.0 / 3.0) * ACCELERATION
 
 
 class MissionEstimator(ABC):
@@ -75,7 +78,9 @@ class OwnAndPicture(MissionEstimator):
         i, j, _ = self._pairs.find(own, picture)
         alone = np.ones(len(own), bool)
         alone[i] = False
-        objects = _average_pairs(own, picture, i, j, *self._news.update(time_ns, own, i))
+        means = _means(own)
+        share, change = self._news.update(time_ns, own, means, i)
+        objects = _average_pairs(own, picture, means.take(i, 0), i, j, share, change)
         return self._pairs.with_ids(time_ns, own, objects, i, j, alone)
 
 
@@ -110,6 +115,8 @@ class _Pairs:
         i, j, dx, dy = neighbours(own.position, picture.position, np.full(len(own), self.radius))
         near = np.zeros(len(own), bool)
         near[i] = True
+        if uncontested(i, j).all():
+            return i, j, near
         together = self._ids.same(own.id[i], picture.id[j])
         chosen = greedy_matching(i, j, np.hypot(dx, dy) - self.radius * together)
         return i[chosen], j[chosen], near
@@ -138,91 +145,79 @@ class _OwnNews:
 
     def __init__(self) -> None:
         self.since_ns: int | None = None
-        self._earlier: list[_Earlier] = []
+        self._earlier: deque[tuple[int, ObjectStates, Floats]] = deque(maxlen=MAX_EARLIER)  # tracks and their means
 
-    def update(self, time_ns: int, own: ObjectStates, rows: Ints) -> tuple[Floats, Floats]:
+    def update(self, time_ns: int, own: ObjectStates, means: Floats, rows: Ints) -> tuple[Floats, Floats]:
         """What is new of own tracks `rows` (p,): which share (p,), and the change (p, 9) of their means by it.
 
         The share is that of the certainty of their positions which they have gained; 1 for tracks that are new, whose
-        change is 0: all of them is. Means are in the order of `states.COVARIANCE_ORDER`.
+        change is 0: all of them is. means: (n, 9) of all own tracks, see `_means`
         """
-        share, change = np.ones(len(rows)), np.zeros((len(rows), 9))
-        now = _Earlier.of(time_ns, own)
         since_ns = time_ns if self.since_ns is None else self.since_ns
-        then = next((each for each in reversed(self._earlier) if each.time_ns <= since_ns), None)
-        if then is not None and len(then.id):
-            place = np.minimum(then.id.searchsorted(own.id.take(rows)), len(then.id) - 1)
-            known = (then.id.take(place) == own.id.take(rows)).nonzero()[0]
-            dt, place, rows = (time_ns - then.time_ns) * 1e-9, place.take(known), rows.take(known)
-            steps = np.array([1.0, dt, dt * dt, dt**3])
-            variance = np.maximum(then.growth.take(place, 0) @ steps, LEAST_VARIANCE)
-            share[known] = np.clip(1.0 - now.growth[:, 0].take(rows) / variance, 0.0, 1.0)
-            expected = then.mean.take(place, 0)
-            expected[:, :3] += dt * expected[:, 6:]
-            change[known] = now.mean.take(rows, 0) - expected
-        self._earlier = [*self._earlier[1 - MAX_EARLIER :], now]
+        then = next((each for each in reversed(self._earlier) if each[0] <= since_ns), None)
+        self._earlier.append((time_ns, own, means))
         self.since_ns = None
+        share, change = np.ones(len(rows)), np.zeros((len(rows), 9))
+        if then is None or not len(then[1]) or not len(rows):
+            return share, change
+        then_ns, before, means_before = then
+        ids = own.id.take(rows)
+        place = before.id.searchsorted(ids)
+        known = (before.id.take(place, mode="clip") == ids).nonzero()[0]
+        dt, place, rows = (time_ns - then_ns) * 1e-9, place.take(known), rows.take(known)
+        variance = np.maximum(_grown_variance(before, place, dt), LEAST_VARIANCE)
+        now = _variance(own.covariance).take(rows)
+        share[known] = np.minimum(np.maximum(1.0 - now / variance, 0.0), 1.0)
+        expected = means_before.take(place, 0)
+        expected[:, :3] += dt * expected[:, 6:]
+        change[known] = means.take(rows, 0) - expected
         return share, change
 
 
-class _Earlier(NamedTuple):
-    """n own tracks at a time.
-
-    mean: (n, 9); growth: (n, 4), coefficients of the variance of their horizontal positions, m^2, as a polynomial of
-        the s that have passed, see `tracking.prediction.predicted`
-    """
-
-    time_ns: int
-    id: Ints
-    mean: Floats
-    growth: Floats
-
-    @classmethod
-    def of(cls, time_ns: int, own: ObjectStates) -> _Earlier:
-        """The tracks of an estimate."""
-        P = own.covariance
-        growth = np.empty((len(own), 4))
-        growth[:, 0], growth[:, 2] = _variance(P), P[:, 6, 6] + P[:, 7, 7]
-        growth[:, 1] = 2.0 * (P[:, 0, 6] + P[:, 1, 7])
-        growth[:, 3] = (2.0 / 3.0) * ACCELERATION.take(own.class_id)
-        return cls(time_ns, own.id, _means(own), growth)
+def _grown_variance(states: ObjectStates, rows: Ints, dt: float) -> Floats:
+    """(k,) m^2, variances of the horizontal positions of rows (k,) after `dt` s, as in `tracking.prediction`."""
+    P = states.covariance.reshape(-1, 81).take(rows, 0).take(_GROWING, 1)
+    coefficients = np.empty((len(rows), 4))  # of the powers of dt
+    coefficients[:, :3] = P[:, :3] + P[:, 3:]
+    coefficients[:, 3] = _ACCELERATED.take(states.class_id.take(rows))
+    return coefficients @ np.array([1.0, 2.0 * dt, dt * dt, dt**3])
 
 
 def _average_pairs(
-    own: ObjectStates, picture: ObjectStates, i: Ints, j: Ints, share: Floats, change: Floats
+    own: ObjectStates, picture: ObjectStates, own_mean: Floats, i: Ints, j: Ints, share: Floats, change: Floats
 ) -> ObjectStates:
     """The picture's objects; where object j is paired with own track i, the weighted average of both.
 
-    share, change: (p,) and (p, 9) of the own tracks, see `_OwnNews`
+    own_mean: (p, 9) of the own tracks i;  share, change: (p,) and (p, 9) of them, see `_OwnNews`
 
     Class and score are those of the picture, the heading that of the more certain one.
     """
     if len(i) == 0:
         return picture
-    own_covariance, claimed = make_positive_definite(own.covariance[i]), make_positive_definite(picture.covariance[j])
-    own_variance, picture_variance = (np.maximum(_variance(each), LEAST_VARIANCE) for each in (own_covariance, claimed))
-    own_mean, picture_mean = _means(own, i), _means(picture, j)
-    difference = own_mean - picture_mean
+    own_covariance = make_positive_definite(own.covariance.take(i, 0))
+    claimed = make_positive_definite(picture.covariance.take(j, 0))
+    own_variance, picture_variance = np.maximum(_variance(own_covariance), LEAST_VARIANCE), _variance(claimed)
+    picture_variance = np.maximum(picture_variance, LEAST_VARIANCE)
+    picture_mean = _means(picture)
+    mean = picture_mean.take(j, 0)
+    difference = own_mean - mean
     apart = difference[:, 0] * difference[:, 0] + difference[:, 1] * difference[:, 1]
     share = np.maximum(share, np.minimum(DISAGREEMENT * apart / (own_variance + picture_variance), 1.0))
     picture_variance = np.maximum(PICTURE_SHARE * picture_variance, LEAST_VARIANCE)
     gain = picture_variance / (share * picture_variance + own_variance)
     weight = gain * share  # of the own track
-    mean = picture_mean + weight[:, None] * difference + (gain - weight)[:, None] * change
+    picture_mean[j] = mean + weight[:, None] * difference + (gain - weight)[:, None] * change
     covariance, yaw = picture.covariance.copy(), picture.yaw.copy()
     covariance[j] = claimed + weight[:, None, None] * (own_covariance - claimed)
     nearer = (own_variance < picture_variance).nonzero()[0]
-    yaw[j[nearer]] = own.yaw[i[nearer]]
-    columns = {"covariance": covariance, "yaw": yaw}
-    for name, part in (("position", slice(0, 3)), ("size", slice(3, 6)), ("velocity", slice(6, 9))):
-        columns[name] = getattr(picture, name).copy()
-        columns[name][j] = mean[:, part]
-    return picture.with_(**columns)
+    yaw[j.take(nearer)] = own.yaw.take(i.take(nearer))
+    position, size, velocity = (picture_mean[:, part : part + 3].copy() for part in (0, 3, 6))
+    return picture.with_(position=position, size=size, velocity=velocity, yaw=yaw, covariance=covariance)
 
 
-def _means(states: ObjectStates, rows: Ints | slice = slice(None)) -> Floats:
-    """(n, 9) means of rows, in the order of `states.COVARIANCE_ORDER`."""
-    return np.concatenate([states.position[rows], states.size[rows], states.velocity[rows]], axis=1)
+def _means(states: ObjectStates) -> Floats:
+    """(n, 9) means, in the order of `states.COVARIANCE_ORDER`."""
+    return np.concatenate([states.position, states.size, states.velocity], axis=1)
 
 
 def _variance(covariance: Floats) -> Floats:

@@ -62,6 +62,7 @@ class MissionIds:
         self._partners: dict[int, tuple[int, int, int]] = {}  # by picture id: own id, for how long, last estimate
         self._lost: dict[int, tuple[int, Floats, Floats]] = {}  # by id: time, ns, position and velocity
         self._newest = _Estimate(0, 0, [], [], np.zeros((0, 2)), np.zeros((0, 2)), [])
+        self._settled = False  # the same objects would have the same ids again
         self._next = 0
 
     def same(self, own: Ints, picture: Ints) -> Bools:
@@ -77,12 +78,17 @@ class MissionIds:
         position, velocity: (n, 2) m and m/s, world frame
         """
         own_ids, picture_ids, before = own.tolist(), picture.tolist(), self._newest
-        self._inherit(own_ids)
-        ids, unclear = self._known(own_ids, picture_ids)
-        if unclear:
-            self._decide(time_ns, own_ids, picture_ids, position, ids, unclear)
+        unchanged = own_ids == before.own and picture_ids == before.picture
+        if unchanged and self._settled:
+            ids, unclear = before.ids, []
+        else:
+            self._inherit(own_ids)
+            ids, unclear = self._known(own_ids, picture_ids)
+            if unclear:
+                self._decide(time_ns, own_ids, picture_ids, position, ids, unclear)
+            self._settled = not unclear and not self._partners
         self._newest = _Estimate(before.number + 1, time_ns, own_ids, picture_ids, position, velocity, ids)
-        if unclear or own_ids != before.own or picture_ids != before.picture:
+        if unclear or not unchanged:
             self._note_lost(before)
             self._own.note_gone(before.time_ns, before.own, own_ids)
             self._picture.note_gone(before.time_ns, before.picture, picture_ids)

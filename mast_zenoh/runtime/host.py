@@ -149,8 +149,8 @@ class Host(NodeContext):
         except MessageError as error:
             self._reject(key, str(error), counted)
             return
-        if excess := row_limits.excess(message.body):
-            self._count_rejected(key, excess)
+        if type(message.body) is row_limits.Shortened:
+            self._count_rejected(key, row_limits.excess(message.body))
         if self.observe:
             self.observe(key, message.header)
         received = Received(message, port_input.subject, payload if isinstance(payload, bytes) else None, step)

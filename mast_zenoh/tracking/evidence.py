@@ -64,7 +64,7 @@ class ScorePrior:
     def see(self, score: Floats) -> None:
         """Learn the range of scores (m,) from detections."""
         if self._in_range and len(score):
-            self._in_range = bool(score.min() >= 0.0 and score.max() <= 1.0)
+            self._in_range = bool(np.minimum.reduce(score) >= 0.0 and np.maximum.reduce(score) <= 1.0)
 
     def add(self, tracks: Floats) -> None:
         """Learn from tracks (n, WIDTH) that have just been established."""
@@ -85,7 +85,9 @@ class ScorePrior:
     def doubtful(self, tracks: Floats) -> Bools:
         """Which tracks (n, WIDTH) score too low to be reported: not if they are established and move."""
         low = tracks[:, SCORE] < DOUBTFUL
-        return low & ~(established(tracks) & _moving(tracks)) if low.any() and self.believed else np.zeros_like(low)
+        if np.count_nonzero(low) == 0:
+            return low
+        return low & ~(established(tracks) & _moving(tracks)) if self.believed else np.zeros_like(low)
 
 
 class ScoreEvidence:

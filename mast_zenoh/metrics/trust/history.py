@@ -54,12 +54,12 @@ class TrustHistory:
         for update in updates:
             if (at := row.get(update.frame)) is None:
                 continue
-            columns = update.columns
-            for index, name in enumerate(columns["agents"]):
+            names, *values = (
+                np.asarray(update.columns[name]).tolist() for name in ("agents", "state", "log_odds", "reason")
+            )
+            for name, *of_name in zip(names, *values, strict=True):
                 if (of_agent := column.get(str(name))) is not None:
-                    state[at, of_agent] = columns["state"][index]
-                    log_odds[at, of_agent] = columns["log_odds"][index]
-                    reason[at, of_agent] = str(columns["reason"][index])
+                    state[at, of_agent], log_odds[at, of_agent], reason[at, of_agent] = of_name
         known = np.isfinite(log_odds)
         # Row of the latest message about each agent; frames before the first one keep the initial values.
         latest = np.maximum.accumulate(np.where(known, np.arange(shape[0])[:, None], -1), axis=0)
