@@ -71,7 +71,7 @@ def test_a_suspended_viewer_gets_fewer_messages_and_a_node_all_of_them() -> None
 
 
 def test_a_run_goes_on_without_a_suspended_client_and_names_it(launch: Callable[..., Launched], tmp_path: Path) -> None:
-    words = ("coordinated", "--set", "attack_start_s=0.5", "--frames", "150", "--mode", "lockstep")
+    words = ("coordinated", "--set", "attack_start_s=0.5", "--frames", "60", "--mode", "lockstep")
     run = launch(*words)
     endpoint = run.until(lambda: run.record().get("endpoint"), "the run has a router")
     with watching(_STRANGER, endpoint) as stranger:
