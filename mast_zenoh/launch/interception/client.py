@@ -69,13 +69,7 @@ def intercept(
     resolved = Resolved.read(run, trust)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
     add_surroundings({node: spec}, Recording.load(run / RECORDING))
-    fields = {
-        "file": spec.file,
-        "type": spec.type,
-        "role": spec.role,
-        "config": spec.config,
-        "on_exit": spec.on_exit,
-    }
+    fields = {name: getattr(spec, name) for name in ("file", "type", "role", "config", "on_exit")}
     modules = [module for module in modules_of(Path(), spec.config, ()) if module not in resolved.modules]
     request = {"do": "intercept", "name": node, "spec": fields, "place": place_json(place), "modules": modules}
     return _ask(run, record, request)
