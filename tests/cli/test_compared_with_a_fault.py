@@ -22,4 +22,4 @@ def test_a_defended_run_is_compared_with_the_same_run_without_its_fault(mast, tm
     compared = testbed.compare(sound, faulted)
     assert compared.headline in " ".join(str(compared).split())
     assert len(set(compared.table["run"].to_pylist())) == 2
-    assert "faulted and sound" in viewer_page([faulted.path, sound.path])
+    assert "defended and sound" in viewer_page([faulted.path, sound.path])

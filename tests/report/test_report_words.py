@@ -295,7 +295,7 @@ def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["picture"]["fn"].update(mean=50.0))
     run, other = RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked")
     missed = while_attacked(run, "fn")
-    assert f"; while they did, the picture has {missed:.1f} missed objects a frame." in " ".join(reading(run, other))
+    assert f"; while they did, the picture has {missed:.2f} missed objects a frame." in " ".join(reading(run, other))
 
 
 @pytest.mark.parametrize(("last", "counted"), [(39, ""), (29, ""), (28, "14 of the 29 scored frames are attacked.")])
