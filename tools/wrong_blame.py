@@ -51,6 +51,8 @@ ATTACKS: dict[str, tuple[str, dict[str, Any]]] = {
     "hide": ("hide_object", UNDEFENDED),
 }
 STAGES = ("FaultOrLie", "FreeSpace", "KOfN", "Mate", "SequentialConsistency")
+SENSORS = ["infra_1", "infra_2", "infra_3", "infra_4"]
+#: By name, a fault of the first two agents that are not the ego, unless it names others.
 FAULTS: dict[str, dict[str, Any]] = {
     "skew .1 s": {"type": "Impair", "rule": {"type": "ClockSkew", "offset_s": 0.1}},
     "skew .4 s": {"type": "Impair", "rule": {"type": "ClockSkew", "offset_s": 0.4}},
@@ -59,6 +61,11 @@ FAULTS: dict[str, dict[str, Any]] = {
     "pose": {"type": "Impair", "rule": {"type": "PoseError", "bias_m": (0.7, 0.4), "bias_yaw_rad": 0.01}},
     "loss": {"type": "BurstLoss", "good_to_bad": 0.1, "bad_to_good": 0.3},
     "delay": {"type": "Delay", "mean_s": 0.3, "jitter_s": 0.05},
+    "cut off: partition": {"type": "Partition", "until": AT_S + 3.0},
+    "cut off: killed": {"type": "Kill", "restart_after": 3.0},
+    "cut off: loss": {"type": "Loss", "probability": 0.5, "until": AT_S + 6.0, "nodes": SENSORS},
+    "cut off: delay .25 s": {"type": "Delay", "mean_s": 0.25, "until": AT_S + 3.0, "nodes": SENSORS},
+    "cut off: delay 1 s": {"type": "Delay", "mean_s": 1.0, "until": AT_S + 3.0, "nodes": SENSORS},
 }
 
 
@@ -96,7 +103,7 @@ def objects(side: tuple[str, dict[str, Any], dict[str, Any] | None], where: Wher
     path, content = scenario.load_values(name, values | {"scene": where.scene}, [])
     if fault is not None:
         nodes = [agent for agent in agents_of(content["scene"]) if agent != "ego"][:2]
-        content = content | {"faults": [fault | {"at": AT_S, "nodes": nodes}]}
+        content = content | {"faults": [{"at": AT_S, "nodes": nodes} | fault]}
     resolved = scenario.resolve(path, content, seed=where.seed, frames=where.frames)
     node = _played(resolved, where.keep)
     table: Mapping[str, Any] = node.evaluation.of(node.data)["tables"]["objects"]

@@ -269,15 +269,9 @@ class _Results:
         updates = [data.trust[frame] for frame in sorted(data.trust)]
         tables = trust.tables(updates, data.times_ns)
         agents = data.record.agents
+        lies = trust.lies(self.effects, data.roles, agents, frames, self.from_absence)
         part = trust.integrity(
-            updates,
-            trust.lies(self.effects, data.roles, agents, frames, self.from_absence),
-            settings.faults,
-            agents,
-            frames,
-            data.times_ns,
-            data.period_s,
-            settings.attribution.coast_s,
+            updates, lies, settings.faults, agents, frames, data.times_ns, data.period_s, settings.attribution.coast_s
         )
         part["withheld"] = trust.withheld(
             tables["trust_objects"], self.truth, frames, scored, settings.scorer.min_points

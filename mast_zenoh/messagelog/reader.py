@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import heapq
 import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
@@ -20,12 +19,13 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
+from mcap.records import Channel, Message, Metadata
 from mcap.records import Schema as SchemaRecord
 from mcap.writer import MCAP0_MAGIC
 
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.messagelog import channels as channel_data
+from mast_zenoh.messagelog import chunks
 from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messagelog.missing import without_recording
 from mast_zenoh.messagelog.writer import FILE
@@ -35,10 +35,6 @@ from mast_zenoh.messages.schemas import BUILT_IN, Schema
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
 
-#: Limits on a chunk, unpacked. The writer begins a new one after 1 MiB or CHUNK_MESSAGES, and a message has 16 MiB at
-#: most.
-MAX_CHUNK_BYTES = 64 << 20
-MAX_CHUNK_MESSAGES = 200_000
 #: Limit on a metadata record.
 MAX_METADATA_BYTES = 16 << 20
 #: Limit on the messages that wait for earlier ones in later chunks, with what each of them takes beside its bytes.
@@ -129,16 +125,16 @@ def read(path: Path) -> Iterator[Recorded]:
     """
     path = file_of(path)
     with _open(path) as file:
-        chunks = [record for record in _records(file, path) if isinstance(record, _ChunkIndex)]
+        indexes = [record for record in _records(file, path) if isinstance(record, _ChunkIndex)]
         #: by chunk, the earliest time in it and in all later ones
-        floors = list(accumulate((chunk.start_ns for chunk in reversed(chunks)), min))[::-1]
+        floors = list(accumulate((chunk.start_ns for chunk in reversed(indexes)), min))[::-1]
         channels: dict[int, Channel] = {}
         schemas: dict[int, Schema] = {}
         queue: list[tuple[tuple[int, int, str, str, int, str], int, Recorded]] = []
         loaded = count = waiting = 0
-        while queue or loaded < len(chunks):
-            while loaded < len(chunks) and (not queue or floors[loaded] <= queue[0][0][0] + _RANKS_NS):
-                for message in _messages(file, path, chunks[loaded], channels, schemas):
+        while queue or loaded < len(indexes):
+            while loaded < len(indexes) and (not queue or floors[loaded] <= queue[0][0][0] + _RANKS_NS):
+                for message in _messages(file, path, indexes[loaded], channels, schemas):
                     heapq.heappush(queue, (message.order, count, message))
                     count += 1
                     waiting += len(message.payload) + _OVERHEAD
@@ -234,9 +230,7 @@ def _messages(
     """The messages of a chunk; its new channels and user types go into the dicts."""
     file.seek(index.byte)
     try:
-        if index.length > MAX_CHUNK_BYTES:
-            raise ValueError(f"found {index.length} bytes, expected at most {MAX_CHUNK_BYTES}")
-        records = _records_of(Chunk.read(ReadDataStream(BytesIO(file.read(index.length)))))
+        records = chunks.records(file, index.length)
     except (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError) as error:
         raise RunFolderError(f"{path}: byte {index.byte}: a damaged chunk: {error}") from None
     count = 0
@@ -259,44 +253,6 @@ def _messages(
             step, rank = index.steps.get(count), index.ranks.get(count, -1)
             yield _recorded(channel, record, path, step, rank, schemas.get(channel.schema_id))
             count += 1
-
-
-def _records_of(chunk: Chunk) -> list[McapRecord]:
-    """The channels, schemas and messages in a chunk. Raises ValueError if they exceed a limit."""
-    content = _unpacked(chunk)
-    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
-        raise ValueError("its checksum is not that of its content")
-    stream, records, messages = ReadDataStream(BytesIO(content)), list[McapRecord](), 0
-    while stream.count < len(content):
-        opcode, length = stream.read1(), stream.read8()
-        if opcode == Opcode.MESSAGE:
-            messages += 1
-            if messages > MAX_CHUNK_MESSAGES:
-                raise ValueError(f"found more than {MAX_CHUNK_MESSAGES} messages, expected at most as many")
-            records.append(Message.read(stream, length))
-        elif opcode == Opcode.CHANNEL:
-            records.append(Channel.read(stream))
-        elif opcode == Opcode.SCHEMA:
-            records.append(SchemaRecord.read(stream))
-        else:
-            stream.read(length)
-    return records
-
-
-def _unpacked(chunk: Chunk) -> bytes:
-    """The content of a chunk. Raises ValueError before more memory is used than MAX_CHUNK_BYTES."""
-    if chunk.uncompressed_size > MAX_CHUNK_BYTES:  # zeros compress to almost nothing
-        raise ValueError(f"found {chunk.uncompressed_size} bytes in one chunk, expected at most {MAX_CHUNK_BYTES}")
-    if chunk.compression not in ("zstd", ""):
-        raise ValueError(f"found compression {chunk.compression!r:.20}, expected 'zstd', as recordings are written")
-    size = len(chunk.data)
-    if chunk.compression:
-        size = zstandard.frame_content_size(chunk.data)  # the decompressor allocates this much; -1: it is not given
-    if size not in (-1, chunk.uncompressed_size):
-        raise ValueError(f"found {size} bytes in one chunk, which claims to have {chunk.uncompressed_size}")
-    if not chunk.compression:
-        return chunk.data
-    return zstandard.decompress(chunk.data, chunk.uncompressed_size)
 
 
 def _recorded(

@@ -16,6 +16,7 @@ from tiny_world import TinyScene  # noqa: F401
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.config.settings import nested
+from mast_zenoh.config.trust import NOTHING
 from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
 from mast_zenoh.launch.interception.client import intercept, plan, release
@@ -257,3 +258,15 @@ def test_the_shipped_adversary_gets_its_agents_pose_and_overhears_nothing(
 def test_the_shipped_adversary_on_the_picture_needs_no_choice_of_a_port(resolved: Resolved) -> None:
     _, _, place = plan(resolved, "cc/picture", "adversary.py", settings=(*ATTACK, "agent=ego"))
     assert (place.input, place.output) == ("picture", "picture_out")
+
+
+def test_code_of_the_run_that_is_not_trusted_is_neither_run_nor_needed_for_another_node(
+    resolved: Resolved, tmp_path: Path
+) -> None:
+    own, marker = tmp_path / "theirs.py", tmp_path / "ran"
+    own.write_text(f"import pathlib\npathlib.Path({str(marker)!r}).touch()\n")
+    running = replace(resolved, modules=(str(own),)).trusting(NOTHING, "a run")
+    assert plan(running, TRACKS, "adversary.py", settings=ATTACK)[0] == "adversary_1"
+    with pytest.raises(ConfigurationError, match=r"'Theirs'.*theirs\.py: nothing of it was run.*--trust"):
+        plan(running, TRACKS, "adversary.py", settings=("attack.type=Theirs",))
+    assert not marker.exists()

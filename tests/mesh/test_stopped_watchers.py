@@ -15,7 +15,9 @@ import pytest
 import zenoh
 from launched import MAST, Launched, eventually
 
+from mast_zenoh.errors import NotRunning
 from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.runtime.mesh import session
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 
 pytestmark = pytest.mark.mesh
@@ -71,7 +73,8 @@ def test_a_suspended_viewer_gets_fewer_messages_and_a_node_all_of_them() -> None
 
 
 def test_a_run_goes_on_without_a_suspended_client_and_names_it(launch: Callable[..., Launched], tmp_path: Path) -> None:
-    words = ("coordinated", "--set", "attack_start_s=0.5", "--frames", "150", "--mode", "lockstep")
+    parameters = ("--set", "attack_start_s=0.5", "--set", "n_infrastructure=2")
+    words = ("coordinated", *parameters, "--frames", "60", "--mode", "lockstep")
     run = launch(*words)
     endpoint = run.until(lambda: run.record().get("endpoint"), "the run has a router")
     with watching(_STRANGER, endpoint) as stranger:
@@ -90,13 +93,19 @@ def test_a_run_goes_on_without_a_suspended_client_and_names_it(launch: Callable[
     assert (alone.out / "metrics.json").read_bytes() == (run.out / "metrics.json").read_bytes()
 
 
-@pytest.mark.parametrize("router", [False, True], ids=["a silent listener", "a router without a run"])
-def test_a_viewer_gives_up_on_a_peer_without_a_run(tmp_path: Path, *, router: bool) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        opened, endpoint = open_router() if router else (None, f"tcp/127.0.0.1:{silent.getsockname()[1]}")
+def test_a_viewer_gives_up_on_a_listener_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "_OBSERVER_S", 0.5)
+    monkeypatch.setattr(session, "_OBSERVER_TRY_MS", 500)
+    answers = pytest.raises(NotRunning, match=r"no Zenoh router answered within 0\.5 s")
+    with socket.create_server(("127.0.0.1", 0)) as silent, answers as raised:
+        session.open_observer(f"tcp/127.0.0.1:{silent.getsockname()[1]}")
+    assert raised.value.exit_code == 26
+
+
+def test_a_viewer_gives_up_on_a_router_without_a_run(tmp_path: Path) -> None:
+    router, endpoint = open_router()
+    with router:
         done = subprocess.run([*MAST, "view", endpoint], capture_output=True, text=True, cwd=tmp_path, timeout=60)
-        if opened is not None:
-            opened.close()
     assert done.returncode == 26, done.stderr
-    assert ("no run answers" if router else "no Zenoh router answered") in " ".join(done.stderr.split())
+    assert "no run answers" in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr

@@ -34,7 +34,7 @@ def edit(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
 def test_the_page_has_both_runs_and_the_difference(pair: Pair) -> None:
     run, other = pair
     page = write_report(run, against=other).read_text()
-    assert "6.2 more false objects a frame in the common picture than baseline-1, due to adversary_1" in page
+    assert "6.25 more false objects a frame in the common picture than baseline-1, due to adversary_1" in page
     assert "compared with baseline-1" in page
     assert "(+6.25)" in page
     assert "beyond those of baseline-1 in the same frame" in page
@@ -45,7 +45,7 @@ def test_the_terminal_has_both_runs_and_the_difference(pair: Pair) -> None:
     page = io.StringIO()
     show_run(Console(file=page, width=80), *pair)
     assert "6.25 (+6.25)" in page.getvalue()
-    assert "6.2 more false objects a frame" in page.getvalue()
+    assert "6.25 more false objects a frame" in page.getvalue()
 
 
 def test_runs_of_equal_name_are_distinguished_by_folder(pair: Pair) -> None:

@@ -111,7 +111,8 @@ def test_a_run_report_states_the_result_and_how_every_node_ended(run_folder: Run
     killed |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": {}, "failures": []}
     page = Page(write_report(run_folder("uncoordinated", nodes={"infra_2": killed})))
     assert (
-        "Two of four roadside sensors compromised: 6.2 false objects a frame in the common picture are due" in page.text
+        "Two of four roadside sensors compromised: 6.25 false objects a frame in the common picture are due"
+        in page.text
     )
     assert [row for kind, row in page.rows if kind == "bad"] == [
         "infra_2agent77killed by signal 9-92213 messages rejected\n"
@@ -242,7 +243,7 @@ def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Pa
     blocks = re.findall(r"data-run>(.*?)</script>", study.source)
     labels = [unpack(base64.b64decode(block))[0]["label"] for block in blocks]
     assert labels == ["baseline", "uncoordinated", "coordinated"], "the viewer has all runs on one timeline"
-    assert "6.2 more false objects a frame in the common picture than baseline" in study.text
+    assert "6.25 more false objects a frame in the common picture than baseline" in study.text
     assert "The ego's own tracks score the same in every run." in study.text
     assert {path.name for path in (tmp_path / "figures").glob("*.png")} == {
         "side_by_side.png",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,7 @@ from mast_zenoh.report.narrative.circumstances import compromised
 from mast_zenoh.report.narrative.phrases import join_names
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.scores import score_table
+from mast_zenoh.report.tables.scores import number, score_table, signed
 
 
 def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
@@ -28,7 +29,7 @@ def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 def test_headline_of_an_unattacked_run_gives_missed_objects(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder())
-    expected = "The common picture misses 1.2 objects a frame, the ego alone 10.5, the ego with the picture 1.2"
+    expected = "The common picture misses 1.18 objects a frame, the ego alone 10.53, the ego with the picture 1.18"
     assert headline(run) == expected
 
 
@@ -36,14 +37,28 @@ def test_headline_of_an_attacked_run_names_largest_change_and_adversary(run_fold
     run = RunFolder.load(run_folder("uncoordinated"))
     assert compromised(run) == "two of four roadside sensors"
     assert headline(run) == (
-        "Two of four roadside sensors compromised: 6.2 false objects a frame in the common picture are due to "
+        "Two of four roadside sensors compromised: 6.25 false objects a frame in the common picture are due to "
         "adversary_1 and adversary_2"
     )
     text = " ".join(reading(run))
     assert (
         "adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s; while they did, the picture has" in text
     )
-    assert "the picture has 10.0 false objects a frame." in text
+    assert "the picture has 10.00 false objects a frame." in text
+
+
+def test_sentences_give_the_numbers_of_the_table(run_folder: Callable[..., Path]) -> None:
+    runs = {"baseline": RunFolder.load(run_folder()), "uncoordinated": RunFolder.load(run_folder("uncoordinated"))}
+    table = score_table({label: run.metrics for label, run in runs.items()})
+    rows = {(row.measure.key, row.run): row for row in table.rows}
+    cells = rows["fn", "baseline"].cells
+    missed = [number(cells[name].value, rows["fn", "baseline"].measure) for name in ("picture", "local", "mission")]
+    assert re.findall(r"\d+\.\d+", headline(runs["baseline"])) == missed
+    row = rows["fp", "uncoordinated"]
+    more = signed(row.cells["picture"].change, row.measure)
+    reference = Reference(runs["baseline"], "baseline")
+    assert f"{more.removeprefix('+')} more false objects" in headline(runs["uncoordinated"], reference)
+    assert f"{more.removeprefix('+')} more false objects" in study_headline(runs, table)
 
 
 def test_an_attack_in_a_single_frame_has_one_time(run_folder: Callable[..., Path]) -> None:
@@ -53,22 +68,22 @@ def test_an_attack_in_a_single_frame_has_one_time(run_folder: Callable[..., Path
     object.__setattr__(run, "effects", {name: column[only] for name, column in run.effects.items()})
     del run.metrics["interposers"]["adversary_2"]
     text = " ".join(reading(run))
-    assert "adversary_1 changed messages at t = 2.0 s; while it did, the picture has 10.0 false objects" in text
+    assert "adversary_1 changed messages at t = 2.0 s; while it did, the picture has 10.00 false objects" in text
     object.__setattr__(run, "recording", None)
     assert "adversary_1 changed messages in frame 20; while it did" in " ".join(reading(run))
 
 
 def test_a_comparison_headline_names_the_difference(run_folder: Callable[..., Path]) -> None:
     run, reference = RunFolder.load(run_folder("uncoordinated")), RunFolder.load(run_folder())
-    assert "6.2 more false objects a frame in the common picture than unattacked, due to adversary_1 and" in headline(
+    assert "6.25 more false objects a frame in the common picture than unattacked, due to adversary_1 and" in headline(
         run, Reference(reference, "unattacked")
     )
     assert headline(reference, Reference(reference, "unattacked")).startswith("Every score equals that of unattacked")
 
 
 SCORES = {
-    "fn": ("5.0 fewer missed", {"mean": -5.0}),
-    "fp": ("5.0 more false", {"mean": 5.0}),
+    "fn": ("5.00 fewer missed", {"mean": -5.0}),
+    "fp": ("5.00 more false", {"mean": 5.0}),
     "rmse_m": ("0.40 m more RMSE", 0.4),
     "id_switches": ("400 more identity switches", 400),
 }
@@ -108,32 +123,32 @@ def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: C
     edit(folder / "metrics.json", change(2.0))
     edit(reference / "metrics.json", change(0.0))
     text = headline(RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked"))
-    assert "2.0 more false objects a frame for infra_1 with the picture than unattacked" in text
+    assert "2.00 more false objects a frame for infra_1 with the picture than unattacked" in text
 
 
 IN_TRANSIT: dict[str, tuple[dict[str, float], str]] = {
     "the ego acts on it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 1.0},
-        "1.0 more false objects a frame for the ego with the picture than unattacked, by no measured cause",
+        "1.00 more false objects a frame for the ego with the picture than unattacked, by no measured cause",
     ),
     "the ego acts on little of it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5},
-        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
-        "in what the ego acts on, 0.5 more false objects a frame",
+        "4.00 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "in what the ego acts on, 0.50 more false objects a frame",
     ),
     "the ego loses identities for it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5, "switches": 2},
-        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
-        "in what the ego acts on, 0.5 more false objects a frame and 2 more identity switches",
+        "4.00 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "in what the ego acts on, 0.50 more false objects a frame and 2 more identity switches",
     ),
     "the ego acts on nothing of it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0},
-        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "4.00 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
         "what the ego acts on does not change",
     ),
     "only on the way": (
         {"picture_received": 4.0},
-        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "4.00 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
         "the picture on arrival and what the ego acts on do not change",
     ),
 }
@@ -200,7 +215,7 @@ def test_headline_of_a_failed_run_begins_with_the_failure(run_folder: Callable[.
     edit(folder / "run.json", lambda run: run["nodes"]["adversary_1"].update(failures=[failure]))
     run = RunFolder.load(folder)
     assert headline(run) == "Handlers of adversary_1 failed in 19 frames: the numbers may be wrong"
-    assert "6.2 false objects" in reading(run)[0]
+    assert "6.25 false objects" in reading(run)[0]
     assert "adversary_1's handlers failed in 19 frames." in reading(run)
 
 
@@ -270,7 +285,7 @@ def test_only_scored_frames_count_during_the_attack(run_folder: Callable[..., Pa
     assert run.counts is not None
     run.counts["fp"] = np.where(run.counts["frame"] >= 30, 1000, run.counts["fp"])
     assert while_attacked(run, "fp") == pytest.approx(10.0)
-    assert "; while they did, the picture has 10.0 false objects a frame." in " ".join(reading(run))
+    assert "; while they did, the picture has 10.00 false objects a frame." in " ".join(reading(run))
 
 
 def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(
@@ -280,7 +295,7 @@ def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["picture"]["fn"].update(mean=50.0))
     run, other = RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked")
     missed = while_attacked(run, "fn")
-    assert f"; while they did, the picture has {missed:.1f} missed objects a frame." in " ".join(reading(run, other))
+    assert f"; while they did, the picture has {missed:.2f} missed objects a frame." in " ".join(reading(run, other))
 
 
 @pytest.mark.parametrize(("last", "counted"), [(39, ""), (29, ""), (28, "14 of the 29 scored frames are attacked.")])
@@ -306,12 +321,12 @@ def test_braking_caused_by_attacks_is_mentioned(run_folder: Callable[..., Path])
 def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, Path]) -> None:
     runs = {label: RunFolder.load(path) for label, path in three_runs.items()}
     table = score_table({label: run.metrics for label, run in runs.items()})
-    assert "(uncoordinated): 6.2 more false objects a frame in the common picture than baseline" in study_headline(
+    assert "(uncoordinated): 6.25 more false objects a frame in the common picture than baseline" in study_headline(
         runs, table
     )
     text = " ".join(study_reading(runs, table))
-    assert "In run coordinated (two of four roadside sensors compromised), 2.5 more false" in text
-    assert "(+4.0 while the attack lasts), due to adversary_1 and adversary_2" in text
+    assert "In run coordinated (two of four roadside sensors compromised), 2.50 more false" in text
+    assert "(+4.00 while the attack lasts), due to adversary_1 and adversary_2" in text
 
 
 def test_names_are_joined_with_commas_and_and() -> None:
@@ -335,14 +350,14 @@ def test_every_kind_of_change_is_named_with_its_own_cause(run_folder: Callable[.
     edit(folder / "scenario.json", lambda scenario: scenario.update(timeline=[partition]))
     run = RunFolder.load(folder)
     assert headline(run).endswith("are due to adversary_1 and adversary_2")
-    assert "0.5 missed objects a frame in the common picture are due to Partition infra_2." in reading(run)
+    assert "0.50 missed objects a frame in the common picture are due to Partition infra_2." in reading(run)
 
 
 def test_the_causes_of_other_changes_are_named_again(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
     split = {"fault": 0.0, "attack": 0.5, "natural": 0.7}
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["picture"].update(fn_split=split))
-    sentence = "0.5 missed objects a frame in the common picture are due to adversary_1 and adversary_2."
+    sentence = "0.50 missed objects a frame in the common picture are due to adversary_1 and adversary_2."
     assert sentence in reading(RunFolder.load(folder))
 
 
@@ -363,7 +378,7 @@ def test_difference_without_measured_cause_is_reported(run_folder: Callable[...,
     reference = RunFolder.load(folder)
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["local"]["fn"].update(mean=30.0))
     text = headline(RunFolder.load(folder), Reference(reference, "the other"))
-    assert text == "19.5 more missed objects a frame in what the ego sees alone than the other, by no measured cause"
+    assert text == "19.48 more missed objects a frame in what the ego sees alone than the other, by no measured cause"
 
 
 def test_headline_without_reference_reports_attacks_on_what_the_ego_acts_on(
@@ -382,6 +397,6 @@ def test_headline_without_reference_reports_attacks_on_what_the_ego_acts_on(
 
     edit(folder / "metrics.json", change)
     assert headline(RunFolder.load(folder)).endswith(
-        "6.0 missed objects a frame in the picture that the ego receives are due to adversary_1 and adversary_2; "
-        "in what the ego acts on, 1.1 missed objects a frame and 12 identity switches"
+        "6.00 missed objects a frame in the picture that the ego receives are due to adversary_1 and adversary_2; "
+        "in what the ego acts on, 1.10 missed objects a frame and 12 identity switches"
     )

@@ -22,7 +22,7 @@ from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.control import control_prefix
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.interception import answer_of, place_json
-from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, WiringError, nearest
+from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, UntrustedCode, WiringError, nearest
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.interception.server import SECRET_FILE, seal
 from mast_zenoh.node import Node
@@ -69,13 +69,7 @@ def intercept(
     resolved = Resolved.read(run, trust)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
     add_surroundings({node: spec}, Recording.load(run / RECORDING))
-    fields = {
-        "file": spec.file,
-        "type": spec.type,
-        "role": spec.role,
-        "config": spec.config,
-        "on_exit": spec.on_exit,
-    }
+    fields = {name: getattr(spec, name) for name in ("file", "type", "role", "config", "on_exit")}
     modules = [module for module in modules_of(Path(), spec.config, ()) if module not in resolved.modules]
     request = {"do": "intercept", "name": node, "spec": fields, "place": place_json(place), "modules": modules}
     return _ask(run, record, request)
@@ -109,7 +103,7 @@ def plan(
     wires = {candidate.key: candidate for candidate in wiring.wires}
     if wire not in wires:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
-    resolved.load_modules()
+    unread = _load_modules(resolved)
     path, config = _node_of(file, nested(settings))
     target = wires[wire]
     cls = loading.node_class(path, config.get("type"))
@@ -124,11 +118,25 @@ def plan(
     if "agent" in signature(cls).parameters and agent_of(target.subject) in resolved.nodes:
         config.setdefault("agent", agent_of(target.subject))
     spec = replace(node_spec(path, name, cls.role, config | {"file": str(path)}), on_exit="continue")
-    build_node(spec, name, str(path))
+    try:
+        build_node(spec, name, str(path))
+    except ConfigurationError as error:
+        if unread is None:
+            raise
+        raise ConfigurationError(f"{error}; {unread}") from None
     subject = str(spec.config.get("agent", agent_of(target.subject)))
     place = _place(cls, path, name, target, subject, wiring, resolved, input, output)
     insert(wiring, name, place)
     return name, spec, place
+
+
+def _load_modules(resolved: Resolved) -> UntrustedCode | None:
+    """Load what the run's nodes load; returns the error if it is not trusted: the new node may not need it."""
+    try:
+        resolved.load_modules()
+    except UntrustedCode as error:
+        return error
+    return None
 
 
 def _node_of(text: str, config: dict[str, Any]) -> tuple[Path, dict[str, Any]]:

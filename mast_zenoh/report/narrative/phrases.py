@@ -8,7 +8,7 @@ from mast_zenoh.report.narrative.changes import DISPLACED, IDENTITY, Change
 from mast_zenoh.report.tables.interposers import EFFECTS, OF_OBJECTS, Interposer
 
 _NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
-#: Objects per frame; smaller differences are printed with more digits.
+#: Objects per frame; smaller differences are not notable beside a larger one.
 NOTHING = 0.05
 
 _WHERE = {
@@ -45,7 +45,7 @@ def capital(text: str) -> str:
 
 
 def objects(number: float, kind: str = "") -> str:
-    """`9.4 false objects`; `no false object` for none at all."""
+    """`9.40 false objects`; `no false object` for none at all."""
     noun = f"{kind} object".strip()
     if number == 0.0:
         return f"no {noun}"
@@ -53,9 +53,9 @@ def objects(number: float, kind: str = "") -> str:
 
 
 def small(number: float) -> str:
-    """A positive number with one decimal, or with more if it is small."""
-    if number >= NOTHING:
-        return f"{number:.1f}"
+    """A positive number as tables print it, with two decimals, or with more if that would be zero."""
+    if number >= 0.005:
+        return f"{number:.2f}"
     return f"{number:.2g}" if number >= 0.0005 else "less than 0.001"
 
 
@@ -68,7 +68,7 @@ def place(change: Change, ego: str | None) -> str:
 
 
 def amount(change: Change, ego: str | None, *, where: bool = True) -> str:
-    """The amount of a change: `5.5 false objects a frame in the common picture`."""
+    """The amount of a change: `5.50 false objects a frame in the common picture`."""
     at = f" {place(change, ego)}" if where else ""
     size = abs(change.amount)
     if change.kind == DISPLACED:
@@ -79,11 +79,11 @@ def amount(change: Change, ego: str | None, *, where: bool = True) -> str:
 
 
 def more_or_less(change: Change, ego: str | None, *, where: bool = True) -> str:
-    """A difference: `5.5 more false objects a frame in the common picture`."""
+    """A difference: `5.50 more false objects a frame in the common picture`."""
     at = f" {place(change, ego)}" if where else ""
     size, rises = abs(change.amount), change.amount > 0
     if change.kind == DISPLACED:
-        return f"{f'{size:.2f}' if size >= 0.005 else small(size)} m {'more' if rises else 'less'} RMSE{at}"
+        return f"{small(size)} m {'more' if rises else 'less'} RMSE{at}"
     word = "more" if rises else "fewer"
     if change.kind == IDENTITY:
         return f"{size:.0f} {word} identity switch{'' if round(size) == 1 else 'es'}{at}"

@@ -123,8 +123,8 @@ def _missed_sentence(run: RunFolder) -> str:
     if picture is None:
         return "missed objects were not scored"
     parts = [f"the common picture misses {objects(picture)} a frame"]
-    parts += [f"the ego alone {alone:.1f}"] if alone is not None else []
-    parts += [f"the ego with the picture {both:.1f}"] if both is not None else []
+    parts += [f"the ego alone {alone:.2f}"] if alone is not None else []
+    parts += [f"the ego with the picture {both:.2f}"] if both is not None else []
     return ", ".join(parts)
 
 
@@ -260,7 +260,7 @@ def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]
             sentences.append(f"Run {label}{where}: {_same_scores(run, reference, table.reference or '')}.")
             continue
         during = while_attacked(run, changes.KEYS[change.kind], reference, estimate=change.estimate)
-        lasts = f" ({during:+.1f} while the attack lasts)".replace("-", "\u2212") if _counts(change, during) else ""
+        lasts = f" ({during:+.2f} while the attack lasts)".replace("-", "\u2212") if _counts(change, during) else ""
         sentences.append(
             f"In run {label}{where}, {more_or_less(change, run.ego)}{lasts}{cause_clause(run, change, reference)}."
         )

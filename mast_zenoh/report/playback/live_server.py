@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from contextlib import suppress
 from http import HTTPStatus
 from types import TracebackType
 
 from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.sync.server import Server, ServerConnection, serve
@@ -22,6 +23,16 @@ FRAMES = "/frames"
 _WAKE_S = 1.0
 #: Frames that a page may not have shown yet. It confirms each: the buffers of its connection would hold hundreds.
 _UNSHOWN = 2
+_LOGGER = logging.getLogger(__name__)
+
+
+def _is_ours(record: logging.LogRecord) -> bool:
+    """Whether a record tells of a fault of this server, and not of a peer that left or does not speak HTTP."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, WebSocketException | OSError | EOFError)
+
+
+_LOGGER.addFilter(_is_ours)
 
 
 class LiveServer:
@@ -46,6 +57,7 @@ class LiveServer:
                 compression=None,  # frames are compressed
                 max_size=1024,  # the page only confirms frames
                 server_header=None,
+                logger=_LOGGER,
             )
         except OSError as error:
             raise unusable_port(port, error) from None
