@@ -115,15 +115,6 @@ class Evaluation:
             from_absence,
             self.attribution,
         )
-        interposed = without_unseen(
-            interposed,
-            effects,
-            agents,
-            truth,
-            scores.frames,
-            self.scorer.min_points,
-            round(self.attribution.begin_s / data.period_s),
-        )
         spoofs = [meter.effects.spoofs for meter in data.meter.meters]
         duration = round(self.attribution.coast_s / data.period_s)
         interposed = add_pose_manipulations(
@@ -131,9 +122,10 @@ class Evaluation:
         )
         updates = [data.trust[frame] for frame in sorted(data.trust)]
         displaced = displaced_by_links(interposed, effects, agents, truth, scores.frames)
+        begin = round(self.attribution.begin_s / data.period_s)
         labels = self.attribution.label(
             scores,
-            interposed,
+            without_unseen(interposed, effects, agents, truth, scores.frames, self.scorer.min_points, begin),
             truth,
             agents,
             data.period_s,

@@ -70,7 +70,7 @@ MEMBERS = {
 }
 KEYWORDS = {
     "run": "scenario frames seed out runtime mode rate record report endpoint secure allow_failures allow_churn",
-    "study": "study trials jobs cluster resume frames seed runtime out allow_failures",
+    "study": "study trials jobs cluster resume frames seed runtime out allow_failures record",
     "open": "path",
     "compare": "runs",
     "list": "kind",

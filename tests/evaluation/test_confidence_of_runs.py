@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from played import Played
 
+from mast_zenoh.config.trust import OWN_RUN
 from mast_zenoh.launch import measurement
 
 #: One agent reports a 25th of its covariances, one none, and one does not tell its innovations.
@@ -219,5 +220,5 @@ def test_a_scenario_sets_the_limit(once: Once) -> None:
 def test_measuring_again_gives_the_same(once: Once) -> None:
     sure = once("sure", sure=SURE)
     before = sure.metrics
-    measurement.measure(sure.folder)
+    measurement.measure(sure.folder, OWN_RUN)
     assert sure.metrics["consistency"] == before["consistency"]

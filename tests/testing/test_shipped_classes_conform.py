@@ -64,7 +64,8 @@ def shipped(base: type) -> list[Any]:
 def made(cls: type, base: type) -> Any:
     """An object built like in a scenario."""
     parameters = inspect.signature(cls).parameters
-    required = {name for name, each in parameters.items() if each.default is each.empty}
+    own = {name: each for name, each in parameters.items() if each.kind is not each.VAR_KEYWORD}
+    required = {name for name, each in own.items() if each.default is each.empty}
     arguments = {name: NEEDED[name] for name in required | (parameters.keys() & {"until", "node", "gateways"})}
     return registry.build({"type": cls, **arguments}, base, cls.__name__)
 
