@@ -44,7 +44,7 @@ def intercept(
         input=input,
         output=output,
         settings=settings or (),
-        trust=trust(node, confirmed=trusted),
+        trust=trust(node.partition(":")[0], confirmed=trusted),
     )
     _show_result(f"{result['node']} is on", result)
 

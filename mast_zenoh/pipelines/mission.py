@@ -153,6 +153,8 @@ class _OwnNews:
         The share is that of the certainty of their positions which they have gained; 1 for tracks that are new, whose
         change is 0: all of them is. means: (n, 9) of all own tracks, see `_means`
         """
+        while self._earlier and self._earlier[-1][0] == time_ns:  # made again
+            self._earlier.pop()
         since_ns = time_ns if self.since_ns is None else self.since_ns
         then = next((each for each in reversed(self._earlier) if each[0] <= since_ns), None)
         self._earlier.append((time_ns, own, means))
@@ -180,7 +182,7 @@ def _grown_variance(states: ObjectStates, rows: Ints, dt: float) -> Floats:
     coefficients = np.empty((len(rows), 4))  # of the powers of dt
     coefficients[:, :3] = P[:, :3] + P[:, 3:]
     coefficients[:, 3] = _ACCELERATED.take(states.class_id.take(rows))
-    return coefficients @ np.array([1.0, 2.0 * dt, dt * dt, dt**3])
+    return np.asarray(coefficients @ np.array([1.0, 2.0 * dt, dt * dt, dt**3]))
 
 
 def _average_pairs(

@@ -79,8 +79,9 @@ class MissionIds:
         """
         own_ids, picture_ids, before = own.tolist(), picture.tolist(), self._newest
         unchanged = own_ids == before.own and picture_ids == before.picture
+        unclear: list[int] = []
         if unchanged and self._settled:
-            ids, unclear = before.ids, []
+            ids = before.ids
         else:
             self._inherit(own_ids)
             ids, unclear = self._known(own_ids, picture_ids)

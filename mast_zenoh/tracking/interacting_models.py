@@ -121,7 +121,9 @@ class InteractingModels(kalman.BoxFilter):
 class InteractingModelsTracker3D(KalmanBoxTracker3D):
     """`KalmanBoxTracker3D` for objects that turn: its filter weighs straight motion against turns.
 
-    turn_rate_rad_s: of a turn; straight_s, turn_s: s, average time between turns, and of a turn
+    turn_rate_rad_s: rad/s, turn rate of the two models that turn
+    straight_s: s, average time that an object drives straight on
+    turn_s: s, average duration of a turn
 
     Other parameters, and errors, are those of `KalmanBoxTracker3D`.
     """
