@@ -15,6 +15,7 @@ from typing import Any
 #: Units by the end of a parameter's name, longest first.
 _SUFFIXES = {
     "_per_m2": "1/m²",
+    "_rad_s": "rad/s",
     "_per_s": "1/s",
     "bits_per_s": "bit/s",
     "_mps2": "m/s²",
