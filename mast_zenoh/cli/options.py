@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from typer.core import TyperCommand
 
 from mast_zenoh.cli import completion
@@ -38,10 +39,14 @@ def escaped(text: str) -> str:
 
 
 class PlainConsole(Console):
-    """A console that replaces control characters from a node's output by �."""
+    """A console that replaces control characters, from a node's output or a file, by �."""
 
     def print(self, *objects: Any, **options: Any) -> None:
         super().print(*(_CONTROL.sub("�", text) if isinstance(text, str) else text for text in objects), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=_CONTROL.sub("�", segment.text))
 
 
 out = PlainConsole(soft_wrap=True)

@@ -68,7 +68,7 @@ NOTHING, OWN_RUN = Trust(), Trust(confirmed=True)
 
 
 class UntrustedFile(os.PathLike[str]):
-    """The name of a Python file in a scenario that somebody else may have written.
+    """The name of a Python file in a scenario that a third party may have written.
 
     It has a text, but is no path: everything that would open it raises UntrustedCode.
     """
@@ -84,7 +84,7 @@ class UntrustedFile(os.PathLike[str]):
 
 
 def _shipped(name: str) -> str | None:
-    """The shipped file that a recorded name stands for, perhaps of another installation; None: it is somebody's own."""
+    """The shipped file that a recorded name stands for, perhaps of another installation; None: it is a user's."""
     path = Path(name)
     if path == loading.SESSION:  # a class of this session, which has run already
         return name

@@ -1,14 +1,15 @@
-"""Disconnects foreign clients that take nothing any more and thereby hold up a lock-step run.
+"""Disconnects foreign clients that stopped reading and block a lock-step run.
 
-Messages in lock-step wait until everyone who subscribed has room for them, so that no node misses any. A client that is
-no node, such as a recorder of somebody else, would stop the run when it is suspended: the router waits for it. Viewers
-are no such clients (`session.OBSERVERS`).
+Messages in lock-step wait until every subscriber has room for them, so that no node misses any. A client that is
+no node, such as a third-party recorder, would stop the run when it is suspended: the router waits for it. Routers do
+not wait for viewers (`session.OBSERVERS`).
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
+import logging
 import socket
 import struct
 import time
@@ -20,23 +21,28 @@ import zenoh
 from mast_zenoh.runtime.mesh.session import OBSERVERS, own_sockets
 
 #: s without a new frame after which links are looked at, and between two looks.
-_PAUSE_S, _LOOK_S = 2.0, 1.0
+_PAUSE_S, _CHECK_INTERVAL_S = 2.0, 1.0
+#: s, limit on a query of the router's admin space.
 _ADMIN_S = 2.0
 #: s in which a client that reads takes something.
 _TAKEN_S = 0.2
 #: Of Linux: the request for the number of unsent bytes, and the place of `bytes_acked` in `struct tcp_info`.
-_SIOCOUTQ, _ACKED_AT = 0x5411, 120
-_RESET = struct.pack("ii", 1, 0)  # SO_LINGER: closing waits for nobody
+_SIOCOUTQ, _ACKED_OFFSET = 0x5411, 120
+log = logging.getLogger("mast.launch")
+
+_RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close without waiting
 
 
 class BlockingClients:
     """Looks at the links of a router in this process while no frame begins.
 
     session: the router's;  endpoint: its own;  prefix: of all keys of the run
+    nodes: the names of its nodes now
     """
 
-    def __init__(self, session: zenoh.Session, endpoint: str, prefix: str) -> None:
+    def __init__(self, session: zenoh.Session, endpoint: str, prefix: str, nodes: Collection[str]) -> None:
         self._session = session
+        self._names = nodes
         self._port = _port(endpoint)
         self._alive = f"@/{session.info.zid()}/router/token/{prefix}/alive/*"
         self._frame = -1
@@ -53,7 +59,7 @@ class BlockingClients:
             self._frame, self._due, self._before = frame, now + _PAUSE_S, {}
         if frame < 0 or now < self._due:
             return []
-        self._due = now + _LOOK_S
+        self._due = now + _CHECK_INTERVAL_S
         before, self._before = self._before, _full_links(self._port)
         stuck = {address for address, acked in self._before.items() if before.get(address) == acked}
         return self._end(stuck) if stuck else []
@@ -74,14 +80,14 @@ class BlockingClients:
         return {
             zid
             for reply in self._session.get(self._alive, timeout=_ADMIN_S)
-            if reply.ok is not None
+            if reply.ok is not None and str(reply.ok.key_expr).rpartition("/")[2] in self._names
             for zid in json.loads(reply.ok.payload.to_string())["clients"]
         }
 
 
 @contextmanager
-def closing(router: zenoh.Session, endpoint: str) -> Iterator[zenoh.Session]:
-    """A router in this process, closed at the end, after the links of clients that take nothing any more.
+def closing_router(router: zenoh.Session, endpoint: str) -> Iterator[zenoh.Session]:
+    """A router in this process, closed at the end, after the links of clients that do not take everything soon.
 
     Closing it would wait for them, and fail. The nodes have left by then.
     """
@@ -89,10 +95,13 @@ def closing(router: zenoh.Session, endpoint: str) -> Iterator[zenoh.Session]:
         yield router
     finally:
         port = _port(endpoint)
-        if before := _full_links(port):
+        if _full_links(port):
             time.sleep(_TAKEN_S)
-            _reset(port, {address for address, acked in _full_links(port).items() if before.get(address) == acked})
-        router.close()
+            _reset(port, _full_links(port).keys())
+        try:
+            router.close()
+        except zenoh.ZError as error:  # the run is over: nothing is lost that belongs to it
+            log.warning("the router of the run was not closed: %s", error)
 
 
 def _port(endpoint: str) -> int:
@@ -115,9 +124,9 @@ def _full_links(port: int) -> dict[str, int]:
     for address, own in _links(port):
         with suppress(OSError):
             waiting = struct.unpack("i", fcntl.ioctl(own.fileno(), _SIOCOUTQ, bytes(4)))[0]
-            info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ACKED_AT + 8)
+            info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ACKED_OFFSET + 8)
             if waiting:
-                links[address] = int(struct.unpack_from("Q", info, _ACKED_AT)[0])
+                links[address] = int(struct.unpack_from("Q", info, _ACKED_OFFSET)[0])
     return links
 
 

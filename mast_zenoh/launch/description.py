@@ -30,7 +30,7 @@ def declare(context: RunContext, session: zenoh.Session) -> Any:
                 scene = file.read_bytes()
         content = encode_description(context.run_id, resolved.to_json(), resolved.wiring, scene)
         with suppress(zenoh.ZError):
-            # In a queue of its own: one who asks and does not read blocks what shares the queue, and this thread.
+            # In a queue of its own: a client that does not read its reply blocks the queue, and this thread.
             query.reply(key, content, priority=zenoh.Priority.DATA_LOW)
 
     handler: Any = zenoh.handlers.Callback(answer, indirect=True)

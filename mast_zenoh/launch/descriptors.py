@@ -1,4 +1,4 @@
-"""File descriptors of a run: raises the limit, or tells at once that it is too low."""
+"""File descriptors of a run: raises the limit, or raises ResourcesExhausted."""
 
 from __future__ import annotations
 

@@ -137,9 +137,9 @@ def _coordinators(run: _Played) -> Iterator[str]:
     adversaries = run.of_role("adversary")
     for name in run.of_role("coordinator"):
         if not adversaries:
-            yield f"{name} directs nobody: the scenario has no adversaries"
+            yield f"{name} directs no adversary: the scenario has no adversaries"
         elif not run.leads(adversaries, [name]) or not run.leads([name], adversaries):
-            yield f"{name} directs nobody: no wire joins it to an adversary, as coordination.toml does"
+            yield f"{name} directs no adversary: no wire joins it to an adversary, as coordination.toml does"
 
 
 def _defences(run: _Played) -> Iterator[str]:

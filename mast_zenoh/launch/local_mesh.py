@@ -8,7 +8,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.launch.blocking_clients import closing
+from mast_zenoh.launch.blocking_clients import closing_router
 from mast_zenoh.launch.context import VIEWER_CREDENTIALS, Mesh, RunContext
 from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.processes import Processes
@@ -66,4 +66,4 @@ def _open_router(context: RunContext, stack: ExitStack, listen: str) -> Mesh:
     session, endpoint = open_router(listen, security=deployment.router, patient=resolved.patient)
     context.record["endpoint"] = endpoint
     processes = Processes(context.folder, run, endpoint, extra_arguments=extra_arguments)
-    return Mesh(stack.enter_context(closing(session, endpoint)), processes, deployment, has_router=True)
+    return Mesh(stack.enter_context(closing_router(session, endpoint)), processes, deployment, has_router=True)

@@ -72,7 +72,8 @@ class RunLogs:
             self.problems[f"logs/{log.path.name}"] = error.strerror or str(error)
 
     def _paths(self) -> list[Path]:
-        return [path for path in (self._folder / "logs").glob("*.log") if path.is_file()]
+        logs = self._folder / "logs"
+        return [path for path in logs.glob("*.log") if path.is_file() and not path.is_symlink() | logs.is_symlink()]
 
     def _record(self) -> dict[str, object]:
         return json_or_empty(self._folder / "run.json")

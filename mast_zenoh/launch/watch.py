@@ -66,7 +66,11 @@ class Watch:
         self._hosts = hosts
         # Routers that are not patient end silent links by themselves.
         endpoint = context.record["endpoint"] if mesh.has_router and context.resolved.patient else None
-        self._blocking = BlockingClients(mesh.session, endpoint, prefix(context.run_id)) if endpoint else None
+        self._blocking = (
+            BlockingClients(mesh.session, endpoint, prefix(context.run_id), mesh.supervisor.children)
+            if endpoint
+            else None
+        )
         self._interrupts = 0  # stop signals that have been handled
         observing = display.live and mesh.has_router  # elsewhere, what is observed would cross the network
         self._observation = Observation(context, mesh.session if observing else None)

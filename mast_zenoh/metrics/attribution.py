@@ -45,7 +45,7 @@ class Attribution(AttributionLimits):
         period_s: s, frame period
         cut_off_objects:  objects known only to disconnected agents; None: no agent was disconnected
         min_points: lidar points from which an agent sees an object
-        withheld: by the command centre; None: it judges nobody
+        withheld: by the command centre; None: it has no integrity stage
         displaced: (n,) rows of `truth` of which a link moved a track; None: none
         """
         cut_off_objects = cut_off_objects or CutOffObjects.nothing()

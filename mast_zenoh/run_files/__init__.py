@@ -1,7 +1,7 @@
 """Files of a run folder: names, bounded reading, and writing that never follows a link.
 
 A run folder is data, and may come from anybody: what is in it neither runs, nor hangs or fills its reader, nor makes it
-write elsewhere. All that reads or rewrites a run folder goes through this package.
+write elsewhere. JSON and plain files of a run folder are read and rewritten through this package.
 
 shapes   names, and the types in JSON files
 reading  JSON and plain files within bounds;  writing: never through a link

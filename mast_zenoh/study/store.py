@@ -48,7 +48,8 @@ class Store:
             if stored_name != study.name:
                 raise RunFolderError(f"{folder}: holds the study {stored_name!r}, expected {study.name!r}")
         store = cls(folder)
-        subfolder(folder, store._trials.name)
+        for part in (store._trials.name, "runs") if (folder / "runs").is_symlink() else (store._trials.name,):
+            subfolder(folder, part)
         for leftover in store._trials.glob(".*"):
             leftover.unlink(missing_ok=True)  # from a study that was killed while writing
         return store

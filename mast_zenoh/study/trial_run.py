@@ -106,7 +106,9 @@ def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str])
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
         kept = Path(trial.folder or folder / "run")
-        if kept.exists():
+        if kept.is_symlink():
+            kept.unlink()
+        elif kept.exists():
             shutil.rmtree(kept)  # of a trial that was interrupted or failed
         finished = launcher.run(
             resolved,

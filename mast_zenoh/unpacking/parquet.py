@@ -24,6 +24,11 @@ _MAX_LIST = 100_000
 #: Encodings of text whose values take no more bytes than their page: all but DELTA_BYTE_ARRAY, which repeats prefixes.
 _TEXT_ENCODINGS = (0, 2, 3, 6, 8)  # PLAIN, PLAIN_DICTIONARY, RLE, DELTA_LENGTH_BYTE_ARRAY, RLE_DICTIONARY
 
+#: Of these, those whose values are numbers of texts in a dictionary.
+_BY_NUMBER = (2, 8)
+#: Bytes that a text which may be new takes in a dictionary, besides its characters.
+_TEXT_BYTES = 64
+
 # Fields of a PageHeader, and the fields of the encoding and the number of values in the headers of its types.
 _UNPACKED, _PACKED = 2, 3
 _ENCODING_OF = {5: 2, 7: 2, 8: 4}  # DataPageHeader, DictionaryPageHeader, DataPageHeaderV2
@@ -105,6 +110,8 @@ def _unpacked_size(path: Path, file: Any, wanted: list[int], max_bytes: int) -> 
                                 "limit, expected plain text or a dictionary"
                             )
                         values += page.get(_VALUES, 0) if kind in _DATA_PAGES else 0
+                        if is_text and page and page.get(encoding) not in _BY_NUMBER:
+                            size += _TEXT_BYTES * page.get(_VALUES, 0)
                 size += width * max(values, chunk.num_values, file.metadata.row_group(group).num_rows)
                 _check(size, max_bytes)
     return size

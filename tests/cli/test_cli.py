@@ -8,6 +8,7 @@ from pathlib import Path
 
 import failing
 import pytest
+from rich.table import Table
 
 from mast_zenoh.cli import options
 from mast_zenoh.cli.options import PlainConsole
@@ -280,6 +281,14 @@ def test_output_of_a_node_cannot_move_the_cursor_or_change_the_terminal() -> Non
     output = text.getvalue()
     assert "a�]0;title�b�[2J�c�d" in output
     assert output.startswith("\x1b["), "the console's own styling stays"
+
+
+def test_names_in_tables_cannot_move_the_cursor_or_change_the_terminal() -> None:
+    text = StringIO()
+    table = Table("run")
+    table.add_row("a\x1b]0;title\x07b\x9b2J\u202ec")
+    PlainConsole(file=text).print(table)
+    assert not {"\x1b", "\x07", "\x9b", "\u202e"} & {*text.getvalue()}
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ CASES: dict[str, tuple[Edit, list[str]]] = {
     ),
     "a coordinator without adversaries": (
         coordinate("coordination.toml", adversaries=0),
-        ["coordinator directs nobody: the scenario has no adversaries"],
+        ["coordinator directs no adversary: the scenario has no adversaries"],
     ),
     "a defence without views": (
         defend("KOfN"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from small_study import tables, write_small
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.messagelog.reader import file_of
 from mast_zenoh.study import comparison, definition, trials
+from mast_zenoh.study.store import Store
 
 OPTIONS = {"count": 1, "runtime": "inproc"}
 
@@ -65,3 +67,16 @@ def test_runs_of_single_configurations_are_recorded_or_say_how_to(small: definit
     assert command.startswith("mast run uncoordinated --set scene=intersection:0 ")
     assert "--set n_adversaries=1" in command
     assert command.endswith("--seed 0 --frames 8 --runtime inproc")
+
+
+def test_a_study_whose_folder_of_runs_is_a_link_is_not_continued(
+    small: definition.Study, recorded: Path, tmp_path: Path
+) -> None:
+    received, outside = tmp_path / "study", tmp_path / "outside"
+    shutil.copytree(recorded, received)
+    (received / "runs").rename(outside)
+    (received / "runs").symlink_to(outside)
+    before = sorted(outside.rglob("*"))
+    with pytest.raises(RunFolderError, match="found a link"):
+        Store.create(received, small, resume=True)
+    assert sorted(outside.rglob("*")) == before

@@ -176,3 +176,21 @@ def test_text_that_would_expand_is_refused_and_names_the_file(tmp_path: Path) ->
         read_table(tmp_path / "t.parquet")
     with pytest.raises(pyarrow.ArrowInvalid):
         from_arrow(pyarrow.table({"a": long}))
+
+
+def test_a_table_of_many_different_texts_is_refused(tmp_path: Path) -> None:
+    """Each takes more memory than its characters."""
+    texts = pyarrow.table({"agent": pyarrow.array(map(str, range(200_000)))})
+    for number, dictionary in enumerate((True, False)):
+        path = tmp_path / f"{number}.parquet"
+        arrow_parquet.write_table(texts, path, use_dictionary=dictionary)
+        with pytest.raises(pyarrow.ArrowInvalid, match="bytes unpacked or more, expected at most"):
+            parquet.read(path, max_bytes=10_000_000)
+
+
+def test_text_counts_by_its_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "table.parquet"
+    arrow_parquet.write_table(pyarrow.table({"agent": ["\N{PILE OF POO}" * 1000] * 1000}), path)
+    with pytest.raises(pyarrow.ArrowInvalid, match="expected at most"):
+        parquet.read(path, max_bytes=3_900_000)
+    assert parquet.read(path, max_bytes=4_100_000).num_rows == 1000
