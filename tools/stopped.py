@@ -156,8 +156,8 @@ def run_watched(plan: Plan, kind: str, undisturbed: Path, folder: Path) -> tuple
     how, broken = _judge(out, undisturbed, code, (folder / "output").read_text(errors="replace"))
     if code != 0 and not broken:
         broken = [how]
-    told = json.loads((out / "run.json").read_text()).get("disconnected", [])
-    return done or "the run had ended before", f"{how}{', a client was disconnected' if told else ''}", broken
+    disconnected = json.loads((out / "run.json").read_text()).get("disconnected", [])
+    return done or "the run had ended before", f"{how}{', a client was disconnected' if disconnected else ''}", broken
 
 
 def _watcher(kind: str, out: Path, stack: ExitStack) -> subprocess.Popen[str]:

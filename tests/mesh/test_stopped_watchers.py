@@ -1,4 +1,4 @@
-"""Nobody who only watches holds up a lock-step run, not even one who is suspended."""
+"""Viewers and foreign clients do not hold up a lock-step run, even when they are suspended."""
 
 from __future__ import annotations
 

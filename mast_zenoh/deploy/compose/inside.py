@@ -89,7 +89,7 @@ class StartedNode(Child):
 
 
 class StartedNodes(Supervisor[StartedNode]):
-    """The nodes of a run that Compose has started; a context manager that watches who is on the mesh.
+    """The nodes of a run that Compose has started; a context manager that watches which nodes are on the mesh.
 
     tell: sends a node a word on `@control/leave/NODE`;  container: gives the name of a node's container
     logs: folder for the nodes' logs, which stay empty: the containers have them
