@@ -5,9 +5,7 @@ The bounds of the readers themselves are tested where the readers are.
 
 from __future__ import annotations
 
-import os
 import struct
-import subprocess
 import sys
 import zipfile
 from pathlib import Path
@@ -19,8 +17,9 @@ import zstandard
 from hostile_folders import COMMANDS, Case, Place
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
+from measured_process import measure
 from pyarrow import parquet
-from test_hostile_folders import KNOWN_CODES, MAX_BYTES, limited_to, spoilt
+from test_hostile_folders import KNOWN_CODES, MAX_BYTES, spoilt
 
 #: Bytes, more than a command may use.
 _UNPACKED = 2 << 30
@@ -77,9 +76,6 @@ def test_a_bomb_costs_bounded_memory_and_time(bomb: Case, sound: Path, tmp_path:
     }
     for command in ("export csv", "snapshot", "diff", "replay"):
         words = [sys.executable, "-P", "-m", "mast_zenoh", *(paths.get(word, word) for word in COMMANDS[command])]
-        child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        with limited_to(60):
-            _, status, usage = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
-        assert child.returncode in KNOWN_CODES, command
-        assert usage.ru_maxrss << 10 < MAX_BYTES, command
+        measured = measure(words, 60)
+        assert measured.code in KNOWN_CODES, command
+        assert measured.peak_bytes < MAX_BYTES, command

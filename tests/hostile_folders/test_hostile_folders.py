@@ -10,7 +10,6 @@ import hashlib
 import os
 import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from types import FrameType
 import pytest
 from commands_in_process import Ended, command
 from hostile_folders import CASES, COMMANDS, Case, Place, wrong_types
+from measured_process import measure
 
 import mast_zenoh as mast
 from mast_zenoh import errors
@@ -197,13 +197,10 @@ def test_a_run_of_another_installation_is_measured_by_the_shipped_evaluator(soun
 def test_memory_and_time_of_reading_a_hostile_folder_are_bounded(name: str, sound: Path, tmp_path: Path) -> None:
     place = spoilt(sound, tmp_path, ALL[name])
     words = [sys.executable, "-P", "-m", "mast_zenoh", "snapshot", str(place.folder), "--out", str(tmp_path / "x.png")]
-    child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    with limited_to(3 * MAX_S):  # the machine may be busy
-        _, status, usage = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    assert child.returncode in KNOWN_CODES
-    assert usage.ru_maxrss << 10 < MAX_BYTES
-    assert usage.ru_utime < MAX_S
+    measured = measure(words, 3 * MAX_S)  # the machine may be busy
+    assert measured.code in KNOWN_CODES
+    assert measured.peak_bytes < MAX_BYTES
+    assert measured.user_s < MAX_S
 
 
 def test_no_process_is_signalled_because_a_folder_names_it(

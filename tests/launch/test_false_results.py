@@ -18,7 +18,7 @@ from mast_zenoh import scenario, version
 from mast_zenoh.cli.options import reporting
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
-from mast_zenoh.errors import MastError, RunFolderError
+from mast_zenoh.errors import MastError
 from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import Mesh, RunContext
@@ -103,19 +103,17 @@ def test_the_launcher_concludes_a_run_whatever_results_one_node_returns(tmp_path
             path.unlink()
 
 
-def test_a_report_is_written_for_any_evaluator_results_or_its_error_is_explained(tmp_path: Path) -> None:
-    written, refusals, console = 0, 0, Console(file=StringIO())
+def test_a_report_is_written_for_any_evaluator_results_and_explains_odd_ones(tmp_path: Path) -> None:
+    written, explained, console = 0, 0, Console(file=StringIO())
     for number, outcome in enumerate(false_results(at("evaluator"))):
         payload = results.pack(outcome)
         if outcome["results"].keys() & {"metrics", "tables"} and not refused("result", "evaluator", payload):
             folder = tmp_path / str(number)
             concluded("evaluator", payload, folder)
-            try:
-                with reporting(folder):
-                    terminal.show_loaded(console, RunFolder.load(folder), None)
-                    html.write_report(folder)
-                    written += 1
-            except RunFolderError:
-                refusals += 1
+            with reporting(folder):
+                terminal.show_loaded(console, RunFolder.load(folder), None)
+                html.write_report(folder)
+            written += 1
+            explained += "No scores: metrics.json is damaged" in (folder / "report.html").read_text()
     assert written > 10
-    assert refusals, "metrics in another format"
+    assert explained, "metrics in another format"

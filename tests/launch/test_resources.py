@@ -14,8 +14,8 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.errors import NodeFileError, ResourcesExhausted
 from mast_zenoh.launch import descriptors, ending
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.run_files import read_json
 from mast_zenoh.scenario.resolution import _restamps_s
 
 CODE = ResourcesExhausted.exit_code
@@ -33,7 +33,7 @@ def test_a_table_that_cannot_be_written_for_want_of_memory_fails_the_run(
     resolved = scenario.resolve(path, loaded, frames=2)
     ended = launcher.run(resolved, runtime="inproc", out=tmp_path / "run")
     assert isinstance(ended.error, ResourcesExhausted)
-    assert run_folder.read_json(tmp_path / "run" / "run.json")["status"] == "failed"
+    assert read_json(tmp_path / "run" / "run.json")["status"] == "failed"
 
 
 @pytest.mark.parametrize(
