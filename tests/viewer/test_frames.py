@@ -164,7 +164,7 @@ def test_what_is_no_recorded_run_is_refused(copy: Path, tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="expected the folder of a run"):
         RunFrames.load(copy / "messages.mcap")
     (copy / "run.json").write_text("[]")
-    with pytest.raises(RunFolderError, match=r"run\.json: found list, expected an object"):
+    with pytest.raises(RunFolderError, match=r"run\.json: .*found \[\], expected an object"):
         RunFrames.load(copy)
 
 

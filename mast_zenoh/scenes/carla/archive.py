@@ -20,7 +20,7 @@ from mast_zenoh.errors import SceneError
 MAX_MEMBERS = 200_000
 
 #: Limit on the unpacked size of an archive, its other files included, by its own size; beyond `max_bytes`.
-_MAX_RATIO = 100
+_MAX_RATIO = 1100
 #: Limit on the memory in which xz unpacks; its highest level takes 65 MB.
 _MAX_XZ_MEMORY = 200_000_000
 
