@@ -19,7 +19,8 @@ from mast_zenoh.errors import SceneError
 #: Limit on the members of an archive, of any kind.
 MAX_MEMBERS = 200_000
 
-#: Limit on the unpacked size of an archive, its other files included, by its own size; beyond `max_bytes`.
+#: Limit on the unpacked size of an archive, its other files included, by its own size; beyond `max_bytes`. Above what
+#: gzip can reach (1032), so it bounds xz and bzip2 alone.
 _MAX_RATIO = 1100
 #: Limit on the memory in which xz unpacks; its highest level takes 65 MB.
 _MAX_XZ_MEMORY = 200_000_000
