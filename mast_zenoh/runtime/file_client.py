@@ -112,7 +112,7 @@ class FileClient:
 
 
 class HandIn:
-    """A context that sends growing files to the launcher, and at its end the rest."""
+    """A context that sends growing files to the launcher."""
 
     def __init__(self, client: FileClient, folder: Path, paths: tuple[str, ...]) -> None:
         self._client = client
@@ -126,18 +126,23 @@ class HandIn:
             self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *_: object) -> None:
         self._closing.set()
         if self._offsets:
             self._thread.join()
-            if kind is None:
-                self._send()
+
+    def finish(self) -> None:
+        """Send the rest of the files, which no longer grow; raises RunError if the launcher does not answer."""
+        self._closing.set()
+        if self._offsets:
+            self._thread.join()
+            self._send()
 
     def _follow(self) -> None:
         while not self._closing.wait(_HAND_IN_EVERY_S):
             try:
                 self._send()
-            except Exception as error:  # the end of the context tries again, and raises
+            except Exception as error:  # `finish` tries again, and raises
                 log.warning("files could not be handed in yet: %s", error)
 
     def _send(self) -> None:

@@ -114,7 +114,8 @@ def _host(arguments: argparse.Namespace) -> None:
             if arguments.again:
                 mesh_node.on_kill = _start_over
             try:
-                with HandIn(client, folder, files_written_by(resolved, name, instance)):
+                with HandIn(client, folder, files_written_by(resolved, name, instance)) as written:
+                    mesh_node.hand_in_files = written.finish
                     mesh_node.run_until_stopped()
             except Exception:
                 if not arguments.again:

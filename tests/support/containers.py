@@ -60,7 +60,8 @@ def remnants_of(run: str) -> dict[str, list[str]]:
     for kind in ("network", "volume"):
         remnants[kind] = docker.docker(kind, "ls", "--quiet", "--filter", label).split()
         named = docker.docker(kind, "ls", "--format", "{{.Name}}").split()
-        remnants[kind] += [name for name in named if re.sub(r"[^a-z0-9_-]", "-", run) in name]
+        whole = re.compile(rf"(^|[_-]){re.sub(r'[^a-z0-9_-]', '-', run)}(_|$)")  # not a run whose name begins like this
+        remnants[kind] += [name for name in named if whole.search(name)]
     return {kind: names for kind, names in remnants.items() if names}
 
 

@@ -84,6 +84,7 @@ class MeshNode:
         self.epoch = 0
         self.stop_reason: str | None = None
         self.on_kill: Callable[[], None] | None = None  # ends the process at once
+        self.hand_in_files: Callable[[], None] = lambda: None  # sends the rest of the files that the node has written
         self.invalid = InvalidMessages(self.host.log.warning)  # control messages, by key
         self.arrivals = Arrivals()
         self.host_facts: dict[str, Any] = {}  # facts of its host, for run.json
@@ -183,11 +184,16 @@ class MeshNode:
                 self._counts.put(flow.encode_counts(self.epoch, sent, self.host.handled))
 
     def hand_in(self) -> None:
-        """Finish the node, and hand in its results to the launcher."""
+        """Finish the node, and hand in its files and then its results to the launcher.
+
+        So a node with results is complete: the launcher need not wait for it any longer.
+        """
         self.intake.note_dropped()
         cpu_s = round(time.process_time() - self._cpu_start_s, 4)
+        finished = self.host.finish() if self.intake.started else {}
+        self.hand_in_files()
         outcome = {
-            "results": self.host.finish() if self.intake.started else {},
+            "results": finished,
             "rejected": {f"{key}: {reason}": n for (key, reason), n in self.host.rejected.items()},
             "first_rejected": self.host.first_rejected,
             "foreign": dict(self.intake.foreign),
