@@ -133,6 +133,8 @@ class Node:
     #: input ports whose messages are relayed undecoded, including malformed ones, which their receivers reject.
     #: Accessing a malformed body raises MessageError (see `Unopened`).
     unopened: ClassVar[Collection[str]] = ()
+    #: ports that the node, as configured, has no use for: no wire leads to or from them. `__init__` may set them.
+    unused: Collection[str] = ()
     #: whether its handlers are so fast that, in real time, the receiving thread calls them directly
     prompt: ClassVar[bool] = False
 

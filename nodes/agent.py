@@ -44,6 +44,7 @@ class Agent(Node):
     """Tracks objects from its own sensors, and estimates the mission picture.
 
     pipeline: its stages; lidar: its first sensor; mobile: whether it moves; status_every: frames between two statuses
+    acts: whether it acts on a mission estimate; without one, it gets no picture
     picture_age_s: the greatest age of a picture that is used
     unsupported_std_m: m, the greatest standard deviation of the horizontal position of an object in a picture that no
         agent supports; above, it is not used, because the picture itself is about to lose it
@@ -66,6 +67,7 @@ class Agent(Node):
         pipeline: AgentPipeline,
         lidar: LidarSensor,
         mobile: bool = False,
+        acts: bool = True,
         status_every: int = 10,
         picture_age_s: float = 0.5,
         unsupported_std_m: float = 0.5,
@@ -84,6 +86,7 @@ class Agent(Node):
         self.lidars = [lidar, *(sensor.lidar for sensor in sensors[1:])]
         self.members = ["detections", *(f"detections/{sensor.name}" for sensor in sensors[1:])]
         self.mobile = mobile
+        self.unused = () if acts else ("picture", "mission")
         self.status_every = status_every
         self.picture_age_ns = round(picture_age_s * 1e9)
         self.unsupported_variance = unsupported_std_m**2

@@ -10,6 +10,7 @@ import pyarrow
 from mast_zenoh.api import messages as recorded
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.launch.folder import json_or_empty
 from mast_zenoh.scenes.recording import Recording
 
 
@@ -27,7 +28,17 @@ class Agent:
 
     @property
     def mission(self) -> pyarrow.Table:
-        """Objects of the mission estimate (own tracks and picture) by frame, as `tracks`."""
+        """Objects of the mission estimate (own tracks and picture) by frame, as `tracks`.
+
+        Raises ConfigurationError for an agent that does not act on one, as poles do not.
+        """
+        wires = [wire["key"] for wire in json_or_empty(self.path / "wiring.json").get("wires", ())]
+        if wires and f"agent/{self.name}/mission" not in wires:
+            others = [key.split("/")[1] for key in wires if key.startswith("agent/") and key.endswith("/mission")]
+            raise ConfigurationError(
+                f"{self.path}: {self.name} makes no mission estimate, as it does not act on one; found "
+                f"{', '.join(others) or 'none'}: play the run with --set agents.{self.name}.acts=true"
+            )
         return self._rows("mission", recorded.states)
 
     @property

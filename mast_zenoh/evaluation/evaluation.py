@@ -213,7 +213,7 @@ class _Results:
                 ),
                 "driving": consequences.summary(drives, scored),
                 "consistency": self.settings.consistency.summary(
-                    scores.pairs, scores.series, data.record.agents, data.ego, scored, data.period_s
+                    scores.pairs, scores.series, data.ego, scored, data.period_s
                 ),
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
                 "picture_age_s": data.picture_age_s(frames[scored].tolist()),

@@ -50,26 +50,21 @@ class Consistency:
         self,
         pairs: MatchedPairs,
         series: Sequence[tuple[str, str]],
-        agents: Sequence[str],
         ego: str,
         scored: slice,
         period_s: float,
     ) -> dict[str, dict[str, dict[str, Any]]]:
         """NEES of position and velocity by agent and estimate; see `nees_summary`.
 
-        Of every agent's own tracks, as sent and as received; of the mission estimates of mobile agents, which act on
-        them, and of the ego; and of the ego's picture.
+        Of every agent's own tracks, as sent and as received; of the mission estimates; and of the ego's picture.
 
-        pairs: of the rows of `series`, (agent, estimator);  agents: the columns of the truth
+        pairs: of the rows of `series`, (agent, estimator)
         scored: the frames that count
         """
         result: dict[str, dict[str, dict[str, Any]]] = {agent: {} for agent, _ in series}
         object_of = np.unique(pairs.truth.boxes.id, return_inverse=True)[1].reshape(-1)
-        mobile = np.flatnonzero((pairs.truth.agent_object >= 0).any(axis=0))
-        acting = {ego, *(agents[column] for column in mobile.tolist())}
-        wanted = {(agent, MISSION) for agent in acting} | {(ego, PICTURE)}
         for row, (agent, estimator) in sorted(enumerate(series), key=lambda item: rank_of(item[1][1])):
-            if estimator in (LOCAL, RECEIVED) or (agent, estimator) in wanted:
+            if estimator in (LOCAL, RECEIVED, MISSION) or (agent, estimator) == (ego, PICTURE):
                 errors = pairs.errors(row, scored)
                 objects = object_of.take(errors.truth_row)
                 result[agent][estimator] = {

@@ -115,7 +115,9 @@ def add_surroundings(specs: Mapping[str, NodeSpec], recording: Recording) -> Non
 def _scene_parameters(recording: Recording, row: int) -> dict[str, Any]:
     """The parameters of an agent's node that the scene provides. row: of the agent"""
     agent = recording.agents[row]
-    parameters = {"lidar": _limits(agent.sensor), "mobile": agent.kind == "mobile"}
+    mobile = agent.kind == "mobile"
+    # A pole acts on nothing; but the first agent is the ego, whose mission estimate is measured.
+    parameters = {"lidar": _limits(agent.sensor), "mobile": mobile, "acts": mobile or row == 0}
     due = [_due(recording, row, sensor) for sensor in range(len(agent.sensors))]
     probabilities = [sensor.detection_probability for sensor in agent.sensors]
     if len(agent.sensors) == 1 and due == [""] and probabilities == [None] and _at_frames(recording, row):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,8 @@ def resolve(
     built_nodes = [build_node(spec, name, str(path)) for name, spec in nodes.items()]
     messages = _messages(path, nodes)
     user_types.use(messages)
-    wiring = _wiring(path, scenario, nodes, rewrites(timeline.links))
+    unused = {name: node.unused for name, node in zip(nodes, built_nodes, strict=True)}
+    wiring = _wiring(path, scenario, nodes, unused, rewrites(timeline.links))
     if any(wire.message == "sweep" for wire in wiring.wires):
         recording = scenes.prepare_sweeps(recording, scene, options["seed"], options["frames"], cache_key)
         nodes[driver_of(nodes)].config["recording"] = recording
@@ -166,8 +167,14 @@ def _restamps_s(node: Node, duration_s: float) -> float:
     return seconds
 
 
-def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec], more: Sequence[Any]) -> Wiring:
-    """The wiring under the scenario's own rewrites, followed by those in `more`."""
+def _wiring(
+    path: Path,
+    scenario: Mapping[str, Any],
+    nodes: Mapping[str, NodeSpec],
+    unused: Mapping[str, Collection[str]],
+    more: Sequence[Any],
+) -> Wiring:
+    """The wiring under the scenario's own rewrites, followed by those in `more`. unused: ports by node"""
     options = {"map": "testbed.toml", "rewrites": [], **scenario.get("keyexpr", {})}
     for key in options:
         if key not in ("map", "rewrites"):
@@ -191,7 +198,11 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
             bindings["agent"] = spec.agents
         if further := _further_sensors(spec):
             bindings[maps.PART] = further
-        node_options[name] = endpoints.NodeOptions(spec.role, bindings, cls.inputs, cls.outputs)
+        inputs, outputs = (
+            {port: message for port, message in ports.items() if port not in unused[name]}
+            for ports in (cls.inputs, cls.outputs)
+        )
+        node_options[name] = endpoints.NodeOptions(spec.role, bindings, inputs, outputs)
     wiring = maps.resolve(sources, node_options, _shipped_ports())
     subjects = {wire.subject for wire in wiring.wires if wire.message == "detections"}
     for name, spec in nodes.items():

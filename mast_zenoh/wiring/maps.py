@@ -16,7 +16,7 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     input = "detections"
     output = "detections_out"
     node = "adversary_1"                  # optional: only this node
-    optional = true                       # optional: ignore the entry if there is no such wire
+    optional = true                       # optional: ignore the entry if there is no such wire or subscriber
 
     [[listen]]
     wire = "agent/*/pose"                 # every agent's; "agent/ego/pose": one; "agent/{agent}/pose": its own agent's

@@ -18,7 +18,8 @@ def insert(
 
     They come before all subscribers, or before the one of the role `to`. A node that subscribes to the wire on the same
     port receives it as an interposer instead.
-    Raises WiringError for a node without the ports, a node that is on the wire already, and an ambiguous `to`.
+    Raises WiringError for a node without the ports, a node that is on the wire already, an ambiguous `to`, and one to
+    which the wire does not lead, unless the entry is `optional`.
     """
     inserted = members(
         entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=entry.get("node")
@@ -28,7 +29,9 @@ def insert(
     for entrance, exit_ in zip(into, out, strict=True):
         subscriber = _subscriber(wire, entrance.node, entry["to"], nodes, place) if "to" in entry else None
         if "to" in entry and subscriber is None:
-            continue
+            if entry.get("optional"):
+                continue
+            raise _not_a_subscriber(wire, entrance.node, entry["to"], nodes, place)
         wire = _without_subscriber(wire, entrance)
         on_wire = {wire.legs[0].publisher.node, *wire.interposers, *(end.node for end in wire.subscribers)}
         if entrance.node in on_wire:
@@ -92,6 +95,14 @@ def _subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOption
             f"{place}: {wire.key!r} leads to {names}: the option `{role}` of {node} must name one of them"
         )
     return ends[0] if ends else None
+
+
+def _not_a_subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOptions], place: str) -> WiringError:
+    """The error about a wire that does not lead to the subscriber before which a node is to come."""
+    wanted = ", ".join(nodes[node].names(role)) or f"any {role}"
+    found = ", ".join(end.node for end in wire.subscribers) or "nobody"
+    hint = f" (agents.{wanted}.acts=true gives it the picture)" if wire.message == "picture" else ""
+    return WiringError(f"{place}: {node} is to come before {wanted}, but {wire.key!r} leads to {found}{hint}")
 
 
 def _on_branch(wire: Wire, entrance: Endpoint, exit_: Endpoint, subscriber: Endpoint) -> Wire:

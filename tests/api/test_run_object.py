@@ -66,6 +66,13 @@ def test_the_picture_and_the_tracks_are_near_the_truth(baseline: mast.Run) -> No
         assert np.median(nearest) < 1.0, "in the world frame, even for an agent whose sensor is not at its origin"
 
 
+def test_a_pole_says_that_it_makes_no_mission_estimate(baseline: mast.Run) -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"infra_1 makes no mission estimate.*found ego.*agents\.infra_1\.acts"
+    ):
+        _ = baseline.agent("infra_1").mission
+
+
 def test_an_agent_has_its_detections_and_its_pose(baseline: mast.Run) -> None:
     assert baseline.agents == ("ego", "infra_1", "infra_2")
     ego = baseline.agent("ego")

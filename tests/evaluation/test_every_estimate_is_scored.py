@@ -79,9 +79,7 @@ def test_an_attack_on_the_downlink_affects_the_received_picture_and_the_mission_
     for estimator in ("local", "received", "picture"):
         assert attacked.agents["ego"][estimator] == baseline.agents["ego"][estimator], estimator
     for agent in ("infra_1", "infra_2"):
-        assert attacked.agents[agent]["mission"] == baseline.agents[agent]["mission"], (
-            "the other agents get the true one"
-        )
+        assert {"picture_received", "mission"}.isdisjoint(attacked.agents[agent]), "poles act on nothing"
     for estimator in ("picture_received", "picture_on_arrival", "mission"):
         before, after = baseline.agents["ego"][estimator], attacked.agents["ego"][estimator]
         assert after["fp"]["mean"] > before["fp"]["mean"] + 2.0, estimator
@@ -123,7 +121,7 @@ def test_a_late_picture_scores_the_same_by_stamp_and_worse_on_arrival(once: Once
 def test_results_tell_how_old_the_pictures_are_that_agents_use(once: Once, baseline: Played) -> None:
     late = once("baseline", "broker.latency_s=0.3")
     for played, age_s in ((baseline, 0.1), (late, 0.4)):
-        assert set(played.metrics["picture_age_s"]) == set(played.agents)
+        assert set(played.metrics["picture_age_s"]) == {"ego"}
         ages = played.metrics["picture_age_s"]["ego"]
         assert ages["mean"] == pytest.approx(age_s)
         assert ages["max"] == pytest.approx(age_s)

@@ -158,7 +158,7 @@ def test_frames_without_a_message_are_counted_and_forged_stamps_are_not_believed
 def test_hidden_legs_are_not_subscribed() -> None:
     keys = watched_keys(wiring_of("coordinated", "n_adversaries=1"))
     assert keys["adversary_1"] == ("agent/infra_1/tracks", True)
-    assert keys["infra_1"] == ("agent/infra_1/mission", True)
+    assert keys["ego"] == ("agent/ego/mission", True)
     assert keys["simulator"] == ("clock", True)
     assert not any("@tap" in key for key, _ in keys.values())
 

@@ -243,7 +243,14 @@ def test_reports_about_several_agents_are_the_same_in_any_order_of_delivery(shuf
 
 def test_an_adversary_on_several_agents_is_not_on_the_picture_of_both() -> None:
     with pytest.raises(WiringError, match="must name one of them"):
-        tiny(edit=attacked(agent=["infra_1", "infra_2"], rewrites=("on_picture.toml",)))
+        tiny(edit=attacked(agent=["infra_1", "infra_2"], rewrites=("on_picture.toml",)), acting=True)
+
+
+def test_an_adversary_on_the_picture_of_a_pole_is_refused_with_the_agents_that_get_it() -> None:
+    with pytest.raises(
+        WiringError, match=r"before infra_1, but 'cc/picture' leads to ego \(agents\.infra_1\.acts=true"
+    ):
+        tiny(edit=attacked(agent="infra_1", rewrites=("on_picture.toml",)))
 
 
 @pytest.mark.parametrize("agent", [[], ["infra_1", "infra_1"]])

@@ -23,7 +23,7 @@ More = Callable[[int, Bench], Any]
 
 @pytest.fixture(scope="module")
 def resolved():
-    return tiny("uncoordinated", "n_adversaries=2")
+    return tiny("uncoordinated", "n_adversaries=2", acting=True)
 
 
 def truth(*places: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -260,7 +260,7 @@ def test_true_reports_become_labels_and_false_ones_contradictions(
 
 
 def test_without_interposers_the_table_of_effects_is_empty_but_has_its_columns() -> None:
-    outcome = heard(tiny(), 2).host.finish()
+    outcome = heard(tiny(acting=True), 2).host.finish()
     table = outcome["tables"]["attacks"]
     assert {len(column) for column in table.values()} == {0}
     assert {"interposer", "wire", "frame", "effect", "before_x", "after_z", "vy", "reported"} <= table.keys()

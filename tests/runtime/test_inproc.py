@@ -145,14 +145,22 @@ def test_one_more_adversary_does_not_change_the_random_streams_of_others(name: s
             assert one.messages[key] == two.messages[key]
 
 
+def test_a_pole_that_acts_gets_the_picture_and_changes_nothing_else() -> None:
+    usual, acting = Run(tiny()), Run(tiny(acting=True))
+    more = {"agent/infra_1/mission", "agent/infra_2/mission"}
+    assert acting.messages.keys() - usual.messages.keys() == more
+    assert {key: acting.messages[key] for key in usual.messages} == usual.messages
+    assert all(len(acting.messages[key]) == 12 for key in more)
+
+
 @pytest.mark.parametrize("infrastructure", [0, 1, 2, 6])
 def test_runs_work_with_any_number_of_agents(infrastructure: int) -> None:
     run = played("baseline", infrastructure=infrastructure)
     agents = ["ego", *(f"infra_{i + 1}" for i in range(infrastructure))]
     assert list(run.results["evaluator"]["metrics"]["agents"]) == agents
     for agent in agents:
-        for what in ("tracks", "mission"):
-            assert len(run.messages[f"agent/{agent}/{what}"]) == 12
+        assert len(run.messages[f"agent/{agent}/tracks"]) == 12
+        assert len(run.messages[f"agent/{agent}/mission"]) == (12 if agent == "ego" else 0), "a pole acts on nothing"
     collation = run.results["broker"]["collation"]
     assert collation == {"complete": 12, "overdue": 0, "late": {}, "overflowed": 0, "absurd": 0}
     assert run.decoded("cc/collated", "collated")[-1].body["agents"].tolist() == sorted(agents)

@@ -58,7 +58,7 @@ def test_only_the_target_of_a_fault_gets_a_link() -> None:
     assert links(scenario) == {"link_infra_1": dict(agent="infra_1", rules_up=cut, rules_down=cut)}
     wiring = Wiring.from_json(scenario.wiring)
     assert {wire.key for wire in wiring.wires if "link_infra_1" in wire.interposers} == {
-        *("agent/infra_1/tracks", "agent/infra_1/status", "cc/picture")
+        *("agent/infra_1/tracks", "agent/infra_1/status")
     }
 
 

@@ -17,7 +17,7 @@ from small_study import TABLES, tables, write_small
 
 from mast_zenoh.cli import app
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
-from mast_zenoh.metrics.record import ESTIMATORS
+from mast_zenoh.metrics.record import ESTIMATORS, LOCAL, PICTURE, RECEIVED
 from mast_zenoh.study import definition, identity, trial_run, trials
 from mast_zenoh.study.trial import Outcome, Trial
 
@@ -94,7 +94,8 @@ def test_every_configuration_is_run_with_every_seed_and_every_metric_has_a_row(w
     assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp inserted"} <= rows
     assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "rmse_m_iob", "id_switches_iob"} <= rows
     frames = parquet.read_table(whole.out / "frames.parquet")
-    assert len(frames) == 6 * 8 * 2 * len(ESTIMATORS), "trials, frames, agents, estimators"
+    of_pole = (LOCAL, RECEIVED, PICTURE)
+    assert len(frames) == 6 * 8 * len([*ESTIMATORS, *of_pole]), "trials, frames, estimators of the ego and a pole"
 
 
 def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.StudyResult) -> None:

@@ -117,9 +117,11 @@ def tiny(
     seed: int = 0,
     edit: Callable[[dict[str, Any]], None] | None = None,
     record: bool = False,
+    acting: bool = False,
 ) -> Resolved:
-    """A shipped scenario in the tiny world, changed by `edit` if given."""
-    path, content = scenario.load(name, [f"n_infrastructure={infrastructure}", *settings])
+    """A shipped scenario in the tiny world, changed by `edit` if given. acting: poles get the picture, too"""
+    acts = ["agents.infra_*.acts=true"] if acting else []
+    path, content = scenario.load(name, [f"n_infrastructure={infrastructure}", *acts, *settings])
     content["scene"] = dict(type="TinyScene", n_infrastructure=infrastructure)
     if edit:
         edit(content)

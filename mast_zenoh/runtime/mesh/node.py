@@ -184,16 +184,11 @@ class MeshNode:
                 self._counts.put(flow.encode_counts(self.epoch, sent, self.host.handled))
 
     def hand_in(self) -> None:
-        """Finish the node, and hand in its files and then its results to the launcher.
-
-        So a node with results is complete: the launcher need not wait for it any longer.
-        """
+        """Finish the node, and hand in its files and then its results: the launcher need not wait any longer."""
         self.intake.note_dropped()
-        cpu_s = round(time.process_time() - self._cpu_start_s, 4)
-        finished = self.host.finish() if self.intake.started else {}
-        self.hand_in_files()
         outcome = {
-            "results": finished,
+            "cpu_s": round(time.process_time() - self._cpu_start_s, 4),
+            "results": self.host.finish() if self.intake.started else {},
             "rejected": {f"{key}: {reason}": n for (key, reason), n in self.host.rejected.items()},
             "first_rejected": self.host.first_rejected,
             "foreign": dict(self.intake.foreign),
@@ -202,11 +197,11 @@ class MeshNode:
             "process": self._process,
             "failures": [failure.entry() for failure in self.host.failures.values()],
             "last_frame": self.host.frame,
-            "cpu_s": cpu_s,
             "arrived_ns": self.arrivals.by_key,
             **self.extra_results(),
             **self.host_facts,
         }
+        self.hand_in_files()
         results_client.hand_in(self.session, self._prefix, self.name, results.pack(outcome), self.host.log)
 
     def _report_failure(self, failure: Failure) -> None:
@@ -220,8 +215,6 @@ class MeshNode:
     def note_arrivals(self) -> None:
         """From now on note when messages arrive, for measuring latency."""
         self.host.observe = self.arrivals.note
-
-    # -- messages ------------------------------------------------------------------------------------------------
 
     def _put(self, message: Outgoing) -> None:
         """Send a message immediately: subscribers can handle it while this node continues."""
@@ -297,8 +290,9 @@ class MeshNode:
 
         Its callback runs in Zenoh's thread and must return quickly.
         """
-        handler = zenoh.handlers.Callback(callback, indirect=False)
-        return self.session.declare_subscriber(f"{self._prefix}/{key}", handler)
+        return self.session.declare_subscriber(
+            f"{self._prefix}/{key}", zenoh.handlers.Callback(callback, indirect=False)
+        )
 
     def await_matching(self) -> None:
         """Wait until all wires with subscribers are matched, so that no message is lost."""
