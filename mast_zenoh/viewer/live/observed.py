@@ -73,7 +73,7 @@ class ObservedRun:
                 )
             credentials = Path(record[VIEWER_CREDENTIALS])
         resolved = measurement.scenario_of(path, trust)
-        user_types.use(resolved.messages, resolved.max_rows)
+        user_types.use(resolved.messages)
         refused = ""
         try:
             resolved.load_modules()
@@ -100,7 +100,7 @@ class ObservedRun:
         (description,) = runs.values()
         try:
             resolved = Resolved.from_json(description.scenario, description.wiring).trusting(NOTHING, endpoint)
-            user_types.use(resolved.messages, resolved.max_rows)
+            user_types.use(resolved.messages)
             wiring_of(description.wiring, DESCRIBE)
         except (KeyError, TypeError, ValueError, AttributeError, MessageError) as error:
             raise NotRunning(f"{endpoint}: the run describes itself in a way that cannot be read: {error!r}") from None
