@@ -117,7 +117,8 @@ def write(
         str(path) if own else scenario_file, tuple(settings or ()), folder=str(path.parent) if own else None
     )
     options: dict[str, Any] = {"secure": secure, "patience_s": inside.PATIENCE_S, "launcher": launcher}
-    typer.echo(document.text(resolved, run or resolved.name, image=image or images.TAG, **options), nl=False)
+    name = resolved.name if run is None else scenario.checked_name(run, "--run")
+    typer.echo(document.text(resolved, name, image=image or images.TAG, **options), nl=False)
 
 
 @app.command(hidden=True)
