@@ -31,11 +31,12 @@ if TYPE_CHECKING:
 
 #: Control characters except tab and line feed, and characters that change the direction of text.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+_ESCAPES = {code: chr(code).encode("unicode_escape").decode() for code in range(0x2070) if _CONTROL.match(chr(code))}
 
 
 def escaped(text: str) -> str:
     """A line from a node, without characters that control a terminal: `\\x1b` instead of an escape."""
-    return _CONTROL.sub(lambda match: match.group().encode("unicode_escape").decode("ascii"), text)
+    return text.translate(_ESCAPES)
 
 
 class PlainConsole(Console):
