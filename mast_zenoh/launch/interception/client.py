@@ -26,7 +26,7 @@ from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, Unt
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.interception.server import SECRET_FILE, seal
 from mast_zenoh.node import Node
-from mast_zenoh.run_files import check_regular, read_json
+from mast_zenoh.run_files import check_plain, read_json
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenario.resolution import modules_of
@@ -267,7 +267,7 @@ def _running(run: Path, trust: Trust) -> dict[str, Any]:
 
 def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[str, Any]:
     """Send a request, return the answer; raises the launcher's error, and NotRunning."""
-    sealed = seal(request, check_regular(run / SECRET_FILE).read_bytes())
+    sealed = seal(request, check_plain(run / SECRET_FILE).read_bytes())
     endpoint = record["endpoint"]
     if not _reachable(endpoint):
         raise NotRunning(f"{run}: nothing answers at {endpoint}: the run was killed")
