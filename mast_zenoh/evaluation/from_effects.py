@@ -12,7 +12,7 @@ from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
 from mast_zenoh.evaluation.downstream import influence
 from mast_zenoh.evaluation.run_data import RunData
-from mast_zenoh.metrics import Attribution, Boxes, CutOff, CutOffObjects, Manipulations, Scores
+from mast_zenoh.metrics import AttributionLimits, Boxes, CutOff, CutOffObjects, Manipulations, Scores
 from mast_zenoh.metrics.lookup import occurs
 from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.places import Places, nearest
@@ -33,7 +33,7 @@ def manipulations(
     truth: Boxes,
     period_s: float,
     away: Bools,
-    limits: Attribution,
+    limits: AttributionLimits,
 ) -> Manipulations:
     """The manipulations among the measured effects.
 
@@ -77,7 +77,7 @@ def manipulations(
     return result.select(~away[rows])
 
 
-def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float) -> int:
+def _lasts(passage: Passage, is_link: bool, limits: AttributionLimits, period_s: float) -> int:
     """Number of frames after its own for which a manipulation counts.
 
     Effects of links on tracks count only in their own frame; missing objects in the picture: `metrics.cut_off`.
@@ -87,7 +87,7 @@ def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float
     return round(limits.late_picture_s / period_s) if passage.port == "picture" else 0
 
 
-def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
+def _hidden(effects: Effects, limits: AttributionLimits) -> tuple[Ints, Ints]:
     """Rows and kinds of objects that were removed, moved far enough or altered."""
     rows = effects.rows("removed", "moved", "altered")
     rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]
