@@ -158,11 +158,12 @@ def certificates(
 ) -> None:
     """Make the credentials of all services of a compose file, and keep them in memory."""
     from mast_zenoh import scenario
-    from mast_zenoh.deploy.compose import document, inside
+    from mast_zenoh.deploy.compose import document
+    from mast_zenoh.deploy.compose.certificates import make_credentials
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, frames=1, record=True)
-    inside.make_credentials(resolved, run, secure, Path(document.KEYS))
+    make_credentials(resolved, run, secure, Path(document.KEYS))
 
 
 @app.command()
