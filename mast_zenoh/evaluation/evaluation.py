@@ -106,7 +106,7 @@ class Evaluation:
         scores = self.scorer.score(data.record)
         truth, agents = data.record.truth(scores.frames), data.record.agents
         effects = _measured(data, scores)
-        from_absence = effects_of_absence(effects, data.presence.idle(scores.frames), scores.frames)
+        from_absence = effects_of_absence(effects, data.presence.absences(scores.frames), scores.frames)
         interposed = manipulations(
             effects,
             data.roles,

@@ -97,16 +97,16 @@ def _hidden(effects: Effects, limits: AttributionLimits) -> tuple[Ints, Ints]:
     return rows[counts], kind[counts]
 
 
-def effects_of_absence(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
+def effects_of_absence(effects: Effects, absences: Mapping[str, Bools], frames: Ints) -> Bools:
     """(n,) effects on messages that were lost because an interposer was absent.
 
-    idle: by node, (f,) bool, whether it was absent in each of (f,) frames
+    absences: by node, (f,) bool, whether it was absent in each of (f,) frames
     """
     result = np.zeros(len(effects), bool)
     withheld = effects.whole.copy()
     withheld[effects.rows("dropped", "delayed", "unsettled")] = True
     for index, passage in enumerate(effects.passages):
-        away = idle.get(passage.node)
+        away = absences.get(passage.node)
         if away is not None and away.any():
             rows = ((effects.passage == index) & withheld).nonzero()[0]
             at = np.searchsorted(frames, effects.step[rows], side="right") - 1
