@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import signal
 import subprocess
 import sys
@@ -41,6 +42,7 @@ class Processes(Supervisor[Process]):
 
     inside: what to put before the command of a node; it must become that command, in the same process
     extra_arguments: additional arguments of a node's command
+    zids: of all processes so far, so that nobody else counts as a node, whatever name it claims
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Processes(Supervisor[Process]):
         self.endpoint = endpoint
         self.inside = inside
         self.extra_arguments = extra_arguments
+        self.zids: set[str] = set()
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
         self.without[name] = sorted(without)
@@ -67,7 +70,9 @@ class Processes(Supervisor[Process]):
         """The command that starts a node."""
         module = ["-P", "-m", "mast_zenoh.runtime", spec.file]  # -P: nothing from the working directory
         command = [*self.inside(name), sys.executable, *module, "--run-folder", str(self.folder), "--name", name]
-        command += ["--endpoint", self.endpoint, "--run", self.run, *self.extra_arguments(name)]
+        zid = "1" + secrets.token_hex(15)
+        self.zids.add(zid)
+        command += ["--endpoint", self.endpoint, "--run", self.run, "--zid", zid, *self.extra_arguments(name)]
         without = ",".join(self.without[name])
         return [*command, "--without", without] if without else command
 
