@@ -76,7 +76,7 @@ def test_effects_equal_the_oracles_in_every_shipped_scenario(
 def chain(seed: int) -> dict[str, Any]:
     """A scenario with adversaries, tamperers and links on random wires."""
     rng = np.random.default_rng(seed)
-    path, content = scenario.load("baseline", ["n_infrastructure=2"])
+    path, content = scenario.load("baseline", ["n_infrastructure=2", "agents.infra_1.acts=true"])
     adversaries: dict[str, Any] = {}
     rewrites: list[Any] = []
     for k in range(int(rng.integers(2, 5))):
