@@ -9,6 +9,7 @@ A message with far too many rows is refused whole: most such messages by their l
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from math import prod
 from typing import Any
@@ -24,6 +25,8 @@ _MARGIN = 16
 
 #: A message with more than this many times the rows of its limit is refused.
 _REFUSED = 50
+#: Shortened messages that are remembered: of as many sources as may send too many rows in one frame.
+_REMEMBERED = 64
 #: Bytes of a message besides its rows: its header, names, and columns of fixed size.
 _OTHER_BYTES = 8192
 
@@ -68,8 +71,8 @@ class RowLimits:
         self.rows = dict(rows)
         #: Bytes of a message, by its type, beyond which it has too many rows; not for types of variable size.
         self._longest: dict[str, int] = {}
-        #: By limit, the latest message with too many rows, and what is left: in one process, all get the same one.
-        self._latest: dict[str, tuple[Body, Shortened]] = {}
+        #: The latest messages with too many rows, and what is left: in one process, all receivers get the same ones.
+        self._latest: deque[tuple[str, Body, Shortened]] = deque(maxlen=_REMEMBERED)
         for name in self.rows.keys() & BUILT_IN.keys():
             columns = BUILT_IN[name].columns
             if all(column.dtype != "str" and {*column.shape} <= {"n", *range(10)} for column in columns):
@@ -97,8 +100,9 @@ class RowLimits:
             return columns
         if schema in self.rows and len(columns["score"]) > self.accepted(schema):
             raise self._refusal(schema)
-        if limit_of in self._latest and self._latest[limit_of][0] is columns:
-            return self._latest[limit_of][1]
+        for limited_by, found, kept in self._latest:
+            if found is columns and limited_by == limit_of:
+                return kept
         score, position = columns["score"], columns["position"]
         ids = [columns["id"]] if "id" in columns else []
         rows = _lowest([-score, *ids, *position.T], limit)
@@ -108,7 +112,7 @@ class RowLimits:
             result[name] = values[rows] if name in per_row else values
             result[name].setflags(write=False)
         result.found = len(score)
-        self._latest[limit_of] = columns, result
+        self._latest.append((limit_of, columns, result))
         return result
 
     def _refusal(self, schema: str) -> MessageError:
