@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import socket
@@ -83,7 +84,8 @@ def test_a_node_gets_every_message_while_a_viewer_is_suspended() -> None:
         subscriber.undeclare()
 
 
-_RUN = ("coordinated", "--set", "attack_start_s=0.5", "--set", "n_infrastructure=2", "--frames", "60")
+#: Some 25 frames fill all buffers on the way to a client that does not read.
+_RUN = ("coordinated", "--set", "attack_start_s=0.5", "--set", "n_infrastructure=2", "--frames", "120")
 
 
 @pytest.fixture(scope="module")
@@ -137,8 +139,11 @@ def test_a_suspended_client_that_claims_to_be_a_node_is_disconnected(
 ) -> None:
     run, endpoint = begun
     run.until(run.recorded, "frames are played")
+    simulator = run.record()["nodes"]["simulator"]["pid"]
+    os.kill(simulator, signal.SIGSTOP)  # else the run might be over before the claimant is there
     with watching(_CLAIMANT, endpoint, f"mast/{run.record()['id']}/alive/infra_1") as claimant:
         claimant.send_signal(signal.SIGSTOP)
+        os.kill(simulator, signal.SIGCONT)
         assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
 
 
