@@ -15,6 +15,8 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.reader import read
 
+pytestmark = pytest.mark.heavy
+
 FRAMES = ("--frames", "100")  # the recorder writes 25 at a time
 
 

@@ -21,7 +21,7 @@ from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.runtime.mesh import session
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 _LISTENS = "received = session.declare_subscriber('**', zenoh.handlers.RingChannel(1)); print('there', flush=True)"
 #: A viewer's own session, and one of a client with Zenoh's own settings, at the router of the first argument.
