@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run kernels dev test test-all fuzz insiders lint bench docs pictures lock dist clean
+.PHONY: run kernels dev test test-all fuzz insiders lint bench bench-quick docs pictures lock dist clean
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
@@ -45,11 +45,12 @@ lint: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Speed in ratios, to the last release and to peers: in ten minutes, or roughly in one.
 bench: .venv/ready
-	$(BIN)/python benchmarks/lockstep.py
-	$(BIN)/python benchmarks/inproc.py
-	$(BIN)/python benchmarks/secure.py
-	$(BIN)/python benchmarks/link.py
+	$(BIN)/python benchmarks/ratios.py --minutes 10
+
+bench-quick: .venv/ready
+	$(BIN)/python benchmarks/ratios.py --minutes 1
 
 docs: .venv/ready
 	$(BIN)/python tools/generate_docs.py docs
