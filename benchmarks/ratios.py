@@ -26,6 +26,7 @@ from collections.abc import Callable
 from functools import partial
 from itertools import cycle
 
+import cost
 import link
 import lockstep
 import turns
@@ -72,7 +73,7 @@ def comparisons(this: versions.Version, other: versions.Version, bench: link.Ben
             f"in process, {run}": in_turn(
                 this=partial(this.seconds, "inproc", run), other=partial(other.seconds, "inproc", run)
             )
-            for run in versions.RUNS
+            for run in cost.RUNS
         },
         "mesh, baseline": in_turn(
             this=partial(this.seconds, "mesh", "baseline"),

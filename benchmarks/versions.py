@@ -14,6 +14,8 @@ from contextlib import AbstractContextManager
 from io import BytesIO
 from pathlib import Path
 
+from cost import RUNS
+
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.runtime.inproc import InProcess
@@ -21,12 +23,6 @@ from mast_zenoh.security.levels import SECURE
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = ROOT / ".venv" / "versions"
-#: Name of a run: its scenario and settings.
-RUNS = {
-    "baseline": ("baseline", []),
-    "attacked": ("coordinated", ["attack_start_s=0.2"]),
-    "defended": ("defended", ["attack_start_s=0.2", "defence=FaultOrLie"]),
-}
 FRAMES = 100
 LEVELS = {"mesh": "open", "secured": SECURE}
 

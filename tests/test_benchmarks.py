@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -22,7 +23,8 @@ COMPARED = (
 def test_every_ratio_is_measured_at_least_once_however_short_the_time() -> None:
     for needed in ("hatchling", "stonesoup"):
         pytest.importorskip(needed)
-    if subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True).returncode:
+    git = shutil.which("git")
+    if not git or subprocess.run([git, "rev-parse", "HEAD"], cwd=ROOT, capture_output=True).returncode:
         pytest.skip("this is no git checkout, so there is no other version to compare with")
     command = [sys.executable, "benchmarks/ratios.py", "--minutes", "0", "--against", "HEAD"]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
