@@ -4,12 +4,16 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run dev test test-all fuzz insiders lint bench docs pictures lock dist clean
+.PHONY: run kernels dev test test-all fuzz insiders lint bench bench-quick docs pictures lock dist clean
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
 run: .venv/installed
 	$(BIN)/mast study case_study $(ARGS)
+
+# Compiles the kernels again, for example after a C compiler has been installed.
+kernels: .venv/installed
+	$(INSTALL)
 
 # All optional packages and the tools for tests and development.
 dev: .venv/ready
@@ -41,11 +45,12 @@ lint: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Speed in ratios, to the last release and to peers: in ten minutes, or roughly in one.
 bench: .venv/ready
-	$(BIN)/python benchmarks/lockstep.py
-	$(BIN)/python benchmarks/inproc.py
-	$(BIN)/python benchmarks/secure.py
-	$(BIN)/python benchmarks/link.py
+	$(BIN)/python benchmarks/ratios.py --minutes 10
+
+bench-quick: .venv/ready
+	$(BIN)/python benchmarks/ratios.py --minutes 1
 
 docs: .venv/ready
 	$(BIN)/python tools/generate_docs.py docs
@@ -71,13 +76,14 @@ dist: .venv/ready .venv/tools/ready
 	$(TOOLS)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/mast-zenoh.cdx.json dist/installed
 	rm -rf dist/installed
 
-# Kernels are compiled when the package is installed, and again when their sources change. Other packages come from the
-# lock file; with --no-build-isolation, the build uses them too.
+# Kernels are compiled when the package is installed, and again when their sources change. pip hides how that ended, so
+# the last command tells. Other packages come from the lock file; with --no-build-isolation, the build uses them too.
+INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . && $(BIN)/python -m mast_zenoh.kernels
 .venv/installed: pyproject.toml requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "expected Python 3.11 or newer, found " + sys.version'
 	$(PYTHON) -m venv .venv
 	$(BIN)/$(PIP) --require-hashes --requirement requirements.txt
-	$(BIN)/$(PIP) --no-deps --no-build-isolation --editable .
+	$(INSTALL)
 	touch $@
 
 .venv/ready: requirements-dev.txt | .venv/installed

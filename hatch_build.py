@@ -7,6 +7,7 @@ Without a C compiler, the package is installed without them and uses NumPy inste
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -76,8 +77,9 @@ def compiled(root: Path, folder: Path) -> tuple[list[Path], str]:
         )
         for name in names
     ]
+    modules = cythonize(extensions, build_dir=str(folder / "c"))  # an error in our sources fails the installation
     try:
-        command = build_ext(Distribution({"ext_modules": cythonize(extensions, build_dir=str(folder / "c"))}))
+        command = build_ext(Distribution({"ext_modules": modules}))
         command.build_lib, command.build_temp = str(folder / "lib"), str(folder / "temp")
         command.parallel = True
         command.ensure_finalized()
@@ -85,24 +87,30 @@ def compiled(root: Path, folder: Path) -> tuple[list[Path], str]:
             command.run()
     except Exception as error:  # the types vary if there is no compiler, or no Python header
         errors = folder / "errors.txt"
-        reason = why(str(error), errors.read_text(errors="replace") if errors.exists() else "")
+        reason = why(error, errors.read_text(errors="replace") if errors.exists() else "")
         print(f"kernels not compiled, NumPy will do: {reason}", file=sys.stderr)
         return [], reason
     return [Path(command.get_ext_fullpath(extension.name)) for extension in extensions], ""
 
 
-def why(error: str, output: str) -> str:
+def why(error: BaseException, output: str) -> str:
     """Why a compilation failed, in a line: the reason, and the last error that the compiler printed.
 
     error: of the build;  output: of the compiler
     """
-    lines = [line.strip() for line in output.splitlines() if "error" in line.lower()]
-    last = next((line for line in lines if "Python.h" in line), (lines or [error])[-1])
-    if "Python.h" in last:
-        return f"the headers of Python are missing (install python3-dev): {last}"
-    if not lines and "exit" not in error:  # the compiler did not start
-        return f"there is no C compiler (install gcc): {last}"
-    return f"the C compiler failed: {last}"
+    while error.__cause__ or error.__context__:  # setuptools wraps it, each version in its own way
+        error = error.__cause__ or error.__context__  # type: ignore[assignment]
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
+    errors = [line for line in lines if "error" in line.lower()]
+    if header := next((line for line in errors if "Python.h" in line), ""):
+        return f"the headers of Python are missing: {header}"
+    if isinstance(error, OSError) and not errors:
+        return f"there is no C compiler: {error}"
+    if errors:
+        return f"the C compiler failed: {errors[-1]}"
+    if isinstance(error, subprocess.CalledProcessError):
+        return ": ".join([f"the C compiler failed: {error.cmd[0]} returned {error.returncode}", *lines[-1:]])
+    return f"the C compiler failed: {error}"
 
 
 @contextmanager

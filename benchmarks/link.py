@@ -25,15 +25,17 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from operator import truediv
 
-import msgpack
 import numpy as np
 import zenoh
 
 from mast_zenoh import links
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import bundle, loading, registry
+from mast_zenoh.control import flow
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.links import Chain, Passage, Rule
 from mast_zenoh.messages import codec
@@ -169,7 +171,7 @@ class Bench:
 
     def begin(self, path: str) -> None:
         """Have the node join and start its first frame, as driver and simulator do."""
-        epoch = msgpack.packb([1, ROLES])
+        epoch = flow.encode_epoch(1, ROLES, None)
         clock = codec.encode(codec.conform(Header("clock", "simulator", 0, 0, 0), {}))
         self.session.put(f"{prefix(path)}/@control/epoch", epoch)
         self.session.put(f"{prefix(path)}/clock", clock, attachment=ATTACHED)
@@ -182,6 +184,15 @@ class Bench:
             return (self.arrivals_ns.get(timeout=seconds) - start_ns) * 1e-3
         except queue.Empty:
             return None
+
+    def medians(self, messages: int, paths: Sequence[str] = PATHS) -> dict[str, float]:
+        """The median one-way time of messages on each path, µs; sent one at a time, on all paths in turn."""
+        times: dict[str, list[float]] = {path: [] for path in paths}
+        for _ in range(messages):
+            for path in paths:
+                if (took := self.send_one(path)) is not None:
+                    times[path].append(took)
+        return {path: statistics.median(took) for path, took in times.items()}
 
     def wait_until_connected(self, path: str) -> None:
         """Wait until messages arrive."""
@@ -198,6 +209,28 @@ class Bench:
             return
 
 
+@contextmanager
+def running(payload: bytes, paths: Sequence[str] = PATHS[1:]) -> Iterator[Bench]:
+    """A router with the processes of some paths, and the direct one."""
+    router, endpoint = open_router()
+    processes = {
+        path: subprocess.Popen([sys.executable, __file__, "--node", endpoint, path], stdin=subprocess.PIPE)
+        for path in paths
+    }
+    try:
+        with router, open_client(endpoint) as session, open_client(endpoint) as listening_session:
+            bench = Bench(session, listening_session, payload)
+            for path in ("direct", *paths):
+                bench.wait_until_connected(path)
+            yield bench
+            for path in set(paths) - set(BARE):
+                session.put(f"{prefix(path)}/@control/stop", b"done")
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.wait()
+
+
 def main() -> None:
     """Measure all paths in turn, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -211,31 +244,9 @@ def main() -> None:
         relay(endpoint, path) if path in BARE else link(endpoint, path)
         return
     payload = message(arguments.objects)
-    router, endpoint = open_router()
-    processes = {
-        path: subprocess.Popen([sys.executable, __file__, "--node", endpoint, path], stdin=subprocess.PIPE)
-        for path in PATHS[1:]
-    }
-    try:
-        with router, open_client(endpoint) as session, open_client(endpoint) as listening_session:
-            bench = Bench(session, listening_session, payload)
-            for path in PATHS:
-                bench.wait_until_connected(path)
-            medians: dict[str, list[float]] = {path: [] for path in PATHS}
-            for _ in range(arguments.repeats):
-                times: dict[str, list[float]] = {path: [] for path in PATHS}
-                for _ in range(arguments.messages):
-                    for path in PATHS:
-                        if (took := bench.send_one(path)) is not None:
-                            times[path].append(took)
-                for path in PATHS:
-                    medians[path].append(statistics.median(times[path]))
-            for path in PATHS[3:]:
-                session.put(f"{prefix(path)}/@control/stop", b"done")
-    finally:
-        for process in processes.values():
-            process.kill()
-            process.wait()
+    with running(payload) as bench:
+        blocks = [bench.medians(arguments.messages) for _ in range(arguments.repeats)]
+    medians = {path: [block[path] for block in blocks] for path in PATHS}
     medians["wired"] = [value - drawn_delay_us(len(payload), 10_000) for value in medians["wired"]]
     p50 = {path: statistics.median(value) for path, value in medians.items()}
     added = {path: [a - b for a, b in zip(medians[path], medians["direct"], strict=True)] for path in PATHS[1:]}

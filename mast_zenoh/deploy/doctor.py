@@ -56,13 +56,10 @@ def python() -> Finding:
 def compiled_kernels() -> Finding:
     """Whether compiled kernels are in use."""
     reason = kernels.why_not()
+    if reason and kernels.COMPILED:
+        return Finding("kernels", None, f"not used, NumPy is slower: {reason}", "unset MAST_KERNELS")
     if reason:
-        return Finding(
-            "kernels",
-            None,
-            f"not compiled, NumPy is slower: {reason}",
-            "install gcc and python3-dev, then mast-zenoh again",
-        )
+        return Finding("kernels", None, f"not compiled, NumPy is slower: {reason}", kernels.HOW)
     return Finding("kernels", True, "compiled")
 
 

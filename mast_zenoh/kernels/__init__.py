@@ -28,6 +28,9 @@ MODULES = ("attacks", "boxes", "clusters", "columns", "frames", "matching", "med
 #: The build writes here why it compiled no kernels: a reason, and the compiler's last line.
 NOT_COMPILED = Path(__file__).with_name("not_compiled.txt")
 
+#: How to get compiled kernels.
+HOW = "install gcc and python3-dev, then mast-zenoh again (in a checkout: make kernels)"
+
 
 def _load() -> dict[str, Callable[..., Any]]:
     """The compiled functions by name; empty if any is missing or outdated."""
@@ -62,13 +65,21 @@ def why_not(folder: Path = Path(__file__).parent) -> str:
     name = MODULES[0]
     files = [path.name for suffix in ("so", "pyd") for path in sorted(folder.glob(f"{name}*.{suffix}"))]
     if any(f"{name}{suffix}" in files for suffix in EXTENSION_SUFFIXES):
-        return "their sources have changed since they were compiled: install mast-zenoh again"
+        return "their sources have changed since they were compiled, or they cannot be loaded"
     if files:
         python = f"{platform.python_implementation()} {platform.python_version()} on {platform.machine()}"
-        return f"they were compiled for another Python ({files[0]}), this is {python}: install mast-zenoh again"
+        return f"they were compiled for another Python ({files[0]}), this is {python}"
     note = folder / NOT_COMPILED.name
     reason = note.read_text(encoding="utf-8", errors="replace").strip() if note.is_file() else ""
-    return reason or "this installation was made without compiling them: install mast-zenoh again"
+    return reason or "this installation was made without compiling them"
+
+
+def notice() -> str:
+    """A line that says why compiled kernels are not in use, and how to get them; "" if they are."""
+    reason = why_not()
+    if reason and COMPILED:
+        return f"compiled kernels are not used, which is slower: {reason}"
+    return f"kernels are not compiled, which is slower: {reason}; to get them, {HOW}" if reason else ""
 
 
 #: The references by name.

@@ -87,8 +87,8 @@ class Display:
             self._live.__exit__(kind, error, trace)
 
     def say(self, line: str) -> None:
-        """Print a permanent line."""
-        self.console.print(line, highlight=False)
+        """Print a permanent line, unbroken however long it is."""
+        self.console.print(line, highlight=False, soft_wrap=True)
 
     def update(self, frame: int, status: Callable[[], Status]) -> None:
         """Show the run at a frame; `status` is only called when it is time to draw."""

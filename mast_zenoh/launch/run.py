@@ -110,6 +110,8 @@ def run(
             "nodes": {},
             "churn": [],
         }
+        if reason := kernels.why_not():
+            record["kernels_not_used"] = reason
         if replay is not None:
             record["replay"] = dict(replay)
         with run_folder.reserved(folder):
@@ -120,8 +122,8 @@ def run(
             if received:
                 raise ending.from_signals(received)
             with Display(console, resolved.name, resolved.frames, quiet=quiet) as display:
-                if reason := kernels.why_not():
-                    display.say(f"[yellow]kernels are not compiled, which is slower: {escape(reason)}")
+                if slower := kernels.notice():
+                    display.say(f"[yellow]{escape(slower)}")
                 if runtime == "inproc":
                     _run_inproc(resolved, folder, record, display, received)
                 else:

@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from mast_zenoh import kernels
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import ending
 from mast_zenoh.study import execution, plan, tables
@@ -47,6 +48,8 @@ def run(
     if record and cluster is not None:
         raise ConfigurationError("--record: runs are kept on the machine that runs them: expected no --cluster")
     console = console or Console(quiet=True)
+    if slower := kernels.notice():
+        console.print(slower, style="yellow", markup=False, highlight=False, soft_wrap=True)
     seed = study.seed if seed is None else seed
     runtime = runtime or (study.runtime if study.trials else None) or "inproc"
     trials = plan.trials(study, count=count, seed=seed, frames=frames or study.frames, runtime=runtime)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import importlib
-import io
 import os
 import pkgutil
 import re
@@ -21,19 +20,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rich.console import Console
-from tiny_world import tiny
 
 import mast_zenoh
 from mast_zenoh import kernels
 from mast_zenoh.arrays import clustering
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import following
-from mast_zenoh.config import loading
-from mast_zenoh.deploy import doctor
 from mast_zenoh.integrity.rays import Tolerances
 from mast_zenoh.integrity.views import SweptView
-from mast_zenoh.launch import run
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS
 from mast_zenoh.messages.schemas import Header
@@ -432,34 +426,3 @@ def test_the_reason_why_no_kernels_are_compiled_is_known(monkeypatch, tmp_path, 
     assert "MAST_KERNELS" in kernels.why_not(tmp_path)
     monkeypatch.setattr(kernels, "USED", "compiled")
     assert kernels.why_not(tmp_path) == ""
-
-
-@pytest.mark.parametrize(
-    ("error", "output", "reason"),
-    [
-        ("command 'cc' failed: No such file or directory", "", "there is no C compiler (install gcc): command 'cc'"),
-        (
-            "command '/usr/bin/cc' failed with exit code 1",
-            "x.c:4:10: fatal error: Python.h: No such file or directory\n    4 | #include\ncompilation terminated.\n",
-            "the headers of Python are missing (install python3-dev): x.c:4:10: fatal error: Python.h",
-        ),
-        (
-            "command '/usr/bin/cc' failed with exit code 1",
-            "x.c:1: warning: w\nx.c:9:2: error: unknown type name 'flaot'\n",
-            "the C compiler failed: x.c:9:2: error: unknown type name 'flaot'",
-        ),
-    ],
-)
-def test_a_build_keeps_the_reason_and_the_compilers_last_error(error, output, reason):
-    hatch_build = pytest.importorskip("hatchling") and loading.module(Path(__file__).parents[2] / "hatch_build.py")
-    assert hatch_build.why(error, output).startswith(reason)
-
-
-def test_the_first_line_of_a_run_says_that_kernels_are_not_compiled(monkeypatch, tmp_path):
-    page = io.StringIO()
-    monkeypatch.setattr(kernels, "why_not", lambda: "there is no C compiler [gcc]")
-    run.run(tiny(frames=2), tmp_path / "run", runtime="inproc", console=Console(file=page, width=200))
-    first = page.getvalue().splitlines()[0]
-    assert first == "kernels are not compiled, which is slower: there is no C compiler [gcc]"
-    finding = doctor.compiled_kernels()
-    assert (finding.ok, "no C compiler" in finding.detail, bool(finding.fix)) == (None, True, True)

@@ -162,9 +162,10 @@ def test_scenes_may_be_long_empty_slow_or_fast() -> None:
 @pytest.mark.parametrize(
     ("parameters", "reason"),
     [
-        ({"n_infrastructure": -1}, "n_infrastructure is -1, expected 0 to 16"),
-        ({"n_infrastructure": 17}, "n_infrastructure is 17, expected 0 to 16"),
-        ({"n_mobile": -1}, "n_mobile is -1, expected 0 to 20"),
+        ({"n_infrastructure": -1}, "n_infrastructure is -1, expected 0 to 88"),
+        ({"n_infrastructure": 89}, "n_infrastructure is 89, expected 0 to 88"),
+        ({"n_infrastructure": 67, "scene_index": 1}, "n_infrastructure is 67, expected 0 to 66"),
+        ({"n_mobile": -1}, "n_mobile is -1, expected 0 or more"),
         ({"n_vehicles": 3, "n_mobile": 3}, "n_vehicles is 3, expected 4 or more"),
         ({"rate_hz": 0.0}, "rate_hz is 0.0"),
         ({"scene_index": -1}, "scene_index is -1, expected 0 or more"),
@@ -175,6 +176,25 @@ def test_invalid_parameters_are_refused_by_name(parameters: dict, reason: str) -
         Intersection(**parameters)
 
 
+def test_as_many_agents_as_fit() -> None:
+    most = 55
+    recording = Intersection(scene_index=3, n_mobile=most, n_infrastructure=88).record(0, 1)
+    assert len(recording.agents) == 1 + most + 88
+    assert len({agent.object_id for agent in recording.agents if agent.kind == "mobile"}) == 1 + most
+    poles = recording.agent_position[0, 1 + most :, :2]
+    apart = np.hypot(*(poles[:, None] - poles).transpose(2, 0, 1)) + 1e9 * np.eye(len(poles))
+    assert apart.min() > 3.0
+    houses = shapely.STRtree(shapely.polygons(np.array(recording.buildings)))
+    assert houses.query(shapely.points(poles), predicate="intersects").size == 0
+    boxes = footprints(recording, 0)
+    one, other = shapely.STRtree(boxes).query(boxes, predicate="intersects")
+    assert (one == other).all()
+    few = Intersection(scene_index=3, n_infrastructure=16).record(0, 1)
+    np.testing.assert_array_equal(few.agent_position[0, 1:, :2], poles[:16])
+    with pytest.raises(ConfigurationError, match=rf"no room for {most + 2} x .*, expected at most {most + 1} motor"):
+        Intersection(scene_index=3, n_mobile=most + 1).record(0, 1)
+
+
 def test_too_many_vehicles_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="no room for 5000 x"):
+    with pytest.raises(ConfigurationError, match=r"no room for 5000 x .*, expected at most 85 motor vehicles"):
         Intersection(n_vehicles=5000).record(0, 1)

@@ -16,7 +16,7 @@ from mast_zenoh.scenes.generated.road_users import road_users
 from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
-from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, POLE_HEIGHT_M, POLE_PITCH_DEG, roof_sensors
+from mast_zenoh.scenes.making.virtual_agents import POLE_HEIGHT_M, POLE_PITCH_DEG, roof_sensors
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 from mast_zenoh.streams import stream
@@ -25,24 +25,40 @@ _DETECTOR = DetectionModel()
 _WARM_UP_S = 60.0  # until queues and gaps have formed
 _SEARCH_S = 45.0  # range of start times, searched for one in which the ego crosses the junction
 _WINDOW_S = 15.0  # duration considered when choosing the ego
-_POLES, _MAX_MOBILE = 4, 20
+_POLES = 4
+_VEHICLES = 21  # at least, so that up to 20 agents besides the ego add none
+#: Where poles stand at each arm: m behind the stop line, and the side of the road; those of up to 24 poles come first.
+_POLE_SITES = (
+    *((8.0, 1.0), (24.0, -1.0), (40.0, 1.0), (56.0, -1.0), (72.0, 1.0), (88.0, -1.0)),
+    *((8.0, -1.0), (24.0, 1.0), (40.0, -1.0), (56.0, 1.0), (72.0, -1.0), (88.0, 1.0)),
+    *((setback, side) for setback in (16.0, 32.0, 48.0, 64.0, 80.0) for side in (1.0, -1.0)),
+)
+#: Directions of the arms before they are bent, degrees, and by how much they are.
+_KINDS = {
+    "cross": ((0.0, 90.0, 180.0, 270.0), 9.0),
+    "tee": ((0.0, 90.0, 180.0), 8.0),
+    "wye": ((0.0, 120.0, 240.0), 10.0),
+}
 
 
 class Intersection(Scene):
     """A signalised junction of about 200 x 200 m; needs no data.
 
     scene_index:      which junction (arms, lanes, buildings, traffic density): 0, 1, 2, …
-    n_infrastructure: poles with a lidar 15 m up, looking 30 degrees down, 0 to 16; the first stand near the stop lines;
-                      None: 4
-    n_mobile:         additional agents among the motor vehicles, 0 to 20; None: 0
-    n_vehicles:       motor vehicles including the ego; None: depends on the junction, about 20
+    n_infrastructure: poles with a lidar 15 m up, looking 30 degrees down, up to 22 at each of the 3 or 4 arms; the
+                      first stand near the stop lines; None: 4
+    n_mobile:         additional agents among the motor vehicles, as many as fit: at the first five junctions up to
+                      84, 102, 84, 55 and 100; None: 0
+    n_vehicles:       motor vehicles including the ego; None: depends on the junction, about 20, or as many as n_mobile
+                      needs
     n_bicycles, n_pedestrians: None: depends on the junction
     rate_hz:          frames per second
     detector:         the model that generates detections from lidar visibility
     sensors:          lists of dict(type=…) by agent or pattern, see `Sensor`; None: a lidar each
 
     `record` makes 150 frames by default at 10 Hz. The seed determines the traffic and the detections, never the
-    junction; the number of agents affects neither.
+    junction; the number of agents affects neither, except that more than 20 mobile ones besides the ego may need more
+    vehicles. Raises ConfigurationError if there is no room for these.
     """
 
     def __init__(
@@ -62,8 +78,8 @@ class Intersection(Scene):
         n_mobile = 0 if n_mobile is None else n_mobile
         for name, value, limit in (
             ("scene_index", scene_index, None),
-            ("n_infrastructure", n_infrastructure, MAX_POLES),
-            ("n_mobile", n_mobile, _MAX_MOBILE),
+            ("n_infrastructure", n_infrastructure, len(_POLE_SITES) * len(_KINDS[_kind(scene_index)][0])),
+            ("n_mobile", n_mobile, None),
             ("n_bicycles", n_bicycles or 0, None),
             ("n_pedestrians", n_pedestrians or 0, None),
         ):
@@ -99,7 +115,7 @@ class Intersection(Scene):
         movers, kinds = road_users(
             network,
             {
-                "vehicle": self._count("n_vehicles", max(round(lanes * density), 1 + _MAX_MOBILE)),
+                "vehicle": self._count("n_vehicles", max(round(lanes * density), _VEHICLES, 1 + self.n_mobile)),
                 "bicycle": self._count("n_bicycles", int(layout.integers(3, 7))),
                 "pedestrian": self._count("n_pedestrians", int(layout.integers(7, 14))),
             },
@@ -147,14 +163,14 @@ class Intersection(Scene):
         return motion, ego, others
 
 
+def _kind(scene_index: int) -> str:
+    """The kind of a junction."""
+    return ("cross", "tee", "cross", "cross", "wye")[scene_index % 5]
+
+
 def _arms(scene_index: int, random: np.random.Generator) -> tuple[Arm, ...]:
     """Four arms, or three as a T or a Y, with random rotation, angles and widths."""
-    kind = ("cross", "tee", "cross", "cross", "wye")[scene_index % 5]
-    degrees, bend = {
-        "cross": ((0.0, 90.0, 180.0, 270.0), 9.0),
-        "tee": ((0.0, 90.0, 180.0), 8.0),
-        "wye": ((0.0, 120.0, 240.0), 10.0),
-    }[kind]
+    degrees, bend = _KINDS[_kind(scene_index)]
     angles = np.array(degrees) + random.uniform(-bend, bend, len(degrees)) + random.uniform(0.0, 360.0)
     main, cross = int(random.choice([1, 2, 2, 3])), int(random.choice([1, 1, 2]))
     return arms_of(list(np.radians(angles)), [main, cross, main, cross][: len(degrees)])
@@ -187,7 +203,7 @@ def _poles(arms: tuple[Arm, ...], count: int) -> list[tuple[Floats, float]]:
     They are on pavements, those nearest the stop lines first.
     """
     positions = []
-    for setback, side in ((8.0, 1.0), (24.0, -1.0), (40.0, 1.0), (56.0, -1.0), (72.0, 1.0), (88.0, -1.0)):
+    for setback, side in _POLE_SITES:
         local = [np.array([[arm.stop + setback, side * (arm.half_width + 1.2)]]) for arm in arms]
         positions += [arm.world(point)[0] for arm, point in zip(arms, local, strict=True)]
     return [(position, float(np.arctan2(-position[1], -position[0]))) for position in positions[:count]]

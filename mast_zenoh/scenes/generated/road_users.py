@@ -29,6 +29,7 @@ def road_users(network: Network, count: dict[str, int], random: np.random.Genera
     pedestrian = random.choice(["crosser", "walker"], size=count["pedestrian"], p=[0.5, 0.5])
     names = [*vehicle, *["bicycle"] * count["bicycle"], *pedestrian]
     places = {user: _places(network, user, random) for user in (ROAD, BIKE, CROSSER, WALKER)}
+    room = {user: len(free) for user, free in places.items()}
     long_places = [place for place in places[ROAD] if network.passable[place[0], 1]]
     rows: list[tuple[int, float]] = []
     for i, name in enumerate(names):
@@ -39,8 +40,10 @@ def road_users(network: Network, count: dict[str, int], random: np.random.Genera
         elif not free and name in ("truck", "bus"):  # no lane passable for long vehicles: a car instead
             names[i], free = "car", places[ROAD]
         if not free:
+            wanted = sum(_KINDS[k][0] == user for k in names)
+            which = " motor vehicles, the ego and n_mobile among them" if user == ROAD else ""
             raise ConfigurationError(
-                f"Intersection: no room for {sum(_KINDS[k][0] == user for k in names)} x {names[i]}"
+                f"Intersection: no room for {wanted} x {names[i]}, expected at most {room[user]}{which}"
             )
         place = free[-1]
         for free_places in (places[user], long_places):

@@ -1,0 +1,125 @@
+"""Ratios of speed: this version to another one, and to peers, measured in turn until the time is up.
+
+    python benchmarks/ratios.py [--minutes 10] [--against COMMIT]
+
+    in process    frames of a baseline, an attacked and a defended run in one process, in processor time
+    mesh          lock-step frames of the baseline on a mesh, on the wall clock, also of bare messages over the same
+                  graph with and without the barrier between frames (see lockstep.py), and with certificates and rights
+    tracker       a step with 50 objects, also of filterpy and Stone Soup with equal models, in processor time
+    link          the latency that a link node adds to a message, also that of a bare relay (see link.py)
+
+Above 1, this version is faster. Both sides of a ratio are measured one after the other, in an order that alternates;
+the median of the ratios is printed, with the least and the greatest: the more they scatter, the busier the machine was.
+
+Without --against, the other version is the last release (tag), or the commit before this one if there is none. It runs
+with the packages that are installed here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from functools import partial
+from itertools import cycle
+
+import cost
+import link
+import lockstep
+import turns
+import versions
+
+from mast_zenoh import scenario
+from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, StoneSoupTracker, Tracker
+
+#: Measures the seconds of all sides of a comparison, this version's first.
+Comparison = Callable[[], dict[str, float]]
+MESSAGES = 100  # in a block of messages through a link
+
+
+def in_turn(**sides: Callable[[], float]) -> Comparison:
+    """Measures all sides one after the other, every other time in reverse order."""
+    order = list(sides)
+
+    def measure() -> dict[str, float]:
+        order.reverse()
+        measured = {side: sides[side]() for side in order}
+        return {side: measured[side] for side in sides}
+
+    return measure
+
+
+def step_s(tracker: type[Tracker]) -> float:
+    """Seconds of a step with 50 objects."""
+    return turns.step_ms(tracker(), 20) * 1e-3
+
+
+def comparisons(this: versions.Version, other: versions.Version, bench: link.Bench) -> dict[str, Comparison]:
+    """Everything that is compared."""
+    path, loaded = scenario.load("baseline")
+    resolved = scenario.resolve(path, loaded, frames=versions.FRAMES)
+    sizes = lockstep.payload_sizes(resolved)
+    bare = partial(lockstep.bare, resolved, sizes, 3 * versions.FRAMES)
+
+    def added_by_link() -> dict[str, float]:
+        p50 = bench.medians(MESSAGES, ("direct", "relay", "link"))
+        return {path: (p50[path] - p50["direct"]) * 1e-6 for path in ("link", "relay")}
+
+    return {
+        **{
+            f"in process, {run}": in_turn(
+                this=partial(this.seconds, "inproc", run), other=partial(other.seconds, "inproc", run)
+            )
+            for run in cost.RUNS
+        },
+        "mesh, baseline": in_turn(
+            this=partial(this.seconds, "mesh", "baseline"),
+            other=partial(other.seconds, "mesh", "baseline"),
+            secured=partial(this.seconds, "secured", "baseline"),
+            bare_messages=lambda: 1.0 / bare(barrier=True),
+            bare_messages_without_barrier=lambda: 1.0 / bare(barrier=False),
+        ),
+        "tracker": in_turn(
+            this=partial(step_s, KalmanBoxTracker3D),
+            filterpy=partial(step_s, FilterpyBoxTracker3D),
+            stone_soup=partial(step_s, StoneSoupTracker),
+        ),
+        "link": added_by_link,
+    }
+
+
+def main() -> None:
+    """Measure until the time is up, each comparison at least once, and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--against", metavar="COMMIT")
+    arguments = parser.parse_args()
+    commit = versions.commit_of(arguments.against)
+    package = versions.built(commit)
+    end = time.monotonic() + 60.0 * arguments.minutes
+    ratios: dict[tuple[str, str], list[float]] = defaultdict(list)
+    with (
+        versions.Version(versions.ROOT) as this,
+        versions.Version(package) as other,
+        link.running(link.message(20), ("relay", "link")) as bench,
+    ):
+        compared = comparisons(this, other, bench)
+        for number, (name, measure) in enumerate(cycle(compared.items())):
+            if time.monotonic() > end and number >= len(compared):
+                break
+            (_, own), *others = measure().items()
+            for side, seconds in others:
+                ratios[name, side].append(seconds / own)
+    print(f"other: {commit[:12]}; load {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores")
+    print(f"{'this to':48}{'median':>8}{'least':>8}{'most':>8}{'times':>8}")
+    for (name, side), values in ratios.items():
+        median, least, most = statistics.median(values), min(values), max(values)
+        label = f"{name}: {side.replace('_', ' ')}"
+        print(f"{label:48}{median:8.2f}{least:8.2f}{most:8.2f}{len(values):8}")
+
+
+if __name__ == "__main__":
+    main()
