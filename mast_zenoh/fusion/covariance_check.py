@@ -9,6 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.members import trusted_rows
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.covariance_repair import MAX_VARIANCE, symmetrise
 from mast_zenoh.tracking.parameters import check_positive
 
@@ -219,19 +220,24 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
     They are the number of pairs, normalised innovations squared, squared differences, and traces of their covariances.
     """
     rows = trusted_rows(agent, labels, weights)
-    label = labels.take(rows)
-    first, second = [], []
-    for shift in range(1, min(_MAX_PARTNERS, len(rows) - 1) + 1):
-        same = (label[shift:] == label[:-shift]).nonzero()[0]
-        if not len(same):
-            break
-        first.append(rows[same])
-        second.append(rows[same + shift])
-    if not first:
+    motion = np.concatenate([states.position[:, :2], states.velocity[:, :2]], axis=1).take(rows, 0)
+    spread = states.covariance.reshape(len(states), 81)[rows[:, None], _HORIZONTAL]
+    return compare_members(motion, spread, agent.take(rows), labels.take(rows), agents, _MAX_PARTNERS)
+
+
+@kernel
+def compare_members(motion: Floats, spread: Floats, agent: Ints, label: Ints, agents: int, partners: int) -> Floats:
+    """See `_comparisons`.
+
+    motion: (n, 4) x, y of position and of velocity; spread: (n, 8) their covariances, see `_HORIZONTAL`
+    agent, label: (n,) of each track, sorted by label, then agent
+    partners: number of following tracks that each is compared with
+    """
+    pairs = [(label[shift:] == label[:-shift]).nonzero()[0] for shift in range(1, min(partners, len(label) - 1) + 1)]
+    if not any(len(rows) for rows in pairs):
         return np.zeros((agents, agents, 2, 4))
-    i, j = np.concatenate(first), np.concatenate(second)
-    motion = np.concatenate([states.position[:, :2], states.velocity[:, :2]], axis=1)
-    spread = states.covariance.reshape(len(states), 81).take(_HORIZONTAL, 1)
+    i = np.concatenate(pairs)
+    j = np.concatenate([rows + shift for shift, rows in enumerate(pairs, 1)])
     x, y = (motion.take(i, 0) - motion.take(j, 0)).reshape(-1, 2, 2).transpose(2, 0, 1)
     xx, yy, xy, yx = (spread.take(i, 0) + spread.take(j, 0)).reshape(-1, 2, 4).transpose(2, 0, 1)
     xy = 0.5 * (xy + yx)
