@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -60,12 +60,16 @@ def isolated_groups(
     Linear in rows, unless many groups that are not isolated are at one place.
     """
     n = len(agent)
-    root, anchors = np.arange(n), dict[tuple[int, ...], list[int]]()
+    root, anchors = np.arange(n), dict[tuple[int, int], list[int]]()
     cells = np.floor(np.clip(motion[:, :2] / (radius * (1.0 + 1e-6)), -1e12, 1e12)).astype(np.int64)
     squared, place = radius * radius, motion[:, :2].tolist()
     for row, (x, y) in enumerate(cells.tolist()):
-        near = (anchor for key in _cells_around((x, y), 1) for anchor in anchors.get(key, ()))
-        root[row] = min((anchor for anchor in near if _squared(place[row], place[anchor]) <= squared), default=row)
+        candidates = (
+            anchor for key in product((x - 1, x, x + 1), (y - 1, y, y + 1)) for anchor in anchors.get(key, ())
+        )
+        root[row] = min(
+            (anchor for anchor in candidates if _squared(place[row], place[anchor]) <= squared), default=row
+        )
         if root[row] == row:
             anchors.setdefault((x, y), []).append(row)
     first, group, size = np.unique(root, return_inverse=True, return_counts=True)
@@ -79,26 +83,23 @@ def isolated_groups(
     repeated = (np.diff(group[by_group]) == 0) & (np.diff(agent[by_group]) == 0)
     simple[group[by_group[1:][repeated]]] = False
     members = np.split(by_group, np.cumsum(size)[:-1])
-    for g, anchor in enumerate(first.tolist()):
-        for key in _cells_around(cells[anchor].tolist(), 3):
-            for h in np.searchsorted(first, anchors.get(key, [])).tolist():
-                reach = (radius + extent[g] + extent[h]) * margin
-                if h < g and (simple[g] or simple[h]) and _squared(centre[g], centre[h]) <= reach * reach:
-                    dx, dy = (motion[members[g], None, :2] - motion[members[h], :2]).transpose(2, 0, 1)
-                    if (dx * dx + dy * dy <= squared).any():
-                        simple[g] = simple[h] = False
+    # Rows that are within the radius of each other have first rows within three; those are so far apart that few are.
+    at = motion.take(first, 0)
+    i, j, _, _ = neighbours(at, at, np.full(len(first), 3.0 * radius * margin))
+    reach = (radius + extent[i] + extent[j]) * margin
+    offset = centre[i] - centre[j]
+    near = ((i > j) & (simple[i] | simple[j]) & (offset[:, 0] ** 2 + offset[:, 1] ** 2 <= reach * reach)).nonzero()[0]
+    for g, h in zip(i[near].tolist(), j[near].tolist(), strict=True):
+        dx, dy = (motion[members[g], None, :2] - motion[members[h], :2]).transpose(2, 0, 1)
+        if (dx * dx + dy * dy <= squared).any():
+            simple[g] = simple[h] = False
     return root, simple[group]
 
 
-def _cells_around(cell: Sequence[int], reach: int) -> Iterator[tuple[int, ...]]:
-    """Cells of a grid up to `reach` columns and rows away."""
-    return product(*(range(at - reach, at + reach + 1) for at in cell))
-
-
-def _squared(one: Sequence[float] | Floats, other: Sequence[float] | Floats) -> float:
+def _squared(one: Sequence[float], other: Sequence[float]) -> float:
     """Squared distance of two positions, in x and y."""
     dx, dy = one[0] - other[0], one[1] - other[1]
-    return float(dx * dx + dy * dy)
+    return dx * dx + dy * dy
 
 
 def _largest_two(values: Floats, group: Ints, size: Ints) -> tuple[Floats, Floats]:
