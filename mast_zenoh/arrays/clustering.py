@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,73 @@ def pairs_near(position: Floats, radius: float) -> NearPairs:
         upper = np.unique(i * n + j, return_index=True)[1]
         upper = upper[i[upper] < j[upper]]
     return NearPairs(i[upper], j[upper], squared[upper])
+
+
+@kernel
+def isolated_groups(
+    motion: Floats, agent: Ints, inverse_bias: Floats, radius: float, gate: float
+) -> tuple[Ints, Bools]:
+    """Groups of rows around one place, without a list of their pairs.
+
+    motion: (n, 6) m, m/s, positions and velocities; agent: (n,) of each row, ascending
+    inverse_bias: (6,) weights of squared differences; radius: m, in the bird's-eye view; gate: of their weighted sum
+
+    Returns the first row (n,) of each row's group: the first that is within `radius` of it and in no earlier group. And
+    whether the group is isolated (n,): its rows are of different agents, all within the radius and the gate of each
+    other, by their distances from its centre, and no row of another group is within the radius of them.
+
+    Linear in rows, unless many groups that are not isolated are at one place.
+    """
+    n = len(agent)
+    root, anchors = np.arange(n), dict[tuple[int, int], list[int]]()
+    cells = np.floor(np.clip(motion[:, :2] / (radius * (1.0 + 1e-6)), -1e12, 1e12)).astype(np.int64)
+    squared, place = radius * radius, motion[:, :2].tolist()
+    for row, (x, y) in enumerate(cells.tolist()):
+        candidates = (
+            anchor for key in product((x - 1, x, x + 1), (y - 1, y, y + 1)) for anchor in anchors.get(key, ())
+        )
+        root[row] = min(
+            (anchor for anchor in candidates if _squared(place[row], place[anchor]) <= squared), default=row
+        )
+        if root[row] == row:
+            anchors.setdefault((x, y), []).append(row)
+    first, group, size = np.unique(root, return_inverse=True, return_counts=True)
+    centre = np.stack([np.bincount(group, column, len(first)) for column in motion.T], axis=-1) / size[:, None]
+    offset = motion - centre[group]
+    distances = np.hypot(offset[:, 0], offset[:, 1]), np.sqrt(offset * offset @ inverse_bias)
+    (extent, across), (_, spread) = (_largest_two(distance, group, size) for distance in distances)
+    margin = 1.0 + 1e-9  # rounding
+    simple = (size == 1) | ((across * margin <= radius) & (spread * spread * margin <= gate))
+    by_group = group.argsort(kind="stable")
+    repeated = (np.diff(group[by_group]) == 0) & (np.diff(agent[by_group]) == 0)
+    simple[group[by_group[1:][repeated]]] = False
+    members = np.split(by_group, np.cumsum(size)[:-1])
+    # Rows that are within the radius of each other have first rows within three; those are so far apart that few are.
+    at = motion.take(first, 0)
+    i, j, _, _ = neighbours(at, at, np.full(len(first), 3.0 * radius * margin))
+    reach = (radius + extent[i] + extent[j]) * margin
+    offset = centre[i] - centre[j]
+    near = ((i > j) & (simple[i] | simple[j]) & (offset[:, 0] ** 2 + offset[:, 1] ** 2 <= reach * reach)).nonzero()[0]
+    for g, h in zip(i[near].tolist(), j[near].tolist(), strict=True):
+        dx, dy = (motion[members[g], None, :2] - motion[members[h], :2]).transpose(2, 0, 1)
+        if (dx * dx + dy * dy <= squared).any():
+            simple[g] = simple[h] = False
+    return root, simple[group]
+
+
+def _squared(one: Sequence[float], other: Sequence[float]) -> float:
+    """Squared distance of two positions, in x and y."""
+    dx, dy = one[0] - other[0], one[1] - other[1]
+    return dx * dx + dy * dy
+
+
+def _largest_two(values: Floats, group: Ints, size: Ints) -> tuple[Floats, Floats]:
+    """Of each of c groups of n values, the largest (c,), and the sum of the two largest (c,).
+
+    group: (n,) 0 to c - 1; size: (c,)
+    """
+    ordered, last = values[np.lexsort((values, group))], np.cumsum(size) - 1
+    return ordered[last], ordered[last] + np.where(size > 1, ordered[last - 1], 0.0)
 
 
 @kernel

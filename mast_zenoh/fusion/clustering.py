@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.clustering import merge_pairs_apart, pairs_near
+from mast_zenoh.arrays.clustering import isolated_groups, merge_pairs_apart, pairs_near
 from mast_zenoh.arrays.ordering import by_agent
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer
-from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, SAME_ORIGIN_GATE, JointGate
+from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, SAME_ORIGIN_GATE, JointGate, motion_of
 
 
 class SampledAssignmentClusterer(Clusterer):
@@ -42,17 +42,27 @@ class SampledAssignmentClusterer(Clusterer):
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
         order = by_agent(states, agent)
-        position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
+        motion, agent = motion_of(states).take(order, 0), agent.take(order)
+        root, isolated = isolated_groups(motion, agent, self._gate.inverse_bias, self._radius, self._gate.gate)
+        # All other tracks are far from those of isolated groups, so they are clustered as if they were alone.
+        contested = (~isolated).nonzero()[0]
+        if len(contested):
+            label = self._merged(states, order.take(contested), motion.take(contested, 0)[:, :2], agent.take(contested))
+            root[contested] = contested[np.unique(label, return_index=True)[1]].take(label)
+        labels = np.empty(len(order), np.int64)
+        labels[order] = ((root == np.arange(len(order))).cumsum() - 1).take(root)
+        return labels
+
+    def _merged(self, states: ObjectStates, rows: Ints, position: Floats, agent: Ints) -> Ints:
+        """(k,) clusters of the tracks in `rows` (k,), by their pairs; position (k, 2), agent (k,): theirs."""
         pairs = pairs_near(position, self._radius)
         pairs = pairs.select((agent.take(pairs.i) != agent.take(pairs.j)).nonzero()[0])
-        i, j = order.take(pairs.i), order.take(pairs.j)
+        i, j = rows.take(pairs.i), rows.take(pairs.j)
 
         def cost(chosen: Ints) -> Floats:
             return self._gate.cost(states, i.take(chosen), j.take(chosen))
 
-        labels = np.empty(len(order), np.int64)
-        labels[order] = merge_pairs_apart(position, agent, pairs, self._radius, self._gate.apart(states, i, j), cost)
-        return labels
+        return merge_pairs_apart(position, agent, pairs, self._radius, self._gate.apart(states, i, j), cost)
 
 
 class DBSCANClusterer(Clusterer):

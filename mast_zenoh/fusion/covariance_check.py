@@ -9,6 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.members import trusted_rows
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.covariance_repair import MAX_VARIANCE, symmetrise
 from mast_zenoh.tracking.parameters import check_positive
 
@@ -32,6 +33,8 @@ _HORIZONTAL = np.array([0, 10, 1, 9, 60, 70, 61, 69])
 #: Variances of position and velocity.
 _VARIANCES = np.array([[0, 10], [60, 70]])
 _EIGHT = np.arange(8)
+#: Covariances that are checked at once, so that their copies stay in the cache; ten times as many pairs of agents.
+_CHUNK = 128
 
 
 class CovarianceCheck(ABC):
@@ -142,8 +145,8 @@ class CheckedCovariances(CovarianceCheck):
         self._excess = np.zeros((0, 2))  # by agent, what its variances of position and velocity grow by
 
     def floored(self, states: ObjectStates) -> ObjectStates:
-        _, usable = symmetrise(states.covariance * self._per_unit, 2.0, MAX_VARIANCE)
-        if usable:
+        parts = (states.covariance[start : start + _CHUNK] for start in range(0, len(states), _CHUNK))
+        if all(symmetrise(part * self._per_unit, 2.0, MAX_VARIANCE)[1] for part in parts):
             return states
         limited = np.clip(states.covariance, -MAX_VARIANCE, MAX_VARIANCE)
         scaled = 0.5 * (limited + limited.transpose(0, 2, 1)) * self._per_unit
@@ -186,10 +189,15 @@ class CheckedCovariances(CovarianceCheck):
         """Add the comparisons of a frame; those of absent agents do not age."""
         count = len(self._agents)
         sums = self._sums[:count, :count]
-        sums *= math.exp(-elapsed_s / self._averaging_s)
-        sums += min(elapsed_s / _PERIOD_S, 1.0) * comparisons
-        doubtful = sums[..., 1] + 2.0 * _PRIOR_PAIRS > 2.0 * self._limit * (sums[..., 0] + _PRIOR_PAIRS)
-        if doubtful.any() or self._excess[:count].any():  # otherwise it is 0
+        decay, share = math.exp(-elapsed_s / self._averaging_s), min(elapsed_s / _PERIOD_S, 1.0)
+        doubtful, rows = False, 10 * _CHUNK // max(count, 1) + 1
+        for start in range(0, count, rows):
+            part = sums[start : start + rows]
+            part *= decay
+            part += share * comparisons[start : start + rows]
+            limit = 2.0 * self._limit * (part[..., 0] + _PRIOR_PAIRS)
+            doubtful = doubtful or bool((part[..., 1] + 2.0 * _PRIOR_PAIRS > limit).any())
+        if doubtful or self._excess[:count].any():  # otherwise it is 0
             compared = (sums[..., 0] > _FORGOTTEN).any(axis=1)
             self._excess[:count] = np.where(compared, _excess(sums, self._limit, self._most), self._excess[:count])
 
@@ -219,19 +227,24 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
     They are the number of pairs, normalised innovations squared, squared differences, and traces of their covariances.
     """
     rows = trusted_rows(agent, labels, weights)
-    label = labels.take(rows)
-    first, second = [], []
-    for shift in range(1, min(_MAX_PARTNERS, len(rows) - 1) + 1):
-        same = (label[shift:] == label[:-shift]).nonzero()[0]
-        if not len(same):
-            break
-        first.append(rows[same])
-        second.append(rows[same + shift])
-    if not first:
+    motion = np.concatenate([states.position[:, :2], states.velocity[:, :2]], axis=1).take(rows, 0)
+    spread = states.covariance.reshape(len(states), 81)[rows[:, None], _HORIZONTAL]
+    return compare_members(motion, spread, agent.take(rows), labels.take(rows), agents, _MAX_PARTNERS)
+
+
+@kernel
+def compare_members(motion: Floats, spread: Floats, agent: Ints, label: Ints, agents: int, partners: int) -> Floats:
+    """See `_comparisons`.
+
+    motion: (n, 4) x, y of position and of velocity; spread: (n, 8) their covariances, see `_HORIZONTAL`
+    agent, label: (n,) of each track, sorted by label, then agent
+    partners: number of following tracks that each is compared with
+    """
+    pairs = [(label[shift:] == label[:-shift]).nonzero()[0] for shift in range(1, min(partners, len(label) - 1) + 1)]
+    if not any(len(rows) for rows in pairs):
         return np.zeros((agents, agents, 2, 4))
-    i, j = np.concatenate(first), np.concatenate(second)
-    motion = np.concatenate([states.position[:, :2], states.velocity[:, :2]], axis=1)
-    spread = states.covariance.reshape(len(states), 81).take(_HORIZONTAL, 1)
+    i = np.concatenate(pairs)
+    j = np.concatenate([rows + shift for shift, rows in enumerate(pairs, 1)])
     x, y = (motion.take(i, 0) - motion.take(j, 0)).reshape(-1, 2, 2).transpose(2, 0, 1)
     xx, yy, xy, yx = (spread.take(i, 0) + spread.take(j, 0)).reshape(-1, 2, 4).transpose(2, 0, 1)
     xy = 0.5 * (xy + yx)

@@ -34,13 +34,14 @@ class JointGate:
 
     def __init__(self, gate: float, bias_m: float, bias_mps: float) -> None:
         check_positive({"gate": gate, "bias_m": bias_m, "bias_mps": bias_mps})
-        self._gate = gate
+        self.gate = gate
         self._bias = 2.0 * np.array([bias_m**2] * 3 + [bias_mps**2] * 3)
-        self._inverse_bias = 1.0 / self._bias
+        #: (6,) 1/m², s²/m²: squared differences are at most the sum of their squares by these weights.
+        self.inverse_bias = 1.0 / self._bias
 
     def apart(self, states: ObjectStates, i: Ints, j: Ints) -> Bools:
         """(p,) whether the tracks in rows i and j (p,) cannot be of one object."""
-        joint = np.concatenate([states.position, states.velocity], axis=1)
+        joint = motion_of(states)
         result = np.empty(len(i), np.bool_)
         for start in range(0, len(i), _CHUNK):
             part = slice(start, start + _CHUNK)
@@ -51,16 +52,16 @@ class JointGate:
         difference = joint.take(j, 0)
         difference -= joint.take(i, 0)
         # The bias alone bounds the distance from above, which decides most pairs.
-        result: Bools = (difference * difference) @ self._inverse_bias > self._gate
+        result: Bools = (difference * difference) @ self.inverse_bias > self.gate
         doubtful = result.nonzero()[0]
         if len(doubtful):
             covariance = self._covariance(states, i.take(doubtful), j.take(doubtful))
-            result[doubtful] = squared_distance(difference.take(doubtful, 0), covariance) > self._gate
+            result[doubtful] = squared_distance(difference.take(doubtful, 0), covariance) > self.gate
         return result
 
     def cost(self, states: ObjectStates, i: Ints, j: Ints) -> Floats:
         """(p,) -2 ln of the likelihood that the tracks in rows i and j (p,) are of one object, up to a constant."""
-        joint = np.concatenate([states.position, states.velocity], axis=1)
+        joint = motion_of(states)
         covariance = self._covariance(states, i, j)
         cost = squared_distance(joint.take(j, 0) - joint.take(i, 0), covariance)
         return np.asarray(cost + np.linalg.slogdet(covariance)[1])
@@ -70,6 +71,11 @@ class JointGate:
         total = np.diag(self._bias) + _joint_covariance(states, i)
         total += _joint_covariance(states, j)
         return total
+
+
+def motion_of(states: ObjectStates) -> Floats:
+    """(n, 6) positions and velocities, m and m/s."""
+    return np.concatenate([states.position, states.velocity], axis=1)
 
 
 def _joint_covariance(states: ObjectStates, rows: Ints) -> Floats:

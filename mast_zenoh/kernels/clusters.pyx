@@ -5,7 +5,7 @@ The members of a cluster are adjacent; `start` (c,) is the first row of each clu
 """
 
 cimport numpy as np
-from libc.math cimport atan2, copysign, cos, fmax, sin, sqrt
+from libc.math cimport atan2, copysign, cos, floor, fmax, fmin, sin, sqrt
 from libc.string cimport memcpy, memset
 
 from mast_zenoh.kernels.algebra cimport MAX_ROWS, factorise, invert, wrap_angle
@@ -166,3 +166,176 @@ def merge_pairs(position, agent, i, j, squared, double radius):
         else:
             label[p] = label[label[p]]  # of an earlier row, so it is a number already
     return labels
+
+
+cdef double CELL = 1.0 + 1e-6, MARGIN = 1.0 + 1e-9
+
+
+cdef inline np.int64_t cell_of(double coordinate, double size) noexcept nogil:
+    return <np.int64_t>floor(fmax(-1e12, fmin(coordinate / size, 1e12)))
+
+
+cdef inline np.int64_t bucket_of(np.int64_t column, np.int64_t row, np.int64_t mask) noexcept nogil:
+    return <np.int64_t>((<np.uint64_t>column * 0x9E3779B97F4A7C15ULL + <np.uint64_t>row * 0xC2B2AE3D27D4EB4FULL) >> 20) & mask
+
+
+cdef inline void keep_two(double* two, double value) noexcept nogil:
+    if value > two[0]:
+        two[0], two[1] = value, two[0]
+    elif value > two[1]:
+        two[1] = value
+
+
+cdef bint touch(
+    const double* at, const np.int64_t* following, np.int64_t one, np.int64_t other, const double* centre, double reach,
+    double radius,
+) noexcept nogil:
+    """Whether a member of the first group is within the radius of one of the second, which are in reach of `centre`."""
+    cdef np.int64_t s
+    cdef double dx, dy
+    while one >= 0:
+        dx, dy = centre[0] - at[6 * one], centre[1] - at[6 * one + 1]
+        if dx * dx + dy * dy <= reach * reach:
+            s = other
+            while s >= 0:
+                dx, dy = at[6 * s] - at[6 * one], at[6 * s + 1] - at[6 * one + 1]
+                if dx * dx + dy * dy <= radius * radius:
+                    return True
+                s = following[s]
+        one = following[one]
+    return False
+
+
+def isolated_groups(motion, agent, inverse_bias, double radius, double gate):
+    motion = contiguous(motion)
+    cdef const double* at = float_data(motion, 2)
+    cdef const np.int64_t* agent_of = int_data(agent)
+    cdef const double* scale = float_data(inverse_bias, 1)
+    cdef Py_ssize_t n = length(agent), k, groups = 0
+    cdef np.int64_t mask = 1, r, a, g, h, column, row, x, y, bucket
+    cdef double size = radius * CELL, dx, dy, total, squared, reach
+    while mask < 2 * n:
+        mask *= 2
+    roots, following_rows, last_rows = empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_INT64, n)
+    chains, heads, numbers = empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_INT64, mask), empty_vector(np.NPY_INT64, n)
+    sizes, centres, extents = zero_vector(np.NPY_DOUBLE, n), empty_matrix(n, 6), empty_matrix(n, 4)
+    separate = zero_vector(np.NPY_BOOL, n)
+    cdef np.int64_t* root = int_data(roots)
+    cdef np.int64_t* following = int_data(following_rows)
+    cdef np.int64_t* last = int_data(last_rows)  # by anchor
+    cdef np.int64_t* anchors = int_data(numbers)
+    cdef np.int64_t* chain = int_data(chains)  # by anchor: the next of its bucket
+    cdef np.int64_t* head = int_data(heads)
+    cdef double* count = writable_data(sizes, 1)  # by anchor, as are those below
+    cdef double* centre = writable_data(centres, 2)
+    cdef double* extent = writable_data(extents, 2)  # the two largest distances from the centre: m, and normalised
+    cdef np.uint8_t* simple = byte_data(separate)
+    for k in range(mask):
+        head[k] = -1
+    mask -= 1
+    for r in range(n):
+        column, row, a = cell_of(at[6 * r], size), cell_of(at[6 * r + 1], size), n
+        for x in range(column - 1, column + 2):
+            for y in range(row - 1, row + 2):
+                g = head[bucket_of(x, y, mask)]
+                while g >= 0:
+                    dx, dy = at[6 * r] - at[6 * g], at[6 * r + 1] - at[6 * g + 1]
+                    if g < a and dx * dx + dy * dy <= radius * radius:
+                        a = g
+                    g = chain[g]
+        following[r] = -1
+        if a == n:
+            a = root[r] = last[r] = anchors[groups] = r
+            groups += 1
+            bucket = bucket_of(column, row, mask)
+            chain[r], head[bucket] = head[bucket], r
+            simple[r] = 1
+            for k in range(6):
+                centre[6 * r + k] = 0.0
+            for k in range(4):
+                extent[4 * r + k] = 0.0
+        else:
+            root[r] = a
+            if agent_of[last[a]] == agent_of[r]:
+                simple[a] = 0
+            following[last[a]], last[a] = r, r
+        count[a] += 1.0
+        for k in range(6):
+            centre[6 * a + k] += at[6 * r + k]
+    for g in range(groups):
+        a = anchors[g]
+        for k in range(6):
+            centre[6 * a + k] /= count[a]
+    for r in range(n):
+        a, total = root[r], 0.0
+        for k in range(6):
+            dx = at[6 * r + k] - centre[6 * a + k]
+            total += dx * dx * scale[k]
+            if k == 1:
+                dy = at[6 * r] - centre[6 * a]
+                keep_two(extent + 4 * a, sqrt(dy * dy + dx * dx))
+        keep_two(extent + 4 * a + 2, sqrt(total))
+    for k in range(groups):
+        a = anchors[k]
+        squared = (extent[4 * a + 2] + extent[4 * a + 3]) * (extent[4 * a + 2] + extent[4 * a + 3])
+        if count[a] > 1.0 and ((extent[4 * a] + extent[4 * a + 1]) * MARGIN > radius or squared * MARGIN > gate):
+            simple[a] = 0
+    for k in range(groups):
+        g = anchors[k]
+        column, row = cell_of(at[6 * g], size), cell_of(at[6 * g + 1], size)
+        for x in range(column - 3, column + 4):
+            for y in range(row - 3, row + 4):
+                h = head[bucket_of(x, y, mask)]
+                while h >= 0:
+                    if h < g and (simple[g] or simple[h]):
+                        dx, dy = centre[6 * g] - centre[6 * h], centre[6 * g + 1] - centre[6 * h + 1]
+                        reach = (radius + extent[4 * g] + extent[4 * h]) * MARGIN
+                        if dx * dx + dy * dy <= reach * reach and touch(
+                            at, following, g, h, centre + 6 * h, (radius + extent[4 * h]) * MARGIN, radius
+                        ):
+                            simple[g] = simple[h] = 0
+                    h = chain[h]
+    for r in range(n):
+        simple[r] = simple[root[r]]
+    return roots, separate
+
+
+def compare_members(motion, spread, agent, label, Py_ssize_t agents, Py_ssize_t partners):
+    motion, spread = contiguous(motion), contiguous(spread)
+    cdef const double* at = float_data(motion, 2)
+    cdef const double* variance = float_data(spread, 2)
+    cdef const np.int64_t* agent_of = int_data(agent)
+    cdef const np.int64_t* label_of = int_data(label)
+    cdef Py_ssize_t r, s, q, k, shift, n = length(agent)
+    cdef double x, y, xx, yy, xy
+    cdef bint any_same
+    result = zero_vector(np.NPY_DOUBLE, agents * agents * 8)
+    cdef double* sums = writable_data(result, 1)
+    cdef double* total
+    cdef double* mirrored
+    for shift in range(1, min(partners, n - 1) + 1):
+        any_same = False
+        for r in range(n - shift):
+            s = r + shift
+            if label_of[r] != label_of[s]:
+                continue
+            any_same = True
+            total = sums + 8 * (agents * agent_of[r] + agent_of[s])
+            for q in range(2):
+                x, y = at[4 * r + 2 * q] - at[4 * s + 2 * q], at[4 * r + 2 * q + 1] - at[4 * s + 2 * q + 1]
+                k = 4 * q
+                xx, yy = variance[8 * r + k] + variance[8 * s + k], variance[8 * r + k + 1] + variance[8 * s + k + 1]
+                xy = 0.5 * ((variance[8 * r + k + 2] + variance[8 * s + k + 2]) + (variance[8 * r + k + 3] + variance[8 * s + k + 3]))
+                total[k] += 1.0
+                total[k + 1] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+                total[k + 2] += x * x + y * y
+                total[k + 3] += xx + yy
+        if not any_same:
+            break
+    for r in range(agents):
+        for s in range(r, agents):
+            total, mirrored = sums + 8 * (agents * r + s), sums + 8 * (agents * s + r)
+            if total[0] > 0.0 or mirrored[0] > 0.0:
+                for k in range(8):
+                    total[k] = mirrored[k] = total[k] + mirrored[k]
+    return result.reshape(agents, agents, 2, 4)

@@ -135,3 +135,36 @@ def test_an_invalid_radius_is_refused():
         SampledAssignmentClusterer(assign_radius=0.0)
     with pytest.raises(ValueError, match="eps"):
         DBSCANClusterer(eps=-1.0)
+
+
+@settings(max_examples=150)
+@given(
+    st.lists(st.tuples(st.integers(-6, 6), st.integers(-3, 3), st.integers(0, 4)), max_size=25),
+    st.sampled_from([0.0, 0.05, 0.3]),
+    st.sampled_from([0.1, 1.0, 4.0]),
+    st.integers(0, 99),
+)
+def test_isolated_groups_change_no_cluster(rows, noise_m, noise_mps, seed):
+    """Rows are 2 m apart, as the radius is: at the borders of the grid's cells."""
+    random = np.random.default_rng(seed)
+    objects, agent = states([(x * 2.5, y * 2.5, source) for x, y, source in rows])
+    shift, velocity = random.normal(size=(2, len(rows), 3))
+    objects = objects.with_(position=objects.position + noise_m * shift, velocity=noise_mps * velocity)
+    clusterer = SampledAssignmentClusterer()
+    labels = clusterer.cluster(objects, agent)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "mast_zenoh.fusion.clustering.isolated_groups",
+            lambda motion, agent, *bounds: (np.arange(len(agent)), np.zeros(len(agent), np.bool_)),
+        )
+        np.testing.assert_array_equal(clusterer.cluster(objects, agent), labels)
+
+
+def test_pairs_of_isolated_groups_are_not_listed(monkeypatch: pytest.MonkeyPatch):
+    random = np.random.default_rng(0)
+    position = np.array([(20.0 * k, 0.0, 0.0) for k in range(50)])
+    position = (position + random.normal(0.0, 0.1, (100, 50, 3))).reshape(-1, 3)
+    objects = ObjectStates.of(position, id=np.tile(np.arange(50), 100))
+    monkeypatch.setattr("mast_zenoh.fusion.clustering.pairs_near", None)
+    labels = SampledAssignmentClusterer().cluster(objects, np.repeat(np.arange(100), 50))
+    np.testing.assert_array_equal(labels, np.tile(np.arange(50), 100))

@@ -93,6 +93,25 @@ def near_pairs(random, n):
     return position, agent, i[some], j[some], squared[some], random.choice([radius, np.inf])
 
 
+def tracks_of_agents(random, n, m):
+    """Positions and velocities of up to n agents' tracks of up to m objects, and bounds of a group."""
+    agent, of = (random.random((n, m)) < 0.8).nonzero()
+    motion = np.concatenate([places(random, m), places(random, m)], axis=1)[of]
+    motion += random.normal(0.0, random.choice([0.0, 0.2, 0.6]), motion.shape)
+    if random.random() < 0.3:
+        motion = np.round(motion)  # at the borders of cells, and at the radius
+    return motion, agent, np.repeat([5.6, 2.0], 3), random.choice([0.5, 1.0, 2.0]), random.choice([5.0, 27.86, np.inf])
+
+
+def cluster_tracks(random, n):
+    """Motions, covariances, agents and labels of tracks in clusters, sorted."""
+    agent, label = (random.random((n, 4)) < 0.7).nonzero()
+    order = np.lexsort((agent, label))
+    variances, covariance = random.uniform(0.5, 1.0, (2, len(order), 2, 2))
+    spread = np.concatenate([variances, 0.1 * covariance], axis=2).reshape(-1, 8)
+    return random.normal(size=(len(order), 4)), spread, agent[order], label[order], n, int(random.choice([1, 3, 32]))
+
+
 def clusters(random, n):
     """Start rows of groups with n >= 1 members."""
     return np.unique(np.append(0, random.integers(0, n, n // 2)))
@@ -277,6 +296,8 @@ ARGUMENTS = {
         clusters(r, n + 1),
     ),
     "merge_pairs": lambda r, n, m: near_pairs(r, n),
+    "isolated_groups": tracks_of_agents,
+    "compare_members": lambda r, n, m: cluster_tracks(r, n),
     "track_observations": track_observations,
     "imitate_rows": lambda r, n, m: (
         (places(r, m), r.normal(0, 9, (m, 3)), r.uniform(0.3, 5, (m, 3)), r.uniform(-4, 4, m)),
