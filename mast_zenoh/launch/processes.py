@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.launch import forking
+from mast_zenoh.launch.forking import Forked, ForkServer
 from mast_zenoh.launch.supervisor import Child, Supervisor
 
 #: One thread per node: many small arrays gain nothing from more, and the nodes share the machine.
@@ -21,7 +23,7 @@ ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 class Process(Child):
     """A node as a process of this machine."""
 
-    def __init__(self, name: str, spec: NodeSpec, log: IO[bytes], process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, name: str, spec: NodeSpec, log: IO[bytes], process: subprocess.Popen[bytes] | Forked) -> None:
         super().__init__(name, spec)
         self.log = log
         self.process = process
@@ -57,11 +59,12 @@ class Processes(Supervisor[Process]):
         self.endpoint = endpoint
         self.inside = inside
         self.extra_arguments = extra_arguments
+        self._server = ForkServer(_environment()) if forking.AVAILABLE else None
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
         self.without[name] = sorted(without)
         log = (self.folder / "logs" / f"{name}.log").open("ab", buffering=0)
-        self.children[name] = Process(name, spec, log, self._spawn(self.command(name, spec), log))
+        self.children[name] = Process(name, spec, log, self._spawn(name, spec, log))
 
     def command(self, name: str, spec: NodeSpec) -> list[str]:
         """The command that starts a node."""
@@ -74,7 +77,7 @@ class Processes(Supervisor[Process]):
     def _restart(self, child: Process, without: Iterable[str]) -> None:
         _close(child.process)
         self.without[child.name] = sorted(without)
-        child.process = self._spawn(self.command(child.name, child.spec), child.log)
+        child.process = self._spawn(child.name, child.spec, child.log)
 
     def end_now(self, child: Process) -> None:
         child.process.kill()
@@ -113,19 +116,28 @@ class Processes(Supervisor[Process]):
                 self.wait(child, max(0.0, deadline - time.monotonic()))
         for child in self.children.values():
             self.dispose(child)
+        if self._server is not None:
+            self._server.close()
 
-    def _spawn(self, command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
+    def _spawn(self, name: str, spec: NodeSpec, log: IO[bytes]) -> subprocess.Popen[bytes] | Forked:
+        command = self.command(name, spec)
+        if self._server is not None and not self.inside(name):
+            return self._server.start(command, self.folder, log)
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=subprocess.STDOUT,
             cwd=self.folder,
-            env={**os.environ, **ENVIRONMENT},
+            env=_environment(),
             start_new_session=True,
         )
 
 
-def _close(process: subprocess.Popen[bytes]) -> None:
+def _environment() -> dict[str, str]:
+    return {**os.environ, **ENVIRONMENT}
+
+
+def _close(process: subprocess.Popen[bytes] | Forked) -> None:
     if process.stdin is not None and not process.stdin.closed:
         process.stdin.close()
