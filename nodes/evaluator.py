@@ -16,7 +16,7 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Pose
 from mast_zenoh.evaluation import Evaluation, RunData
-from mast_zenoh.metrics import Attribution, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
+from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
@@ -46,7 +46,7 @@ class Evaluator(Node):
 
     agents:  their names
     scorer:  None: Scorer()
-    attribution, cut_off: rules for the causes of errors, None: Attribution(), CutOff()
+    attribution, cut_off: rules for the causes of errors, None: AttributionLimits(), CutOff()
     consistency: how errors are compared with covariances, None: Consistency()
     faults:  of the timeline by agent: type, beginning and end in s; None: none
     The other parameters are described in `evaluation.Evaluation`.
@@ -65,7 +65,7 @@ class Evaluator(Node):
         picture_ages_s: dict[str, float] | None = None,
         driving: Driving | None = None,
         metrics: tuple[Metric, ...] = (),
-        attribution: Attribution | None = None,
+        attribution: AttributionLimits | None = None,
         cut_off: CutOff | None = None,
         consistency: Consistency | None = None,
         faults: dict[str, list[tuple[str, float, float | None]]] | None = None,
@@ -79,7 +79,7 @@ class Evaluator(Node):
             picture_ages_s=picture_ages_s or {},
             driving=driving or Driving(),
             metrics=metrics,
-            attribution=attribution or Attribution(),
+            attribution=attribution or AttributionLimits(),
             cut_off=cut_off or CutOff(),
             consistency=consistency or Consistency(),
             faults=faults or {},

@@ -12,8 +12,6 @@ from fuzzing import Fuzzing
 from hypothesis import HealthCheck, settings
 from launched import Launched
 
-from mast_zenoh.messages import row_limits
-
 # The duration of an example depends on the machine, not on the code.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
@@ -88,9 +86,3 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Itera
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))
         yield folder
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_limits_on_rows() -> None:
-    """Limits are those of the run that was played last in this process; tests of a file begin without any."""
-    row_limits.use({})

@@ -217,7 +217,7 @@ def prepare(
         options = {"seed": seed, "frames": frames} | parameters
         if unused := [name for name, value in options.items() if value is not None]:
             raise ConfigurationError(f"{scene}: is recorded already: found {', '.join(unused)}, expected nothing else")
-        return PreparedScene(Recording.load(Path(str(scene))))
+        return PreparedScene(Recording.load(Path(str(scene)).resolve()))
     run = RUN_DEFAULTS
     if suffix == ".py":
         _, content = scenarios.load_values(str(scene), parameters)

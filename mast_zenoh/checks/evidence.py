@@ -101,7 +101,7 @@ class Evidence:
             content = None
             if message.message in _SUMMARIES:
                 try:
-                    body = codec.decode(message.payload, message.message, "").body
+                    body = codec.decode(message.payload, message.message).body
                 except MessageError:  # valid header, invalid body: subscribers refuse it
                     evidence.malformed[key] += 1
                     continue

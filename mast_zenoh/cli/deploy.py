@@ -15,6 +15,7 @@ from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import (
     AllowChurn,
     AllowFailures,
+    Confirmed,
     Frames,
     Mode,
     Out,
@@ -26,9 +27,8 @@ from mast_zenoh.cli.options import (
     SecureCommand,
     Seed,
     Settings,
-    Trusted,
+    allowed_code,
     conclude,
-    trust,
 )
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
@@ -117,7 +117,8 @@ def write(
         str(path) if own else scenario_file, tuple(settings or ()), folder=str(path.parent) if own else None
     )
     options: dict[str, Any] = {"secure": secure, "patience_s": inside.PATIENCE_S, "launcher": launcher}
-    typer.echo(document.text(resolved, run or resolved.name, image=image or images.TAG, **options), nl=False)
+    name = resolved.name if run is None else scenario.checked_name(run, "--run")
+    typer.echo(document.text(resolved, name, image=image or images.TAG, **options), nl=False)
 
 
 @app.command(hidden=True)
@@ -157,17 +158,18 @@ def certificates(
 ) -> None:
     """Make the credentials of all services of a compose file, and keep them in memory."""
     from mast_zenoh import scenario
-    from mast_zenoh.deploy.compose import document, inside
+    from mast_zenoh.deploy.compose import document
+    from mast_zenoh.deploy.compose.certificates import make_credentials
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, frames=1, record=True)
-    inside.make_credentials(resolved, run, secure, Path(document.KEYS))
+    make_credentials(resolved, run, secure, Path(document.KEYS))
 
 
 @app.command()
-def status(run_folder: RunFolder, trusted: Trusted = False) -> None:
+def status(run_folder: RunFolder, confirmed: Confirmed = False) -> None:
     """List the nodes of a run, their state and place."""
-    kind, record = _deployed(run_folder, trusted)
+    kind, record = _deployed(run_folder, confirmed)
     table = Table("node", "state", "where", box=None)
     for row in kind.status(run_folder, record):
         table.add_row(row["node"], row["state"], row["where"])
@@ -182,17 +184,17 @@ def logs(
     run_folder: RunFolder,
     node: Annotated[str | None, typer.Argument(help="The node. Default: all.")] = None,
     follow: Annotated[bool, typer.Option("--follow", help="Continue with new output.")] = False,
-    trusted: Trusted = False,
+    confirmed: Confirmed = False,
 ) -> None:
     """Print the logs of a run's nodes."""
-    kind, record = _deployed(run_folder, trusted)
+    kind, record = _deployed(run_folder, confirmed)
     kind.logs(run_folder, record, node, follow=follow)
 
 
 @app.command()
-def down(run_folder: RunFolder, trusted: Trusted = False) -> None:
+def down(run_folder: RunFolder, confirmed: Confirmed = False) -> None:
     """Remove what is left of a run that lost its launcher or machine."""
-    kind, record = _deployed(run_folder, trusted)
+    kind, record = _deployed(run_folder, confirmed)
     kind.down(run_folder, record)
     if record["status"] == "running":
         from mast_zenoh.launch.folder import write_json
@@ -239,7 +241,7 @@ def doctor(
     raise typer.Exit(1 if failed else 0)
 
 
-def _deployed(folder: Path, trusted: bool) -> tuple[Any, dict[str, Any]]:
+def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:
     """The engine and run.json of a run that was deployed.
 
     Raises UntrustedCode if the run was not started on this machine, or by an engine that does not come with mast.
@@ -254,12 +256,12 @@ def _deployed(folder: Path, trusted: bool) -> tuple[Any, dict[str, Any]]:
     if "engine" not in deployment or "id" not in record:
         raise RunFolderError(f"{folder / 'run.json'}: names no engine or no id, expected those of a deployed run")
     engine = str(deployment["engine"])
-    confirmed = trust(confirmed=trusted)
+    allowed = allowed_code(confirmed=confirmed)
     places = ", ".join([engine, *(deployment.get("hosts") or ())])
-    liveness.check_from_here(folder, record, confirmed, f"where it was deployed: {places}")
+    liveness.check_from_here(folder, record, allowed, f"where it was deployed: {places}")
     if engine not in engines.names():
         file, colon, name = engine.rpartition(":") if not engine.endswith(".py") else (engine, "", "")
-        engine = f"{os.fspath(confirmed.files_in(str(folder), None, [file])[file])}{colon}{name}"
+        engine = f"{os.fspath(allowed.files_in(str(folder), None, [file])[file])}{colon}{name}"
     return engines.load(engine), record
 
 

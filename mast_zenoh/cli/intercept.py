@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from mast_zenoh.cli import completion
-from mast_zenoh.cli.options import Trusted, trust
+from mast_zenoh.cli.options import Confirmed, allowed_code
 from mast_zenoh.cli.options import out as _out
 
 RunFolder = Annotated[
@@ -31,7 +31,7 @@ def intercept(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the node, or a dotted path.")
     ] = None,
-    trusted: Trusted = False,
+    confirmed: Confirmed = False,
 ) -> None:
     """Insert a node into a wire during a run; no message is lost or duplicated."""
     from mast_zenoh.launch.interception import client
@@ -44,7 +44,7 @@ def intercept(
         input=input,
         output=output,
         settings=settings or (),
-        trust=trust(node.partition(":")[0], confirmed=trusted),
+        allowed=allowed_code(node.partition(":")[0], confirmed=confirmed),
     )
     _show_result(f"{result['node']} is on", result)
 
@@ -55,14 +55,14 @@ def release(
     wire: Annotated[
         str | None, typer.Option(help="Instead of a name: the wire whose only inserted node is released.")
     ] = None,
-    trusted: Trusted = False,
+    confirmed: Confirmed = False,
 ) -> None:
     """Release a node from its wires during a run, after its messages are forwarded."""
     from mast_zenoh.launch.interception import client
 
     if (name is None) == (wire is None):
         raise typer.BadParameter("expected either --name or --wire", param_hint="--name / --wire")
-    result = client.release(run_folder, name=name, wire=wire, trust=trust(confirmed=trusted))
+    result = client.release(run_folder, name=name, wire=wire, allowed=allowed_code(confirmed=confirmed))
     _show_result(f"{result['node']} is off", result)
 
 

@@ -23,7 +23,7 @@ from mast_zenoh.launch import ending
 from mast_zenoh.security import levels
 
 if TYPE_CHECKING:
-    from mast_zenoh.config.trust import Trust
+    from mast_zenoh.config.allowed_code import AllowedCode
     from mast_zenoh.launch.run import Run
     from mast_zenoh.report.comparison import Reference
     from mast_zenoh.report.runfolder import RunFolder
@@ -31,11 +31,12 @@ if TYPE_CHECKING:
 
 #: Control characters except tab and line feed, and characters that change the direction of text.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+_ESCAPES = {code: chr(code).encode("unicode_escape").decode() for code in range(0x2070) if _CONTROL.match(chr(code))}
 
 
 def escaped(text: str) -> str:
     """A line from a node, without characters that control a terminal: `\\x1b` instead of an escape."""
-    return _CONTROL.sub(lambda match: match.group().encode("unicode_escape").decode("ascii"), text)
+    return text.translate(_ESCAPES)
 
 
 class PlainConsole(Console):
@@ -97,7 +98,7 @@ RecordStudy = Annotated[
 ]
 
 
-Trusted = Annotated[
+Confirmed = Annotated[
     bool, typer.Option("--trust", help="Run the code, and contact the hosts, that the run folder names.")
 ]
 Quiet = Annotated[
@@ -209,7 +210,7 @@ def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolde
 
 def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
     """The run to compare with, or why that is not possible."""
-    from mast_zenoh.config.trust import OWN_RUN
+    from mast_zenoh.config.allowed_code import OWN_RUN
     from mast_zenoh.report import comparison
 
     if interrupted:
@@ -245,15 +246,14 @@ def check_reference(against: str | None) -> None:
         raise NotComparable(f"{folder}: has a damaged metrics.json: {expected}")
 
 
-def trust(*named: str | Path | None, confirmed: bool) -> Trust:
-    """Trust in the files that this command line names, and with --trust in all; those are printed."""
-
-    from mast_zenoh.config.trust import Trust  # the classes of all nodes are slow to load
+def allowed_code(*named: str | Path | None, confirmed: bool) -> AllowedCode:
+    """The code that may run: files that this command line names, and with --trust all; those are printed."""
+    from mast_zenoh.config.allowed_code import AllowedCode  # the classes of all nodes are slow to load
 
     def announce(sentence: str) -> None:
         err.print(sentence, style="yellow", markup=False, highlight=False)
 
-    return Trust.of(*named, confirmed=confirmed, announce=announce)
+    return AllowedCode.of(*named, confirmed=confirmed, announce=announce)
 
 
 def with_trust(words: list[str]) -> str:
@@ -262,14 +262,14 @@ def with_trust(words: list[str]) -> str:
     return shlex.join(["mast", *words[:at], "--trust", *words[at:]])
 
 
-def reference_folder(run_folder: Path, against: str, trusted: Trust) -> Path:
+def reference_folder(run_folder: Path, against: str, allowed: AllowedCode) -> Path:
     """The folder of the reference run; an unattacked twin runs first if needed.
 
-    trusted: which of the code that the run folder names may run
+    allowed: which of the code that the run folder names may run
     """
     from mast_zenoh.launch import twin
 
-    return twin.of(run_folder, out, trusted) if against == twin.FOLDER else Path(against)
+    return twin.of(run_folder, out, allowed) if against == twin.FOLDER else Path(against)
 
 
 def show_notices(finished: Run, label: str = "") -> None:

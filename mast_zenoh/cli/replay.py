@@ -11,6 +11,7 @@ from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import (
     AllowChurn,
     AllowFailures,
+    Confirmed,
     Frames,
     Mode,
     Out,
@@ -19,11 +20,10 @@ from mast_zenoh.cli.options import (
     Report,
     Runtime,
     Secure,
-    Trusted,
+    allowed_code,
     check_environment,
     check_reference,
     conclude,
-    trust,
 )
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
@@ -62,7 +62,7 @@ def replay(
     against: Annotated[
         str | None, typer.Option(metavar="RUN", help="Compare with another run, such as the recorded one.")
     ] = None,
-    trusted: Trusted = False,
+    confirmed: Confirmed = False,
 ) -> None:
     """Play a recorded run to live nodes, such as a changed command centre.
 
@@ -91,7 +91,7 @@ def replay(
         mode=chosen,
         rate=1.0 if rate is None else rate,
         record=record,
-        trust=trust(scenario, *files, confirmed=trusted),
+        allowed=allowed_code(scenario, *files, confirmed=confirmed),
     )
     for line in prepared.lines():
         _out.print(line, markup=False, highlight=False)

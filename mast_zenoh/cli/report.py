@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mast_zenoh.cli import completion
-from mast_zenoh.cli.options import Against, Trusted, check_reference, reference_folder, reporting, trust
+from mast_zenoh.cli.options import Against, Confirmed, allowed_code, check_reference, reference_folder, reporting
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError
@@ -20,7 +20,7 @@ def report(
     against: Against = None,
     measure: Annotated[bool, typer.Option("--measure", help="Measure the run again, from its recording.")] = False,
     figures: Annotated[list[Path] | None, typer.Option(help="A Python file whose figures are added.")] = None,
-    trusted: Trusted = False,
+    confirmed: Confirmed = False,
 ) -> None:
     """Write the report of a run again, compared with another run if one is named.
 
@@ -32,12 +32,12 @@ def report(
     check_reference(against)
     if missing := next((file for file in figures or () if not file.is_file()), None):
         raise ConfigurationError(f"no file {str(missing)!r}: --figures expects a Python file")
-    confirmed = trust(*(figures or ()), confirmed=trusted)
+    allowed = allowed_code(*(figures or ()), confirmed=confirmed)
     if measure or measurement.can_fill_in(run_folder):
-        for refused in measurement.measure(run_folder, confirmed):
+        for refused in measurement.measure(run_folder, allowed):
             _err.print(f"warning: {refused}", markup=False, highlight=False)
         _out.print(f"measured: {run_folder / measurement.METRICS}", markup=False, highlight=False)
-    other = None if against is None else reference_folder(run_folder, against, confirmed)
+    other = None if against is None else reference_folder(run_folder, against, allowed)
     with reporting(run_folder):
         if other is not None:
             terminal.show_run(_out, run_folder, other)

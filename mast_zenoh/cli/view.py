@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from mast_zenoh.cli import completion, viewer_process
-from mast_zenoh.cli.options import Trusted, trust
+from mast_zenoh.cli.options import Confirmed, allowed_code
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.run_files import reading
@@ -32,7 +32,7 @@ class _Options:
     rerun: bool
     rate: float
     loop: bool
-    trusted: bool
+    confirmed: bool
 
     def check(self) -> None:
         """Raise BadParameter for options that exclude each other for every run."""
@@ -74,20 +74,20 @@ def view(
         float, typer.Option(min=0.01, max=100.0, help="--foxglove, finished run: s of the scene per s.")
     ] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="--foxglove, finished run: begin again at the end.")] = False,
-    trusted: Trusted = False,
+    confirmed: Confirmed = False,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
     """Show a run in a browser while it is running or afterwards, or two finished runs on one timeline.
 
     Ctrl-C ends the viewer; it never ends the run.
     """
-    options = _Options(other, frame, run, port, browser, foxglove, rerun, rate, loop, trusted)
+    options = _Options(other, frame, run, port, browser, foxglove, rerun, rate, loop, confirmed)
     options.check()
     remote = _is_router(target)
     if attached:
-        trust_ = trust(confirmed=trusted)
+        allowed = allowed_code(confirmed=confirmed)
         viewer_process.observe(
-            target, run, port, trust_, remote=remote, browser=browser, foxglove=foxglove, rerun=rerun
+            target, run, port, allowed, remote=remote, browser=browser, foxglove=foxglove, rerun=rerun
         )
     elif remote:
         _view_router(target, options)
@@ -123,7 +123,7 @@ def _view_running(folder: Path, options: _Options) -> None:
     from mast_zenoh.launch.liveness import check_from_here
 
     record = viewer_process.record_of(folder)
-    check_from_here(folder, record, trust(confirmed=options.trusted), f"the router {record.get('endpoint')}")
+    check_from_here(folder, record, allowed_code(confirmed=options.confirmed), f"the router {record.get('endpoint')}")
     _observe(str(folder), options)
 
 
@@ -160,7 +160,7 @@ def _observe(target: str, options: _Options) -> None:
         "--open": options.browser,
         "--foxglove": options.foxglove,
         "--rerun": options.rerun,
-        "--trust": options.trusted,
+        "--trust": options.confirmed,
     }
     words = [
         f"--port={options.port}",

@@ -19,7 +19,7 @@ from mast_zenoh.errors import UntrustedCode
 from mast_zenoh.run_files import read_object
 
 if TYPE_CHECKING:
-    from mast_zenoh.config.trust import Trust
+    from mast_zenoh.config.allowed_code import AllowedCode
     from mast_zenoh.launch.context import RunContext
 
 _START_S = 60.0  # for a run to start its nodes
@@ -105,12 +105,12 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def observe(
-    target: str, run: str, port: int, trust: Trust, *, remote: bool, browser: bool, foxglove: bool, rerun: bool
+    target: str, run: str, port: int, allowed: AllowedCode, *, remote: bool, browser: bool, foxglove: bool, rerun: bool
 ) -> None:
     """Show a running run until standard input ends.
 
     target: the folder of a run or, `remote`, a router with a run of this id, "": its only one
-    trust: which of the code that the run folder names may run
+    allowed: which of the code that the run folder names may run
     foxglove, rerun: to these viewers instead of a browser
     """
     from mast_zenoh.report.playback import live_view
@@ -137,7 +137,7 @@ def observe(
             announce(server.url, browser)
         live_view.yield_processors()
         if not remote:
-            running = live_view.await_start(Path(target), _START_S, stop, trust)
+            running = live_view.await_start(Path(target), _START_S, stop, allowed)
             if running.refused:
                 print_line(f"warning: {running.refused}")
             session = stack.enter_context(hosting.join(running.endpoint, running.credentials, observer=True))
@@ -155,14 +155,14 @@ def observe(
 
 def _delete_keys_of_the_dead(folder: Path) -> None:
     """Delete the viewer's credentials if the launcher, which else does so, was killed."""
-    from mast_zenoh.config.trust import NOTHING
+    from mast_zenoh.config.allowed_code import SHIPPED
     from mast_zenoh.launch import liveness
     from mast_zenoh.launch.context import VIEWER_CREDENTIALS
     from mast_zenoh.security.credentials import VIEWER
     from mast_zenoh.security.deployment import KEYS
 
     try:
-        liveness.check_from_here(folder, record_of(folder), NOTHING, "a folder of keys")
+        liveness.check_from_here(folder, record_of(folder), SHIPPED, "a folder of keys")
     except UntrustedCode:
         return
     credentials = Path(str(record_of(folder).get(VIEWER_CREDENTIALS, "")))

@@ -45,6 +45,8 @@ def module(path: Path) -> ModuleType:
     except Exception as error:
         del sys.modules[name]
         line = error.lineno if isinstance(error, SyntaxError) else _line(error, path)
+        if isinstance(error, ModuleNotFoundError) and error.name:
+            raise ConfigurationError(f"{path}:{line}: {_missing_module(error.name, path)}") from error
         raise ConfigurationError(f"{path}:{line}: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(str(path.parent))
@@ -55,6 +57,22 @@ def module(path: Path) -> ModuleType:
                 del sys.modules[sibling]
         _SOURCES[loaded] = {file: _changed_at(file) for file in files}
     return loaded
+
+
+def _missing_module(name: str, path: Path) -> str:
+    """Says what a file can import instead of a module that does not exist."""
+    shipped = {file.removesuffix(".py") for file in bundle.names("scenarios")}
+    siblings = {file.stem for file in path.parent.glob("*.py")} - {path.stem}
+    found = f"no module {name!r}: expected an installed package, or a file in {path.parent}"
+    if close := difflib.get_close_matches(name, shipped | siblings, n=1):
+        found += "" if close[0] == name else f"; did you mean {close[0]!r}?"
+        name = close[0]
+    if name in shipped - siblings:
+        found += (
+            f"; to use the scenario {name!r} that comes with mast: "
+            f'`from mast_zenoh.scenario import load`, `_, base = load("{name}")`'
+        )
+    return found
 
 
 def _name_of(path: Path) -> str:

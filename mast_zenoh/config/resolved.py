@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from mast_zenoh.config import loading, registry
+from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog.script import Script
 from mast_zenoh.messagelog.writer import MessageLog
@@ -64,7 +64,7 @@ class Resolved:
     modules: the user's Python files that define algorithms named in it; to be loaded before its nodes are built
     steps: actions on processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
     messages: the message types that its nodes declare; the codec must know them (`user_types.use`) when nodes are built
-    inert: a sentence for each part of the scenario that matches nothing in this run, or begins after it
+    idle: a sentence for each part of the scenario that matches nothing in this run, or begins after it
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
     max_rows: limits on the rows of a message by type, see `row_limits`; none in earlier versions
     """
@@ -84,7 +84,7 @@ class Resolved:
     network: dict[str, Any] = field(default_factory=dict)
     leeway_ns: int | None = None
     messages: tuple[Schema, ...] = ()
-    inert: tuple[str, ...] = ()
+    idle: tuple[str, ...] = ()
     max_rows: dict[str, int] = field(default_factory=dict)
     recording: Recording | None = field(default=None, compare=False)
 
@@ -114,12 +114,12 @@ class Resolved:
         names += ["scene", "modules", "timeline", "network", "max_rows"]
         steps = [step._asdict() for step in self.steps]
         declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
-        inert = {"inert": list(self.inert)} if self.inert else {}
+        idle = {"idle": list(self.idle)} if self.idle else {}
         return {
             **{name: getattr(self, name) for name in names},
             "modules": [str(module) for module in self.modules],
             **declared,
-            **inert,
+            **idle,
             "steps": steps,
             "nodes": nodes,
         }
@@ -142,15 +142,15 @@ class Resolved:
         nodes = {name: NodeSpec(**spec) for name, spec in data["nodes"].items()}
         steps = tuple(ProcessStep(**step) for step in data["steps"])
         lists = {name: tuple(data[name]) for name in ("modules", "timeline")}
-        lists["inert"] = tuple(data.get("inert", ()))
+        lists["idle"] = tuple(data.get("idle", ()))
         messages = tuple(user_types.from_json(schema) for schema in data.get("messages", ()))
         return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages})
 
     @classmethod
-    def read(cls, run_folder: Path, trust: Trust = NOTHING) -> Resolved:
+    def read(cls, run_folder: Path, allowed: AllowedCode = SHIPPED) -> Resolved:
         """The resolved scenario in a run folder.
 
-        trust: which of the Python files that it names may run; the others are UntrustedFile
+        allowed: which of the Python files that it names may run; the others are UntrustedFile
         Raises RunFolderError for a folder whose scenario cannot be read.
         """
         try:
@@ -160,12 +160,12 @@ class Resolved:
         except (RunFolderError, ValueError, LookupError, TypeError, AttributeError) as error:
             problem = f"{type(error).__name__}: {error!s:.300}" if not isinstance(error, RunFolderError) else str(error)
             raise RunFolderError(f"{run_folder}: scenario.json and wiring.json cannot be read: {problem}") from None
-        return resolved.trusting(trust, str(run_folder), run_folder)
+        return resolved.allowing(allowed, str(run_folder), run_folder)
 
-    def trusting(self, trust: Trust, origin: str, folder: Path | None = None) -> Resolved:
-        """A copy that runs no code but what is shipped or trusted; see `Trust.files_in`."""
+    def allowing(self, allowed: AllowedCode, origin: str, folder: Path | None = None) -> Resolved:
+        """A copy that runs no code but what is shipped or allowed; see `AllowedCode.files_in`."""
         names = {**dict.fromkeys(self.modules), **dict.fromkeys(spec.file for spec in self.nodes.values())}
-        files = cast("dict[str, str]", trust.files_in(origin, folder, names))  # an UntrustedFile is shown as text
+        files = cast("dict[str, str]", allowed.files_in(origin, folder, names))  # an UntrustedFile is shown as text
         return replace(
             self,
             modules=tuple(files[name] for name in self.modules),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import inspect
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
@@ -14,12 +16,19 @@ KEYS = (
     *("name", "scene", "agents", "broker", "command_center", "evaluator", "adversaries", "coordinator", "nodes"),
     *("links", "faults", "hosts", "keyexpr", "run"),
 )
+#: Those of them that hold a list, which a setting can replace.
+LISTS = ("faults",)
 #: Alternative spellings of keys, from the paper's configuration listing.
 ALIASES = {"commandcenter": "command_center"}
 
 
-def split(settings: Sequence[str], function: Callable[..., Any], place: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Split settings into (parameters of the function, dotted settings), typed."""
+def split(
+    settings: Sequence[str], function: Callable[..., Any], place: str, whole: Sequence[str] = ()
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Split settings into (parameters of the function, dotted settings), typed.
+
+    whole: keys of the function's result that can be set without a dot
+    """
     known = inspect.signature(function).parameters
     parameters: dict[str, Any] = {}
     dotted: dict[str, Any] = {}
@@ -27,22 +36,28 @@ def split(settings: Sequence[str], function: Callable[..., Any], place: str) -> 
         key, equals, value = setting.partition("=")
         if not equals:
             raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
-        if "." in key:
-            dotted[key] = literal(value)
-        elif key in known:
+        if key in known:
             parameters[key] = _typed(value, known[key].default, f"{place}: --set {key}")
+        elif "." in key or key in whole:
+            dotted[key] = literal(value)
         else:
-            raise ConfigurationError(f"{place}: --set {key}: no such launch-time parameter{nearest(key, known)}")
+            hint = nearest(key, {*known, *whole})
+            raise ConfigurationError(f"{place}: --set {key}: no such launch-time parameter{hint}")
     return parameters, dotted
 
 
 def from_values(
-    values: Mapping[str, Any], function: Callable[..., Any] | None, place: str, known: Iterable[str] = ()
+    values: Mapping[str, Any],
+    function: Callable[..., Any] | None,
+    place: str,
+    known: Iterable[str] = (),
+    whole: Sequence[str] = (),
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """(parameters of the function, dotted settings) from Python values.
 
     function: None for a scenario given as a dict
     known: other names to suggest in place of an unknown one
+    whole: as in `split`
     """
     accepted = inspect.signature(function).parameters if function is not None else {}
     parameters = {
@@ -50,10 +65,10 @@ def from_values(
         for key, value in values.items()
         if key in accepted
     }
-    dotted = {key: value for key, value in values.items() if "." in key}
+    dotted = {key: value for key, value in values.items() if key not in accepted and ("." in key or key in whole)}
     for key in values:
         if key not in accepted and key not in dotted:
-            raise ConfigurationError(f"{place}: {key}: no such parameter{nearest(key, {*accepted, *known})}")
+            raise ConfigurationError(f"{place}: {key}: no such parameter{nearest(key, {*accepted, *whole, *known})}")
     return parameters, dotted
 
 
@@ -77,11 +92,12 @@ def nested(settings: Sequence[str]) -> dict[str, Any]:
 def set_dotted(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:
     """Set the value that a dotted key names; a number counts the items of a list from 0.
 
-    Every step but the last must exist; the last one is checked later.
+    Every step but the last must exist; the last one is checked later. The number after the last item adds one.
     """
     *steps, last = dotted.split(".")
-    steps[0] = ALIASES.get(steps[0], steps[0])
-    scenario |= {key: {} for key in steps[:1] if key in KEYS and key not in scenario}
+    if steps:
+        steps[0] = ALIASES.get(steps[0], steps[0])
+        scenario |= {key: [] if key in LISTS else {} for key in steps[:1] if key in KEYS and key not in scenario}
     level: Any = scenario
     for step in steps:
         key = _key(level, step, f"{place}: --set {dotted}")
@@ -89,6 +105,7 @@ def set_dotted(scenario: dict[str, Any], dotted: str, value: Any, place: str) ->
             level[key] = list(level[key])
         level = level[key]
     if isinstance(level, list):
+        level += [None] * (last == str(len(level)))
         level[_key(level, last, f"{place}: --set {dotted}")] = value
     elif isinstance(level, dict):
         level[last] = value
@@ -101,7 +118,7 @@ def _key(level: Any, step: str, place: str) -> Any:
     if isinstance(level, list):
         if step.isdecimal() and int(step) < len(level):
             return int(step)
-        expected = f"one of 0 to {len(level) - 1}" if level else "another key: it is empty"
+        expected = f"one of 0 to {len(level) - 1}" if level else "a whole item as 0 first: it is empty"
         raise ConfigurationError(f"{place}: no {step!r} there: it is a list, expected {expected}")
     if not isinstance(level, Mapping) or step not in level:
         raise ConfigurationError(
@@ -111,10 +128,13 @@ def _key(level: Any, step: str, place: str) -> Any:
 
 
 def literal(value: str) -> Any:
-    """A setting as a Python value: a literal, true, false, none, or else text."""
+    """A setting as a Python value: a literal, JSON, true, false, none, or else text."""
     try:
         return ast.literal_eval(value)
     except (ValueError, SyntaxError):
+        if value[:1] in ("[", "{"):
+            with suppress(ValueError):
+                return json.loads(value)
         return {"true": True, "false": False, "none": None}.get(value.lower(), value)
 
 

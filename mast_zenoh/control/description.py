@@ -12,7 +12,7 @@ from mast_zenoh.control import fields
 from mast_zenoh.errors import MessageError
 
 #: Most bytes of an answer, with the scene.
-MAX_BYTES = 256 << 20
+MAX_DESCRIPTION_BYTES = 256 << 20
 
 #: Key below the run's prefix, and the request for a description without the scene.
 DESCRIBE, WITHOUT_SCENE = "@description", b"without scene"
@@ -43,11 +43,13 @@ def decode_description(payload: bytes) -> Description:
     Scenario and wiring are objects of any content: their users check them.
     """
     what = DESCRIBE
-    if len(payload) > MAX_BYTES:
-        raise MessageError(f"{what}: {len(payload)} bytes, expected at most {MAX_BYTES}")
-    content = fields.fields(fields.unpack(payload, what, MAX_BYTES), ("run", "scenario", "wiring", "scene"), what)
+    if len(payload) > MAX_DESCRIPTION_BYTES:
+        raise MessageError(f"{what}: {len(payload)} bytes, expected at most {MAX_DESCRIPTION_BYTES}")
+    content = fields.fields(
+        fields.unpack(payload, what, MAX_DESCRIPTION_BYTES), ("run", "scenario", "wiring", "scene"), what
+    )
     try:
-        scenario = json.loads(fields.text(content["scenario"], f"{what}: scenario", MAX_BYTES))
+        scenario = json.loads(fields.text(content["scenario"], f"{what}: scenario", MAX_DESCRIPTION_BYTES))
     except (ValueError, RecursionError) as error:
         raise MessageError(f"{what}: scenario: not JSON: {str(error)[:100]}") from None
     if not isinstance(content["scene"], bytes):

@@ -30,7 +30,7 @@ class Interpolated(str):
 def dump(content: Mapping[str, Any]) -> str:
     """The YAML text; lists of plain values are on one line.
 
-    Strings must be printable; `$` is doubled, for Compose, except in Interpolated.
+    `$` in strings is doubled, for Compose, except in Interpolated.
     """
     return "\n".join(_mapping(content, "")) + "\n"
 
@@ -70,7 +70,13 @@ def _scalar(value: Any) -> str:
     if not isinstance(value, str):
         return json.dumps(value)
     if isinstance(value, Interpolated):
-        return json.dumps(value, ensure_ascii=False)
+        return quoted(value)
     if _PLAIN.fullmatch(value) and value.lower() not in _WORDS:
         return value
-    return json.dumps(value.replace("$", "$$"), ensure_ascii=False)
+    return quoted(value.replace("$", "$$"))
+
+
+def quoted(text: str) -> str:
+    """Text in double quotes on one line, also for comments; characters that are not printable are escaped."""
+    written = json.dumps(text, ensure_ascii=False)
+    return "".join(each if each.isprintable() else f"\\U{ord(each):08x}" for each in written)

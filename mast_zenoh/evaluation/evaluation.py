@@ -24,7 +24,8 @@ from mast_zenoh.evaluation.tables import attacks
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.links import WIRES
 from mast_zenoh.metrics import (
-    Attribution,
+    AttributionLimits,
+    Attributor,
     Consistency,
     CutOff,
     Driving,
@@ -70,7 +71,7 @@ class Evaluation:
     skip_last: int
     picture_age_s: float
     picture_ages_s: Mapping[str, float] = field(default_factory=dict)
-    attribution: Attribution = field(default_factory=Attribution)
+    attribution: AttributionLimits = field(default_factory=AttributionLimits)
     cut_off: CutOff = field(default_factory=CutOff)
     consistency: Consistency = field(default_factory=Consistency)
     faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)
@@ -105,7 +106,7 @@ class Evaluation:
         scores = self.scorer.score(data.record)
         truth, agents = data.record.truth(scores.frames), data.record.agents
         effects = _measured(data, scores)
-        from_absence = effects_of_absence(effects, data.presence.idle(scores.frames), scores.frames)
+        from_absence = effects_of_absence(effects, data.presence.absences(scores.frames), scores.frames)
         interposed = manipulations(
             effects,
             data.roles,
@@ -123,7 +124,8 @@ class Evaluation:
         updates = [data.trust[frame] for frame in sorted(data.trust)]
         displaced = displaced_by_links(interposed, effects, agents, truth, scores.frames)
         begin = round(self.attribution.begin_s / data.period_s)
-        labels = self.attribution.label(
+        attributor = Attributor(
+            self.attribution,
             scores,
             without_unseen(interposed, effects, agents, truth, scores.frames, self.scorer.min_points, begin),
             truth,
@@ -134,7 +136,7 @@ class Evaluation:
             Withheld.of(updates, agents, scores.frames, SUSPENDED),
             np.asarray(displaced.any(axis=1)),
         )
-        return _Results(self, data, scores, truth, effects, from_absence, interposed, labels)
+        return _Results(self, data, scores, truth, effects, from_absence, interposed, attributor.labels())
 
     def scored(self, frames: int) -> slice:
         """The scored ones among `frames` frames."""

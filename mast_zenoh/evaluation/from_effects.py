@@ -12,7 +12,7 @@ from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
 from mast_zenoh.evaluation.downstream import influence
 from mast_zenoh.evaluation.run_data import RunData
-from mast_zenoh.metrics import Attribution, Boxes, CutOff, CutOffObjects, Manipulations, Scores
+from mast_zenoh.metrics import AttributionLimits, Boxes, CutOff, CutOffObjects, Manipulations, Scores
 from mast_zenoh.metrics.lookup import occurs
 from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.places import Places, nearest
@@ -33,7 +33,7 @@ def manipulations(
     truth: Boxes,
     period_s: float,
     away: Bools,
-    limits: Attribution,
+    limits: AttributionLimits,
 ) -> Manipulations:
     """The manipulations among the measured effects.
 
@@ -77,7 +77,7 @@ def manipulations(
     return result.select(~away[rows])
 
 
-def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float) -> int:
+def _lasts(passage: Passage, is_link: bool, limits: AttributionLimits, period_s: float) -> int:
     """Number of frames after its own for which a manipulation counts.
 
     Effects of links on tracks count only in their own frame; missing objects in the picture: `metrics.cut_off`.
@@ -87,7 +87,7 @@ def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float
     return round(limits.late_picture_s / period_s) if passage.port == "picture" else 0
 
 
-def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
+def _hidden(effects: Effects, limits: AttributionLimits) -> tuple[Ints, Ints]:
     """Rows and kinds of objects that were removed, moved far enough or altered."""
     rows = effects.rows("removed", "moved", "altered")
     rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]
@@ -97,16 +97,16 @@ def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
     return rows[counts], kind[counts]
 
 
-def effects_of_absence(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
+def effects_of_absence(effects: Effects, absences: Mapping[str, Bools], frames: Ints) -> Bools:
     """(n,) effects on messages that were lost because an interposer was absent.
 
-    idle: by node, (f,) bool, whether it was absent in each of (f,) frames
+    absences: by node, (f,) bool, whether it was absent in each of (f,) frames
     """
     result = np.zeros(len(effects), bool)
     withheld = effects.whole.copy()
     withheld[effects.rows("dropped", "delayed", "unsettled")] = True
     for index, passage in enumerate(effects.passages):
-        away = idle.get(passage.node)
+        away = absences.get(passage.node)
         if away is not None and away.any():
             rows = ((effects.passage == index) & withheld).nonzero()[0]
             at = np.searchsorted(frames, effects.step[rows], side="right") - 1

@@ -40,7 +40,7 @@ def of_run(resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str,
     if not frames:
         return []
     run = _Played(resolved, frames, handed_in)
-    sentences = [*resolved.inert, *_adversaries(run), *_coordinators(run), *_defences(run)]
+    sentences = [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
     sentences += [*_links(run), *_faults(run), *_sensors(run), *_agents(run), *_metrics(run)]
     return [{"kind": "idle", "count": 1, "text": text} for text in dict.fromkeys(sentences)]
 

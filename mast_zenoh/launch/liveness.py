@@ -16,7 +16,7 @@ from mast_zenoh.errors import RunFolderError, UntrustedCode
 from mast_zenoh.launch.ending import KILLED, RUNNING
 
 if TYPE_CHECKING:
-    from mast_zenoh.config.trust import Trust
+    from mast_zenoh.config.allowed_code import AllowedCode
 
 
 def identity() -> dict[str, Any]:
@@ -37,7 +37,7 @@ def lives(launcher: Mapping[str, Any]) -> bool | None:
     return began is not None and began == launcher.get("began")
 
 
-def check_from_here(folder: Path, record: Mapping[str, Any], trust: Trust, named: str) -> None:
+def check_from_here(folder: Path, record: Mapping[str, Any], allowed: AllowedCode, named: str) -> None:
     """Raise UntrustedCode unless a run was started on this machine since it was booted, or its folder is confirmed.
 
     A folder from elsewhere must not make this machine connect to a host, or change containers, that it names: nobody
@@ -46,7 +46,7 @@ def check_from_here(folder: Path, record: Mapping[str, Any], trust: Trust, named
     launcher = record.get("launcher")
     launcher = launcher if isinstance(launcher, Mapping) else {}
     here = _here()
-    if trust.confirmed or (here["boot"] and all(launcher.get(key) == here[key] for key in ("machine", "boot"))):
+    if allowed.confirmed or (here["boot"] and all(launcher.get(key) == here[key] for key in ("machine", "boot"))):
         return
     raise UntrustedCode(
         f"{folder}: was not written by a run of this machine since it was started, and names {named}: nothing was "

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import heapq
+import os
 import re
 from collections.abc import Iterator
 from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 from mast_zenoh.errors import RunFolderError, nearest
 from mast_zenoh.launch import liveness
@@ -16,6 +17,9 @@ from mast_zenoh.launch.folder import json_or_empty
 
 #: Bytes of a line; a longer one is continued on the next.
 MAX_LINE = 1 << 16
+#: Bytes that are read of one log, and of all logs of a run: the last ones. Lines that follow are always read.
+MAX_LOG_BYTES = 16 << 20
+MAX_LOGS_BYTES = 32 << 20
 #: The beginning of an entry: `2026-11-22 10:58:43,888`. Lines without belong to the entry before, such as tracebacks.
 _TIME = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} ")
 
@@ -31,7 +35,7 @@ class RunLogs:
     """The logs of one run folder.
 
     folder: of the run;  node: only this one's log; None: all, also of nodes that join later
-    problems: by log, why it could not be read
+    problems: by log, why it could not be read, or not from its beginning
     Raises RunFolderError for a folder that is no run folder, and for an unknown node.
     """
 
@@ -57,9 +61,11 @@ class RunLogs:
 
         partial: also what follows the last line feed of a log
         """
-        for path in self._paths():
-            if self._node in (None, path.stem):
-                self._logs.setdefault(path.stem, _Log(path))
+        paths = [path for path in self._paths() if self._node in (None, path.stem)]
+        most = min(MAX_LOG_BYTES, MAX_LOGS_BYTES // max(len(paths), 1))
+        for path in paths:
+            if path.stem not in self._logs:
+                self._logs[path.stem] = _Log(path, most)
         entries = [self._entries(node, log, partial=partial) for node, log in sorted(self._logs.items())]
         for _, node, line in heapq.merge(*entries, key=itemgetter(0)):
             yield Line(node, line.decode("utf-8", "backslashreplace"))
@@ -70,6 +76,9 @@ class RunLogs:
                 yield time, node, line
         except OSError as error:
             self.problems[f"logs/{log.path.name}"] = error.strerror or str(error)
+        else:
+            if log.skipped:
+                self.problems[f"logs/{log.path.name}"] = f"its first {log.skipped} bytes are left out: it is too long"
 
     def _paths(self) -> list[Path]:
         logs = self._folder / "logs"
@@ -86,17 +95,22 @@ class RunLogs:
 class _Log:
     """A log file, read from where the last call stopped.
 
+    most: bytes that are read at first, its last ones;  skipped: bytes before them
     time: of the entry that was read last
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, most: int) -> None:
         self.path = path
+        self.skipped = 0
         self.time = b""
-        self._position = 0
+        self._most = most
+        self._position: int | None = None
 
     def new_lines(self, *, partial: bool) -> Iterator[tuple[bytes, bytes]]:
         """(time, line) of each line since the last call."""
         with self.path.open("rb") as file:
+            if self._position is None:
+                self._position = self.skipped = self._first_line(file)
             file.seek(self._position)
             while line := file.readline(MAX_LINE):
                 if not line.endswith(b"\n") and len(line) < MAX_LINE and not partial:
@@ -105,3 +119,9 @@ class _Log:
                 if begun := _TIME.match(line):
                     self.time = begun.group()
                 yield self.time, line.removesuffix(b"\n")
+
+    def _first_line(self, file: IO[bytes]) -> int:
+        """Where the first line begins that is read."""
+        beginning = max(os.fstat(file.fileno()).st_size - self._most, 0)
+        file.seek(beginning)
+        return beginning + (len(file.readline(MAX_LINE)) if beginning else 0)

@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
@@ -31,17 +31,17 @@ def can_fill_in(folder: Path) -> bool:
     return not (folder / METRICS).exists() and (folder / FILE).is_file()
 
 
-def measure(folder: Path, trust: Trust = NOTHING) -> list[str]:
+def measure(folder: Path, allowed: AllowedCode = SHIPPED) -> list[str]:
     """Recompute metrics.json and the evaluator's tables from a run's recording.
 
-    trust: which of the code that the folder names may run: its evaluator, and classes of users
+    allowed: which of the code that the folder names may run: its evaluator, and classes of users
 
     Wall-clock times are kept as measured in the run. If the recording ends before the run did, `recording` in
     metrics.json gives its extent. Returns a sentence for each refused table, and one if the recorder was lost in the
     run. Raises RunFolderError if something is missing or damaged, or if metrics of more frames would be replaced, and
     HandlerFailed if the evaluator fails, UntrustedCode.
     """
-    resolved = scenario_of(folder, trust)
+    resolved = scenario_of(folder, allowed)
     if EVALUATOR not in resolved.nodes:
         raise RunFolderError(f"{folder / 'scenario.json'}: nodes: found no {EVALUATOR!r}, which measures a run")
     resolved.load_modules()
@@ -59,15 +59,15 @@ def measure(folder: Path, trust: Trust = NOTHING) -> list[str]:
     return [*run_folder.write_results(folder, {EVALUATOR: results}, kept), *recorder_notices]
 
 
-def scenario_of(folder: Path, trust: Trust = NOTHING) -> Resolved:
+def scenario_of(folder: Path, allowed: AllowedCode = SHIPPED) -> Resolved:
     """The scenario of a run; raises RunFolderError if it cannot be read.
 
-    trust: which of the code that it names may run
+    allowed: which of the code that it names may run
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "no such folder"
         raise RunFolderError(f"{folder}: found {found}, expected the folder of a run")
-    return Resolved.read(folder, trust)
+    return Resolved.read(folder, allowed)
 
 
 class Incomplete(NamedTuple):

@@ -88,7 +88,7 @@ def run(
     steps.check(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)
-    user_types.use(resolved.messages, resolved.max_rows)
+    user_types.use(resolved.messages)
     with stop_signals.collected() as received:
         folder = run_folder.create(out, resolved.name)
         record: dict[str, Any] = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_files import check_regular, replacing
+from mast_zenoh.run_files import check_plain, replacing
 from mast_zenoh.unpacking import parquet as bounded_parquet
 from mast_zenoh.unpacking.text import check_expanded
 
@@ -67,7 +67,7 @@ def read_arrow(path: Path) -> Any:
 
     Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
     """
-    return bounded_parquet.read(check_regular(path))
+    return bounded_parquet.read(check_plain(path))
 
 
 def to_arrow(columns: Mapping[str, Any]) -> Any:

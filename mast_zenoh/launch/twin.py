@@ -12,8 +12,8 @@ from typing import Any
 from rich.console import Console
 
 from mast_zenoh import version
+from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.errors import HandlerFailed, MastError, NotComparable, UntrustedCode
 from mast_zenoh.launch import folder as run_folder_files
 from mast_zenoh.launch import run
@@ -53,14 +53,14 @@ def unattacked(resolved: Resolved) -> Resolved:
     )
 
 
-def of(run_folder: Path, console: Console | None = None, trust: Trust = NOTHING) -> Path:
+def of(run_folder: Path, console: Console | None = None, allowed: AllowedCode = SHIPPED) -> Path:
     """The folder of the unattacked twin of a run; plays it unless it is up to date.
 
-    trust: which of the code that the run folder names may run
+    allowed: which of the code that the run folder names may run
     A twin whose handlers failed is accepted: its run.json says so.
     Raises NotComparable if the run's scenario cannot be read, or cannot be played in one process.
     """
-    twin = _read(run_folder, trust)
+    twin = _read(run_folder, allowed)
     sources = {"versions": version.versions(), "files": _digests(twin)}
     folder = run_folder / FOLDER
     if folder.is_symlink():
@@ -86,7 +86,7 @@ def of(run_folder: Path, console: Console | None = None, trust: Trust = NOTHING)
     return folder
 
 
-def _read(run_folder: Path, trust: Trust) -> Resolved:
+def _read(run_folder: Path, allowed: AllowedCode) -> Resolved:
     """The twin of a run's scenario, with its scene loaded from the run folder."""
     if origin := json_or_empty(run_folder / "run.json").get("replay"):
         raise NotComparable(
@@ -94,7 +94,7 @@ def _read(run_folder: Path, trust: Trust) -> Resolved:
             f"the recorded one, {origin.get('folder')}"
         )
     try:
-        resolved = Resolved.read(run_folder, trust)
+        resolved = Resolved.read(run_folder, allowed)
         recording = Recording.load(run_folder / RECORDING)
 
         def with_scene(config: dict[str, Any]) -> dict[str, Any]:

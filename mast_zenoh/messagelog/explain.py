@@ -64,7 +64,7 @@ def _totals(predicate: str, wires: Counter[str]) -> Iterator[str]:
 def _decoded(message: Recorded) -> Message | None:
     """The decoded message, or None if it is invalid."""
     try:
-        return codec.decode(message.payload, message.type, "")
+        return codec.decode(message.payload, message.type)
     except MessageError:
         return None
 

@@ -13,7 +13,7 @@ import numpy as np
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
-from mast_zenoh.run_files import check_regular
+from mast_zenoh.run_files import check_plain
 
 #: Folder of the scripts in the run folder of a replay, and their suffix.
 FOLDER, SUFFIX = Path("played"), ".msgpack"
@@ -57,7 +57,7 @@ class Script:
     def load(cls, path: Path) -> Script:
         """Read the script of a file; raises RunFolderError if it is missing or damaged."""
         try:
-            data = msgpack.unpackb(check_regular(path).read_bytes(), strict_map_key=False)
+            data = msgpack.unpackb(check_plain(path).read_bytes(), strict_map_key=False)
             outputs = [Output(*output) for output in data["outputs"]]
             sent = {step: [(index, payload) for index, payload in lines] for step, lines in data["sent"].items()}
             return cls(path, outputs, sent, data["times_ns"], data["period_ns"], data["repeats"])

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import row_limits, validation
+from mast_zenoh.messages import validation
 from mast_zenoh.messages.layout import LAYOUTS, MAX_BYTES, MAX_ROWS, MAX_TEXT, WIRE_DTYPE, exact_columns, layout_of
+from mast_zenoh.messages.row_limits import NO_LIMITS, RowLimits
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Message, Schema
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
@@ -76,11 +77,11 @@ def _converted(schema: str, column: str, array: Any, wire: np.dtype[Any]) -> NDA
     return converted
 
 
-def check_values(message: Message) -> None:
+def check_values(message: Message, limits: RowLimits = NO_LIMITS) -> None:
     """Raise MessageError if `decode` would refuse a message that `conform` made."""
     header, full = message
     _check_header(header)
-    kept = row_limits.shortened(header.schema, full, header.schema)
+    kept = limits.shortened(header.schema, full, header.schema)
     if kept is not full:
         message = Message(header, kept)
     if LAYOUTS[header.schema].is_valid(kept) and (kept is full or _fits(full)):
@@ -96,13 +97,10 @@ def check_values(message: Message) -> None:
     validation.check_references(message)
 
 
-def limited(message: Message, limit_of: str | None = None) -> Message:
+def limited(message: Message, limits: RowLimits, limit_of: str | None = None) -> Message:
     """The message as `decode` returns it: without the rows beyond the limit of its type."""
     header, body = message
-    limit_of = header.schema if limit_of is None else limit_of
-    if limit_of not in row_limits.LIMITS:
-        return message
-    kept = row_limits.shortened(header.schema, body, limit_of)
+    kept = limits.shortened(header.schema, body, limit_of or header.schema)
     return message if kept is body else Message(header, kept)
 
 
@@ -125,22 +123,22 @@ def encode(message: Message) -> bytes:
     return packed
 
 
-def decode(payload: bytes, expected: str | Schema, limit_of: str | None = None) -> Message:
+def decode(
+    payload: bytes, expected: str | Schema, limits: RowLimits = NO_LIMITS, limit_of: str | None = None
+) -> Message:
     """Decode a message of type `expected`: its name, or the schema of a recording.
 
-    limit_of: which of `row_limits.LIMITS` holds, None: that of its type, "": none; rows beyond it are left out, and not
-              checked
+    limit_of: which of the limits holds, None: that of its type; rows beyond it are left out, and not checked
 
     Raises MessageError for anything else: a truncated or oversized message, far too many rows, another version, a
     missing or unknown column, a forged shape, a value that is not finite.
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
-    if limit_of != "":
-        row_limits.check_length(schema.name, len(payload))
+    limits.check_length(schema.name, len(payload))
     header, body = _unpack(payload, schema)
     if not isinstance(body, dict) or len(body) != len(schema.columns):
         raise MessageError(validation.names_differ(schema.name, body, schema.columns))
-    message = Message(header, _columns(schema, body, schema.name if limit_of is None else limit_of))
+    message = Message(header, _columns(schema, body, limits, limit_of or schema.name))
     validation.check_references(message)
     return message
 
@@ -159,7 +157,7 @@ class LazyBody(Mapping[str, NDArray[Any]]):
 
     def _decoded(self) -> Body:
         if self._columns is None:
-            self._columns = decode(self._payload, self._expected, "").body
+            self._columns = decode(self._payload, self._expected).body
         return self._columns
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -231,9 +229,9 @@ def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
     return header, body
 
 
-def _columns(schema: Schema, body: Mapping[str, Any], limit_of: str) -> Body:
+def _columns(schema: Schema, body: Mapping[str, Any], limits: RowLimits, limit_of: str) -> Body:
     """The checked columns of a packed body."""
-    checked = layout_of(schema).unpack(body, limit_of)
+    checked = layout_of(schema).unpack(body, limits, limit_of)
     if checked is not None:
         return checked
     # Invalid: checking each column names the error.
@@ -243,7 +241,7 @@ def _columns(schema: Schema, body: Mapping[str, Any], limit_of: str) -> Body:
         if column.name not in body:
             raise MessageError(validation.names_differ(schema.name, body, schema.columns))
         columns[column.name] = validation.array_of(schema.name, column, body[column.name], sizes)
-    kept = row_limits.shortened(schema.name, columns, limit_of)
+    kept = limits.shortened(schema.name, columns, limit_of)
     for column in schema.columns:
         validation.check_values(schema.name, column, kept[column.name])
     return kept

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.kernels import kernel
-from mast_zenoh.messages.row_limits import shortened
+from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Schema
 
 MAX_BYTES = 16 * 1024 * 1024  #: limit of a message
@@ -114,10 +114,10 @@ class Layout:
         sizes = tuple([body[name].shape[axis] for name, axis in self._sources])
         return self._plans.get(sizes) or self.plan(sizes)
 
-    def unpack(self, body: Mapping[str, Any], limit_of: str) -> Body | None:
+    def unpack(self, body: Mapping[str, Any], limits: RowLimits, limit_of: str) -> Body | None:
         """The columns of a packed body; None if it is invalid in any way.
 
-        limit_of: which of `row_limits.LIMITS` holds; rows beyond it are left out, and not checked
+        limit_of: which of the limits holds; rows beyond it are left out, and not checked
         """
         try:
             plan = self.plan(tuple([body[name][1][axis] for name, axis in self._sources]))
@@ -126,7 +126,7 @@ class Layout:
         columns = packed_columns(body, plan)
         if columns is None:
             return None
-        kept = shortened(self.schema.name, columns, limit_of)
+        kept = limits.shortened(self.schema.name, columns, limit_of)
         plain = kept if type(kept) is dict else dict(kept)
         return kept if sound_values(plain, plan.names, plan.limits) <= MAX_SQUARES else None
 

@@ -27,11 +27,6 @@ _REFUSED = 50
 #: Bytes of a message besides its rows: its header, names, and columns of fixed size.
 _OTHER_BYTES = 8192
 
-#: Limits by message type, of the scenario that is used (`user_types.use`); none for types that are not in it.
-LIMITS: dict[str, int] = {}
-#: Bytes of a message, by its type, beyond which it has more rows than are accepted; not for types of variable size.
-_LONGEST: dict[str, int] = {}
-
 
 class Shortened(dict[str, Any]):
     """The columns of a message without the rows beyond its limit; `found` is how many rows it had."""
@@ -42,21 +37,6 @@ class Shortened(dict[str, Any]):
 #: Limit of messages of the type `tracks` that agents do not send as their tracks: an agent's mission estimate has its
 #: tracks and the picture.
 OVERHEARD = "overheard"
-
-#: By limit, the latest message with too many rows, and what is left: in one process, all subscribers get the same one.
-_latest: dict[str, tuple[Body, Shortened]] = {}
-
-
-def use(limits: Mapping[str, int]) -> None:
-    """Use these limits from now on, and no others."""
-    LIMITS.clear()
-    LIMITS.update(limits)
-    _latest.clear()
-    _LONGEST.clear()
-    for name in LIMITS.keys() & BUILT_IN.keys():
-        columns = BUILT_IN[name].columns
-        if all(column.dtype != "str" and {*column.shape} <= {"n", *range(10)} for column in columns):
-            _LONGEST[name] = _OTHER_BYTES + accepted_rows(name) * sum(map(_row_bytes, columns))
 
 
 def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | None = None) -> dict[str, int]:
@@ -72,55 +52,74 @@ def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | Non
     return limits | {OVERHEARD: rows + picture}
 
 
-def accepted_rows(schema: str) -> int:
-    """Most rows of a message of a type with a limit; with more it is refused, between this and the limit it is cut."""
-    return max(_REFUSED * LIMITS[schema], LIMITS.get(OVERHEARD, 0) if schema == "tracks" else 0)
-
-
-def check_length(schema: str, length: int) -> None:
-    """Raise MessageError for a message of so many bytes that it has more rows than are accepted, or is malformed."""
-    longest = _LONGEST.get(schema)
-    if longest is not None and length > longest:
-        raise _refusal(schema)
-
-
-def _refusal(schema: str) -> MessageError:
-    return MessageError(
-        f"rows: more than {accepted_rows(schema)} rows, expected at most {LIMITS[schema]}: the message is not used"
-    )
-
-
 def excess(body: Shortened) -> str:
     """Why rows of a message were dropped."""
     rows = len(body["score"])
     return f"rows: found {body.found} rows, expected at most {rows}: only those with the highest scores are used"
 
 
-def shortened(schema: str, columns: Body, limit_of: str) -> Body:
-    """The columns without the rows beyond the limit of their type; the same object if there are none.
+class RowLimits:
+    """Limits of one run on the rows of messages.
 
-    limit_of: which of LIMITS
-
-    Raises MessageError for more rows than are accepted.
+    rows: by message type, and `OVERHEARD`; types that are not in it have none
     """
-    limit = LIMITS.get(limit_of)
-    if limit is None or len(columns["score"]) <= limit:
-        return columns
-    if schema in LIMITS and len(columns["score"]) > accepted_rows(schema):
-        raise _refusal(schema)
-    if limit_of in _latest and _latest[limit_of][0] is columns:
-        return _latest[limit_of][1]
-    score, position = columns["score"], columns["position"]
-    ids = [columns["id"]] if "id" in columns else []
-    rows = _lowest([-score, *ids, *position.T], limit)
-    per_row = {column.name for column in SCHEMAS[schema].columns if _per_row(column)}
-    result = Shortened()
-    for name, values in columns.items():
-        result[name] = values[rows] if name in per_row else values
-        result[name].setflags(write=False)
-    result.found = len(score)
-    _latest[limit_of] = columns, result
-    return result
+
+    def __init__(self, rows: Mapping[str, int]) -> None:
+        self.rows = dict(rows)
+        #: Bytes of a message, by its type, beyond which it has too many rows; not for types of variable size.
+        self._longest: dict[str, int] = {}
+        #: By limit, the latest message with too many rows, and what is left: in one process, all get the same one.
+        self._latest: dict[str, tuple[Body, Shortened]] = {}
+        for name in self.rows.keys() & BUILT_IN.keys():
+            columns = BUILT_IN[name].columns
+            if all(column.dtype != "str" and {*column.shape} <= {"n", *range(10)} for column in columns):
+                self._longest[name] = _OTHER_BYTES + self.accepted(name) * sum(map(_row_bytes, columns))
+
+    def accepted(self, schema: str) -> int:
+        """Most rows of a message of a type with a limit; with more it is refused, between both it is cut."""
+        return max(_REFUSED * self.rows[schema], self.rows.get(OVERHEARD, 0) if schema == "tracks" else 0)
+
+    def check_length(self, schema: str, length: int) -> None:
+        """Raise MessageError for a message so long that it has more rows than are accepted, or is malformed."""
+        longest = self._longest.get(schema)
+        if longest is not None and length > longest:
+            raise self._refusal(schema)
+
+    def shortened(self, schema: str, columns: Body, limit_of: str) -> Body:
+        """The columns without the rows beyond the limit of their type; the same object if there are none.
+
+        limit_of: which of `rows`
+
+        Raises MessageError for more rows than are accepted.
+        """
+        limit = self.rows.get(limit_of)
+        if limit is None or len(columns["score"]) <= limit:
+            return columns
+        if schema in self.rows and len(columns["score"]) > self.accepted(schema):
+            raise self._refusal(schema)
+        if limit_of in self._latest and self._latest[limit_of][0] is columns:
+            return self._latest[limit_of][1]
+        score, position = columns["score"], columns["position"]
+        ids = [columns["id"]] if "id" in columns else []
+        rows = _lowest([-score, *ids, *position.T], limit)
+        per_row = {column.name for column in SCHEMAS[schema].columns if _per_row(column)}
+        result = Shortened()
+        for name, values in columns.items():
+            result[name] = values[rows] if name in per_row else values
+            result[name].setflags(write=False)
+        result.found = len(score)
+        self._latest[limit_of] = columns, result
+        return result
+
+    def _refusal(self, schema: str) -> MessageError:
+        return MessageError(
+            f"rows: more than {self.accepted(schema)} rows, expected at most {self.rows[schema]}: "
+            "the message is not used"
+        )
+
+
+#: For messages that are read without a run, such as those of recordings.
+NO_LIMITS = RowLimits({})
 
 
 def _per_row(column: Column) -> bool:

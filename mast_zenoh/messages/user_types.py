@@ -1,4 +1,4 @@
-"""User-defined message types and limits on rows, known to the codec while their scenario is used."""
+"""User-defined message types, known to the codec while their scenario is used."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from mast_zenoh.messages import row_limits
 from mast_zenoh.messages.definition import MAX_COLUMNS
 from mast_zenoh.messages.layout import LAYOUTS, Layout
 from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Column, Schema
 
 
-def use(schemas: Iterable[Schema], max_rows: Mapping[str, int] | None = None) -> None:
-    """Make the codec know these message types in addition to the built-in ones, and no others.
-
-    max_rows: limits on the rows of a message, by its type
-    """
-    row_limits.use(max_rows or {})
+def use(schemas: Iterable[Schema]) -> None:
+    """Make the codec know these message types in addition to the built-in ones, and no others."""
     wanted = {schema.name: schema for schema in schemas}
     for name in SCHEMAS.keys() - BUILT_IN.keys() - wanted.keys():
         del SCHEMAS[name], LAYOUTS[name]

@@ -8,7 +8,7 @@
     ranking     AMOTA: accuracy over recall, for tracks ranked by their scores
     scores      tables, and the summary in metrics.json
     manipulations    manipulated objects, and the estimates that they can influence
-    attribution, attribution_limits, attributor, histories, causes, blame
+    attributor, attribution_limits, histories, causes, blame
                 the cause of every false and every missed object of every estimate
     cut_off     objects known only to disconnected agents
     withheld    objects and agents that the command centre kept out of the picture
@@ -23,7 +23,8 @@ See docs/metrics.md.
 
 from mast_zenoh.metrics import achievement, achievement_summary, consequences, user_metrics
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, IoU3DGreedyAssigner
-from mast_zenoh.metrics.attribution import Attribution
+from mast_zenoh.metrics.attribution_limits import AttributionLimits
+from mast_zenoh.metrics.attributor import Attributor
 from mast_zenoh.metrics.blame import causes_of
 from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES, cause_names
@@ -47,7 +48,8 @@ __all__ = [
     "FAULT_CAUSES",
     "OUTCOMES",
     "Assigner",
-    "Attribution",
+    "AttributionLimits",
+    "Attributor",
     "Boxes",
     "CenterDistanceAssigner",
     "Consistency",

@@ -20,7 +20,7 @@ from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.record import MISSION, PICTURE, TruthTable
 from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts
 
-#: m, maximum distance between an inserted object and its false track, as in `Attribution.lie_m`.
+#: m, maximum distance between an inserted object and its false track, as in `AttributionLimits.lie_m`.
 ACCEPTED_M = 5.0
 #: m; an object with a larger error of its estimate counts as displaced: half the gate of the metrics.
 DISPLACED_M = 1.0

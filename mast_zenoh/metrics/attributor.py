@@ -33,7 +33,16 @@ from mast_zenoh.metrics.withheld import Withheld, reporting
 
 
 class Attributor:
-    """The attribution of one run."""
+    """The attribution of one run.
+
+    manipulations: those of all interposers; their series are those of `scores`
+    truth:    of the frames of `scores`, with `agents` as its columns
+    period_s: s, frame period
+    cut_off_objects:  objects known only to disconnected agents; None: no agent was disconnected
+    min_points: lidar points from which an agent sees an object
+    withheld: by the command centre; None: it has no integrity stage
+    displaced: (n,) rows of `truth` of which a link moved a track; None: none
+    """
 
     def __init__(
         self,
@@ -43,14 +52,14 @@ class Attributor:
         truth: TruthTable,
         agents: Sequence[str],
         period_s: float,
-        cut_off_objects: CutOffObjects,
-        min_points: int,
-        withheld: Withheld | None,
-        displaced: Bools | None,
+        cut_off_objects: CutOffObjects | None = None,
+        min_points: int = 5,
+        withheld: Withheld | None = None,
+        displaced: Bools | None = None,
     ) -> None:
         self.min_points, self.agents, self.withheld = min_points, tuple(agents), withheld
         self.limits, self.scores, self.manipulations, self.truth = limits, scores, manipulations, truth
-        self.period_s, self.cut_off_objects = period_s, cut_off_objects
+        self.period_s, self.cut_off_objects = period_s, cut_off_objects or CutOffObjects.nothing()
         self.coast, self.begin = round(limits.coast_s / period_s), round(limits.begin_s / period_s)
         self.span = int(scores.frames.max(initial=0)) + 1
         self.tracks = Histories.of_wrong(scores, FALSE, self.span, tracks=True)
@@ -59,8 +68,7 @@ class Attributor:
         self.last_id = np.full(len(self.tracks.row), -1)
         self.last_evaluated = np.zeros(len(self.tracks.row), bool)
         #: whether a series is computed from an agent's own sensor alone
-        own = [estimator in (LOCAL, RECEIVED) for _, estimator in scores.series]
-        self.own = np.array(own, bool)
+        self.own = np.array([estimator in (LOCAL, RECEIVED) for _, estimator in scores.series], bool)
         self.local = np.array([estimator == LOCAL for _, estimator in scores.series], bool)
         self.column = np.array([agents.index(agent) for agent, _ in scores.series], np.int64)
         self.truth_frame = scores.frames[truth.boxes.group]
@@ -69,6 +77,7 @@ class Attributor:
         self.displaced = truth.boxes.id[rows], self.truth_frame[rows]
 
     def labels(self) -> Labels:
+        """The cause of every false track, missed object and identity switch of every estimate of the run."""
         n, names = len(self.scores.judged.frame), self.manipulations.culprits
         cause, by = np.full(n, UNKNOWN), np.zeros((n, len(names)), bool)
         false, missed = self.tracks.outcome == FALSE, self.truths.outcome == MISSED
@@ -151,8 +160,7 @@ class Attributor:
         # A track of a real object becomes inaccurate while that object is hidden, moved or altered, if it is there.
         free = (false & (cause < 0)).nonzero()[0]
         free = free[self.last_evaluated[free]]
-        last = self.last_id[free]
-        self._blame_hiding(last, tracks.frame[free], tracks.series[free], free, cause, by)
+        self._blame_hiding(self.last_id[free], tracks.frame[free], tracks.series[free], free, cause, by)
         return cause, by
 
     def _extend_causes(self, false: Bools, cause: Ints, by: Bools) -> None:
@@ -215,7 +223,7 @@ class Attributor:
         free = false.nonzero()[0]
         if not len(free):
             return cause
-        truths = self._truths_beside(tracks.row[free])
+        truths = Histories.of_truths_beside(self.scores, tracks.row[free], self.span)
         coasting, last_id, evaluated = self._last_objects(free, truths)
         self.last_id[free], self.last_evaluated[free] = last_id, evaluated
         places = tracks.places(free)
@@ -237,19 +245,11 @@ class Attributor:
         cause[free[disconnected]] = FAULT
         return cause
 
-    def _truths_beside(self, rows: Ints) -> Histories:
-        """The truth rows in the series and frames of these rows of `scores.judged`."""
-        judged = self.scores.judged
-        group = judged.boxes.group
-        involved = np.zeros(int(group.max(initial=0)) + 1, bool)
-        involved[group[rows]] = True
-        return Histories.of(self.scores, np.flatnonzero(~judged.is_track & involved[group]), self.span)
-
     def _missed_objects(self, missed: Bools, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the missed objects."""
         tracks, truths = self.tracks, self.truths
-        n = len(truths.row)
-        cause, by = np.full(n, UNKNOWN), np.zeros((n, len(self.manipulations.culprits)), bool)
+        cause = np.full(len(truths.row), UNKNOWN)
+        by = np.zeros((len(truths.row), len(self.manipulations.culprits)), bool)
         rows = missed.nonzero()[0]
         received = ~self.own[truths.series[rows]]
         if len(self.manipulations):

@@ -15,7 +15,7 @@ from mast_zenoh.metrics.scores import Scores
 def causes_of(scores: Scores, cause: Ints, switch_cause: Ints, frames: Ints) -> list[dict[str, Any]]:
     """Counts of errors by cause for each row of `scores.series` in these frames.
 
-    cause, switch_cause: of `scores.judged` and `scores.switches`, as returned by `Attribution.label`
+    cause, switch_cause: of `scores.judged` and `scores.switches`, as returned by `Attributor.labels`
 
     Returns {"causes": {"fp" | "fn" | "id_switches": {cause: number of rows}}, "fn_split" | "fp_split": {"fault",
     "attack", "withheld", "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}.

@@ -151,7 +151,7 @@ class Presence:
         self._changes.setdefault(node, []).append((frame, present))
         self._roles[node] = role
 
-    def idle(self, frames: Ints) -> dict[str, Bools]:
+    def absences(self, frames: Ints) -> dict[str, Bools]:
         """By node, (f,) bool: whether it was absent in each of (f,) frames."""
         result = {}
         for node, changes in self._changes.items():
@@ -164,7 +164,7 @@ class Presence:
     def absent(self, agents: Sequence[str], frames: Ints) -> Bools:
         """Whether the agent, broker or command centre is absent in each frame: (f, a)."""
         result = np.zeros((len(frames), len(agents)), bool)
-        for node, away in self.idle(frames).items():
+        for node, away in self.absences(frames).items():
             if self._roles[node] in CENTRE:
                 result |= away[:, None]
             elif node in agents:

@@ -58,6 +58,15 @@ class Histories(NamedTuple):
         rows = rows[np.isin(row_keys, row_keys[judged.outcome[rows] == outcome])]
         return cls.of(scores, rows[np.lexsort((judged.frame[rows], key[rows]))], span)
 
+    @classmethod
+    def of_truths_beside(cls, scores: Scores, rows: Ints, span: int) -> Histories:
+        """The truth objects in the series and frames of these rows of `scores.judged`."""
+        judged = scores.judged
+        group = judged.boxes.group
+        involved = np.zeros(int(group.max(initial=0)) + 1, bool)
+        involved[group[rows]] = True
+        return cls.of(scores, np.flatnonzero(~judged.is_track & involved[group]), span)
+
     def places(self, rows: Bools | Ints) -> Places:
         """The positions of some rows; rows of different series or frames are never paired."""
         return Places(self.group[rows], self.position[rows])

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.config import loading
+from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.process_steps import REALTIME, ProcessStep
 from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node
-from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.folder import json_or_empty
@@ -71,21 +71,21 @@ def resolve(
     mode: str = "lockstep",
     rate: float = 1.0,
     record: bool = True,
-    trust: Trust = NOTHING,
+    allowed: AllowedCode = SHIPPED,
 ) -> Replay:
     """Prepare the replay of the run in a folder.
 
     place:    after which nodes the run is cut, see `cut`
     scenario: a scenario file with other settings of live nodes;  settings: the same, as `KEY=VALUE`
     frames:   how many to play, None: all;  repeats: how often, None: until it is stopped
-    record:   whether the replay is recorded, too;  trust: which of the code that the folder names may run
+    record:   whether the replay is recorded, too;  allowed: which of the code that the folder names may run
 
     Raises RunFolderError for a run that cannot be replayed, ConfigurationError for invalid settings, and WiringError
     for changed nodes that do not fit the recorded wires.
     """
     file_of(folder)  # names what is missing
     run = liveness.finished_record(folder, json_or_empty(folder / "run.json"))
-    recorded = scenario_of(folder, trust)
+    recorded = scenario_of(folder, allowed)
     if not 0 < rate < float("inf"):
         raise ConfigurationError(f"rate: found {rate}, expected a number above 0")
     user_types.use(recorded.messages)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.tables import from_arrow, read_arrow
-from mast_zenoh.run_files import check_regular, read_object
+from mast_zenoh.run_files import check_plain, read_object
 from mast_zenoh.scenes.recording import Recording
 
 #: A table: one array per column, all of one length.
@@ -66,7 +66,7 @@ def json_object(path: Path) -> dict[str, Any]:
 
 def scene(path: Path) -> Recording:
     """The recorded scene."""
-    return Recording.load(check_regular(path))
+    return Recording.load(check_plain(path))
 
 
 def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
@@ -87,7 +87,7 @@ def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...
 
 def effects(path: Path) -> Table:
     """The measured effects of interposers, links included."""
-    if "interposer" not in pyarrow.parquet.read_schema(check_regular(path)).names:
+    if "interposer" not in pyarrow.parquet.read_schema(check_plain(path)).names:
         raise ValueError("of an older version: what adversaries reported about themselves, not what was measured")
     return table(_ATTACKS, optional=("before_subscriber", "message", "wire"))(path)
 

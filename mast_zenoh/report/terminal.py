@@ -12,13 +12,14 @@ from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.fault_tables import cause_table, check_lines
 from mast_zenoh.report.narrative.circumstances import reference_status, status
+from mast_zenoh.report.narrative.defence import defence_sentence
 from mast_zenoh.report.narrative.explanations import explanations
 from mast_zenoh.report.narrative.phrases import effects, plural
 from mast_zenoh.report.narrative.run import headline
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.interposers import BAD, interposers
 from mast_zenoh.report.tables.scores import as_rich, score_table
-from mast_zenoh.report.tables.trust import defence_lines
+from mast_zenoh.report.tables.trust import suspension_lines
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
@@ -33,7 +34,10 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
     console.print(as_rich(score_table({label: run.metrics for label, run in folders.items()}, agent=agent)))
     _show_causes(console, folders, agent)
     for label, run in folders.items():
-        _show_lines(console, f"{label}: " if len(runs) > 1 else "", run)
+        prefix = f"{label}: " if len(runs) > 1 else ""
+        _show_lines(console, prefix, run)
+        if defence := defence_sentence(run):
+            console.print(escape(f"{prefix}{defence}"), highlight=False)
 
 
 def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
@@ -64,6 +68,8 @@ def show_loaded(console: Console, run: RunFolder, reference: Reference | None = 
         text = f"warning: {unsound}: the differences may be wrong"
         console.print(text, markup=False, highlight=False, style="bold yellow")
     console.print(escape(f"{headline(run, reference)}."), highlight=False, style="bold")
+    if defence := defence_sentence(run):
+        console.print(escape(defence), highlight=False)
 
 
 def _show_causes(console: Console, runs: Mapping[str, RunFolder], agent: str) -> None:
@@ -83,5 +89,5 @@ def _show_lines(console: Console, label: str, run: RunFolder, reference: RunFold
         measured = "not measured" if each.effects is None else effects(each)
         lines.append(f"{each.description} on {each.place}: {measured}{verdict}")
         lines += [f"  limited effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
-    for line in (*lines, *defence_lines(run), *check_lines(run.checks)):
+    for line in (*lines, *suspension_lines(run), *check_lines(run.checks)):
         console.print(escape(f"{label}{line}"), highlight=False)

@@ -7,7 +7,7 @@ shapes   names, and the types in JSON files
 reading  JSON and plain files within bounds;  writing: never through a link
 """
 
-from mast_zenoh.run_files.reading import check_regular, parse_json, read_json, read_object, reading
+from mast_zenoh.run_files.reading import check_plain, open_plain, parse_json, read_json, read_object, reading
 from mast_zenoh.run_files.shapes import EXPECTED_NAME, MAX_NAME, REFUSED, check_shape, is_name
 from mast_zenoh.run_files.writing import replacing, subfolder, write_bytes
 
@@ -15,9 +15,10 @@ __all__ = [
     "EXPECTED_NAME",
     "MAX_NAME",
     "REFUSED",
-    "check_regular",
+    "check_plain",
     "check_shape",
     "is_name",
+    "open_plain",
     "parse_json",
     "read_json",
     "read_object",

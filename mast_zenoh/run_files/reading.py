@@ -8,7 +8,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_files.shapes import SHAPES, check_shape
@@ -20,14 +20,27 @@ MAX_CONTAINERS = 200_000
 MAX_ITEMS = 2_000_000
 
 
-def check_regular(path: Path) -> Path:
-    """Return the path; raises RunFolderError for a device, a pipe, a socket or a folder: reading it may never end.
+def open_plain(path: Path) -> BinaryIO:
+    """Open a plain file; raises RunFolderError for a link, a device, a pipe, a socket or a folder.
 
-    Raises FileNotFoundError if there is none.
+    A link may lead anywhere, and reading the others may never end. Raises FileNotFoundError if there is none.
     """
-    mode = path.stat().st_mode
-    if not stat.S_ISREG(mode):
-        raise RunFolderError(f"{path}: found {_kind(mode)}, expected a file")
+    try:
+        file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC), "rb")
+    except OSError:
+        _check_plain(path, path.lstat().st_mode)
+        raise
+    try:
+        _check_plain(path, os.fstat(file.fileno()).st_mode)
+    except RunFolderError:
+        file.close()
+        raise
+    return file
+
+
+def check_plain(path: Path) -> Path:
+    """Return the path of a plain file; raises as `open_plain` does. For readers that open files themselves."""
+    open_plain(path).close()
     return path
 
 
@@ -39,7 +52,7 @@ def read_json(path: Path, *, shaped: bool = True) -> Any:
     Raises RunFolderError for a file that is missing, is no plain file, is too large, or has another content.
     """
     try:
-        content = parse_json(_bytes(path))
+        content = parse_json(_json_bytes(path))
         if shaped and path.name in SHAPES:
             check_shape(content, path.name)
     except FileNotFoundError:
@@ -93,25 +106,20 @@ def parse_json(content: bytes | str) -> Any:
     return value
 
 
-def _bytes(path: Path) -> bytes:
-    """The content of a file, unless it is a link, is no plain file or is too large."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError:
-        if path.is_symlink():
-            raise ValueError("found a link, expected a file") from None
-        raise
-    with os.fdopen(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise ValueError(f"found {_kind(status.st_mode)}, expected a file")
-        if status.st_size > MAX_JSON_BYTES:
-            raise ValueError(f"found {status.st_size} bytes of JSON, expected at most {MAX_JSON_BYTES}")
+def _json_bytes(path: Path) -> bytes:
+    """The content of a plain file, unless it is too large."""
+    with open_plain(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > MAX_JSON_BYTES:
+            raise ValueError(f"found {size} bytes of JSON, expected at most {MAX_JSON_BYTES}")
         return file.read(MAX_JSON_BYTES + 1)
 
 
-def _kind(mode: int) -> str:
-    return "a folder" if stat.S_ISDIR(mode) else "a pipe" if stat.S_ISFIFO(mode) else "a special file"
+def _check_plain(path: Path, mode: int) -> None:
+    """Raise RunFolderError unless a mode is that of a plain file."""
+    if not stat.S_ISREG(mode):
+        found = "a link" if stat.S_ISLNK(mode) else "a folder" if stat.S_ISDIR(mode) else "a special file"
+        raise RunFolderError(f"{path}: found {'a pipe' if stat.S_ISFIFO(mode) else found}, expected a file")
 
 
 def _depth(value: Any) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.row_limits import NO_LIMITS
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Node, Received
 from mast_zenoh.runtime.delayed import Delayed
@@ -51,6 +52,7 @@ class NodeContext:
     wiring: of the whole run, for nodes that observe wires
     now:  a monotonic clock, ns, for real time; None: time advances with frames, as in lock-step
     emit: called immediately with every message that the node publishes
+    limits: of the run on the rows of messages; the runtime sets them
     frame, time_ns: of the newest clock;  sent: number of messages by key
     rejected: number of rejected messages by (key, kind)
     first_rejected: frame and reason of the first rejection, by key
@@ -73,6 +75,7 @@ class NodeContext:
         self.node = node
         self.seed = seed
         self.wiring = wiring
+        self.limits = NO_LIMITS
         self._publishers: dict[str, str] | None = None  # by key; built on first use
         self.frame = -1
         self.time_ns = 0
@@ -218,7 +221,7 @@ class NodeContext:
             return
         flaw = ""
         try:
-            codec.check_values(message)
+            codec.check_values(message, self.limits)
         except MessageError as error:
             flaw = str(error)
         self._send_payload(key, message, flaw, after_s)

@@ -133,11 +133,11 @@ class Host(NodeContext):
             if flaw:
                 raise MessageError(flaw)
             if not isinstance(payload, Message):
-                message = codec.decode(payload, port_input.message)
+                message = codec.decode(payload, port_input.message, self.limits)
             elif port_input.port in self.node.unopened:
                 message = payload
             else:
-                message = codec.limited(payload)
+                message = codec.limited(payload, self.limits)
             _, source, frame, time_ns, _ = message.header
             if source != port_input.source:
                 raise MessageError(f"{port_input.message}: source {source[:40]!r}, expected {port_input.source!r}")
@@ -209,7 +209,7 @@ class Host(NodeContext):
             self.handled[key] += 1
         if key in self._ignored:
             return
-        overheard = Overheard(key, port_input, content, step, flaw, self._timespan, self.frame)
+        overheard = Overheard(key, port_input, content, step, flaw, self._timespan, self.frame, self.limits)
         if port_input.message == "clock":
             with suppress(MessageError):
                 overheard.check()

@@ -18,6 +18,7 @@ from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control.failures import Entry, described, lines, location, merged
 from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.messages import user_types
+from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
@@ -45,9 +46,10 @@ class InProcess:
         progress: Callable[[int], bool | None] | None = None,
     ) -> None:
         self._resolved = resolved
-        user_types.use(resolved.messages, resolved.max_rows)
+        user_types.use(resolved.messages)
         self._wiring = Wiring.from_json(resolved.wiring)
         self._encode = encode
+        self._limits = RowLimits(resolved.max_rows)
         self._roles = {name: spec.role for name, spec in resolved.nodes.items()}
         self._subscribers: dict[str, list[str]] = defaultdict(list)
         for key, _, subscriber in self._wiring.flows():
@@ -138,6 +140,7 @@ class InProcess:
             wiring=self._wiring,
             timespan=self._resolved.timespan,
         )
+        host.limits = self._limits
         self._all_hosts.append(host)
         return host
 

@@ -19,6 +19,7 @@ from mast_zenoh.messagelog import channels
 from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
 from mast_zenoh.messages import user_types
+from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 
@@ -41,7 +42,7 @@ def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
     changes = deque(events(path) or _initial_events(resolved))
     if changes[0].what != REWIRED:
         raise RunFolderError(f"{path}: the first event is not the wiring that the run began with")
-    user_types.use(resolved.messages, resolved.max_rows)
+    user_types.use(resolved.messages)
     node = build_node(resolved.nodes[name], name)
     overhearers = [Endpoint(name, port) for port, message in node.inputs.items() if message == ANY]
     wiring = _wiring(changes.popleft(), overhearers, path)
@@ -57,6 +58,7 @@ def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
         wiring=wiring,
         timespan=resolved.timespan,
     )
+    host.limits = RowLimits(resolved.max_rows)
     present = {}
     while changes and changes[0].what == JOINED and changes[0].frame < 0:
         event = changes.popleft()

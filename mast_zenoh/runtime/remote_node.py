@@ -24,8 +24,8 @@ from pathlib import Path
 import zenoh
 
 from mast_zenoh import version
+from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.config.trust import OWN_RUN
 from mast_zenoh.control.flow import LEAVE
 from mast_zenoh.errors import MastError, StartError
 from mast_zenoh.runtime.file_client import FileClient, HandIn, files_written_by

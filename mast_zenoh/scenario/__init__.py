@@ -10,6 +10,7 @@
 The result is a `mast_zenoh.config.resolved.Resolved`: processes get that as JSON, never the Python file.
 """
 
+from mast_zenoh.scenario.names import checked_name
 from mast_zenoh.scenario.reading import agents_of, choose_scene, load, load_values, victims_of
 from mast_zenoh.scenario.resolution import resolve
 from mast_zenoh.scenario.shape import MODES, RUN_DEFAULTS
@@ -18,6 +19,7 @@ __all__ = [
     "MODES",
     "RUN_DEFAULTS",
     "agents_of",
+    "checked_name",
     "choose_scene",
     "load",
     "load_values",

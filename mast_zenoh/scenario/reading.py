@@ -10,7 +10,7 @@ from typing import Any
 
 from mast_zenoh import scenes
 from mast_zenoh.config import loading, registry
-from mast_zenoh.config.settings import from_values, set_dotted, split
+from mast_zenoh.config.settings import LISTS, from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
 from mast_zenoh.scenario.shape import normalise_keys
 from mast_zenoh.scenes.agents import best_pattern
@@ -82,10 +82,10 @@ def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]
 
     settings: `key=value`.
     A key without a dot is a parameter of the file's `scenario` function, typed like its default; a dotted key
-    names a value in the dict that it returns.
+    names a value in the dict that it returns, and `faults` its list of faults.
     """
     path, function = loading.function("scenarios", name, "scenario")
-    parameters, dotted = split(settings, function, str(path))
+    parameters, dotted = split(settings, function, str(path), LISTS)
     return path, _call(path, function, parameters, dotted)
 
 
@@ -107,7 +107,7 @@ def load_values(
         path, function = loading.function("scenarios", str(source), "scenario")
     else:
         raise ConfigurationError(f"scenario: found {source!r}, expected a name, a file, a dict or a function")
-    parameters, dotted = from_values(values, function, str(path), known)
+    parameters, dotted = from_values(values, function, str(path), known, LISTS)
     if function is not None:
         return path, _call(path, function, registry.own_copy(parameters), dotted)
     assert isinstance(source, Mapping)
@@ -149,11 +149,11 @@ def _with_settings(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str,
 def _generality(key: str) -> tuple[bool, int]:
     """Sorts settings: those of agents come last, from patterns to names.
 
-    What is set for all agents thus also holds for one that gets its own entry.
+    What is set for all agents thus also holds for one that gets its own entry. Whole lists come before their items.
     """
     first, _, others = key.partition(".")
     name = others.partition(".")[0]
-    return (not set("*?[") & set(name), len(name)) if first == "agents" else (False, 0)
+    return (not set("*?[") & set(name), len(name)) if first == "agents" else (False, bool(others) - 1)
 
 
 def _give_own_entry(scenario: dict[str, Any], name: str, place: str) -> bool:

@@ -91,7 +91,7 @@ def resolve(
         network=timeline.network,
         leeway_ns=_leeway_ns(built_nodes, recording, n_frames) if _uses_shipped_simulator(nodes) else None,
         messages=messages,
-        inert=timeline.inert,
+        idle=timeline.idle,
         max_rows=_max_rows(recording, options["max_rows"]),
         recording=recording,
     )

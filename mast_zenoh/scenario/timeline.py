@@ -33,7 +33,7 @@ class Timeline:
     links: the specs of the link nodes, by name;  plan: the plan of the faults;  bands: entries of Resolved.timeline
     network: hosts and their faults, see faults/network.py
     faults: by agent, its faults: type, beginning and end in s (None: the end of the run)
-    inert: a sentence for each link and fault that matches no agent, or begins after the last frame
+    idle: a sentence for each link and fault that matches no agent, or begins after the last frame
     """
 
     links: dict[str, NodeSpec]
@@ -41,7 +41,7 @@ class Timeline:
     bands: tuple[dict[str, Any], ...]
     network: dict[str, Any]
     faults: dict[str, list[tuple[str, float, float | None]]]
-    inert: tuple[str, ...]
+    idle: tuple[str, ...]
 
 
 def timeline_of(
@@ -68,9 +68,7 @@ def timeline_of(
         _log.warning("%s: begins after the last frame and is ignored", place)
     end_s = float(times_ns[-1]) * 1e-9
     late = {place: fault for place, fault in node_faults if place in fault_plan.missed}
-    inert = [
-        _begins_late(f"{_short(place)} ({type(fault).__name__})", fault.at, end_s) for place, fault in late.items()
-    ]
+    idle = [_begins_late(f"{_short(place)} ({type(fault).__name__})", fault.at, end_s) for place, fault in late.items()]
     profiles, permanent = _profiles(path, scenario.get("links", {}), roles, _gateways(recording))
     specs: dict[str, NodeSpec] = {}
     for agent in [name for name, role in roles.items() if role == "agent"]:
@@ -107,13 +105,13 @@ def timeline_of(
             if roles.get(name) == "agent":
                 faults.setdefault(name, []).append((band["type"], band["at_s"], band["until_s"]))
     visible = sorted((band for band in bands if band["at_s"] <= end_s), key=lambda band: float(band["at_s"]))
-    inert += [_begins_late(f"fault {band['label']}", band["at_s"], end_s) for band in of_hosts if band["at_s"] > end_s]
-    inert += [
+    idle += [_begins_late(f"fault {band['label']}", band["at_s"], end_s) for band in of_hosts if band["at_s"] > end_s]
+    idle += [
         f"links[{pattern!r}] match no agent"
         for pattern in scenario.get("links", {})
         if not any(best_pattern(scenario["links"], agent) == pattern for agent in roles if roles[agent] == "agent")
     ]
-    return Timeline(specs, fault_plan, tuple(visible), hosts, faults, tuple(inert))
+    return Timeline(specs, fault_plan, tuple(visible), hosts, faults, tuple(idle))
 
 
 def _begins_late(part: str, at_s: float, end_s: float) -> str:

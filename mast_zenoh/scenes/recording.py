@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import SceneError
-from mast_zenoh.run_files import check_regular
+from mast_zenoh.run_files import check_plain
 from mast_zenoh.scenes.agents import SceneAgent as SceneAgent
 from mast_zenoh.scenes.agents import agent_from_json, agent_to_json
 from mast_zenoh.scenes.measurements import NO_MEASUREMENT, Measurements
@@ -227,7 +227,7 @@ class Recording:
         Raises SceneError when the file is missing, broken or of another format.
         """
         try:
-            with np.load(check_regular(path), allow_pickle=False) as file:
+            with np.load(check_plain(path), allow_pickle=False) as file:
                 unpacked, size = sum(member.file_size for member in file.zip.infolist()), path.stat().st_size
                 if unpacked > size:  # `save` compresses nothing
                     raise ValueError(f"unpacks to {unpacked} bytes, more than its own {size}")

@@ -30,4 +30,6 @@ class RecordingFile(Scene):
         return (self.path,)
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        return fewer_agents(first_frames(Recording.load(self.path), frames), self.n_mobile, self.n_infrastructure)
+        return fewer_agents(
+            first_frames(Recording.load(self.path.resolve()), frames), self.n_mobile, self.n_infrastructure
+        )

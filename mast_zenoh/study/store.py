@@ -13,7 +13,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.tables import from_arrow, read_arrow, to_arrow
 from mast_zenoh.messagelog.writer import FILE as RECORDING
-from mast_zenoh.run_files import check_regular, parse_json, read_json, subfolder
+from mast_zenoh.run_files import check_plain, parse_json, read_json, subfolder
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.table_file import write_parquet
 from mast_zenoh.study.trial import Outcome, Trial
@@ -131,7 +131,7 @@ class Store:
         schemas = [pyarrow.schema([])]
         for trial in trials:
             try:
-                schemas.append(parquet.read_schema(check_regular(self._path(trial))).remove_metadata())
+                schemas.append(parquet.read_schema(check_plain(self._path(trial))).remove_metadata())
             except (OSError, RunFolderError, pyarrow.ArrowException):
                 continue  # absent or broken
         return pyarrow.unify_schemas(schemas, promote_options="permissive")

@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow
 from pyarrow import ipc
 
-from mast_zenoh.unpacking.text import MAX_BYTES
+from mast_zenoh.unpacking.text import MAX_TABLE_BYTES
 
 _MAGIC = b"ARROW1\0\0"
 _BUFFER = struct.Struct("<qq")
@@ -25,7 +25,7 @@ _ROWS, _BUFFERS, _COMPRESSION = 0, 2, 3
 _DICTIONARY_DATA = 1
 
 
-def read(path: Path, max_bytes: int = MAX_BYTES) -> pyarrow.Table:
+def read(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> pyarrow.Table:
     """Read a Feather file (version 2).
 
     Raises OSError if it cannot be read, ArrowException if it is broken or unpacks to more than `max_bytes`.

@@ -14,7 +14,7 @@ from typing import Any
 import pyarrow
 from pyarrow import parquet
 
-from mast_zenoh.unpacking.text import MAX_BYTES, longest
+from mast_zenoh.unpacking.text import MAX_TABLE_BYTES, longest
 
 #: Limit on the pages of a table, of all columns together.
 MAX_PAGES = 200_000
@@ -36,7 +36,7 @@ _DATA_PAGES = (5, 8)
 _VALUES = 1
 
 
-def read(path: Path, columns: Collection[str] | None = None, max_bytes: int = MAX_BYTES) -> pyarrow.Table:
+def read(path: Path, columns: Collection[str] | None = None, max_bytes: int = MAX_TABLE_BYTES) -> pyarrow.Table:
     """Read a Parquet file, or only some columns of it.
 
     Raises OSError if it cannot be read, ArrowException if it is broken, has columns of lists, or unpacks to more than

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow
 
 #: Limit on the unpacked size of a table, bytes.
-MAX_BYTES = 400_000_000
+MAX_TABLE_BYTES = 400_000_000
 
 
 def longest(column: Any) -> int:
@@ -39,7 +39,7 @@ def _longest(part: Any) -> int:
     return int(np.diff(ends).max())
 
 
-def check_expanded(column: Any, max_bytes: int = MAX_BYTES) -> int:
+def check_expanded(column: Any, max_bytes: int = MAX_TABLE_BYTES) -> int:
     """Bytes of a column of text as a NumPy array, where each row is as wide as the longest.
 
     Raises ArrowInvalid if they are more than `max_bytes`, or if it is no text.

@@ -143,7 +143,7 @@ class RunFrames:
         for series, candidates in by_series.items():
             for message in sorted(candidates, key=lambda each: (each.step, each.rank, each.seq)):
                 try:
-                    chosen[series] = codec.decode(message.payload, message.type, "").body
+                    chosen[series] = codec.decode(message.payload, message.type).body
                     break
                 except MessageError:
                     refused += 1

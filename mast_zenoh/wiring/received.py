@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import codec, row_limits
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.row_limits import NO_LIMITS, OVERHEARD, RowLimits
 from mast_zenoh.messages.schemas import Body, Header, Message, same_columns
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.wiring.model import Input
@@ -83,7 +84,7 @@ class Overheard:
     step:    the run's frame when the message was sent; -1: unknown
     """
 
-    __slots__ = ("_content", "_flaw", "_header", "_now", "_timespan", "key", "step", "wire")
+    __slots__ = ("_content", "_flaw", "_header", "_limits", "_now", "_timespan", "key", "step", "wire")
 
     def __init__(
         self,
@@ -94,14 +95,16 @@ class Overheard:
         flaw: str = "",
         timespan: Timespan | None = None,
         now: int = -1,
+        limits: RowLimits = NO_LIMITS,
     ) -> None:
         """content: the bytes as sent, or in one process the message.
 
         flaw: why receivers refuse the message, or ""
         timespan: its valid frames and times, None: any; now: the run's current frame, if `step` is unknown
+        limits: on its rows
         """
         self.key, self.wire, self.step = key, wire, step
-        self._timespan, self._now = timespan, now
+        self._timespan, self._now, self._limits = timespan, now, limits
         self._content, self._flaw = content, flaw
         self._header: Header | None = None
 
@@ -126,12 +129,12 @@ class Overheard:
     def body(self) -> Body:
         """The columns, decoded at each access; raises MessageError if invalid."""
         # An agent's own tracks as their receivers use them; its mission estimate has the picture's objects, too.
-        limit_of = row_limits.OVERHEARD if self.wire.message == "tracks" and self.wire.output != "tracks" else None
+        limit_of = OVERHEARD if self.wire.message == "tracks" and self.wire.output != "tracks" else None
         if isinstance(self._content, Message):
             if self._flaw:
                 raise MessageError(self._flaw)
-            return codec.limited(self._content, limit_of).body
-        return codec.decode(self._content, self.wire.message, limit_of).body
+            return codec.limited(self._content, self._limits, limit_of).body
+        return codec.decode(self._content, self.wire.message, self._limits, limit_of).body
 
     def check(self) -> None:
         """Raise MessageError if a subscriber of the key would refuse the message."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 from launched import eventually
 
-from mast_zenoh.launch import liveness
+from mast_zenoh.launch import liveness, log_reading
 from mast_zenoh.launch.log_reading import MAX_LINE
 
 
@@ -76,6 +77,37 @@ def test_damaged_and_missing_logs_cost_nothing_but_themselves(mast, run_folder: 
     assert lines[0] == "ego  \\xff\\xfe\\x00 bytes"
     assert [len(line) for line in lines if line.startswith("ego  x")] == [MAX_LINE + 5, 5 + 5]
     assert "broker  Traceback:" in lines
+
+
+def test_of_a_log_that_is_too_long_the_last_lines_are_printed_and_the_rest_is_told(
+    mast, run_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_reading, "MAX_LOG_BYTES", 100)
+    write(run_folder, "ego", "".join(f"line {number}\n" for number in range(1000)), "w")
+    code, out, err = mast("logs", str(run_folder), "ego")
+    assert code == 0
+    assert out.splitlines() == [f"line {number}" for number in range(989, 1000)]
+    assert "logs/ego.log: its first 8791 bytes are left out: it is too long" in err.replace("\n", " ")
+
+
+def test_all_logs_together_are_bounded(mast, run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log_reading, "MAX_LOGS_BYTES", 1000)
+    for number in range(20):
+        write(run_folder, f"node_{number}", "a line of the log\n" * 100)
+    _, out, err = mast("logs", str(run_folder))
+    assert sum(len(line.partition("  ")[2]) for line in out.splitlines()) <= 1000
+    assert err.count("are left out") == 22
+
+
+def test_a_log_of_many_gigabytes_is_read_in_a_moment(mast, run_folder: Path) -> None:
+    with (run_folder / "logs" / "ego.log").open("ab") as file:
+        file.truncate(1 << 40)
+        file.seek(0, os.SEEK_END)
+        file.write(b"\n2026-01-01 00:00:09,000 INFO mast.ego: the end")
+    code, out, err = mast("logs", str(run_folder), "ego")
+    assert code == 0
+    assert out.endswith("\n2026-01-01 00:00:09,000 INFO mast.ego: the end\n")
+    assert "are left out" in err.replace("\n", " ")
 
 
 def test_a_folder_that_is_no_run_folder_is_refused(mast, tmp_path: Path) -> None:

@@ -64,13 +64,30 @@ def test_a_missing_file_is_refused_with_the_nearest_name(name: str, reason: str)
         loading.function("scenarios", name, "scenario")
 
 
+def test_a_file_that_imports_a_shipped_scenario_by_name_is_told_how_to_load_it(tmp_path: Path) -> None:
+    file = write(tmp_path, "mine.py", "\nfrom baseline import scenario as base\n")
+    advice = r'mine.py:2: no module .baseline.: .*`from mast_zenoh.scenario import load`.*load\("baseline"\)'
+    with pytest.raises(ConfigurationError, match=advice):
+        loading.module(file)
+
+
+@pytest.mark.parametrize(("name", "nearest"), [("baselin", "baseline"), ("my_scen", "my_scene")])
+def test_an_import_of_a_missing_module_is_refused_with_the_nearest_name(
+    tmp_path: Path, name: str, nearest: str
+) -> None:
+    write(tmp_path, "my_scene.py", "x = 1\n")
+    file = write(tmp_path, "mine.py", f"import {name}\n")
+    with pytest.raises(ConfigurationError, match=f"mine.py:1: no module '{name}': .*did you mean '{nearest}'"):
+        loading.module(file)
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
         ("x = 1\n", "defines no function `scenario`"),
         ("scenario = 3\n", "defines no function `scenario`"),
         ("x = 1\ndef scenario(:\n", "bad.py:2: SyntaxError"),
-        ("x = 1\n\nimport no_such_module\n", "bad.py:3: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("x = 1\n\nimport no_such_module\n", "bad.py:3: no module 'no_such_module': expected an installed package, or"),
         ("def f():\n    return 1 / 0\n\nf()\n", "bad.py:2: ZeroDivisionError"),
         ("\udcff".encode("utf-8", "surrogateescape").decode("latin-1") + "=\n", "bad.py"),
     ],

@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from mast_zenoh import scenario
+from mast_zenoh.cli.app import app
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.compose import document, inside
 from mast_zenoh.deploy.compose.examples import EXAMPLES, example
@@ -24,7 +27,7 @@ FOLDER = ROOT / "deploy" / "compose"
 
 CREDENTIALS = {"ca.pem", "certificate.pem", "key.pem", "control.json"}
 
-TEXT = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FFF, exclude_categories=["Cc", "Cf", "Cs", "Zl", "Zp"]))
+TEXT = st.text(st.characters(exclude_categories=["Cs"]))
 PLAIN = st.one_of(st.booleans(), st.integers(-5, 5), st.floats(allow_nan=False, allow_infinity=False), TEXT)
 KEYS = TEXT.filter(bool)
 NESTED = st.recursive(
@@ -48,6 +51,31 @@ def test_dumped_values_are_read_back_unchanged(content: dict) -> None:
         return value.replace("$", "$$") if isinstance(value, str) else value
 
     assert (yaml.safe_load(dump(content)) or {}) == doubled(content)
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r", "\x85", "\u2028", "\u2029"])
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_name_adds_no_line_to_the_file(newline: str, inside: bool) -> None:
+    def written(name: str) -> str:
+        path, content = scenario.load("baseline")
+        resolved = replace(scenario.resolve(path, content, frames=1), name=name)
+        launcher = document.Launcher("baseline") if inside else None
+        return document.text(resolved, name, image="mast", launcher=launcher)
+
+    hostile = written(f"plain{newline}services: {{}}")
+    assert len(hostile.splitlines()) == len(written("plain").splitlines())
+    assert yaml.safe_load(hostile).keys() == yaml.safe_load(written("plain")).keys()
+
+
+def test_a_name_of_a_run_that_is_not_one_is_refused() -> None:
+    result = CliRunner().invoke(app, ["deploy", "write", "baseline", "--run", "a\nservices: {}"])
+    assert isinstance(result.exception, ConfigurationError)
+    assert "--run: found 'a\\nservices: {}', expected at most 100 characters" in str(result.exception)
+
+
+def test_the_file_names_the_command_that_builds_its_images_without_a_registry() -> None:
+    assert "`mast deploy image --launcher`" in example("baseline")
+    assert "--base IMAGE" in example("baseline")
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

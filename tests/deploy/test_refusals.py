@@ -5,16 +5,21 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import files
 from mast_zenoh.deploy import doctor, engines, space
 from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.containers import connected_as
@@ -22,7 +27,7 @@ from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, Engine
 from mast_zenoh.launch import run
 from mast_zenoh.launch.file_server import files_for_node, with_local_imports
 from mast_zenoh.messagelog.writer import MessageLog
-from mast_zenoh.runtime.file_client import _below, files_written_by
+from mast_zenoh.runtime.file_client import FileClient, files_written_by
 
 
 def small(name: str = "baseline") -> Resolved:
@@ -232,11 +237,27 @@ def test_only_a_recorder_may_send_a_log() -> None:
     }
 
 
+class Launcher(FileClient):
+    """A launcher that names one empty file for a node."""
+
+    def __init__(self, path: str) -> None:
+        super().__init__(None, "run", "node")  # type: ignore[arg-type]
+        self.path = path
+
+    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], Any]) -> Any:
+        return time.time_ns() if request["do"] == "clock" else files.NodeFiles({self.path: 0}, [], [])
+
+
+@settings(deadline=None)
 @given(st.text(st.sampled_from("./ab~\\"), min_size=1, max_size=12))
 def test_file_names_cannot_escape_the_folder(name: str) -> None:
-    folder = Path("/tmp/somewhere")
-    try:
-        path = _below(folder, name)
-    except RunError:
-        return
-    assert path.is_relative_to(folder)
+    with tempfile.TemporaryDirectory() as around:
+        folder = Path(around) / "a" / "b" / "folder"
+        folder.mkdir(parents=True)
+        if Path(name).is_absolute():
+            with pytest.raises(RunError, match="leads outside the run folder"):
+                Launcher(name).fetch(folder, 1.0)
+        with suppress(RunError, IsADirectoryError):
+            Launcher(name).fetch(folder, 1.0)
+        written = [path for path in Path(around).rglob("*") if path.is_file()]
+        assert all(path.is_relative_to(folder) for path in written)

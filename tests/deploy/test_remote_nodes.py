@@ -127,6 +127,24 @@ def test_remote_nodes_have_the_same_failures_and_results_as_in_one_process(tmp_p
     assert {path.as_posix() for path in files[0]} >= {"results/counter/metrics.parquet", "results/counter/results.json"}
 
 
+#: The process of a node ends at once when it has handed in its results; files that grow are not sent before.
+ENDS_WITH_ITS_RESULTS = (
+    "import os; from mast_zenoh.runtime import file_client; from mast_zenoh.runtime.mesh import results_client; "
+    "file_client._HAND_IN_EVERY_S = 3600.0; hand_in = results_client.hand_in; "
+    "results_client.hand_in = lambda *results: (hand_in(*results), os._exit(0))"
+)
+
+
+def test_a_node_that_has_handed_in_its_results_has_handed_in_all_its_files(tmp_path: Path) -> None:
+    resolved = small()
+    here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
+    there = launcher.run(resolved, tmp_path / "there", engine=Beside({"recorder": ENDS_WITH_ITS_RESULTS}))
+    assert there.error is None
+    difference = compare(here.folder, there.folder, taps=True)
+    assert difference.first is None, "\n".join(explain(difference))
+    assert difference.equal > 0
+
+
 def test_arrival_times_on_a_clock_that_is_ahead_are_corrected() -> None:
     outcomes = {
         "simulator": {"sent_ns": {0: 1_000_000}, "clock": {"offset_ms": 1.0, "round_trip_ms": 0.1}},

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from played import Played
 
-from mast_zenoh.config.trust import OWN_RUN
+from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.launch import measurement
 
 #: One agent reports a 25th of its covariances, one none, and one does not tell its innovations.

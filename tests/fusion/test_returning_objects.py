@@ -5,7 +5,7 @@ import pytest
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, ObjectStates, concatenate
 from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
-from mast_zenoh.fusion.returning_objects import ReturningObjects, _predicted
+from mast_zenoh.fusion.returning_objects import RETURN_GATE, ReturningObjects
 from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D, classes
 from mast_zenoh.tracking.kalman import process_noise
@@ -141,11 +141,15 @@ def test_an_object_whose_id_the_tracker_continues_takes_its_own():
     assert given(returning, 1.1, (0, 2.5, 0.0, 0.0), (1, 0.2, 0.0, 0.0), (9, 0.2, 50.0, 0.0)) == [0, 1, 4]
 
 
-def test_lost_objects_are_predicted_with_the_process_noise_of_the_tracker():
-    cars = states(np.zeros((2, 2)), np.zeros((2, 2)), [0, 1])
+@pytest.mark.parametrize("lost_s", [0.5, 3.0])
+def test_an_object_returns_as_far_away_as_the_process_noise_of_the_tracker_allows(lost_s: float):
     rows = np.array([0, 1, 6, 7])
-    density = classes.ACCELERATION[known_class(cars.class_id)]
-    predicted = _predicted(np.zeros((2, 4, 4)), np.array([0.5, 3.0]), cars)
-    for k, elapsed_s in enumerate([0.5, 3.0]):
-        noise = process_noise(elapsed_s, density[k : k + 1], 1.0, 1.0)[0]
-        assert predicted[k] == pytest.approx(noise[np.ix_(rows, rows)])
+    density = classes.ACCELERATION[known_class(np.array([CLASS_INDEX["car"]], np.uint8))]
+    motion, move = MATURE[np.ix_(rows, rows)], np.eye(4)
+    move[:2, 2:] = lost_s * np.eye(2)
+    noise = process_noise(lost_s, density, 1.0, 1.0)[0][np.ix_(rows, rows)]
+    farthest = np.sqrt(RETURN_GATE / np.linalg.inv(move @ motion @ move.T + noise + motion)[0, 0])
+    for distance, expected in [(0.999 * farthest, 0), (1.001 * farthest, 7)]:
+        returning = ReturningObjects(LOST_S)
+        given(returning, 0.0, (0, 0.0, 0.0, 0.0))
+        assert given(returning, lost_s, (7, distance, 0.0, 0.0)) == [expected]

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from tiny_world import TinyScene  # noqa: F401
 
 from mast_zenoh import scenario
+from mast_zenoh.config.allowed_code import SHIPPED
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.config.settings import nested
-from mast_zenoh.config.trust import NOTHING
 from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
 from mast_zenoh.launch.interception.client import intercept, plan, release
@@ -265,7 +265,7 @@ def test_code_of_the_run_that_is_not_trusted_is_neither_run_nor_needed_for_anoth
 ) -> None:
     own, marker = tmp_path / "theirs.py", tmp_path / "ran"
     own.write_text(f"import pathlib\npathlib.Path({str(marker)!r}).touch()\n")
-    running = replace(resolved, modules=(str(own),)).trusting(NOTHING, "a run")
+    running = replace(resolved, modules=(str(own),)).allowing(SHIPPED, "a run")
     assert plan(running, TRACKS, "adversary.py", settings=ATTACK)[0] == "adversary_1"
     with pytest.raises(ConfigurationError, match=r"'Theirs'.*theirs\.py: nothing of it was run.*--trust"):
         plan(running, TRACKS, "adversary.py", settings=("attack.type=Theirs",))

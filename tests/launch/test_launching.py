@@ -7,7 +7,8 @@ from unittest.mock import MagicMock
 
 from mast_zenoh.launch import stop_signals
 from mast_zenoh.launch.steps import StepRequests
-from mast_zenoh.launch.watch import _POLL_S
+
+WAIT_S = 0.05
 
 
 def test_a_slow_signal_handler_does_not_block_the_launcher() -> None:
@@ -15,10 +16,10 @@ def test_a_slow_signal_handler_does_not_block_the_launcher() -> None:
     with stop_signals.collected() as received:
 
         def note(number: int, _: object) -> None:
-            threading.Event().wait(2 * _POLL_S)
+            threading.Event().wait(2 * WAIT_S)
             received.append(number)
 
         signal.signal(signal.SIGINT, note)
-        threading.Timer(_POLL_S / 5, os.kill, (os.getpid(), signal.SIGINT)).start()
-        requests.serve(_POLL_S)
+        threading.Timer(WAIT_S / 5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        requests.serve(WAIT_S)
     assert received == [signal.SIGINT]

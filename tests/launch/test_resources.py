@@ -16,7 +16,6 @@ from mast_zenoh.errors import NodeFileError, ResourcesExhausted
 from mast_zenoh.launch import descriptors, ending
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.run_files import read_json
-from mast_zenoh.scenario.resolution import _restamps_s
 
 CODE = ResourcesExhausted.exit_code
 
@@ -98,8 +97,11 @@ def test_a_start_without_memory_is_one_line(tmp_path: Path) -> None:
         ("def restamps_s(self): return 0.0", "TypeError"),
     ],
 )
-def test_an_unusable_restamps_s_of_a_user_is_named(definition: str, found: str) -> None:
-    namespace: dict[str, object] = {}
-    exec(f"from mast_zenoh.node import Node\nclass Mine(Node):\n    {definition}\n", namespace)
+def test_an_unusable_restamps_s_of_a_user_is_named(tmp_path: Path, definition: str, found: str) -> None:
+    agent = "loading.node_class(bundle.ROOT / 'nodes' / 'agent.py')"
+    text = f"from mast_zenoh.config import bundle, loading\nclass Mine({agent}):\n    {definition}\n"
+    (tmp_path / "mine.py").write_text(text)
+    _, content = scenario.load("baseline")
+    content["agents"]["*"]["file"] = "mine.py"
     with pytest.raises(NodeFileError, match=rf"Mine\.restamps_s: .*{found}.*expected a method"):
-        _restamps_s(namespace["Mine"](), 10.0)  # type: ignore[operator]
+        scenario.resolve(tmp_path / "scenario", content, frames=2)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh import scenario, version
-from mast_zenoh.config.trust import OWN_RUN
+from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.launch import run, twin
 
@@ -92,12 +92,12 @@ def test_a_twin_is_played_again_if_a_users_file_or_one_next_to_it_changed(tmp_pa
         "    content['agents'] = {'*': {**content['agents']['*'], 'file': 'own_agent.py'}}\n    return content\n"
     )
     attacked = played(tmp_path / "attacked", str(user_files / "own.py"))
-    first = run_id(twin.of(attacked, trust=OWN_RUN))
-    assert run_id(twin.of(attacked, trust=OWN_RUN)) == first
+    first = run_id(twin.of(attacked, allowed=OWN_RUN))
+    assert run_id(twin.of(attacked, allowed=OWN_RUN)) == first
     (user_files / "offset.py").write_text("OFFSET = 2\n")
-    second = run_id(twin.of(attacked, trust=OWN_RUN))
+    second = run_id(twin.of(attacked, allowed=OWN_RUN))
     assert second != first
-    assert run_id(twin.of(attacked, trust=OWN_RUN)) == second
+    assert run_id(twin.of(attacked, allowed=OWN_RUN)) == second
 
 
 def test_a_twin_is_played_again_if_a_version_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from mast_zenoh.effects import Effects
 from mast_zenoh.effects.table import CODE
 from mast_zenoh.evaluation.from_effects import manipulations
-from mast_zenoh.metrics import Attribution, Record, Scorer, Scores, cause_names
+from mast_zenoh.metrics import AttributionLimits, Attributor, Record, Scorer, Scores, cause_names
 from mast_zenoh.wiring.model import Passage
 
 PERIOD_S = 0.1
@@ -58,7 +58,7 @@ def effects(*rows: Row, passages: Sequence[Passage] = (), of: Sequence[int] | No
 
 
 def explained(record: Record, measured: Effects, roles: dict[str, str] | None = None, **more) -> dict[str, np.ndarray]:
-    """The table of objects of a record with causes; more: see `Attribution.label`."""
+    """The table of objects of a record with causes; more: see `Attributor`."""
     return labelled(record, measured, roles, **more)[1]
 
 
@@ -68,6 +68,8 @@ def labelled(record: Record, measured: Effects, roles: dict[str, str] | None = N
     truth = record.truth(scores.frames)
     boxes = truth.boxes.in_group(scores.frames[truth.boxes.group])
     known = {way.node: "adversary" for way in measured.passages} | (roles or {})
-    done = manipulations(measured, known, scores.series, boxes, PERIOD_S, np.zeros(len(measured), bool), Attribution())
-    labels = Attribution().label(scores, done, truth, record.agents, PERIOD_S, **more)
+    done = manipulations(
+        measured, known, scores.series, boxes, PERIOD_S, np.zeros(len(measured), bool), AttributionLimits()
+    )
+    labels = Attributor(AttributionLimits(), scores, done, truth, record.agents, PERIOD_S, **more).labels()
     return scores, scores.objects() | {"cause": cause_names(labels.cause), "by": labels.by}, labels, done

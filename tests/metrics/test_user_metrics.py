@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 from metric_oracles import cars
 
 from mast_zenoh.control.failures import location
-from mast_zenoh.metrics import Attribution, Estimate, FrameMetric, Record, RunMetric, Scorer, Series, user_metrics
+from mast_zenoh.metrics import (
+    AttributionLimits,
+    Attributor,
+    Estimate,
+    FrameMetric,
+    Record,
+    RunMetric,
+    Scorer,
+    Series,
+    user_metrics,
+)
 from mast_zenoh.metrics.manipulations import no_manipulations
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.user_metrics import ErrorsNearby, LongestMiss
@@ -51,7 +61,9 @@ def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] |
         record.add(frame, [Series("ego", "local")], Snapshot.of(cars(*believed)))
     scores = Scorer().score(record)
     truth = record.truth(scores.frames)
-    labels = Attribution().label(scores, no_manipulations(len(scores.series)), truth, record.agents, 0.1)
+    labels = Attributor(
+        AttributionLimits(), scores, no_manipulations(len(scores.series)), truth, record.agents, 0.1
+    ).labels()
     counts = np.ones(len(tracked), bool) if scored is None else np.array(scored)
     values, errors = user_metrics.values(metrics, scores, labels, truth, record.agents, counts, 0.1)
     for error in errors.values():

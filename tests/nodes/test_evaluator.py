@@ -381,8 +381,11 @@ def test_results_are_the_same_for_encoded_and_decoded_messages() -> None:
     ("config", "message"),
     [
         ({"skip_first": -1}, "skip_first, skip_last: found -1, 10, expected 0 or more"),
-        ({"attribution": {"lie_m": -1.0}}, "attribution: Attribution: lie_m: found -1.0, expected 0 or more"),
-        ({"attribution": {"lie": 1.0}}, "attribution.lie: Attribution has no such parameter; did you mean 'lie_m'"),
+        ({"attribution": {"lie_m": -1.0}}, "attribution: AttributionLimits: lie_m: found -1.0, expected 0 or more"),
+        (
+            {"attribution": {"lie": 1.0}},
+            "attribution.lie: AttributionLimits has no such parameter; did you mean 'lie_m'",
+        ),
         ({"attribution": {"coast_s": "4 s"}}, "attribution.coast_s: found '4 s', expected a number"),
         ({"cut_off": {"recovery_s": -1.0}}, "cut_off: CutOff: recovery_s: found -1.0, expected 0 or more"),
         ({"cut_off": 0.5}, "cut_off: found 0.5, expected a dict"),

@@ -13,15 +13,18 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
+from rich.console import Console
 
 from mast_zenoh.launch.tables import write_table
+from mast_zenoh.report import terminal
 from mast_zenoh.report.figures.drawing import birdseye_figure
 from mast_zenoh.report.figures.style import STATES, WITHHELD, png
 from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.html import write_report
+from mast_zenoh.report.narrative.defence import defence_sentence
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.trust import conduct_rows, defence_lines, suspension_rows, trust_sentences
+from mast_zenoh.report.tables.trust import conduct_rows, suspension_lines, suspension_rows, trust_sentences
 from mast_zenoh.report.trust_facts import fault_spans, judged_agents, lie_spans, state_spans, states_at, withheld_at
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
@@ -140,7 +143,8 @@ def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[...
     assert view is not None
     assert pixels(png(birdseye_figure(view)), STATES["suspended"]) == 0
     assert trust_over_time(run, 33) is None
-    assert trust_sentences(run) == suspension_rows(run) == defence_lines(run) == []
+    assert trust_sentences(run) == suspension_rows(run) == suspension_lines(run) == []
+    assert defence_sentence(run) == ""
     assert "trust.parquet" not in " ".join(run.missing)
 
 
@@ -172,10 +176,53 @@ def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
     assert {row.reason for row in rows} == {REASON}
 
 
-def test_the_terminal_names_suspensions_and_what_was_withheld(folder: Path) -> None:
-    lines = defence_lines(RunFolder.load(folder))
+def test_the_terminal_names_suspensions_with_their_reasons(folder: Path) -> None:
+    lines = suspension_lines(RunFolder.load(folder))
     assert lines[1] == (f"the command centre suspended infra_1 (lying) at 2.0 s, 0.5 s after its first lie: {REASON}")
-    assert lines[-1].startswith("the command centre withheld")
+
+
+def last_line(folder: Path) -> str:
+    """What the terminal prints last of a run."""
+    console = Console(file=io.StringIO(), width=1000)
+    terminal.show_run(console, folder)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue().splitlines()[-1]
+
+
+def configure(folder: Path, defence: str, integrity: dict[str, Any]) -> None:
+    """Give the run a defence, and what was measured of it."""
+    scenario = json.loads((folder / "scenario.json").read_text())
+    scenario["nodes"]["command_center"] = {"config": {"pipeline": {"integrity": {"type": defence}}}}
+    (folder / "scenario.json").write_text(json.dumps(scenario))
+    metrics = json.loads((folder / "metrics.json").read_text())
+    (folder / "metrics.json").write_text(json.dumps(metrics | {"integrity": integrity}))
+
+
+def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_withheld(folder: Path) -> None:
+    configure(folder, "FreeSpace", INTEGRITY)
+    assert last_line(folder) == (
+        "FreeSpace suspended two agents, infra_1 (0.5 s after its first lie) and infra_2 (while honest), "
+        "although infra_3 lied, and withheld 1.50 false and 0.25 true objects a frame."
+    )
+
+
+def test_a_defence_that_did_nothing_is_said_to_have_done_nothing(folder: Path) -> None:
+    nothing = {"agents": {"ego": of_agent()}, "withheld": {"true": 0.0, "false": 0.0}}
+    configure(folder, "FreeSpace", INTEGRITY | nothing)
+    assert last_line(folder) == "FreeSpace suspended no agent and withheld nothing."
+
+
+def test_many_suspended_agents_are_counted(folder: Path) -> None:
+    alarm = of_agent(suspensions=[suspension(1.0, None, "honest")])
+    configure(folder, "KOfN", INTEGRITY | {"agents": {f"infra_{number}": alarm for number in range(15)}})
+    assert last_line(folder).startswith("KOfN suspended 15 agents, infra_0 (while honest), ")
+    assert "infra_7 (while honest) and 7 more, and withheld" in last_line(folder)
+
+
+def test_the_last_lines_of_a_run_without_defence_name_none(folder: Path) -> None:
+    configure(folder, "NoIntegrity", INTEGRITY)
+    assert "NoIntegrity" not in last_line(folder)
+    assert "withheld" not in last_line(folder)
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:

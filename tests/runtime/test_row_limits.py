@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,17 +13,12 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch import notices
 from mast_zenoh.messages import codec, row_limits
+from mast_zenoh.messages.row_limits import OVERHEARD, RowLimits
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.runtime.context import NodeContext
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.wiring.model import Input
 from mast_zenoh.wiring.received import Overheard
-
-
-@pytest.fixture(autouse=True)
-def no_limits_afterwards():
-    yield
-    row_limits.use({})
 
 
 def flood(n: int, *, score: Any = 1.0) -> dict[str, Any]:
@@ -37,64 +33,64 @@ def message(body: dict[str, Any]) -> Message:
 
 
 def test_the_kept_rows_have_the_highest_scores_then_the_lowest_ids_in_any_order() -> None:
-    row_limits.use({"tracks": 5})
+    limits = RowLimits({"tracks": 5})
     score = np.repeat([0.2, 0.9, 0.5], 4)
     body = flood(12, score=score)
-    kept = codec.decode(codec.encode(message(body)), "tracks").body
+    kept = codec.decode(codec.encode(message(body)), "tracks", limits).body
     assert kept["id"].tolist() == sorted([*body["id"][4:8], body["id"][8:].min()])
     order = np.random.default_rng(0).permutation(12)
     rows = ("id", "position", "velocity", "size", "yaw", "covariance", "score", "class_id")
     shuffled = body | {name: np.asarray(body[name])[order] for name in rows}
-    other = codec.decode(codec.encode(message(shuffled)), "tracks").body
+    other = codec.decode(codec.encode(message(shuffled)), "tracks", limits).body
     assert sorted(other["id"].tolist()) == sorted(kept["id"].tolist())
     assert row_limits.excess(kept).startswith("rows: found 12 rows, expected at most 5")
 
 
 def test_rows_are_limited_equally_with_and_without_encoding() -> None:
-    row_limits.use({"tracks": 50})
+    limits = RowLimits({"tracks": 50})
     sent = message(flood(2000, score=np.random.default_rng(1).uniform(size=2000)))
-    encoded, plain = codec.decode(codec.encode(sent), "tracks").body, codec.limited(sent).body
+    encoded, plain = codec.decode(codec.encode(sent), "tracks", limits).body, codec.limited(sent, limits).body
     for name, column in plain.items():
         np.testing.assert_array_equal(column, encoded[name])
     assert len(plain["id"]) == 50
 
 
 def test_dropped_rows_are_not_checked_and_kept_rows_are() -> None:
-    row_limits.use({"tracks": 5})
+    limits = RowLimits({"tracks": 5})
     score = np.arange(10) / 10.0
     body = flood(10, score=score)
     body["position"] = np.array(body["position"])
     body["position"][0, 0] = np.nan  # of the lowest score
-    codec.check_values(message(body))
-    assert len(codec.decode(codec.encode(message(body)), "tracks").body["id"]) == 5
+    codec.check_values(message(body), limits)
+    assert len(codec.decode(codec.encode(message(body)), "tracks", limits).body["id"]) == 5
     body["position"][9, 0] = np.nan
     with pytest.raises(MessageError, match="position"):
-        codec.decode(codec.encode(message(body)), "tracks")
+        codec.decode(codec.encode(message(body)), "tracks", limits)
     with pytest.raises(MessageError, match="position"):
-        codec.check_values(message(body))
+        codec.check_values(message(body), limits)
 
 
 def test_overheard_tracks_have_the_rows_that_receivers_use_and_mission_estimates_those_of_the_picture_too() -> None:
-    row_limits.use({"tracks": 50, row_limits.OVERHEARD: 120})
+    limits = RowLimits({"tracks": 50, OVERHEARD: 120})
     sent = message(flood(200))
     for content in (sent, codec.encode(sent)):
         for output, rows in (("tracks", 50), ("mission", 120)):
             wire = Input("everything", "infra_1", "tracks", "infra_1", output)
-            assert len(Overheard("key", wire, content, 3).body["id"]) == rows
+            assert len(Overheard("key", wire, content, 3, limits=limits).body["id"]) == rows
 
 
 def test_a_message_with_far_too_many_rows_is_refused_whole_with_and_without_encoding() -> None:
-    row_limits.use({"tracks": 5})
-    most = row_limits.accepted_rows("tracks")
-    assert len(codec.decode(codec.encode(message(flood(most))), "tracks").body["id"]) == 5
-    codec.check_values(message(flood(most)))
+    limits = RowLimits({"tracks": 5})
+    most = limits.accepted("tracks")
+    assert len(codec.decode(codec.encode(message(flood(most))), "tracks", limits).body["id"]) == 5
+    codec.check_values(message(flood(most)), limits)
     refused = message(flood(most + 1))
     reason = f"rows: more than {most} rows, expected at most 5: the message is not used"
     with pytest.raises(MessageError, match=reason):
-        codec.decode(codec.encode(refused), "tracks")
+        codec.decode(codec.encode(refused), "tracks", limits)
     with pytest.raises(MessageError, match=reason):
-        codec.check_values(refused)
-    assert len(codec.decode(codec.encode(refused), "tracks", "").body["id"]) == most + 1, "recordings keep them"
+        codec.check_values(refused, limits)
+    assert len(codec.decode(codec.encode(refused), "tracks").body["id"]) == most + 1, "recordings keep them"
 
 
 @pytest.mark.parametrize("schema", ["tracks", "detections", "picture"])
@@ -104,26 +100,25 @@ def test_a_message_that_is_too_long_for_its_rows_is_refused_before_it_is_unpacke
     def unpack(*arguments: object, **options: object) -> None:
         pytest.fail("unpacked")
 
-    row_limits.use({schema: 5})
+    limits = RowLimits({schema: 5})
     monkeypatch.setattr(codec.msgpack, "unpackb", unpack)
     with pytest.raises(MessageError, match="rows: more than 250 rows, expected at most 5"):
-        codec.decode(bytes(1 << 20), schema)
+        codec.decode(bytes(1 << 20), schema, limits)
 
 
 def test_mission_estimates_within_their_own_limit_are_never_refused() -> None:
-    row_limits.use(row_limits.limits_for(np.full((3, 2), 20), 40, per_agent=1))
-    assert row_limits.accepted_rows("tracks") >= row_limits.LIMITS[row_limits.OVERHEARD]
+    limits = RowLimits(row_limits.limits_for(np.full((3, 2), 20), 40, per_agent=1))
+    assert limits.accepted("tracks") >= limits.rows[OVERHEARD]
 
 
 def test_messages_within_the_limit_are_the_same_object_as_before() -> None:
-    row_limits.use({"tracks": 5})
     small = message(flood(5))
-    assert codec.limited(small) is small
+    assert codec.limited(small, RowLimits({"tracks": 5})) is small
 
 
 def test_a_node_counts_the_messages_that_it_shortened_and_a_notice_tells_them() -> None:
     broker = Bench(tiny(), "broker")
-    row_limits.use({"tracks": 3})
+    broker.host.limits = RowLimits({"tracks": 3})
     broker.clock(0)
     broker.send("tracks", flood(20), 0, subject="infra_1")
     rejected = broker.host.rejected
@@ -185,3 +180,16 @@ def test_an_agent_that_floods_leaves_at_most_its_limit_in_every_batch(baseline, 
     flooded, rejected = run_flooded(baseline, monkeypatch, extra)
     assert max(flooded) <= max(honest) + baseline.max_rows["tracks"]
     assert sum(n for (node, _), n in rejected.items() if node == "broker") == 12
+
+
+def test_the_limits_of_one_run_hold_in_no_other_run_or_reader_of_the_process(baseline, monkeypatch) -> None:
+    messages: list[list[Any]] = []
+    for resolved in (baseline, replace(baseline, max_rows={"tracks": 1}), baseline):
+        played: list[Any] = []
+        InProcess(resolved, tap=played.append).run()
+        messages.append([(each.key, codec.encode(each.payload)) for each in played])
+    unlimited, limited, afterwards = messages
+    assert unlimited == afterwards != limited
+    assert all(
+        len(codec.decode(payload, "tracks").body["id"]) > 1 for key, payload in limited[-40:] if key.endswith("/tracks")
+    )

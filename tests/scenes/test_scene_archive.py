@@ -69,6 +69,27 @@ def test_skipped_members_do_not_count_towards_the_limit(tmp_path: Path) -> None:
     assert unpacked(tmp_path / "out") == ["a.txt"]
 
 
+def add_much_that_is_skipped(tar: tarfile.TarFile) -> None:
+    """A file that is not needed, of zeros: gzip packs it 1,000 to 1, bzip2 and xz much better."""
+    add(tar, "skipped.bin", 20 * MB)
+    add(tar, "wanted.txt", 1000)
+
+
+@pytest.mark.parametrize("mode", ["w:bz2", "w:xz"])
+def test_an_archive_of_a_few_kilobytes_that_unpacks_to_megabytes_is_refused(tmp_path: Path, mode: str) -> None:
+    path = packed(tmp_path / "bomb.tar", add_much_that_is_skipped, mode=mode)
+    assert path.stat().st_size < 5000
+    with pytest.raises(SceneError, match=r"bomb\.tar: found 20\S* MB unpacked or more, .*expected at most \d\S* MB"):
+        archive.unpack(path, tmp_path / "out", (".txt",), MB)
+    assert unpacked(tmp_path / "out") == []
+
+
+def test_an_archive_that_gzip_packs_as_well_as_it_can_is_read(tmp_path: Path) -> None:
+    path = packed(tmp_path / "legal.tar", add_much_that_is_skipped, mode="w:gz")
+    archive.unpack(path, tmp_path / "out", (".txt",), MB)
+    assert unpacked(tmp_path / "out") == ["wanted.txt"]
+
+
 @pytest.mark.parametrize("mode", ["w", "w:gz", "w:bz2", "w:xz"])
 def test_every_compression_is_recognised_by_its_content(tmp_path: Path, mode: str) -> None:
     path = packed(tmp_path / "archive", lambda tar: add(tar, "a/b.txt", 1000), mode=mode)

@@ -344,7 +344,7 @@ def test_a_root_that_moves_is_refused(split: Path) -> None:
 @pytest.mark.parametrize(
     ("module", "limit", "message"),
     [
-        (elements, "MAX_BYTES", r"json: found \d+ bytes, expected at most 3"),
+        (elements, "MAX_FILE_BYTES", r"json: found \d+ bytes, expected at most 3"),
         (openlabel, "MAX_FILES", "found 4 label files, expected at most 3"),
         (labels, "MAX_BOXES", "found more than 3 boxes"),
     ],

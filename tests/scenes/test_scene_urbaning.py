@@ -311,7 +311,7 @@ def test_a_table_with_a_quoted_cell_that_never_ends_is_refused(root: Path) -> No
 @pytest.mark.parametrize(
     ("module", "limit", "message"),
     [
-        (elements, "MAX_BYTES", r"timesync_info.csv: found \d+ bytes, expected at most 3"),
+        (elements, "MAX_FILE_BYTES", r"timesync_info.csv: found \d+ bytes, expected at most 3"),
         (files, "_MAX_FRAMES", "timesync_info.csv: found 12 frames, expected 1 to 3"),
         (tracks, "_MAX_TRACKS", "expected at most 3 tracks"),
         (labels, "MAX_BOXES", "found more than 3 boxes"),

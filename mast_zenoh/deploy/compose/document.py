@@ -19,7 +19,7 @@ from typing import Any
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy.image import BASE, USER, launcher_tag
-from mast_zenoh.deploy.yamltext import Anchored, Interpolated, Merged, dump
+from mast_zenoh.deploy.yamltext import Anchored, Interpolated, Merged, dump, quoted
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.runtime.mesh.launcher_watch import UP
 from mast_zenoh.security import levels
@@ -243,21 +243,25 @@ def _build(sources: str, target: str) -> dict[str, Any]:
 def text(resolved: Resolved, run: str, **options: Any) -> str:
     """The compose file of a run; the options are the same as for `document`."""
     secure = options.get("secure", "open")
-    comment = f"# The run {run} of the scenario {resolved.name}, security level {secure}. "
-    if options.get("launcher") is None:
+    comment = f"# The run {quoted(run)} of the scenario {quoted(resolved.name)}, security level {secure}. "
+    launcher: Launcher | None = options.get("launcher")
+    if launcher is None:
         comment += (
             "`mast deploy up` wrote this file\n"
             "# and starts its services. Nodes get their configuration and return their results over the mesh.\n"
         )
-    else:
-        copy = f"docker cp {container(run, LAUNCHER)}:/results/. results"
-        comment += (
-            "`mast deploy write` wrote it. Play it:\n"
-            "#     docker-compose -f FILE up            (or: docker compose -f FILE up --exit-code-from launcher)\n"
-            f"#     {copy}\n"
-            "#     docker-compose -f FILE down          (with --volumes the results go, too)\n"
-            "# MAST_FRAMES: number of frames; MAST_IMAGE: image of the nodes (the launcher's: MAST_IMAGE-launcher).\n"
-        )
+        return comment + dump(document(resolved, run, **options))
+    comment += (
+        "`mast deploy write` wrote it. Play it:\n"
+        "#     docker-compose -f FILE up            (or: docker compose -f FILE up --exit-code-from launcher)\n"
+        f"#     docker cp {container(run, LAUNCHER)}:/results/. results\n"
+        "#     docker-compose -f FILE down          (with --volumes the results go, too)\n"
+        "# MAST_FRAMES: number of frames; MAST_IMAGE: image of the nodes (the launcher's: MAST_IMAGE-launcher).\n"
+        "# Images: `mast deploy image --launcher` builds them from the packages that are installed. Without a\n"
+        "# registry, add --base IMAGE: one that this machine has, with Python 3.11 and venv (docs/deploy.md).\n"
+    )
+    if launcher.sources:
+        comment += "# Compose builds missing images, with downloads, on MAST_BASE.\n"
     return comment + dump(document(resolved, run, **options))
 
 

@@ -8,164 +8,32 @@ nodes are up. Nodes and router leave when the launcher has gone, so none ends be
 from __future__ import annotations
 
 import fcntl
-import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
 
 import zenoh
 
-from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
-from mast_zenoh.control import control_prefix, flow, prefix
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import control_prefix
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.deploy import credentials
 from mast_zenoh.deploy.compose import document
+from mast_zenoh.deploy.compose.certificates import LOCK
 from mast_zenoh.deploy.compose.engine import Compose
+from mast_zenoh.deploy.compose.started_nodes import StartedNodes
 from mast_zenoh.deploy.joining import join
-from mast_zenoh.errors import BackendError, EngineError
+from mast_zenoh.errors import BackendError
 from mast_zenoh.launch.context import Mesh, RunContext
-from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.runtime.mesh import hosting
-from mast_zenoh.runtime.mesh.launcher_watch import UP
 from mast_zenoh.security.credentials import Credentials
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 #: How long nodes and router stay after the launcher has gone, s; its container has ended by then.
 PATIENCE_S = 3.0
-
-LOCK = "lock"  # next to the launcher's credentials: locked as long as its process lives
 
 #: Process steps that nodes carry out themselves.
 _ACTIONS = ("kill", "leave", "start")
 
 _ROUTER_S = 60.0  # for the router to come up
-_UP_S = 120.0  # for a node to come up
-_KILL_S = 30.0  # for a killed node to leave the mesh
-_LAUNCHER_S = 600.0  # for the launcher to come
-
-
-class StartedNode(Child):
-    """A node that Compose has started. changed: notified when it comes up or leaves"""
-
-    def __init__(self, name: str, spec: NodeSpec, container: str, changed: threading.Condition) -> None:
-        super().__init__(name, spec)
-        self.container = container
-        self.changed = changed
-        self.reset()
-
-    def reset(self) -> None:
-        """Wait for it to come up, from now on."""
-        self.since = time.monotonic()
-        self.seen = self.up = False
-        self.code: int | None = None
-
-    @property
-    def exit(self) -> int | None:
-        if self.handed_in and not self.up:
-            return 0
-        if self.code is None and (self.lost or (not self.seen and time.monotonic() - self.since > _UP_S)):
-            return 1
-        return self.code
-
-    @property
-    def lost(self) -> bool:
-        """Whether it has left the mesh."""
-        return self.seen and not self.up
-
-    @property
-    def ended(self) -> str:
-        if self.exit != 1:
-            return super().ended
-        why = "it has left the mesh without results" if self.lost else f"it has not come up within {_UP_S:.0f} s"
-        return "; ".join([*self.notes, f"{why}: see `docker logs {self.container}`"])
-
-    def where(self) -> dict[str, Any]:
-        return {"container": self.container}
-
-
-class StartedNodes(Supervisor[StartedNode]):
-    """The nodes of a run that Compose has started; a context manager that watches which nodes are on the mesh.
-
-    tell: sends a node a word on `@control/leave/NODE`;  container: gives the name of a node's container
-    logs: folder for the nodes' logs, which stay empty: the containers have them
-    """
-
-    def __init__(
-        self,
-        session: zenoh.Session,
-        run: str,
-        tell: Callable[[str, bytes], None],
-        container: Callable[[str], str],
-        logs: Path,
-    ) -> None:
-        super().__init__()
-        self._tell = tell
-        self._container = container
-        self._logs = logs
-        self._changed = threading.Condition()
-        handler: Any = zenoh.handlers.Callback(self._note, indirect=False)
-        self._subscriber = session.liveliness().declare_subscriber(f"{prefix(run)}/alive/*", handler, history=True)
-
-    def __enter__(self) -> StartedNodes:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
-
-    def is_started(self, name: str) -> bool:
-        child = self.children.get(name)
-        return child is not None and child.code is None and not child.handed_in
-
-    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        self.without[name] = sorted(without)
-        (self._logs / f"{name}.log").touch()
-        self.children[name] = StartedNode(name, spec, self._container(name), self._changed)
-
-    def _restart(self, child: StartedNode, without: Iterable[str]) -> None:
-        self.without[child.name] = sorted(without)
-        child.reset()
-
-    def end_now(self, child: StartedNode) -> None:
-        self._tell(child.name, flow.KILL.encode())
-        if not self._until(lambda: not child.up, _KILL_S):
-            raise EngineError(f"{child.name} does not leave: see `docker logs {child.container}`")
-        child.code = -9
-
-    def _suspend(self, child: StartedNode) -> None:
-        raise BackendError(f"{child.name} cannot be paused here")  # refused before the run
-
-    def _resume(self, children: Iterable[StartedNode]) -> None:
-        assert not list(children)
-
-    def wait(self, child: StartedNode, seconds: float) -> bool:
-        return self._until(lambda: child.exit is not None or child.lost, seconds)
-
-    def dispose(self, child: StartedNode) -> None:
-        """Nothing to release."""
-
-    def end(self, grace_s: float) -> None:
-        """Nodes leave with the launcher; those that still run are noted."""
-        for child in self.running():
-            child.notes.append("leaves with the launcher")
-
-    def _until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        with self._changed:
-            return self._changed.wait_for(condition, seconds)
-
-    def _note(self, token: zenoh.Sample) -> None:
-        """Note that a node comes up or leaves, in Zenoh's thread."""
-        child = self.children.get(str(token.key_expr).rpartition("/")[2])
-        if child is None:
-            return
-        with self._changed:
-            child.up = token.kind == zenoh.SampleKind.PUT
-            child.seen |= child.up
-            self._changed.notify_all()
 
 
 class Inside(Compose):
@@ -218,40 +86,6 @@ def joined(endpoint: str, run: str, folder: Path | None) -> Iterator[zenoh.Sessi
         yield session
 
 
-def make_credentials(resolved: Resolved, run: str, secure: str, folder: Path) -> None:
-    """Write the credentials of all services below a folder, and wait until the launcher has ended.
-
-    folder: has a folder for each service, a file system in memory that lasts as long as a container uses it
-    """
-    nodes = resolved.nodes
-    with tempfile.TemporaryDirectory() as made:
-        deployment = Deployment(
-            secure,
-            run,
-            Wiring.from_json(resolved.wiring),
-            nodes,
-            prefix=prefix(run),
-            driver=driver_of(nodes),
-            hosts=[document.ROUTER],
-            folder=Path(made),
-        )
-        assert deployment.launcher is not None
-        assert deployment.control is not None
-        for name in nodes:
-            Credentials.read(Path(made) / name).write(folder / name)
-    credentials.write_settings(folder, deployment.router)
-    own = folder / document.LAUNCHER
-    replace(deployment.launcher, control=deployment.control.to_json()).write(own)
-    with (own / LOCK).open("wb") as lock:
-        (Path(tempfile.gettempdir()) / UP).touch()  # healthy: the others may start
-        deadline = time.monotonic() + _LAUNCHER_S
-        while _is_free(lock):
-            if time.monotonic() > deadline:
-                raise EngineError(f"the launcher has not come within {_LAUNCHER_S:.0f} s")
-            threading.Event().wait(0.1)
-        fcntl.flock(lock, fcntl.LOCK_EX)
-
-
 def check_steps(resolved: Resolved) -> None:
     """Raise BackendError for process steps that need access to the container engine."""
     for step in resolved.steps:
@@ -260,12 +94,3 @@ def check_steps(resolved: Resolved) -> None:
                 f"{step.action} of {step.node!r} (before frame {step.frame}): a launcher inside a compose file has no "
                 f"access to Docker, expected only {', '.join(_ACTIONS)}: play it with mast deploy up --engine compose"
             )
-
-
-def _is_free(lock: IO[bytes]) -> bool:
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    fcntl.flock(lock, fcntl.LOCK_UN)
-    return True

@@ -14,7 +14,7 @@ from typing import Any
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.compose import document as compose
 from mast_zenoh.deploy.image import USER
-from mast_zenoh.deploy.yamltext import Anchored, dump
+from mast_zenoh.deploy.yamltext import Anchored, dump, quoted
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch.supervisor import MAX_RESTARTS
 
@@ -119,9 +119,9 @@ def text(resolved: Resolved, run: str, **options: Any) -> str:
     """The stack file of a run; the options are the same as for `document`."""
     secure = options.get("secure", "open")
     comment = (
-        f"# The run {run} of the scenario {resolved.name}, security level {secure}: written by `mast deploy up`,\n"
-        f"# which deploys it as the stack {stack(run)}, gives every node what it needs over the mesh, and collects\n"
-        "# their results. Docker places the nodes.\n"
+        f"# The run {quoted(run)} of the scenario {quoted(resolved.name)}, security level {secure}: written by\n"
+        f"# `mast deploy up`, which deploys it as the stack {stack(run)}, gives every node what it needs over the\n"
+        "# mesh, and collects their results. Docker places the nodes.\n"
     )
     return comment + dump(document(resolved, run, **options))
 

@@ -16,9 +16,9 @@ from typing import Any
 
 from mast_zenoh.attacks import Attack
 from mast_zenoh.config import bundle, loading, registry
+from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
-from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.control import control_prefix
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.interception import answer_of, place_json
@@ -26,7 +26,7 @@ from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, Unt
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.interception.server import SECRET_FILE, seal
 from mast_zenoh.node import Node
-from mast_zenoh.run_files import check_regular, read_json
+from mast_zenoh.run_files import check_plain, read_json
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenario.resolution import modules_of
@@ -51,7 +51,7 @@ def intercept(
     input: str | None = None,
     output: str | None = None,
     settings: Sequence[str] = (),
-    trust: Trust = NOTHING,
+    allowed: AllowedCode = SHIPPED,
 ) -> dict[str, Any]:
     """Put a node on a wire of a run; return node, wires, frame, took_ms.
 
@@ -60,13 +60,13 @@ def intercept(
     name:  name of the new node; None: the file's name with a number
     input, output: its ports on the wire; None: the ports that carry the wire's messages
     settings: its parameters, `key=value`; a dotted key sets an item of a dict
-    trust: which of the code that the run folder names may run here
+    allowed: which of the code that the run folder names may run here
 
     Raises NotRunning, WiringError (the wire), NodeFileError (the node's file or ports), ConfigurationError (its
     parameters or name), StartError (it did not start), RunError (nothing was changed).
     """
-    record = _running(run, trust)
-    resolved = Resolved.read(run, trust)
+    record = _running(run, allowed)
+    resolved = Resolved.read(run, allowed)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
     add_surroundings({node: spec}, Recording.load(run / RECORDING))
     fields = {name: getattr(spec, name) for name in ("file", "type", "role", "config", "on_exit")}
@@ -75,14 +75,16 @@ def intercept(
     return _ask(run, record, request)
 
 
-def release(run: Path, *, name: str | None = None, wire: str | None = None, trust: Trust = NOTHING) -> dict[str, Any]:
+def release(
+    run: Path, *, name: str | None = None, wire: str | None = None, allowed: AllowedCode = SHIPPED
+) -> dict[str, Any]:
     """Take a node off its wires: the named one, or the only one on a wire.
 
     Returns as `intercept` does. Raises NotRunning, WiringError (no such node or wire), RunError (nothing was changed).
     """
     if (name is None) == (wire is None):
         raise ConfigurationError("release: expected either a name or a wire")
-    return _ask(run, _running(run, trust), {"do": "release", "name": name, "wire": wire})
+    return _ask(run, _running(run, allowed), {"do": "release", "name": name, "wire": wire})
 
 
 def plan(
@@ -246,7 +248,7 @@ def _own_wires(cls: type[Node], name: str, resolved: Resolved) -> list[Wire]:
     return wires
 
 
-def _running(run: Path, trust: Trust) -> dict[str, Any]:
+def _running(run: Path, allowed: AllowedCode) -> dict[str, Any]:
     """Read run.json of a run; raises NotRunning unless it is running on a mesh."""
     record: dict[str, Any] = liveness.current_record(read_json(run / "run.json"))
     if record.get("status") != "running":
@@ -261,13 +263,13 @@ def _running(run: Path, trust: Trust) -> dict[str, Any]:
         )
     if not record.get("endpoint") or not (run / SECRET_FILE).is_file():
         raise NotRunning(f"{run}: the run has not started its nodes yet, or was killed")
-    liveness.check_from_here(run, record, trust, f"the router {record.get('endpoint')}")
+    liveness.check_from_here(run, record, allowed, f"the router {record.get('endpoint')}")
     return record
 
 
 def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[str, Any]:
     """Send a request, return the answer; raises the launcher's error, and NotRunning."""
-    sealed = seal(request, check_regular(run / SECRET_FILE).read_bytes())
+    sealed = seal(request, check_plain(run / SECRET_FILE).read_bytes())
     endpoint = record["endpoint"]
     if not _reachable(endpoint):
         raise NotRunning(f"{run}: nothing answers at {endpoint}: the run was killed")

@@ -21,7 +21,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.figures.drawing import RenderedFigure
 from mast_zenoh.report.figures.of_run import OURS, rendered
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
-from mast_zenoh.run_files import check_regular, read_json, write_bytes
+from mast_zenoh.run_files import check_plain, read_json, write_bytes
 
 FILE = "user_figures.json"
 _KEYS = ("name", "heading", "after", "alt", "caption")
@@ -116,7 +116,7 @@ def _stored(folder: Path) -> list[UserFigure]:
     for entry in content if isinstance(content, list) else ():
         try:
             name, heading, after, alt, caption = (_text(entry, key) for key in _KEYS)
-            png = check_regular(folder / f"{name}.png").read_bytes() if name.isidentifier() else b""
+            png = check_plain(folder / f"{name}.png").read_bytes() if name.isidentifier() else b""
         except (OSError, ValueError, RunFolderError):
             continue
         if png.startswith(_PNG) and len(png) > 24 and after in SECTIONS:

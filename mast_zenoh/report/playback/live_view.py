@@ -10,7 +10,7 @@ from pathlib import Path
 
 import zenoh
 
-from mast_zenoh.config.trust import NOTHING, Trust
+from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.report.playback.feed import Feed
 from mast_zenoh.report.playback.inline import policy
@@ -97,12 +97,12 @@ def _finished_page(folder: Path, stop: threading.Event) -> str | None:
     return None
 
 
-def await_start(folder: Path, timeout_s: float, stop: threading.Event, trust: Trust = NOTHING) -> ObservedRun:
+def await_start(folder: Path, timeout_s: float, stop: threading.Event, allowed: AllowedCode = SHIPPED) -> ObservedRun:
     """The run of a folder, once it has started its nodes; raises NotRunning if it does not, or cannot be viewed.
 
-    trust: which of the code that it names may run
+    allowed: which of the code that it names may run
     """
     deadline = time.monotonic() + timeout_s
     while is_starting(folder) and time.monotonic() < deadline and not stop.is_set():
         stop.wait(0.1)
-    return ObservedRun.of_folder(folder, trust)
+    return ObservedRun.of_folder(folder, allowed)

@@ -81,9 +81,8 @@ def trust_sentences(run: RunFolder) -> list[str]:
     return [*missed, alarms or "No honest agent was suspended", *([objects] if withheld else [])]
 
 
-def defence_lines(run: RunFolder) -> list[str]:
-    """Whom the command centre suspended and what it withheld, a line each; [] if it did neither."""
-    withheld = run.metrics.get("integrity", {}).get("withheld", {})
+def suspension_lines(run: RunFolder) -> list[str]:
+    """Which agents the command centre suspended, when and why, a line each."""
     lines = [
         f"the command centre suspended {row.agent} ({row.conduct}) at {row.from_s} s"
         + (f", {row.after_s} s after its first lie" if row.after_s != _NONE else "")
@@ -91,9 +90,4 @@ def defence_lines(run: RunFolder) -> list[str]:
         for row in suspension_rows(run)
     ]
     more = f"  and {len(lines) - _MOST_LINES} suspensions more, see the report"
-    lines = [*lines[:_MOST_LINES], more] if len(lines) > _MOST_LINES else lines
-    if any(withheld.values()):
-        lines.append(
-            f"the command centre withheld {withheld['false']:.2f} false and {withheld['true']:.2f} true objects a frame"
-        )
-    return lines
+    return [*lines[:_MOST_LINES], more] if len(lines) > _MOST_LINES else lines

@@ -16,6 +16,7 @@ from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError
 from mast_zenoh.messages import user_types
+from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.lockstep.timetable import Timetable
 from mast_zenoh.runtime.mesh.driver import Driver
@@ -32,7 +33,7 @@ LISTENER_NICENESS = 10
 
 def build(resolved: Resolved, name: str, place: str = "scenario.json", cls: type[Node] | None = None) -> Node:
     """Build a node of a scenario, after importing the user's modules; see `build_node`."""
-    user_types.use(resolved.messages, resolved.max_rows)
+    user_types.use(resolved.messages)
     resolved.load_modules()
     return build_node(resolved.nodes[name], name, place, cls)
 
@@ -99,6 +100,7 @@ def host(
         mesh_node: MeshNode = Driver(*common, **options, expected=roles, rate=resolved.rate, timetable=timetable)
     else:
         mesh_node = MeshNode(*common, **options)
+    mesh_node.host.limits = RowLimits(resolved.max_rows)
     if not lockstep:
         mesh_node.note_arrivals()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle

@@ -23,8 +23,8 @@ import sys
 import threading
 from pathlib import Path
 
+from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.config.trust import OWN_RUN
 from mast_zenoh.errors import MastError
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh import hosting

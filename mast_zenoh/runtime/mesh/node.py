@@ -184,7 +184,7 @@ class MeshNode:
                 self._counts.put(flow.encode_counts(self.epoch, sent, self.host.handled))
 
     def hand_in(self) -> None:
-        """Finish the node, and hand in its files and then its results: the launcher need not wait any longer."""
+        """Finish the node, and hand in its files and its results to the launcher."""
         self.intake.note_dropped()
         outcome = {
             "cpu_s": round(time.process_time() - self._cpu_start_s, 4),
@@ -201,7 +201,7 @@ class MeshNode:
             **self.extra_results(),
             **self.host_facts,
         }
-        self.hand_in_files()
+        self.hand_in_files()  # first: the launcher need not wait for a node with results
         results_client.hand_in(self.session, self._prefix, self.name, results.pack(outcome), self.host.log)
 
     def _report_failure(self, failure: Failure) -> None:
@@ -219,8 +219,7 @@ class MeshNode:
     def _put(self, message: Outgoing) -> None:
         """Send a message immediately: subscribers can handle it while this node continues."""
         assert isinstance(message.payload, bytes)
-        attachment = ATTACHMENT.pack(MARK, self.epoch, message.step)
-        self.outlets[message.key].put(message.payload, attachment)
+        self.outlets[message.key].put(message.payload, ATTACHMENT.pack(MARK, self.epoch, message.step))
 
     def _on_control(self, key: str, sample: zenoh.Sample) -> None:
         """Receive an epoch, stop or leave, in Zenoh's thread; invalid ones are dropped."""
@@ -265,8 +264,7 @@ class MeshNode:
         drains: Any = zenoh.handlers.Callback(self.drains.take, indirect=False)
         self._subscribers.append(self.session.declare_queryable(f"{self._prefix}/@control/drain/{self.name}", drains))
         for control in ("epoch", "stop", f"leave/{self.name}"):
-            take = partial(self._on_control, control)
-            self._subscribers.append(self.subscribe(f"@control/{control}", take))
+            self._subscribers.append(self.subscribe(f"@control/{control}", partial(self._on_control, control)))
         for wire, leg in wiring.legs():
             if leg.publisher.node == self.name:
                 self.outlets.add(leg.key, wire.message)

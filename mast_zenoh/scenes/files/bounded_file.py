@@ -11,14 +11,14 @@ from typing import IO, cast
 from mast_zenoh.errors import SceneError
 
 #: Limit on the unpacked size of one file, bytes.
-MAX_BYTES = 500_000_000
+MAX_FILE_BYTES = 500_000_000
 #: Limit on one line of a text file, bytes.
 MAX_LINE = 100_000
 _PIECE = 1 << 18
 _GZIP = b"\x1f\x8b"
 
 
-def read_pieces(path: Path, max_bytes: int = MAX_BYTES) -> Iterator[bytes]:
+def read_pieces(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[bytes]:
     """The content of a file, unpacked if it is compressed by gzip.
 
     Raises SceneError if it cannot be read, or as soon as it exceeds `max_bytes`.
@@ -35,7 +35,7 @@ def read_pieces(path: Path, max_bytes: int = MAX_BYTES) -> Iterator[bytes]:
         raise SceneError(f"{path}: cannot be read: {error}") from error
 
 
-def read_lines(path: Path, max_bytes: int = MAX_BYTES) -> Iterator[str]:
+def read_lines(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[str]:
     """The lines of a text file in UTF-8, without their ends; compressed or not.
 
     Raises SceneError if it cannot be read, is too large, has a line that is too long, or is not UTF-8.

@@ -13,7 +13,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import SceneError, nearest
-from mast_zenoh.scenes.files.bounded_file import MAX_BYTES
+from mast_zenoh.scenes.files.bounded_file import MAX_FILE_BYTES
 
 _MAX_NAMES = 20  # of the members of an object in a message
 _MAX_SHOWN = 80  # characters of a value in a message
@@ -165,8 +165,8 @@ def read_text(path: Path) -> str:
     """The content of a text file in UTF-8. Raises SceneError if it is missing or too large."""
     try:
         size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise SceneError(f"{path}: found {size} bytes, expected at most {MAX_BYTES}")
+        if size > MAX_FILE_BYTES:
+            raise SceneError(f"{path}: found {size} bytes, expected at most {MAX_FILE_BYTES}")
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: {error}") from error

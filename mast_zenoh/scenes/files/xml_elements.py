@@ -8,7 +8,7 @@ from typing import NoReturn
 from xml.parsers import expat
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.files.bounded_file import MAX_BYTES, read_pieces
+from mast_zenoh.scenes.files.bounded_file import MAX_FILE_BYTES, read_pieces
 from mast_zenoh.scenes.files.text_elements import TextElement
 
 _MAX_DEPTH = 50
@@ -74,7 +74,9 @@ class XmlElement:
         return TextElement("".join(self.pieces).strip(), self.path, self.place)
 
 
-def read_xml(path: Path, root: str | None, tags: Collection[str], max_bytes: int = MAX_BYTES) -> Iterator[XmlElement]:
+def read_xml(
+    path: Path, root: str | None, tags: Collection[str], max_bytes: int = MAX_FILE_BYTES
+) -> Iterator[XmlElement]:
     """The root of an XML file, without its children; then each element with one of the tags, when it is complete.
 
     root: the tag expected of the root; None: any; tags: only the outermost of nested elements are yielded

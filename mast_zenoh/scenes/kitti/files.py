@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.files.bounded_file import MAX_BYTES, read_lines
+from mast_zenoh.scenes.files.bounded_file import MAX_FILE_BYTES, read_lines
 from mast_zenoh.scenes.files.elements import orthonormal
 from mast_zenoh.scenes.files.text_elements import TextElement
 
@@ -193,7 +193,7 @@ def _rotations(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
     return z @ y @ x
 
 
-def _rows(path: Path, max_bytes: int = MAX_BYTES) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[tuple[int, list[str]]]:
     """Number and values of each line that is not empty."""
     for number, line in enumerate(read_lines(path, max_bytes), start=1):
         if fields := line.split():

@@ -12,6 +12,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.runtime.host import Host
@@ -145,6 +146,7 @@ class FrameMeter:
             wiring=observed,
             timespan=resolved.timespan,
         )
+        host.limits = RowLimits(resolved.max_rows)
         host.log = _SILENT
         host.start({})
         return host, node

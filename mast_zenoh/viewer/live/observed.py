@@ -12,8 +12,8 @@ from typing import Any
 
 import zenoh
 
+from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.config.trust import NOTHING, Trust
 from mast_zenoh.control import fields, prefix
 from mast_zenoh.control.description import DESCRIBE, WITHOUT_SCENE, Description, decode_description
 from mast_zenoh.control.flow import wiring_of
@@ -50,8 +50,8 @@ class ObservedRun:
     refused: str = ""
 
     @classmethod
-    def of_folder(cls, path: Path, trust: Trust = NOTHING) -> ObservedRun:
-        """The run that is going on in a folder; loads those of its scenario's modules that are trusted.
+    def of_folder(cls, path: Path, allowed: AllowedCode = SHIPPED) -> ObservedRun:
+        """The run that is going on in a folder; loads those of its scenario's modules that are allowed.
 
         Raises NotRunning if it is not running on a mesh, or not yet, or if it is secure and was started without
         a viewer; UntrustedCode if it was not started on this machine; RunFolderError for other folders.
@@ -63,7 +63,7 @@ class ObservedRun:
             raise NotRunning(f"{path}: the run is in one process: expected a run on a mesh, or a finished run")
         if not record.get("endpoint"):
             raise NotRunning(f"{path}: the run has not started its nodes yet")
-        check_from_here(path, record, trust, f"the router {record.get('endpoint')}")
+        check_from_here(path, record, allowed, f"the router {record.get('endpoint')}")
         credentials = None
         if record.get("security", "open") != "open":
             if not record.get(VIEWER_CREDENTIALS):
@@ -72,8 +72,8 @@ class ObservedRun:
                     "with --view"
                 )
             credentials = Path(record[VIEWER_CREDENTIALS])
-        resolved = measurement.scenario_of(path, trust)
-        user_types.use(resolved.messages, resolved.max_rows)
+        resolved = measurement.scenario_of(path, allowed)
+        user_types.use(resolved.messages)
         refused = ""
         try:
             resolved.load_modules()
@@ -99,8 +99,8 @@ class ObservedRun:
             raise ConfigurationError(f"{endpoint}: several runs: expected --run with one of {', '.join(sorted(runs))}")
         (description,) = runs.values()
         try:
-            resolved = Resolved.from_json(description.scenario, description.wiring).trusting(NOTHING, endpoint)
-            user_types.use(resolved.messages, resolved.max_rows)
+            resolved = Resolved.from_json(description.scenario, description.wiring).allowing(SHIPPED, endpoint)
+            user_types.use(resolved.messages)
             wiring_of(description.wiring, DESCRIBE)
         except (KeyError, TypeError, ValueError, AttributeError, MessageError) as error:
             raise NotRunning(f"{endpoint}: the run describes itself in a way that cannot be read: {error!r}") from None

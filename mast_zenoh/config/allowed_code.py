@@ -1,7 +1,7 @@
 """Which code that a run folder names may run: shipped files, and those that the user names or confirms.
 
 A run folder is data. Its scenario names Python files, and reading one never runs them: `Resolved.read` turns every name
-that is not trusted into an `UntrustedFile`, which can be shown but not opened.
+that is not allowed into an `UntrustedFile`, which can be shown but not opened.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _PLAYER = ("mast_zenoh", "runtime", "played", "player.py")
 
 
 @dataclass(frozen=True)
-class Trust:
-    """What the user trusts beyond shipped files.
+class AllowedCode:
+    """The code of a run folder that may run besides shipped files.
 
     files:     named by the user, on this command line
     confirmed: whether all files that the run folder names may run (`--trust`)
@@ -36,8 +36,8 @@ class Trust:
     @classmethod
     def of(
         cls, *named: str | Path | None, confirmed: bool = False, announce: Callable[[str], object] | None = None
-    ) -> Trust:
-        """Trust in files that the user has named; None: none."""
+    ) -> AllowedCode:
+        """Files that the user has named; None: none."""
         return cls(frozenset(Path(file).resolve() for file in named if file is not None), confirmed, announce)
 
     def files_in(self, origin: str, folder: Path | None, names: Iterable[str]) -> dict[str, str | UntrustedFile]:
@@ -47,24 +47,24 @@ class Trust:
         """
         shipped = {name: _shipped(name) for name in names}
         own = {name: _found(name, folder) for name, file in shipped.items() if file is None}
-        trusted = {name: path for name, path in own.items() if self.confirmed or path.resolve() in self.files}
-        if refused := [str(path) for name, path in own.items() if name not in trusted]:
+        allowed = {name: path for name, path in own.items() if self.confirmed or path.resolve() in self.files}
+        if refused := [str(path) for name, path in own.items() if name not in allowed]:
             error = UntrustedCode(
                 f"{origin}: names code that does not come with mast: {', '.join(sorted(refused))}: nothing of it was "
                 "run; read it, and if you trust it, confirm it with --trust"
             )
             return {
-                name: file or (str(trusted[name]) if name in trusted else UntrustedFile(name, error))
+                name: file or (str(allowed[name]) if name in allowed else UntrustedFile(name, error))
                 for name, file in shipped.items()
             }
-        confirmed = sorted(str(path) for path in trusted.values() if path.resolve() not in self.files)
+        confirmed = sorted(str(path) for path in allowed.values() if path.resolve() not in self.files)
         if confirmed and self.announce is not None:
             self.announce(f"--trust: running code that {origin} names: {', '.join(confirmed)}")
-        return {name: file or str(trusted[name]) for name, file in shipped.items()}
+        return {name: file or str(allowed[name]) for name, file in shipped.items()}
 
 
-#: Trust in shipped files alone, and in a run that this process is a part of.
-NOTHING, OWN_RUN = Trust(), Trust(confirmed=True)
+#: Shipped files alone, and all of a run that this process is a part of.
+SHIPPED, OWN_RUN = AllowedCode(), AllowedCode(confirmed=True)
 
 
 class UntrustedFile(os.PathLike[str]):

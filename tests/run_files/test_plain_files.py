@@ -1,0 +1,67 @@
+"""Only plain files of a run folder are read, whatever their format: no links, pipes, sockets or folders."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mast_zenoh import scene
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch.tables import read_table
+from mast_zenoh.messagelog.script import Script
+from mast_zenoh.run_files import check_plain, open_plain, read_json
+from mast_zenoh.scenario import load, resolve
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.recording_file import RecordingFile
+
+READERS = [read_json, read_table, Recording.load, Script.load, check_plain, open_plain]
+
+
+def link(path: Path) -> None:
+    (path.parent / "target").write_bytes(b"{}")
+    path.symlink_to("target")
+
+
+def bind(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as opened:
+        opened.bind(os.path.relpath(path))
+
+
+KINDS = {
+    "a link": link,
+    "a pipe": os.mkfifo,
+    "a folder": Path.mkdir,
+    "a special file": bind,
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_reader_refuses_what_is_no_plain_file_and_names_it(
+    kind: str, reader: Callable[[Path], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # the name of a socket is short
+    path = tmp_path / "a_file"
+    KINDS[kind](path)
+    with pytest.raises(RunFolderError, match=f"{path}: found {kind}, expected a file"):
+        reader(path)
+
+
+def test_a_missing_file_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        check_plain(tmp_path / "nowhere")
+
+
+def test_a_scene_that_the_user_names_may_be_a_link(tmp_path: Path) -> None:
+    path, content = load("baseline")
+    recording = resolve(path, content, frames=1).recording
+    assert recording is not None
+    recording.save(tmp_path / "scene.npz")
+    (tmp_path / "link.npz").symlink_to("scene.npz")
+    assert len(RecordingFile(path=str(tmp_path / "link.npz")).record(0, None)) == 1
+    assert scene(tmp_path / "link.npz").truth is not None
