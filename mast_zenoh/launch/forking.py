@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -17,10 +18,16 @@ from typing import IO, Any, BinaryIO
 from mast_zenoh.errors import StartError
 from mast_zenoh.runtime.fork_server import MAX_REQUEST
 
-#: Whether this system can tell when a process ends that is not a child of the launcher.
-AVAILABLE = hasattr(os, "pidfd_open")
-
 _END_S = 5.0  # for the server to tell an exit code, or to leave
+
+
+def is_available() -> bool:
+    """Whether this system can tell when a process ends that is not a child of the launcher."""
+    try:
+        os.close(os.pidfd_open(os.getpid()))
+    except (AttributeError, OSError):  # another system, or a container that forbids it
+        return False
+    return True
 
 
 class ForkServer:
@@ -36,7 +43,7 @@ class ForkServer:
         with its:
             command = [sys.executable, "-P", "-m", "mast_zenoh.runtime.fork_server"]
             self._process = subprocess.Popen(
-                command, stdin=its, stdout=sys.stderr, env=environment, start_new_session=True
+                command, stdin=its.fileno(), stdout=subprocess.DEVNULL, env=environment, start_new_session=True
             )
 
     def start(self, command: list[str], folder: Path, log: IO[bytes]) -> Forked:
@@ -114,10 +121,8 @@ class Forked:
     def send_signal(self, number: int) -> None:
         """Send a signal, unless it has ended."""
         if self.poll() is None:
-            try:
+            with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self._descriptor, number)
-            except ProcessLookupError:
-                pass
 
     def terminate(self) -> None:
         """Send SIGTERM."""

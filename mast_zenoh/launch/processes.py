@@ -59,7 +59,7 @@ class Processes(Supervisor[Process]):
         self.endpoint = endpoint
         self.inside = inside
         self.extra_arguments = extra_arguments
-        self._server = ForkServer(_environment()) if forking.AVAILABLE else None
+        self._server = ForkServer(_environment()) if forking.is_available() else None
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
         self.without[name] = sorted(without)
