@@ -6,8 +6,9 @@ Nodes and times are drawn from a seed.
 
 Each run is a process of `mast run` on a mesh, of which up to three processes are suspended (SIGSTOP, SIGCONT) for 0.5
 to 10 s. It must equal the same run in one process, in all messages and in metrics.json, or report that it does not.
-With `--watchers`, no node is suspended but, for the rest of the run, somebody who watches it: a viewer with an open
-page, one for Foxglove, one for Rerun, or a client of Zenoh that subscribes to everything. Such runs must be ok.
+With `--watchers`, no node is suspended but, from a frame drawn from the rest of the run to its end, a client that
+watches it: a viewer with an open page, one for Foxglove, one for Rerun, or a foreign client of Zenoh that subscribes to
+everything. Such runs must be ok.
 Prints a line for each, with the command that repeats a run that did neither. Exits with 1 if any did.
 """
 
@@ -27,12 +28,15 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import psutil
+import zenoh
 from disturbing import PlanResult, left_behind, numbers, parser, report_results
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from mast_zenoh.control import prefix
 from mast_zenoh.errors import (
     HandlerFailed,
     NodeDied,
@@ -43,8 +47,11 @@ from mast_zenoh.errors import (
 )
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.runtime.mesh.session import open_observer
+from mast_zenoh.runtime.mesh.stamp import stamp_of
 
-FRAMES = 150
+FRAMES, WATCHED_FRAMES = 150, 300  # a watched run lasts until its watcher is there, and longer
+LATEST = 0.9  # of the frames of a watched run: the latest at which its watcher is suspended
 SCENARIOS = {
     "baseline": ("baseline",),
     "attacked": ("coordinated", "--set", "attack_start_s=1.0"),
@@ -91,10 +98,14 @@ class Stop:
 
 @dataclass(frozen=True)
 class Plan:
-    """The suspensions of one run of a scenario."""
+    """The suspensions of one run of a scenario.
+
+    moment: when a watcher is suspended, 0 to 1: of the frames from its arrival to the latest one
+    """
 
     scenario: str
     stops: tuple[Stop, ...]
+    moment: float
 
     @classmethod
     def draw(cls, seed: int, number: int) -> Plan:
@@ -108,6 +119,7 @@ class Plan:
                 Stop(generator.random(), generator.uniform(0.0, LATEST_S), generator.uniform(0.5, 10.0))
                 for _ in range(several)
             ),
+            generator.random(),
         )
 
 
@@ -115,7 +127,7 @@ def run_one(plan: Plan, undisturbed: Path, folder: Path) -> tuple[str, str, list
     """Carry out a plan; returns what was stopped, how the run ended, and errors."""
     out = folder / "run"
     with (folder / "output").open("wb") as output:
-        process = subprocess.Popen(command(plan.scenario, out), stdout=output, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(command(plan.scenario, out, FRAMES), stdout=output, stderr=subprocess.STDOUT)
     names = _nodes_of(process, out)
     done: list[str] = []
     threads = [
@@ -136,18 +148,23 @@ def run_one(plan: Plan, undisturbed: Path, folder: Path) -> tuple[str, str, list
 
 
 def run_watched(plan: Plan, kind: str, undisturbed: Path, folder: Path) -> tuple[str, str, list[str]]:
-    """Like `run_one`, with a watcher of this kind, which is suspended until the run has ended."""
+    """Like `run_one`, with a watcher of this kind, which is suspended from a frame to the end of the run."""
     out = folder / "run"
     with (folder / "output").open("wb") as output:
-        process = subprocess.Popen(command(plan.scenario, out), stdout=output, stderr=subprocess.STDOUT)
+        words = command(plan.scenario, out, WATCHED_FRAMES)
+        process = subprocess.Popen(words, stdout=output, stderr=subprocess.STDOUT)
     _nodes_of(process, out)
-    after_s = plan.stops[0].after_s
     with ExitStack() as stack:
+        clock = Clock(out, stack)
         watcher = _watcher(kind, out, stack)
         stack.callback(watcher.kill)
-        threading.Event().wait(after_s)
-        done = f"{kind} {after_s:.1f} s after it was there" if process.poll() is None else ""
+        frame = round(clock.frame + plan.moment * (LATEST * WATCHED_FRAMES - clock.frame))
+        while clock.frame < frame and process.poll() is None:
+            threading.Event().wait(0.005)
         psutil.Process(watcher.pid).suspend()
+        clock.longest_pause_s = 0.0
+        done = f"{kind:8} at frame {clock.frame:3}"
+        missed = [] if clock.frame < WATCHED_FRAMES - 1 and process.poll() is None else ["the run had ended before"]
         try:
             code = process.wait(LONGEST_S)
         except subprocess.TimeoutExpired:
@@ -156,8 +173,29 @@ def run_watched(plan: Plan, kind: str, undisturbed: Path, folder: Path) -> tuple
     how, broken = _judge(out, undisturbed, code, (folder / "output").read_text(errors="replace"))
     if code != 0 and not broken:
         broken = [how]
-    disconnected = json.loads((out / "run.json").read_text()).get("disconnected", [])
-    return done or "the run had ended before", f"{how}{', a client was disconnected' if disconnected else ''}", broken
+    if "disconnected" in json.loads((out / "run.json").read_text()):
+        how += ", the client was disconnected"
+    return f"{done}, longest pause then {clock.longest_pause_s:.2f} s", how, missed + broken
+
+
+class Clock:
+    """The clock of a running run.
+
+    frame: the newest that has begun, -1: none yet;  longest_pause_s: s without a new one, since it was set to 0
+    """
+
+    def __init__(self, out: Path, stack: ExitStack) -> None:
+        self.frame, self.longest_pause_s = -1, 0.0
+        self._began_s = time.monotonic()
+        record = json.loads((out / "run.json").read_text())
+        session = stack.enter_context(open_observer(record["endpoint"]))
+        on_clock: Any = zenoh.handlers.Callback(self._note, indirect=False)
+        session.declare_subscriber(f"{prefix(record['id'])}/clock", on_clock)
+
+    def _note(self, sample: zenoh.Sample) -> None:
+        now = time.monotonic()
+        self.longest_pause_s = max(self.longest_pause_s, now - self._began_s)
+        self.frame, self._began_s = stamp_of(sample.attachment)[1], now
 
 
 def _watcher(kind: str, out: Path, stack: ExitStack) -> subprocess.Popen[str]:
@@ -185,10 +223,10 @@ def _confirm(page: ClientConnection) -> None:
                 page.send("shown")
 
 
-def command(scenario: str, out: Path, *more: str) -> list[str]:
+def command(scenario: str, out: Path, frames: int, *more: str) -> list[str]:
     """The command that runs a scenario."""
     run = [sys.executable, "-m", "mast_zenoh", "run", *SCENARIOS[scenario], "--mode", "lockstep"]
-    return [*run, "--frames", str(FRAMES), "--no-report", "--out", str(out), *more]
+    return [*run, "--frames", str(frames), "--no-report", "--out", str(out), *more]
 
 
 def _nodes_of(process: subprocess.Popen[bytes], out: Path) -> list[str]:
@@ -268,7 +306,8 @@ def main() -> None:
         @cache
         def undisturbed(scenario: str) -> Path:
             out = Path(kept) / scenario
-            subprocess.run(command(scenario, out, "--runtime", "inproc"), check=True, capture_output=True)
+            frames = WATCHED_FRAMES if arguments.watchers else FRAMES
+            subprocess.run(command(scenario, out, frames, "--runtime", "inproc"), check=True, capture_output=True)
             return out
 
         def carry_out(number: int) -> PlanResult:
@@ -277,7 +316,7 @@ def main() -> None:
                 twin = undisturbed(plan.scenario)
             with tempfile.TemporaryDirectory(prefix="mast-stopped-") as folder:
                 if arguments.watchers:
-                    kind = WATCHERS[number % len(WATCHERS)]
+                    kind = WATCHERS[(number + number // len(SCENARIOS)) % len(WATCHERS)]  # each with each scenario
                     done, how, broken = run_watched(plan, kind, twin, Path(folder))
                 else:
                     done, how, broken = run_one(plan, twin, Path(folder))

@@ -69,13 +69,16 @@ class Activities:
 
 
 def watched_keys(wiring: Wiring) -> dict[str, tuple[str, bool]]:
-    """By node, the key on which it is heard, and whether it sends something there in every frame."""
-    keys: dict[str, tuple[str, bool]] = {}
+    """By node, the key on which it is heard, and whether it sends something there in every frame.
+
+    A leg before an interposer only where the node sends nothing else in every frame.
+    """
+    ranked: dict[str, tuple[tuple[bool, bool], str]] = {}
     for wire, leg in wiring.legs():
-        node, counted = leg.publisher.node, wire.message in _EVERY_FRAME
-        if TAP not in leg.key.split("/") and (node not in keys or counted > keys[node][1]):
-            keys[node] = leg.key, counted
-    return keys
+        node, rank = leg.publisher.node, (wire.message in _EVERY_FRAME, TAP not in leg.key.split("/"))
+        if node not in ranked or rank > ranked[node][0]:
+            ranked[node] = rank, leg.key
+    return {node: (key, counted) for node, ((counted, _), key) in ranked.items()}
 
 
 class _Key:

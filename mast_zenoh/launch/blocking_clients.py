@@ -1,87 +1,104 @@
-"""Disconnects foreign clients that stopped reading and block a lock-step run.
+"""Disconnects foreign clients that do not read in time and hold up a lock-step run.
 
 Messages in lock-step wait until every subscriber has room for them, so that no node misses any. A client that is
-no node, such as a third-party recorder, would stop the run when it is suspended: the router waits for it. Routers do
-not wait for viewers (`session.OBSERVERS`).
+no node, such as a third-party recorder, would stop the run when it is suspended, or slow it down to its own pace.
+Routers do not wait for viewers (`session.OBSERVERS`).
+
+Nodes are known by the Zenoh ids that the launcher gave them, as anybody may claim their liveliness tokens. The router's
+admin space knows who does, but reading it while a client connects can lock up the router (Zenoh 1.10).
 """
 
 from __future__ import annotations
 
 import fcntl
-import json
 import logging
 import socket
 import struct
 import time
-from collections.abc import Collection, Iterator
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from typing import NamedTuple
 
 import zenoh
 
+from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.runtime.mesh.session import OBSERVERS, own_sockets
 
-#: s without a new frame after which links are looked at, and between two looks.
-_PAUSE_S, _CHECK_INTERVAL_S = 2.0, 1.0
-#: s, limit on a query of the router's admin space.
-_ADMIN_S = 2.0
+#: s between two looks at the links; s for which a link is watched before it is ended.
+_LOOK_S, _PATIENCE_S = 0.5, 2.5
+#: Share of that time in which the router waited for the other side to read.
+_WAITED_SHARE = 0.9
 #: s in which a client that reads takes something.
 _TAKEN_S = 0.2
-#: Of Linux: the request for the number of unsent bytes, and the place of `bytes_acked` in `struct tcp_info`.
-_SIOCOUTQ, _ACKED_OFFSET = 0x5411, 120
+#: Of Linux: the request for the number of unsent bytes, and the place of `tcpi_rwnd_limited` in `struct tcp_info`.
+_SIOCOUTQ, _WAITED_OFFSET = 0x5411, 176
 log = logging.getLogger("mast.launch")
 
 _RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close without waiting
 
 
-class BlockingClients:
-    """Looks at the links of a router in this process while no frame begins.
+class _Look(NamedTuple):
+    """Links at one time: monotonic clock, s; the newest frame; by address, s for which the other side did not read."""
 
-    session: the router's;  endpoint: its own;  prefix: of all keys of the run
-    nodes: the names of its nodes now
+    now: float
+    frame: int
+    waited_s: Mapping[str, float]
+
+
+class BlockingClients:
+    """Looks at the links of a router in this process.
+
+    mesh: `session` is the router's own;  endpoint: the router's
     """
 
-    def __init__(self, session: zenoh.Session, endpoint: str, prefix: str, nodes: Collection[str]) -> None:
-        self._session = session
-        self._names = nodes
+    def __init__(self, context: RunContext, mesh: Mesh, endpoint: str) -> None:
+        self._context = context
+        self._session = mesh.session
+        self._nodes = mesh.zids
         self._port = _port(endpoint)
-        self._alive = f"@/{session.info.zid()}/router/token/{prefix}/alive/*"
-        self._frame = -1
         self._due = 0.0
-        self._before: dict[str, int] = {}
+        self._looks = deque[_Look]()
+        self._disconnected: set[str] = set()  # Zenoh ids
 
-    def disconnect(self, frame: int) -> list[str]:
-        """End the links that hold up the run, if any; returns a sentence for each. To be called often.
+    def disconnect(self) -> list[str]:
+        """End the links that hold up the run, if any; returns a sentence for each client. To be called often.
 
-        frame: the newest that has begun; nothing happens before the first
+        A client that was disconnected once stays out: Zenoh connects and subscribes again by itself.
         """
         now = time.monotonic()
-        if frame != self._frame:
-            self._frame, self._due, self._before = frame, now + _PAUSE_S, {}
-        if frame < 0 or now < self._due:
+        if now < self._due:
             return []
-        self._due = now + _CHECK_INTERVAL_S
-        before, self._before = self._before, _full_links(self._port)
-        stuck = {address for address, acked in self._before.items() if before.get(address) == acked}
-        return self._end(stuck) if stuck else []
-
-    def _end(self, stuck: set[str]) -> list[str]:
-        """End those of these links that lead neither to nodes, which lock-step waits for, nor to observers."""
-        excepted = {*OBSERVERS, *self._nodes()}
-        zids = {str(link.dst).partition("/")[2]: str(link.zid) for link in self._session.info.links()}
-        foreign = {address for address in stuck if address in zids and zids[address] not in excepted}
+        self._due = now + _LOOK_S
+        look = _Look(now, self._context.frame, _waited_s(self._port))
+        self._looks.append(look)
+        while len(self._looks) > 1 and now - self._looks[1].now >= _PATIENCE_S:
+            self._looks.popleft()
+        unread = self._unread(self._looks[0], look)
+        if not (unread or self._disconnected):
+            return []
+        addresses = {str(link.zid): str(link.dst).partition("/")[2] for link in self._session.info.links()}
+        known = {*OBSERVERS, *self._nodes, *self._disconnected}
+        new = {zid for zid, address in addresses.items() if address in unread and zid not in known}
+        self._disconnected |= new
+        _reset(self._port, {addresses[zid] for zid in self._disconnected & addresses.keys()})
         return [
-            f"a client that is no node of this run held it up at frame {self._frame}: {address} (Zenoh id "
-            f"{zids[address]}) did not read what it subscribed to, and was disconnected"
-            for address in _reset(self._port, foreign)
+            f"a client that is no node of this run held it up at frame {look.frame}: {addresses[zid]} (Zenoh id {zid}) "
+            "did not read in time what it subscribed to, and was disconnected"
+            for zid in sorted(new)
         ]
 
-    def _nodes(self) -> set[str]:
-        """The ids of the sessions that hold the tokens of the run's nodes."""
+    def _unread(self, first: _Look, last: _Look) -> set[str]:
+        """The addresses that did not read between two looks, if the run was slower than its scene meanwhile."""
+        passed = last.now - first.now
+        scene_s = (last.frame - first.frame) * self._context.resolved.period_ns * 1e-9
+        if passed < _PATIENCE_S or first.frame < 0 or scene_s >= passed:
+            return set()
+        enough = _WAITED_SHARE * passed
         return {
-            zid
-            for reply in self._session.get(self._alive, timeout=_ADMIN_S)
-            if reply.ok is not None and str(reply.ok.key_expr).rpartition("/")[2] in self._names
-            for zid in json.loads(reply.ok.payload.to_string())["clients"]
+            address
+            for address, waited_s in last.waited_s.items()
+            if waited_s - first.waited_s.get(address, waited_s) >= enough
         }
 
 
@@ -97,7 +114,7 @@ def closing_router(router: zenoh.Session, endpoint: str) -> Iterator[zenoh.Sessi
         port = _port(endpoint)
         if _full_links(port):
             time.sleep(_TAKEN_S)
-            _reset(port, _full_links(port).keys())
+            _reset(port, _full_links(port))
         try:
             router.close()
         except zenoh.ZError as error:  # the run is over: nothing is lost that belongs to it
@@ -118,28 +135,33 @@ def _links(port: int) -> Iterator[tuple[str, socket.socket]]:
         yield address, own
 
 
-def _full_links(port: int) -> dict[str, int]:
-    """By address of the other side: the bytes that it has taken, of links on which more are waiting."""
-    links = {}
+def _full_links(port: int) -> set[str]:
+    """The addresses of the other side of links on which bytes are waiting."""
+    full = set()
     for address, own in _links(port):
         with suppress(OSError):
-            waiting = struct.unpack("i", fcntl.ioctl(own.fileno(), _SIOCOUTQ, bytes(4)))[0]
-            info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ACKED_OFFSET + 8)
-            if waiting:
-                links[address] = int(struct.unpack_from("Q", info, _ACKED_OFFSET)[0])
-    return links
+            if struct.unpack("i", fcntl.ioctl(own.fileno(), _SIOCOUTQ, bytes(4)))[0]:
+                full.add(address)
+    return full
 
 
-def _reset(port: int, addresses: Collection[str]) -> list[str]:
-    """End the links to these addresses without waiting; returns those that there were."""
-    ended = []
+def _waited_s(port: int) -> dict[str, float]:
+    """By address of the other side: s for which this side waited for it to read, since the link began."""
+    waited = {}
+    for address, own in _links(port):
+        with suppress(OSError, struct.error):  # an old kernel does not have it
+            info = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _WAITED_OFFSET + 8)
+            waited[address] = struct.unpack_from("Q", info, _WAITED_OFFSET)[0] * 1e-6
+    return waited
+
+
+def _reset(port: int, addresses: Collection[str]) -> None:
+    """End the links to these addresses without waiting."""
     for address, own in _links(port):
         if address in addresses:
             with suppress(OSError):  # the other side may leave meanwhile
                 own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
                 own.shutdown(socket.SHUT_RDWR)
-                ended.append(address)
-    return ended
 
 
 def _address(own: socket.socket) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import signal
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,12 +34,14 @@ class Mesh(NamedTuple):
     deployment: the credentials of this run; None without security
     control: the launcher's control keys, if it has not made the credentials itself
     has_router: whether the session is the router's own, so that what it subscribes to crosses no link
+    zids: the Zenoh ids of all nodes that the supervisor has started; grows with them
     """
 
     session: zenoh.Session
     supervisor: Supervisor[Any]
     deployment: Deployment | None = None
     has_router: bool = False
+    zids: Collection[str] = ()
     control: ControlKeys | None = None
 
 

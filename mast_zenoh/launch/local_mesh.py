@@ -66,4 +66,5 @@ def _open_router(context: RunContext, stack: ExitStack, listen: str) -> Mesh:
     session, endpoint = open_router(listen, security=deployment.router, patient=resolved.patient)
     context.record["endpoint"] = endpoint
     processes = Processes(context.folder, run, endpoint, extra_arguments=extra_arguments)
-    return Mesh(stack.enter_context(closing_router(session, endpoint)), processes, deployment, has_router=True)
+    router = stack.enter_context(closing_router(session, endpoint))
+    return Mesh(router, processes, deployment, has_router=True, zids=processes.zids)

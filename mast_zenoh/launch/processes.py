@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import signal
 import subprocess
 import sys
@@ -18,6 +19,8 @@ from mast_zenoh.launch.supervisor import Child, Supervisor
 
 #: One thread per node: many small arrays gain nothing from more, and the nodes share the machine.
 ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+_NODE = [sys.executable, "-P", "-m", "mast_zenoh.runtime"]  # -P: nothing from the working directory
 
 
 class Process(Child):
@@ -43,6 +46,7 @@ class Processes(Supervisor[Process]):
 
     inside: what to put before the command of a node; it must become that command, in the same process
     extra_arguments: additional arguments of a node's command
+    zids: of all processes so far, so that nobody else counts as a node, whatever name it claims
     """
 
     def __init__(
@@ -59,7 +63,8 @@ class Processes(Supervisor[Process]):
         self.endpoint = endpoint
         self.inside = inside
         self.extra_arguments = extra_arguments
-        self._server = ForkServer(_environment()) if forking.is_available() else None
+        self._server: ForkServer | None = None
+        self.zids: set[str] = set()
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
         self.without[name] = sorted(without)
@@ -68,9 +73,10 @@ class Processes(Supervisor[Process]):
 
     def command(self, name: str, spec: NodeSpec) -> list[str]:
         """The command that starts a node."""
-        module = ["-P", "-m", "mast_zenoh.runtime", spec.file]  # -P: nothing from the working directory
-        command = [*self.inside(name), sys.executable, *module, "--run-folder", str(self.folder), "--name", name]
-        command += ["--endpoint", self.endpoint, "--run", self.run, *self.extra_arguments(name)]
+        command = [*self.inside(name), *_NODE, spec.file, "--run-folder", str(self.folder), "--name", name]
+        zid = "1" + secrets.token_hex(15)
+        self.zids.add(zid)
+        command += ["--endpoint", self.endpoint, "--run", self.run, "--zid", zid, *self.extra_arguments(name)]
         without = ",".join(self.without[name])
         return [*command, "--without", without] if without else command
 
@@ -121,7 +127,8 @@ class Processes(Supervisor[Process]):
 
     def _spawn(self, name: str, spec: NodeSpec, log: IO[bytes]) -> subprocess.Popen[bytes] | Forked:
         command = self.command(name, spec)
-        if self._server is not None and not self.inside(name):
+        if command[: len(_NODE)] == _NODE and forking.is_available():
+            self._server = self._server or ForkServer(_environment())
             return self._server.start(command, self.folder, log)
         return subprocess.Popen(
             command,

@@ -6,7 +6,7 @@ import time
 
 from rich.markup import escape
 
-from mast_zenoh.control import control_prefix, failures, prefix
+from mast_zenoh.control import control_prefix, failures
 from mast_zenoh.control.stop_reasons import StopKind, decode_reason
 from mast_zenoh.errors import (
     BackendError,
@@ -66,11 +66,7 @@ class Watch:
         self._hosts = hosts
         # Routers that are not patient end silent links by themselves.
         endpoint = context.record["endpoint"] if mesh.has_router and context.resolved.patient else None
-        self._blocking = (
-            BlockingClients(mesh.session, endpoint, prefix(context.run_id), mesh.supervisor.children)
-            if endpoint
-            else None
-        )
+        self._blocking = BlockingClients(context, mesh, endpoint) if endpoint else None
         self._interrupts = 0  # stop signals that have been handled
         observing = display.live and mesh.has_router  # elsewhere, what is observed would cross the network
         self._observation = Observation(context, mesh.session if observing else None)
@@ -87,11 +83,11 @@ class Watch:
             self._requests.serve(_POLL_S, stopping=self._stop.requested)
             self._check_file_server()
             self._context.show_refusals()
-            self._interceptions.advance()
             self._disconnect_blocking()
             self.take_reports()
             for child in self._supervisor.newly_ended():
                 self._handle_exit(child)
+            self._interceptions.advance()  # after the reports: a node that has handed in its results did not die
             if len(self._context.signals) > self._interrupts:
                 self._interrupts = len(self._context.signals)
                 self._stop.problem = ending.from_signals(self._context.signals)
@@ -153,7 +149,7 @@ class Watch:
 
     def _disconnect_blocking(self) -> None:
         """Disconnect foreign clients that hold up the run, and tell it."""
-        for sentence in self._blocking.disconnect(self._context.frame) if self._blocking else ():
+        for sentence in self._blocking.disconnect() if self._blocking else ():
             self._context.record.setdefault("disconnected", []).append(sentence)
             self._context.show(f"[yellow]{escape(sentence)}")
 

@@ -137,7 +137,16 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
     monkeypatch.setattr("mast_zenoh.runtime.mesh.driver.SUSPECT_S", 0.01)
     new_driver.membership.alive |= {"ego", "watch"}
     new_driver._begin_epoch()
+    new_driver.pacer.heard |= {"ego", "watch"}  # both have taken part
     return new_driver
+
+
+def test_a_token_that_goes_before_its_node_was_heard_is_no_loss(driver: Driver) -> None:
+    driver.pacer.heard.discard("ego")
+    presence(driver, False, True)
+    assert driver._wait(time.monotonic() + 1.0)
+    assert "ego" not in driver.membership.alive
+    assert driver.membership.churn == []
 
 
 @pytest.fixture

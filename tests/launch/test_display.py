@@ -155,12 +155,12 @@ def test_frames_without_a_message_are_counted_and_forged_stamps_are_not_believed
     assert tracks == [b"undeclared"]
 
 
-def test_hidden_legs_are_not_subscribed() -> None:
+def test_a_leg_before_an_adversary_is_heard_only_where_a_node_sends_nothing_else_in_every_frame() -> None:
     keys = watched_keys(wiring_of("coordinated", "n_adversaries=1"))
     assert keys["adversary_1"] == ("agent/infra_1/tracks", True)
-    assert keys["ego"] == ("agent/ego/mission", True)
+    assert keys["infra_1"] == ("agent/infra_1/tracks/@tap/0", True)
     assert keys["simulator"] == ("clock", True)
-    assert not any("@tap" in key for key, _ in keys.values())
+    assert [key for key, _ in keys.values() if "@tap" in key] == ["agent/infra_1/tracks/@tap/0"]
 
 
 def test_current_events_are_those_of_the_timeline_and_interceptions_those_that_last() -> None:

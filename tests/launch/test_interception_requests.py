@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import msgpack
 import pytest
@@ -20,7 +21,7 @@ from mast_zenoh.config.settings import nested
 from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
 from mast_zenoh.launch.interception.client import intercept, plan, release
-from mast_zenoh.launch.interception.server import seal, unseal
+from mast_zenoh.launch.interception.server import Interceptions, seal, unseal
 from mast_zenoh.messages import Schema
 from mast_zenoh.scenario.nodes import add_surroundings
 
@@ -270,3 +271,16 @@ def test_code_of_the_run_that_is_not_trusted_is_neither_run_nor_needed_for_anoth
     with pytest.raises(ConfigurationError, match=r"'Theirs'.*theirs\.py: nothing of it was run.*--trust"):
         plan(running, TRACKS, "adversary.py", settings=("attack.type=Theirs",))
     assert not marker.exists()
+
+
+@pytest.mark.parametrize(
+    ("exit", "handed_in", "heals"), [(0, True, False), (0, False, True), (-9, False, True), (None, False, False)]
+)
+def test_a_wire_is_healed_if_its_node_died_and_not_if_it_left_at_the_end_of_the_run(
+    tmp_path: Path, exit: int | None, handed_in: bool, heals: bool
+) -> None:
+    context = MagicMock(folder=tmp_path, record={}, run_id="a", stop=MagicMock(requested=False))
+    child = MagicMock(exit=exit, exit_expected=False, handed_in=handed_in)
+    server = Interceptions(context, MagicMock(), MagicMock(children={"mallory": child}))
+    server._inserted.add("mallory")
+    assert (server._next() is not None) == heals

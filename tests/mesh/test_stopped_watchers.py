@@ -31,22 +31,33 @@ session = hosting.join(sys.argv[1], None, observer=True)
 {_LISTENS}
 sys.stdin.read()
 """
-_STRANGER = f"""
-import sys, zenoh
+_CLIENT = """
+import sys, time, zenoh
 config = zenoh.Config()
 config.insert_json5("mode", '"client"')
 config.insert_json5("scouting/multicast/enabled", "false")
-config.insert_json5("connect/endpoints", f'["{{sys.argv[1]}}"]')
+config.insert_json5("connect/endpoints", f'["{sys.argv[1]}"]')
 session = zenoh.open(config)
+"""
+_STRANGER = f"{_CLIENT}{_LISTENS}\nsys.stdin.read()"
+#: A client that takes a message every 0.2 s, and one that claims to be the node of the second argument, then listens.
+_TRICKLE = f"""{_CLIENT}
+slow = zenoh.handlers.Callback(lambda _: time.sleep(0.2), indirect=False)
+received = session.declare_subscriber('**', slow)
+print('there', flush=True)
+sys.stdin.read()
+"""
+_CLAIMANT = f"""{_CLIENT}
+token = session.liveliness().declare_token(sys.argv[2])
 {_LISTENS}
 sys.stdin.read()
 """
 
 
 @contextmanager
-def watching(program: str, endpoint: str) -> Iterator[subprocess.Popen[str]]:
+def watching(program: str, endpoint: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """A process that subscribes to everything."""
-    command = [sys.executable, "-c", program, endpoint]
+    command = [sys.executable, "-c", program, endpoint, *arguments]
     with subprocess.Popen(command, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as watcher:
         try:
             assert watcher.stdout is not None
@@ -72,25 +83,74 @@ def test_a_node_gets_every_message_while_a_viewer_is_suspended() -> None:
         subscriber.undeclare()
 
 
-def test_a_run_goes_on_without_a_suspended_client_and_names_it(launch: Callable[..., Launched], tmp_path: Path) -> None:
-    parameters = ("--set", "attack_start_s=0.5", "--set", "n_infrastructure=2")
-    words = ("coordinated", *parameters, "--frames", "60", "--mode", "lockstep")
-    run = launch(*words)
-    endpoint = run.until(lambda: run.record().get("endpoint"), "the run has a router")
+_RUN = ("coordinated", "--set", "attack_start_s=0.5", "--set", "n_infrastructure=2", "--frames", "60")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run of `_RUN` that nobody watches."""
+    out = tmp_path_factory.mktemp("undisturbed") / "run"
+    words = (*_RUN, "--mode", "lockstep", "--no-report", "--runtime", "inproc")
+    subprocess.run([*MAST, "run", *words, "--out", str(out)], check=True, capture_output=True)
+    return out
+
+
+@pytest.fixture
+def begun(launch: Callable[..., Launched]) -> tuple[Launched, str]:
+    """The same run on a mesh as soon as its router is there, and its endpoint."""
+    run = launch(*_RUN, "--mode", "lockstep")
+    return run, run.until(lambda: run.record().get("endpoint"), "the run has a router")
+
+
+def disconnected(run: Launched, undisturbed: Path) -> str:
+    """The only sentence on a client that was disconnected, after the run has ended like the undisturbed one."""
+    code, output = run.end()
+    assert code == 0, output
+    assert compare(undisturbed, run.out, taps=True).first is None
+    assert (undisturbed / "metrics.json").read_bytes() == (run.out / "metrics.json").read_bytes()
+    assert not run.record()["churn"]
+    (sentence,) = run.record()["disconnected"]
+    assert sentence in {notice["text"] for notice in run.record()["notices"]}
+    return str(sentence)
+
+
+def test_a_run_goes_on_without_a_suspended_client_and_names_it(begun: tuple[Launched, str], undisturbed: Path) -> None:
+    run, endpoint = begun
     with watching(_STRANGER, endpoint) as stranger:
         run.until(run.recorded, "frames are played")
         with pytest.raises(subprocess.TimeoutExpired):
             stranger.wait(random.Random(29).uniform(0.0, 0.3))
         stranger.send_signal(signal.SIGSTOP)
+        assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
+
+
+def test_a_run_goes_on_without_a_client_that_reads_slowly_and_names_it(
+    begun: tuple[Launched, str], undisturbed: Path
+) -> None:
+    run, endpoint = begun
+    with watching(_TRICKLE, endpoint):
+        assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
+
+
+def test_a_suspended_client_that_claims_to_be_a_node_is_disconnected(
+    begun: tuple[Launched, str], undisturbed: Path
+) -> None:
+    run, endpoint = begun
+    run.until(run.recorded, "frames are played")
+    with watching(_CLAIMANT, endpoint, f"mast/{run.record()['id']}/alive/infra_1") as claimant:
+        claimant.send_signal(signal.SIGSTOP)
+        assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
+
+
+def test_a_run_begins_with_a_node_whose_name_was_claimed_before_it_was_there(
+    begun: tuple[Launched, str], undisturbed: Path
+) -> None:
+    run, endpoint = begun
+    with watching(_CLAIMANT, endpoint, f"mast/{run.record()['id']}/alive/infra_1"):
         code, output = run.end()
     assert code == 0, output
-    (sentence,) = run.record()["disconnected"]
-    assert "did not read what it subscribed to" in sentence
-    assert sentence in {notice["text"] for notice in run.record()["notices"]}
-    alone = launch(*words, "--runtime", "inproc")
-    assert alone.end()[0] == 0
-    assert compare(alone.out, run.out, taps=True).first is None
-    assert (alone.out / "metrics.json").read_bytes() == (run.out / "metrics.json").read_bytes()
+    assert compare(undisturbed, run.out, taps=True).first is None
+    assert not run.record()["churn"]
 
 
 def test_a_viewer_gives_up_on_a_listener_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> None:

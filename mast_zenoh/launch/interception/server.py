@@ -128,7 +128,8 @@ class Interceptions:
     def _next(self) -> Generator[None] | None:
         for name in sorted(self._inserted):
             child = self._supervisor.children[name]
-            if child.exit is not None and not child.exit_expected and not self._context.stop.requested:
+            died = child.exit is not None and not child.exit_expected and not (child.exit == 0 and child.handed_in)
+            if died and not self._context.stop.requested:
                 return self._heal(child)
         return None if self._requests.empty() else self._serve(*self._requests.get())
 

@@ -24,11 +24,13 @@ class Pacer:
     """Detects quiescence among the members of the current epoch.
 
     members: name to role of the participating nodes, including the driver
+    heard:   nodes that have reported in any epoch
     """
 
     def __init__(self, wiring: Wiring) -> None:
         self.epoch = 0
         self.members: dict[str, str] = {}
+        self.heard: set[str] = set()
         self._reports: dict[str, tuple[Mapping[str, int], Mapping[str, int]]] = {}
         self._publishes: defaultdict[str, set[str]] = defaultdict(set)
         self._subscribes: defaultdict[str, set[str]] = defaultdict(set)
@@ -68,6 +70,7 @@ class Pacer:
             key = _first(handled, self._subscribes[node])
             return f"{node} reports messages handled on {key}, which it does not receive"
         self._reports[node] = (sent, handled)
+        self.heard.add(node)
         return ""
 
     def drop(self, nodes: Iterable[str]) -> None:

@@ -114,26 +114,24 @@ class Driver(MeshNode):
 
     def extra_results(self) -> dict[str, Any]:
         """Duration of the run, when each frame was sent, and which nodes were lost."""
-        return {
-            "frames": self.frames,
-            "wall_s": self.wall_s,
-            "stop_reason": self.stop_reason,
-            "sent_ns": self.scene.sent_ns,
-            "churn": self.membership.churn,
-        }
+        facts = {"frames": self.frames, "wall_s": self.wall_s, "stop_reason": self.stop_reason}
+        return facts | {"sent_ns": self.scene.sent_ns, "churn": self.membership.churn}
 
     # -- phases: each returns a reason to stop, or None-----------------------------------------------------------
 
     def _gather(self) -> StopReason | None:
-        """Wait until all initial nodes are alive and have entered the first epoch."""
+        """Wait until all initial nodes are alive and have entered an epoch: a token alone may be a foreign client's."""
         deadline = time.monotonic() + self.start_timeout_s
-        members = self.membership
-        while missing := members.expected.keys() - self.timetable.absent - members.alive:
-            if not self._wait(deadline):
+        nodes = self.membership
+        while missing := nodes.expected.keys() - self.timetable.absent - (nodes.alive & self.pacer.members.keys()):
+            if missing <= nodes.alive:
+                self._begin_epoch()
+                if reason := self._await_quiet(include_listeners=True):
+                    return reason
+            elif not self._wait(deadline):
                 problem = f"not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}"
                 return self._end_reason or StopReason(StopKind.START, problem)
-        self._begin_epoch()
-        return self._await_quiet(include_listeners=True)
+        return None
 
     def _play(self) -> StopReason:
         started = time.monotonic()
@@ -220,6 +218,8 @@ class Driver(MeshNode):
         deadline = time.monotonic() + self.stall_timeout_s
         while not self.pacer.quiet(include_listeners=include_listeners):
             if not self._wait(min(deadline, time.monotonic() + SUSPECT_S)):
+                if self.pacer.silent:  # a node whose token was claimed before it was there has missed the epoch
+                    self._epoch_publisher.put(self._announcement)
                 self.fatal_problem = self.fatal_problem or self.pacer.implausible()
                 if self._end_reason or time.monotonic() >= deadline:
                     return self._stalled("; ".join(list(self.pacer.unsettled())[:5]))
@@ -249,7 +249,7 @@ class Driver(MeshNode):
         if event[0] == "counts":
             self._take_counts(event[1])
         elif event[0] == "alive":
-            lost_too_often = self.membership.take(event[1], self.frames, self.members)
+            lost_too_often = self.membership.take(event[1], self.frames, self.members.keys() & self.pacer.heard)
             self.fatal_problem = self.fatal_problem or lost_too_often
         else:
             self.handle(event)
@@ -291,7 +291,8 @@ class Driver(MeshNode):
             self.host.log.info("frame %d: left: %s; joined: %s", self.frames, sorted(left), sorted(joined))
         epoch = self.pacer.begin_epoch(members)
         self.scene.sent.clear()
-        self._epoch_publisher.put(self.signatures.sign("epoch", flow.encode_epoch(epoch, members, update)))
+        self._announcement = self.signatures.sign("epoch", flow.encode_epoch(epoch, members, update))
+        self._epoch_publisher.put(self._announcement)
         self._enter_epoch(epoch, members, update)
         self._report_self()
 

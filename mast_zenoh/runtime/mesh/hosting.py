@@ -39,18 +39,23 @@ def build(resolved: Resolved, name: str, place: str = "scenario.json", cls: type
 
 
 def join(
-    endpoint: str, credentials: Path | Credentials | None, *, patient: bool = False, observer: bool = False
+    endpoint: str,
+    credentials: Path | Credentials | None,
+    *,
+    patient: bool = False,
+    zid: str | None = None,
+    observer: bool = False,
 ) -> zenoh.Session:
     """Open a session on the mesh.
 
-    patient: see `session.open_client`;  observer: see `session.open_observer`
+    patient, zid: see `session.open_client`;  observer: see `session.open_observer`
 
     Raises CredentialsError for unusable credentials before it connects.
     """
     if credentials is not None and (reasons := explain(credentials)):
         raise CredentialsError("; ".join(reasons))
     own = None if credentials is None else _own(credentials)
-    return open_observer(endpoint, own) if observer else open_client(endpoint, own, patient=patient)
+    return open_observer(endpoint, own) if observer else open_client(endpoint, own, patient=patient, zid=zid)
 
 
 def signatures(run: str, credentials: Path | Credentials | None) -> Signatures:

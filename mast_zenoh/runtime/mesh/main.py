@@ -48,6 +48,7 @@ def main(node: type[Node] | None = None) -> None:
     parser.add_argument("--name", required=True, help="which node of the scenario this is")
     parser.add_argument("--endpoint", required=True, help="of the router, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")
+    parser.add_argument("--zid", help="Zenoh id of this process")
     parser.add_argument("--credentials", type=Path, help="folder of credentials: a secure mesh")
     parser.add_argument("--without", default="", help="names of nodes that are not up now, separated by commas")
     parser.add_argument("--stay", action="store_true", help="do not leave when standard input closes")
@@ -72,7 +73,8 @@ def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     instance = hosting.build(resolved, arguments.name, f"{arguments.run_folder}/scenario.json", node)
     if resolved.mode == "lockstep":
         hosting.use_batch_scheduling()  # before there is a session, so that Zenoh's threads do so too
-    with hosting.join(arguments.endpoint, arguments.credentials, patient=resolved.patient) as session:
+    where = arguments.endpoint, arguments.credentials
+    with hosting.join(*where, patient=resolved.patient, zid=arguments.zid) as session:
         without = [name for name in arguments.without.split(",") if name]
         signatures = hosting.signatures(arguments.run, arguments.credentials)
         mesh_nodes.append(hosting.host(resolved, arguments.run, arguments.name, instance, session, without, signatures))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 import zenoh
@@ -62,7 +62,7 @@ class Membership:
         present = token.kind == zenoh.SampleKind.PUT
         self._presence.note(str(token.key_expr).rpartition("/")[2], Presence(not present, present))
 
-    def take(self, name: str, frame: int, members: dict[str, str]) -> str:
+    def take(self, name: str, frame: int, members: Collection[str]) -> str:
         """Take the change of a node that an event has announced; returns as `note` does.
 
         For a node that was lost and is back, this is the loss: another event announces the return, so that a new epoch
@@ -71,10 +71,10 @@ class Membership:
         presence = self._presence.take(name)
         return self.note(name, presence.present and not presence.gone, frame, members)
 
-    def note(self, name: str, present: bool, frame: int, members: dict[str, str]) -> str:
+    def note(self, name: str, present: bool, frame: int, members: Collection[str]) -> str:
         """Note that a node has appeared or gone; returns why the run must end, or "".
 
-        members: of the current epoch
+        members: of the current epoch, those that have taken part
         """
         events = [each["what"] for each in self.churn if each["node"] == name]
         lost = events[-1:] == [LOST]

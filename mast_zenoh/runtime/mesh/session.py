@@ -162,12 +162,18 @@ def own_sockets(ports: Collection[int]) -> Iterator[socket.socket]:
 
 
 def open_client(
-    endpoint: str, credentials: Credentials | None = None, *, try_ms: int | None = None, patient: bool = False
+    endpoint: str,
+    credentials: Credentials | None = None,
+    *,
+    try_ms: int | None = None,
+    patient: bool = False,
+    zid: str | None = None,
 ) -> zenoh.Session:
     """Open a client session with the router at `endpoint`; retries until it answers.
 
     try_ms: try only once, for this time, and raise zenoh.ZError
     patient: have the router wait for this client when it does not respond
+    zid: the session's Zenoh id, lower-case hexadecimal; None: a random one
 
     With credentials it raises CredentialsError, with the reason, if a side refuses the other's. Temporary problems are
     logged: no router yet, or one that does not answer, such as one flooded by others.
@@ -175,6 +181,8 @@ def open_client(
     settings = _CLIENT | {"connect/endpoints": [endpoint]}
     if patient:
         settings |= _PATIENT
+    if zid is not None:
+        settings |= {"id": zid}
     if try_ms is not None:
         settings |= {"connect/timeout_ms": try_ms} | (client_settings(credentials) if credentials else {})
         return open_session(settings)
