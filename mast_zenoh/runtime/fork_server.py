@@ -1,0 +1,103 @@
+"""Forks the nodes of a run from one process that has imported what they need.
+
+    python -P -m mast_zenoh.runtime.fork_server < SOCKET
+
+A launcher sends a request for each node on the socket, with the descriptors of the node's standard input and log:
+
+    {"command": words, "folder": path}   → {"pid"}
+
+The node is a process of its own, in a session of its own, and named after its command. When one ends, the launcher gets
+{"pid", "exit"}. The server leaves when the launcher closes the socket, or ends.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import select
+import signal
+import socket
+import sys
+from typing import Any
+
+gc.disable()  # what is imported stays: searching it for garbage delays the start, and copies shared memory
+
+import setproctitle  # noqa: E402
+
+from mast_zenoh.config import bundle, loading  # noqa: E402
+from mast_zenoh.runtime.mesh.main import main  # noqa: E402
+
+#: Most bytes of a request.
+MAX_REQUEST = 1 << 16
+
+#: Descriptors that come with a request: standard input and log.
+_N_DESCRIPTORS = 2
+
+
+def serve(requests: socket.socket) -> list[str] | None:
+    """Fork nodes as requested. Returns the command in each node's process; None in the server when it is to leave."""
+    woken, waking = socket.socketpair()
+    waking.setblocking(False)
+    woken.setblocking(False)
+    signal.set_wakeup_fd(waking.fileno(), warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        ready, _, _ = select.select([requests, woken], [], [])
+        if woken in ready:
+            woken.recv(4096)
+            _tell_ended(requests)
+        if requests not in ready:
+            continue
+        data, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST, _N_DESCRIPTORS)
+        if not data:
+            return None
+        request = json.loads(data)
+        if (pid := os.fork()) == 0:
+            for end in (requests, woken, waking):
+                end.close()
+            _become_node(request, descriptors)
+            command: list[str] = request["command"]
+            return command
+        for descriptor in descriptors:
+            os.close(descriptor)
+        requests.send(json.dumps({"pid": pid}).encode())
+
+
+def _tell_ended(requests: socket.socket) -> None:
+    """Tell the launcher which nodes have ended."""
+    while True:
+        try:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+        except ChildProcessError:
+            return
+        if pid == 0:
+            return
+        requests.send(json.dumps({"pid": pid, "exit": os.waitstatus_to_exitcode(status)}).encode())
+
+
+def _become_node(request: dict[str, Any], descriptors: list[int]) -> None:
+    """Give a new process what a node has that is started by its command."""
+    signal.set_wakeup_fd(-1)
+    for number in (signal.SIGCHLD, signal.SIGINT):
+        signal.signal(number, signal.SIG_DFL)
+    os.setsid()
+    entrance, log = descriptors
+    for descriptor, place in ((entrance, 0), (log, 1), (log, 2)):
+        os.dup2(descriptor, place)
+    for descriptor in descriptors:
+        os.close(descriptor)
+    os.chdir(request["folder"])
+    setproctitle.setproctitle(" ".join(request["command"]))
+
+
+if __name__ == "__main__":
+    for name in bundle.names("nodes"):
+        loading.module(bundle.ROOT / "nodes" / name)
+    gc.freeze()
+    with socket.socket(fileno=os.dup(0)) as to_launcher:
+        command = serve(to_launcher)
+    if command is not None:
+        sys.argv = command[command.index("mast_zenoh.runtime") :]
+        main()
