@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO
 
 from mast_zenoh.errors import StartError
 from mast_zenoh.runtime.fork_server import MAX_REQUEST
@@ -53,28 +53,24 @@ class ForkServer:
         with self._lock:
             try:
                 socket.send_fds(self._socket, [request], [theirs, log.fileno()])
-                while "exit" in (answer := self._receive()):
-                    self._exits[answer["pid"]] = answer["exit"]
+                while (node := self._receive()) is None:
+                    pass
             except OSError as error:
                 os.close(ours)
                 raise StartError(f"the process that starts the nodes has ended: {error}") from None
             finally:
                 os.close(theirs)
-        return Forked(answer["pid"], os.fdopen(ours, "wb", buffering=0), self)
+        return Forked(*node, os.fdopen(ours, "wb", buffering=0), self)
 
-    def exit_of(self, pid: int, *, wait_s: float = 0.0) -> int | None:
-        """The exit code of a node that has ended, as far as the server has told within `wait_s` s."""
-        deadline = time.monotonic() + wait_s
-        with self._lock:
+    def exit_of(self, pid: int) -> int | None:
+        """The exit code of a node that has ended, once the server has told it; None if it does not."""
+        deadline = time.monotonic() + _END_S
+        with self._lock, contextlib.suppress(OSError):
             while pid not in self._exits:
                 if not select.select([self._socket], [], [], max(0.0, deadline - time.monotonic()))[0]:
-                    return None
-                try:
-                    told = self._receive()
-                except OSError:
-                    return None
-                self._exits[told["pid"]] = told["exit"]
-            return self._exits[pid]
+                    break
+                self._receive()
+        return self._exits.get(pid)
 
     def close(self) -> None:
         """End the server."""
@@ -86,26 +82,30 @@ class ForkServer:
             self._process.kill()
             self._process.wait()
 
-    def _receive(self) -> dict[str, Any]:
-        data = self._socket.recv(MAX_REQUEST)
+    def _receive(self) -> tuple[int, int] | None:
+        """What the server tells next: (process id, descriptor) of a new node; None: an exit code, which is noted."""
+        data, descriptors, _, _ = socket.recv_fds(self._socket, MAX_REQUEST, 1)
         if not data:
             raise ConnectionError("it has closed its socket")
-        answer: dict[str, Any] = json.loads(data)
-        return answer
+        told: dict[str, int] = json.loads(data)
+        if descriptors:
+            return told["pid"], descriptors[0]
+        self._exits[told["pid"]] = told["exit"]
+        return None
 
 
 class Forked:
     """A node's process, with what `subprocess.Popen` has of it.
 
-    stdin: closed when the node is to leave
+    descriptor: of the process;  stdin: closed when the node is to leave
     """
 
-    def __init__(self, pid: int, stdin: BinaryIO | IO[bytes], server: ForkServer) -> None:
+    def __init__(self, pid: int, descriptor: int, stdin: IO[bytes], server: ForkServer) -> None:
         self.pid = pid
         self.stdin = stdin
         self.returncode: int | None = None
         self._server = server
-        self._descriptor = os.pidfd_open(pid)
+        self._descriptor = descriptor
 
     def poll(self) -> int | None:
         """The exit code, negative for a signal; None while it runs."""
@@ -134,7 +134,7 @@ class Forked:
 
     def _ended(self, timeout: float | None) -> int | None:
         if self.returncode is None and select.select([self._descriptor], [], [], timeout)[0]:
-            code = self._server.exit_of(self.pid, wait_s=_END_S)
+            code = self._server.exit_of(self.pid)
             self.returncode = 1 if code is None else code  # the server has been killed: nobody knows
             os.close(self._descriptor)
         return self.returncode

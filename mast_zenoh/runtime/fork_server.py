@@ -4,7 +4,7 @@
 
 A launcher sends a request for each node on the socket, with the descriptors of the node's standard input and log:
 
-    {"command": words, "folder": path}   → {"pid"}
+    {"command": words, "folder": path}   → {"pid"}, with a descriptor of the process
 
 The node is a process of its own, in a session of its own, and named after its command. When one ends, the launcher gets
 {"pid", "exit"}. The server leaves when the launcher closes the socket, or ends.
@@ -12,6 +12,7 @@ The node is a process of its own, in a session of its own, and named after its c
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import json
 import os
@@ -60,9 +61,10 @@ def serve(requests: socket.socket) -> list[str] | None:
             _become_node(request, descriptors)
             command: list[str] = request["command"]
             return command
+        descriptors.append(os.pidfd_open(pid))
+        socket.send_fds(requests, [json.dumps({"pid": pid}).encode()], descriptors[-1:])
         for descriptor in descriptors:
             os.close(descriptor)
-        requests.send(json.dumps({"pid": pid}).encode())
 
 
 def _tell_ended(requests: socket.socket) -> None:
@@ -96,7 +98,8 @@ if __name__ == "__main__":
     for name in bundle.names("nodes"):
         loading.module(bundle.ROOT / "nodes" / name)
     gc.freeze()
-    with socket.socket(fileno=os.dup(0)) as to_launcher:
+    command = None
+    with socket.socket(fileno=os.dup(0)) as to_launcher, contextlib.suppress(ConnectionError):  # the launcher has ended
         command = serve(to_launcher)
     if command is not None:
         sys.argv = command[command.index("mast_zenoh.runtime") :]

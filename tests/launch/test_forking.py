@@ -48,7 +48,7 @@ def test_the_exit_code_and_the_output_are_those_of_the_command(server: ForkServe
     assert said[0] == said[1] != ""
 
 
-def test_nodes_are_processes_with_their_own_session_name_and_signals(server: ForkServer, tmp_path: Path) -> None:
+def test_nodes_are_processes_with_their_own_log(server: ForkServer, tmp_path: Path) -> None:
     nodes = []
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
@@ -56,6 +56,17 @@ def test_nodes_are_processes_with_their_own_session_name_and_signals(server: For
     assert len({node.pid for node in nodes}) == 2
     assert [node.wait(30) for node in nodes] == [0, 0]
     assert all("--run-folder" in (tmp_path / name / "node.log").read_text() for name in ("one", "two"))
+
+
+def test_a_node_has_a_session_a_folder_a_name_and_signals_of_its_own(server: ForkServer, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "scenario.json")  # the node waits for what it says
+    node = started(server, tmp_path, "nodes/agent.py", "--run-folder", str(tmp_path), "--name", "infra_1")
+    process = psutil.Process(node.pid)
+    eventually(lambda: "--name infra_1" in " ".join(process.cmdline()), "the node is named")
+    assert os.getsid(node.pid) == node.pid
+    assert process.cwd() == str(tmp_path)
+    node.terminate()
+    assert node.wait(30) == -signal.SIGTERM
 
 
 def test_a_node_that_is_killed_has_the_signal_as_its_exit_code(server: ForkServer, tmp_path: Path) -> None:
