@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO
 
 from mast_zenoh.errors import StartError
-from mast_zenoh.runtime.fork_server import MAX_REQUEST
+from mast_zenoh.runtime.fork_server import MAX_REQUEST, ROOM
 
 _END_S = 5.0  # for the server to tell an exit code, or to leave
 
@@ -41,7 +41,7 @@ class ForkServer:
         self._lock = threading.Lock()
         self._exits: dict[int, int] = {}
         with its:
-            command = [sys.executable, "-P", "-m", "mast_zenoh.runtime.fork_server"]
+            command = [sys.executable, "-P", "-m", "mast_zenoh.runtime.fork_server", ROOM]
             self._process = subprocess.Popen(
                 command, stdin=its.fileno(), stdout=subprocess.DEVNULL, env=environment, start_new_session=True
             )

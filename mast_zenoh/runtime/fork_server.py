@@ -1,6 +1,6 @@
 """Forks the nodes of a run from one process that has imported what they need.
 
-    python -P -m mast_zenoh.runtime.fork_server < SOCKET
+    python -P -m mast_zenoh.runtime.fork_server ROOM < SOCKET
 
 A launcher sends a request for each node on the socket, with the descriptors of the node's standard input and log:
 
@@ -31,6 +31,8 @@ from mast_zenoh.runtime.mesh.main import main  # noqa: E402
 
 #: Most bytes of a request.
 MAX_REQUEST = 1 << 16
+#: An argument as long as any node's command: Linux lets a process be renamed within its own command only.
+ROOM = " " * (1 << 14)
 
 #: Descriptors that come with a request: standard input and log.
 _N_DESCRIPTORS = 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import psutil
 import pytest
 from launched import eventually
 
+from mast_zenoh import scenario
 from mast_zenoh.errors import StartError
 from mast_zenoh.launch.forking import Forked, ForkServer, is_available
 
@@ -27,7 +29,7 @@ COMMAND = [sys.executable, "-P", "-m", "mast_zenoh.runtime"]
 
 @pytest.fixture
 def server() -> Iterator[ForkServer]:
-    server = ForkServer(dict(os.environ))
+    server = ForkServer({"OMP_NUM_THREADS": "1"})  # a small environment leaves little room for the names of nodes
     yield server
     server.close()
 
@@ -59,14 +61,21 @@ def test_nodes_are_processes_with_their_own_log(server: ForkServer, tmp_path: Pa
 
 
 def test_a_node_has_a_session_a_folder_a_name_and_signals_of_its_own(server: ForkServer, tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "scenario.json")  # the node waits for what it says
-    node = started(server, tmp_path, "nodes/agent.py", "--run-folder", str(tmp_path), "--name", "infra_1")
-    process = psutil.Process(node.pid)
-    eventually(lambda: "--name infra_1" in " ".join(process.cmdline()), "the node is named")
-    assert os.getsid(node.pid) == node.pid
-    assert process.cwd() == str(tmp_path)
-    node.terminate()
-    assert node.wait(30) == -signal.SIGTERM
+    path, loaded = scenario.load("baseline", [])
+    resolved = scenario.resolve(path, loaded, frames=1)
+    resolved.write(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # the node waits for its answer
+        router = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+        words = ("--run-folder", str(tmp_path), "--name", "infra_1", "--endpoint", router, "--run", "one")
+        node = started(server, tmp_path, resolved.nodes["infra_1"].file, *words)
+        silent.accept()[0].close()
+        process = psutil.Process(node.pid)
+        command = " ".join([*COMMAND, resolved.nodes["infra_1"].file, *words])
+        eventually(lambda: " ".join(process.cmdline()).rstrip() == command, "it is named after its command")
+        assert os.getsid(node.pid) == node.pid
+        assert process.cwd() == str(tmp_path)
+        node.send_signal(signal.SIGKILL)
+        assert node.wait(30) == -signal.SIGKILL
 
 
 def test_a_node_that_is_killed_has_the_signal_as_its_exit_code(server: ForkServer, tmp_path: Path) -> None:
