@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run dev test fuzz insiders lint bench docs pictures lock dist clean
+.PHONY: run dev test test-all fuzz insiders lint bench docs pictures lock dist clean
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
@@ -17,8 +17,14 @@ dev: .venv/ready
 # Three workers, also on two cores, because tests that start processes mostly wait. Tests of one file share fixtures that
 # are slow to build, so they stay in one worker. They start thousands of processes, so bytecode is kept in any environment:
 # without it, the tests take a third longer.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+# All tests but those marked `heavy`; of TESTS, if given, all.
 test: .venv/ready
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(TESTS)
+	$(PYTEST) $(or $(TESTS),-m 'not heavy')
+
+# These, then the heavy ones: containers, hosts, browsers, the commands of pages, every way to end a run.
+test-all: test
+	$(PYTEST) -m heavy
 
 # `make fuzz SEED=7` repeats the draws of an earlier run with that seed.
 fuzz: SEED ?= $(shell $(PYTHON) -c 'import random; print(random.randrange(1 << 24))')

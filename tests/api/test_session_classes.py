@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.heavy
+
 DEFINITIONS = '''
 import json
 import mast_zenoh as mast

@@ -14,6 +14,8 @@ from mast_zenoh.api.observability import observability
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.measurement import measure
 
+pytestmark = pytest.mark.heavy
+
 COLUMNS = (
     *("frame", "time_s", "agent", "mean", "log_odds", "state", "reason"),
     *("fault_offset_x", "fault_offset_y", "fault_turn", "fault_delay", "fault_loss"),

@@ -19,6 +19,8 @@ from mast_zenoh.integrity import SweptView, sightings
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.tracking.view import SensorView
 
+pytestmark = pytest.mark.heavy
+
 FRAMES, PERIOD_S, START_S = 80, 0.1, 3.0
 VICTIMS, AGENTS = ("infra_1", "infra_2"), ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 #: Parameters of each attack of these runs.

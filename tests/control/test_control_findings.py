@@ -242,7 +242,7 @@ def test_a_malformed_wiring_change_costs_the_driver_one_message(driver: Driver, 
 
 def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_by_name(driver: Driver) -> None:
     driver.scene.sent["clock"] = 3
-    driver._report_self()
+    driver.report()
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
     driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": 10**9})))
     begun = time.monotonic()
@@ -265,11 +265,30 @@ def test_a_node_that_reports_a_foreign_key_ends_the_run_by_name(driver: Driver) 
 def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Driver) -> None:
     driver.stall_timeout_s = 0.05
     driver.scene.sent["clock"] = 3
-    driver._report_self()
+    driver.report()
     for name in ("ego", "watch"):
         driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
     expected = StopReason(StopKind.STALL, "ego has handled 0 of 3 messages of sim on clock")
     assert driver._await_quiet(include_listeners=True) == expected
+
+
+def test_the_driver_believes_nobody_about_what_it_has_sent_itself(driver: Driver) -> None:
+    driver.scene.sent["clock"] = 1
+    driver.report()
+    for name in ("ego", "watch", "sim"):
+        driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
+    while driver._wait(time.monotonic()):
+        pass
+    assert not driver.pacer.quiet(), "nobody has handled the clock"
+    assert driver.invalid.counts == {"counts/sim": 1}
+
+
+def test_the_driver_sends_no_counts_that_return_after_later_ones(driver: Driver) -> None:
+    driver._counts = MagicMock()
+    driver.coordinator.update = flow.WiringUpdate(WIRING, True)
+    driver._begin_epoch()
+    driver._counts.put.assert_not_called()
+    assert driver.pacer._reports["sim"] == ({}, {})
 
 
 def test_a_node_is_counted_as_returned_only_after_a_loss(driver: Driver) -> None:

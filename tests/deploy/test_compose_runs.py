@@ -20,7 +20,7 @@ from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.runtime.mesh.launcher_watch import UP
 
-pytestmark = [pytest.mark.mesh, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]
 SMALL = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1")
 FAULTED = ("n_infrastructure=2", "attack_start_s=0.1", "partition_s=0.2", "partition_until_s=0.4", "kill_s=0.5")
 

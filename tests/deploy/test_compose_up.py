@@ -19,7 +19,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
-pytestmark = [pytest.mark.mesh, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]
 
 FOLDER = Path(__file__).parents[2] / "deploy" / "compose"
 FRAMES = 5

@@ -16,6 +16,8 @@ from mast_zenoh.deploy import image, wheel
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.errors import EngineError
 
+pytestmark = pytest.mark.heavy
+
 ROOT = Path(__file__).parents[2]
 LARGEST = 350_000_000
 

@@ -28,7 +28,7 @@ from mast_zenoh.study.rogue.malformed import pack
 from mast_zenoh.study.rogue.position import MARKER, Position, position
 from mast_zenoh.study.rogue.sending import send
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 #: Messages of each kind that each insider sends.
 COUNT = int(os.environ.get("MAST_FORGERIES", "4"))

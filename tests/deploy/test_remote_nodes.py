@@ -18,7 +18,7 @@ from mast_zenoh.launch.file_server import files_for_node
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 
 def small(frames: int = 5, **run: object) -> Resolved:

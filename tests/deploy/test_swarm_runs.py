@@ -26,7 +26,7 @@ from mast_zenoh.launch.run import Run
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
-pytestmark = [pytest.mark.mesh, pytest.mark.timeout(420)]
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(420)]
 
 
 @pytest.fixture(scope="module")

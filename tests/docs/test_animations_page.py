@@ -9,6 +9,8 @@ import pytest
 from page_commands import play_page
 from PIL import Image
 
+pytestmark = pytest.mark.heavy
+
 PAGE = (Path(__file__).parents[2] / "docs" / "animations.md").read_text(encoding="utf-8")
 
 

@@ -14,6 +14,8 @@ from containers import base
 from mast_zenoh import scenario
 from mast_zenoh.deploy.ssh import hostsfile
 
+pytestmark = pytest.mark.heavy
+
 PAGE = Path(__file__).parents[2] / "docs" / "deploy.md"
 
 

@@ -22,6 +22,8 @@ from mast_zenoh.config import loading
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.scenes.recording import Recording
 
+pytestmark = pytest.mark.heavy
+
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
 COMMANDS = re.findall(r"^```console\n(.*?)^```$", PAGE, flags=re.S | re.M)

@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 import mast_zenoh as mast
 
+pytestmark = pytest.mark.heavy
+
 DOCS = Path(__file__).parents[2] / "docs"
 
 

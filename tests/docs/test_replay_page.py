@@ -10,7 +10,7 @@ from mast_zenoh.messagelog.difference import compare
 
 PAGE = (Path(__file__).parents[2] / "docs" / "replay.md").read_text(encoding="utf-8")
 
-pytestmark = [pytest.mark.mesh, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")

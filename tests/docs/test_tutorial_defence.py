@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from page_commands import play_page
 
+pytestmark = pytest.mark.heavy
+
 PAGE = (Path(__file__).parents[2] / "docs" / "tutorial_defence.md").read_text(encoding="utf-8")
 
 

@@ -9,6 +9,8 @@ from achievement_oracle import Run, Target, rows, summary
 from played import Played
 from shipped import every, label
 
+pytestmark = pytest.mark.heavy
+
 ATTACKED = (
     "uncoordinated",
     "coordinated",

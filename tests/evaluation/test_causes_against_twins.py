@@ -5,7 +5,10 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import pytest
 import wrong_blame
+
+pytestmark = pytest.mark.heavy
 
 
 @cache

@@ -10,6 +10,8 @@ from causes_oracle import ATTACKS, Causes
 from played import Played
 from shipped import HARMLESS, every, label
 
+pytestmark = pytest.mark.heavy
+
 LINKLESS = ("baseline", "passthrough", "uncoordinated", "coordinated", "downlink", "hide_object")
 VARIANTS = [variant for variant in every() if variant[0] in LINKLESS]
 

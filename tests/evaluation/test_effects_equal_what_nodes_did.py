@@ -16,6 +16,8 @@ from shipped import HARMLESS
 
 from mast_zenoh import scenario
 
+pytestmark = pytest.mark.heavy
+
 TAMPERER = str(Path(__file__).with_name("tamperer.py"))
 TEXTS = ("interposer", "wire", "message", "before_subscriber", "effect", "columns")
 WHOLE = ("frame", "seq", "id")

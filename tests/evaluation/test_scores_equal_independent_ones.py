@@ -9,6 +9,8 @@ import pytest
 from played import Played
 from scoring_oracle import Row, Series, by_loop, by_motmetrics, frames_of
 
+pytestmark = pytest.mark.heavy
+
 ESTIMATORS = {"local", "received", "picture", "picture_received", "picture_on_arrival", "mission"}
 
 

@@ -16,6 +16,9 @@ from mast_zenoh.launch import run
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
+#: Numbers from 0 to 19; all after the first four are heavy.
+TWENTY = [number if number < 4 else pytest.param(number, marks=pytest.mark.heavy) for number in range(20)]
+
 #: On the mesh, with fewer processes.
 SMALL = ("n_infrastructure=1",)
 
@@ -45,7 +48,7 @@ def check_results(folder: Path) -> list[dict[str, Any]]:
     return list(json.loads((folder / checks.FILE).read_text())["checks"])
 
 
-@pytest.mark.parametrize("block", range(20))
+@pytest.mark.parametrize("block", TWENTY)
 def test_200_random_schedules_in_one_process_pass_all_checks(block: int, tmp_path: Path) -> None:
     asked: set[str] = set()
     for seed in range(10 * block, 10 * block + 10):
@@ -55,7 +58,7 @@ def test_200_random_schedules_in_one_process_pass_all_checks(block: int, tmp_pat
 
 
 @pytest.mark.mesh
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", TWENTY)
 def test_20_random_schedules_on_the_mesh_equal_those_in_one_process(seed: int, tmp_path: Path) -> None:
     folder = played(tmp_path / "mesh", seed, "mesh", *SMALL)
     assert {check["name"] for check in check_results(folder) if check["values"]["checked"]} >= {

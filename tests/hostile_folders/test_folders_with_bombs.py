@@ -21,6 +21,8 @@ from measured_process import measure
 from pyarrow import parquet
 from test_hostile_folders import KNOWN_CODES, MAX_PEAK_BYTES, spoilt
 
+pytestmark = pytest.mark.heavy
+
 #: Bytes, more than a command may use.
 _UNPACKED = 2 << 30
 

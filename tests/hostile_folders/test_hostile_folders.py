@@ -29,6 +29,8 @@ from mast_zenoh.errors import MastError, UntrustedCode
 from mast_zenoh.report.figures import drawing
 from mast_zenoh.report.playback.server import ViewerServer
 
+pytestmark = pytest.mark.heavy
+
 ALL = CASES | dict(wrong_types())
 MAX_S = 20
 MAX_PEAK_BYTES = 1 << 30

@@ -17,6 +17,8 @@ from launched import MAST
 
 from mast_zenoh.messagelog.reader import read
 
+pytestmark = pytest.mark.heavy
+
 STAGED = (sys.executable, "-m", "at_stage")  # as a module, like MAST: Python ends scripts differently
 RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "12", "--no-report", "--out")
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")

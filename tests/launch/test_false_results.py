@@ -32,6 +32,8 @@ from mast_zenoh.study.rogue.falsehoods import false_results
 from mast_zenoh.study.rogue.forgeries import forgeries
 from mast_zenoh.study.rogue.position import MARKER, Position, position
 
+pytestmark = pytest.mark.heavy
+
 NODES = ("infra_1", "broker", "adversary_1", "coordinator", "link_ego", "evaluator", "recorder")
 
 

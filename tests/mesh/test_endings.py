@@ -22,7 +22,7 @@ from mast_zenoh.launch.liveness import current_record
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 #: Fewer agents than usual, because how a run ends does not depend on their number.
 BASELINE = ("baseline", "--set", "n_infrastructure=2")

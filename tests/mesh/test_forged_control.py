@@ -19,7 +19,7 @@ from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.wiring.model import Wiring
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 WHAT = ("baseline", "--frames", "20", "--set", "n_infrastructure=1")
 
 

@@ -12,7 +12,7 @@ from launched import Observer, eventually
 from mast_zenoh.launch.interception import client
 from mast_zenoh.launch.tables import read_table
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 SHOVER = """
 import numpy as np
 

@@ -24,7 +24,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.mesh.stamp import ATTACHMENT
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 LIVE = Path(__file__).parents[1] / "support" / "live"
 RELAY = str(LIVE / "relay.py")
 TRACKS, DETECTIONS = "agent/infra_1/tracks", "agent/infra_1/detections"

@@ -22,7 +22,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.difference import compare
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 _TIMEOUT_MS = 90_000
 _DRAWN = """() => {
   const run = viewer.state.runs[0];

@@ -16,7 +16,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.run_files import read_json
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 FRAMES = 12
 
 

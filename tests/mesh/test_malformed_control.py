@@ -29,7 +29,7 @@ from mast_zenoh.launch.interception.server import SECRET_FILE
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 TOTAL, TOTAL_LONG = 1_000, 50_000
 FRAMES = 20

@@ -24,7 +24,7 @@ from mast_zenoh.launch.netns.hosts import CENTRE, Hosts
 from mast_zenoh.launch.netns.namespaces import NAMESPACES, Owner, sweep
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 
 def hosts(tmp_path: Path, *faults: dict, rate: float = 1.0, **west: object) -> Hosts:

@@ -19,7 +19,7 @@ from mast_zenoh.launch.netns.namespaces import NAMESPACES, sweep
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 WEST = {"infra_1", "infra_2"}
 
 

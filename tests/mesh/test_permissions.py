@@ -12,7 +12,7 @@ from launched import MAST, Launched
 
 from mast_zenoh.launch.interception.server import SECRET_FILE
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 LAX = ("sh", "-c", 'umask 000; exec "$@"', "sh", *MAST)
 SMALL = ("--set", "n_infrastructure=1", "--out")
 

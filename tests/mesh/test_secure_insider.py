@@ -11,7 +11,7 @@ from mast_zenoh.launch import run
 from mast_zenoh.study.rogue.infiltration import infiltrate
 from mast_zenoh.study.rogue.insiders import ForgeControls
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 
 def test_forged_reports_of_an_insider_stop_an_open_run_but_no_secure_one(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.security.levels import router_settings
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 WIRING = Wiring((Wire("w", "", "clock", (Leg("w", Endpoint("a", "out"), (Endpoint("b", "in"),)),)),))
 
 

@@ -9,7 +9,7 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.study.rogue import comparison
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 #: On any mesh, Zenoh itself refuses a second session with an id already in use.
 NOWHERE = {"duplicate session id"}

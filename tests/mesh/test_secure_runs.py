@@ -18,7 +18,7 @@ from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.security.authority import Authority
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 FRAMES = "6"
 WHAT = ("coordinated", "n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.2")
 

@@ -21,7 +21,7 @@ from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.runtime.mesh import session
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 _LISTENS = "received = session.declare_subscriber('**', zenoh.handlers.RingChannel(1)); print('there', flush=True)"
 #: A viewer's own session, and one of a client with Zenoh's own settings, at the router of the first argument.
@@ -41,18 +41,20 @@ config.insert_json5("connect/endpoints", f'["{sys.argv[1]}"]')
 session = zenoh.open(config)
 """
 _STRANGER = f"{_CLIENT}{_LISTENS}\nsys.stdin.read()"
-#: A client that takes a message every 0.2 s, and one that claims to be the node of the second argument, then listens.
+#: A client that takes a message every 0.2 s, one that claims to be the node of the second argument, then listens, and
+#: one that also suspends itself as soon as it has received a message.
 _TRICKLE = f"""{_CLIENT}
 slow = zenoh.handlers.Callback(lambda _: time.sleep(0.2), indirect=False)
 received = session.declare_subscriber('**', slow)
 print('there', flush=True)
 sys.stdin.read()
 """
-_CLAIMANT = f"""{_CLIENT}
+_CLAIMS = f"""{_CLIENT}
 token = session.liveliness().declare_token(sys.argv[2])
 {_LISTENS}
-sys.stdin.read()
 """
+_CLAIMANT = f"{_CLAIMS}sys.stdin.read()"
+_SUSPENDED_CLAIMANT = f"{_CLAIMS}import os, signal; received.recv(); os.kill(os.getpid(), signal.SIGSTOP)"
 
 
 @contextmanager
@@ -141,8 +143,7 @@ def test_a_suspended_client_that_claims_to_be_a_node_is_disconnected(
     run.until(run.recorded, "frames are played")
     simulator = run.record()["nodes"]["simulator"]["pid"]
     os.kill(simulator, signal.SIGSTOP)  # else the run might be over before the claimant is there
-    with watching(_CLAIMANT, endpoint, f"mast/{run.record()['id']}/alive/infra_1") as claimant:
-        claimant.send_signal(signal.SIGSTOP)
+    with watching(_SUSPENDED_CLAIMANT, endpoint, f"mast/{run.record()['id']}/alive/infra_1"):
         os.kill(simulator, signal.SIGCONT)
         assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
 

@@ -13,7 +13,7 @@ from mast_zenoh import scenario
 from mast_zenoh.launch import display, observation, run
 from mast_zenoh.launch.display import Display, Status
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 SILENT = {"evaluator", "recorder"}
 
 

@@ -14,7 +14,7 @@ import pytest
 from mast_zenoh import kernels
 
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 
 def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:

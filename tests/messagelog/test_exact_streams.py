@@ -15,6 +15,8 @@ from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
 
+pytestmark = pytest.mark.heavy
+
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
 
 

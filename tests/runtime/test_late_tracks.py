@@ -7,6 +7,8 @@ import pytest
 
 import mast_zenoh as mast
 
+pytestmark = pytest.mark.heavy
+
 DELAYS_S = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 
 

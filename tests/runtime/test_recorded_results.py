@@ -21,6 +21,8 @@ from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.report import html, terminal
 from mast_zenoh.runtime.recorded_results import results_of
 
+pytestmark = pytest.mark.heavy
+
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parents[2] / "scenarios").glob("*.py"))
 #: These affect hosts or need real time, which one process cannot provide.
 ELSEWHERE = {"rogue", "sybil", "two_hosts"}

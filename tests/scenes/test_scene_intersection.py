@@ -12,6 +12,8 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes import Intersection, Recording
 from mast_zenoh.sensing import CleanDetector
 
+pytestmark = pytest.mark.heavy
+
 
 @cache
 def junction(scene_index: int, seed: int = 0) -> Recording:

@@ -24,6 +24,8 @@ from mast_zenoh.study import definition, execution, trials
 
 pytest.importorskip("distributed", reason="dask is not installed")
 
+pytestmark = pytest.mark.heavy
+
 DEADLINE_S = 60.0
 
 

@@ -12,6 +12,8 @@ from mast_zenoh.cli import app
 from mast_zenoh.errors import HandlerFailed
 from mast_zenoh.study import comparison, definition, trials
 
+pytestmark = pytest.mark.heavy
+
 STUDY = """
 def study():
     small = dict(n_infrastructure=1)

@@ -15,6 +15,8 @@ from mast_zenoh.control import CONTROLS
 from mast_zenoh.study.rogue.forgeries import DAMAGED, FALSE, MALFORMED, forgeries
 from mast_zenoh.study.rogue.position import Position, position
 
+pytestmark = pytest.mark.heavy
+
 every_kind = pytest.mark.parametrize("control", CONTROLS)
 
 

@@ -14,6 +14,8 @@ from mast_zenoh.messagelog.reader import file_of
 from mast_zenoh.study import comparison, definition, trials
 from mast_zenoh.study.store import Store
 
+pytestmark = pytest.mark.heavy
+
 OPTIONS = {"count": 1, "runtime": "inproc"}
 
 

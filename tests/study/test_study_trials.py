@@ -21,6 +21,8 @@ from mast_zenoh.metrics.record import ESTIMATORS, LOCAL, PICTURE, RECEIVED
 from mast_zenoh.study import definition, identity, trial_run, trials
 from mast_zenoh.study.trial import Outcome, Trial
 
+pytestmark = pytest.mark.heavy
+
 OWN = """
 from mast_zenoh.config import bundle, loading
 

@@ -24,6 +24,8 @@ from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipel
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.testing import samples
 
+pytestmark = pytest.mark.heavy
+
 #: Values of required parameters.
 NEEDED: dict[str, Any] = {
     "azimuth_min_deg": -30.0,

@@ -39,6 +39,8 @@ from stonesoup.types.update import GaussianStateUpdate
 from mast_zenoh.tracking import stone_soup_default
 from mast_zenoh.tracking.stone_soup_objects import Repeatable, detections_of, matched_rows, object_states, timestamp
 
+pytestmark = pytest.mark.heavy
+
 FRAMES = 6
 ORDERS = [COVARIANCE_ORDER, ("x", "vx", "y", "vy", "z", "vz", "l", "w", "h")]
 

@@ -18,6 +18,8 @@ from mast_zenoh.arrays.states import Detections
 from mast_zenoh.scenes import AV2Log, OwnDetections, Recording
 from mast_zenoh.sensing import sensor_pose, to_world
 
+pytestmark = pytest.mark.heavy
+
 LOG = "3bffdcff-c3a7-38b6-a0f2-64196d130958"
 PAGE = Path(__file__).parents[2] / "docs" / "own_detections.md"
 #: Of the reference: how detections are matched with tracks, when two cars' detections are one, and the least score.

@@ -25,6 +25,8 @@ from mast_zenoh.messages.schemas import Header
 from mast_zenoh.unpacking import feather, parquet
 from mast_zenoh.wiring.model import Input
 
+pytestmark = pytest.mark.heavy
+
 #: In a process with 900 MB of address space beyond what it has after its imports, print the error's first line.
 _LIMITED = """
 import resource, sys

@@ -24,6 +24,8 @@ from mast_zenoh.viewer.servers.rerun import RerunServer
 from mast_zenoh.viewer.servers.rrd_stream import RrdStream
 from mast_zenoh.viewer.servers.web_viewer import FILES, web_viewer_files
 
+pytestmark = pytest.mark.heavy
+
 
 @pytest.fixture(scope="module")
 def run(recorded: mast.Run) -> RunFrames:

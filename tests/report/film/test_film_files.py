@@ -23,6 +23,8 @@ from mast_zenoh.report.film import writing
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.pixels import images
 
+pytestmark = pytest.mark.heavy
+
 SMALL = Look(size="480x480", dpi=60)
 
 

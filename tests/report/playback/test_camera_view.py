@@ -21,6 +21,8 @@ from mast_zenoh.report.playback.block import run_block
 from mast_zenoh.report.playback.columns import unpack
 from mast_zenoh.report.runfolder import RunFolder
 
+pytestmark = pytest.mark.heavy
+
 OpenPage = Callable[..., WatchedPage]
 
 #: m, the viewer's near plane.

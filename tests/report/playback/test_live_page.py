@@ -16,6 +16,8 @@ from mast_zenoh.report.playback.live_block import LiveBlocks
 from mast_zenoh.report.playback.live_server import LiveServer
 from mast_zenoh.viewer.live.wires import LegState, WireState
 
+pytestmark = pytest.mark.heavy
+
 Frames = list[tuple[dict[str, Any], bytes]]
 
 _NUMBERS = range(20, 26)

@@ -14,6 +14,8 @@ from launched import eventually
 
 from mast_zenoh.launch.tables import read_table
 
+pytestmark = pytest.mark.heavy
+
 OpenPage = Callable[..., WatchedPage]
 
 _AT = """([index, mark]) => {
