@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from mast_zenoh.checks.base import Check
@@ -29,16 +28,14 @@ def check_processes(folder: Path) -> Check:
 def _running(folder: str, run: str) -> dict[int, str]:
     """Node names by process id, of processes with this folder and run id."""
     nodes = {}
-    of_node = re.compile(rf" --run-folder {re.escape(folder)} --name (\S+) .*--run {re.escape(run)}( |$)")
     for entry in _PROC.iterdir():
         if not entry.name.isdigit():
             continue
         try:
-            command = (entry / "cmdline").read_bytes().decode(errors="replace").replace("\0", " ")
+            arguments = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
             state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
         except (OSError, IndexError):
             continue  # it has just ended, or belongs to another user
-        found = of_node.search(command)
-        if state not in "ZX" and found is not None:
-            nodes[int(entry.name)] = found[1]
+        if state not in "ZX" and folder in arguments and run in arguments and "--name" in arguments:
+            nodes[int(entry.name)] = arguments[arguments.index("--name") + 1]
     return nodes

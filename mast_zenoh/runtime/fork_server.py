@@ -13,6 +13,7 @@ The node is a process of its own, in a session of its own, and named after its c
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -20,18 +21,17 @@ import select
 import signal
 import socket
 import sys
+from pathlib import Path
 from typing import Any
 
 gc.disable()  # what is imported stays: searching it for garbage delays the start, and copies shared memory
-
-import setproctitle  # noqa: E402
 
 from mast_zenoh.config import bundle, loading  # noqa: E402
 from mast_zenoh.runtime.mesh.main import main  # noqa: E402
 
 #: Most bytes of a request.
 MAX_REQUEST = 1 << 16
-#: An argument as long as any node's command: Linux lets a process be renamed within its own command only.
+#: An argument as long as any node's command, which is written in place of the server's.
 ROOM = " " * (1 << 14)
 
 #: Descriptors that come with a request: standard input and log.
@@ -93,7 +93,15 @@ def _become_node(request: dict[str, Any], descriptors: list[int]) -> None:
     for descriptor in descriptors:
         os.close(descriptor)
     os.chdir(request["folder"])
-    setproctitle.setproctitle(" ".join(request["command"]))
+    _rename(request["command"])
+
+
+def _rename(command: list[str]) -> None:
+    """Write a command where the system reads that of this process (proc(5): /proc/pid/stat, arg_start and arg_end)."""
+    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    start, end = int(fields[45]), int(fields[46])
+    words = b"\0".join(map(os.fsencode, command))[: end - start - 1]
+    ctypes.memmove(start, words.ljust(end - start, b"\0"), end - start)
 
 
 if __name__ == "__main__":
