@@ -57,13 +57,18 @@ def serve(requests: socket.socket) -> list[str] | None:
         if not data:
             return None
         request = json.loads(data)
+        begun, becomes = os.pipe()
         if (pid := os.fork()) == 0:
             for end in (requests, woken, waking):
                 end.close()
+            os.close(begun)
             _become_node(request, descriptors)
+            os.close(becomes)
             command: list[str] = request["command"]
             return command
-        descriptors.append(os.pidfd_open(pid))
+        os.close(becomes)
+        os.read(begun, 1)  # until it has become the node, or has ended
+        descriptors += [begun, os.pidfd_open(pid)]
         socket.send_fds(requests, [json.dumps({"pid": pid}).encode()], descriptors[-1:])
         for descriptor in descriptors:
             os.close(descriptor)
