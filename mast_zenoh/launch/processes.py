@@ -13,16 +13,20 @@ from pathlib import Path
 from typing import IO, Any
 
 from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.launch import forking
+from mast_zenoh.launch.forking import Forked, ForkServer
 from mast_zenoh.launch.supervisor import Child, Supervisor
 
 #: One thread per node: many small arrays gain nothing from more, and the nodes share the machine.
 ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
+_NODE = [sys.executable, "-P", "-m", "mast_zenoh.runtime"]  # -P: nothing from the working directory
+
 
 class Process(Child):
     """A node as a process of this machine."""
 
-    def __init__(self, name: str, spec: NodeSpec, log: IO[bytes], process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, name: str, spec: NodeSpec, log: IO[bytes], process: subprocess.Popen[bytes] | Forked) -> None:
         super().__init__(name, spec)
         self.log = log
         self.process = process
@@ -59,17 +63,17 @@ class Processes(Supervisor[Process]):
         self.endpoint = endpoint
         self.inside = inside
         self.extra_arguments = extra_arguments
+        self._server: ForkServer | None = None
         self.zids: set[str] = set()
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
         self.without[name] = sorted(without)
         log = (self.folder / "logs" / f"{name}.log").open("ab", buffering=0)
-        self.children[name] = Process(name, spec, log, self._spawn(self.command(name, spec), log))
+        self.children[name] = Process(name, spec, log, self._spawn(name, spec, log))
 
     def command(self, name: str, spec: NodeSpec) -> list[str]:
         """The command that starts a node."""
-        module = ["-P", "-m", "mast_zenoh.runtime", spec.file]  # -P: nothing from the working directory
-        command = [*self.inside(name), sys.executable, *module, "--run-folder", str(self.folder), "--name", name]
+        command = [*self.inside(name), *_NODE, spec.file, "--run-folder", str(self.folder), "--name", name]
         zid = "1" + secrets.token_hex(15)
         self.zids.add(zid)
         command += ["--endpoint", self.endpoint, "--run", self.run, "--zid", zid, *self.extra_arguments(name)]
@@ -79,7 +83,7 @@ class Processes(Supervisor[Process]):
     def _restart(self, child: Process, without: Iterable[str]) -> None:
         _close(child.process)
         self.without[child.name] = sorted(without)
-        child.process = self._spawn(self.command(child.name, child.spec), child.log)
+        child.process = self._spawn(child.name, child.spec, child.log)
 
     def end_now(self, child: Process) -> None:
         child.process.kill()
@@ -118,19 +122,29 @@ class Processes(Supervisor[Process]):
                 self.wait(child, max(0.0, deadline - time.monotonic()))
         for child in self.children.values():
             self.dispose(child)
+        if self._server is not None:
+            self._server.close()
 
-    def _spawn(self, command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
+    def _spawn(self, name: str, spec: NodeSpec, log: IO[bytes]) -> subprocess.Popen[bytes] | Forked:
+        command = self.command(name, spec)
+        if command[: len(_NODE)] == _NODE and forking.is_available():
+            self._server = self._server or ForkServer(_environment())
+            return self._server.start(command, self.folder, log)
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=subprocess.STDOUT,
             cwd=self.folder,
-            env={**os.environ, **ENVIRONMENT},
+            env=_environment(),
             start_new_session=True,
         )
 
 
-def _close(process: subprocess.Popen[bytes]) -> None:
+def _environment() -> dict[str, str]:
+    return {**os.environ, **ENVIRONMENT}
+
+
+def _close(process: subprocess.Popen[bytes] | Forked) -> None:
     if process.stdin is not None and not process.stdin.closed:
         process.stdin.close()

@@ -66,7 +66,7 @@ def test_an_agent_with_policy_restart_returns_at_the_current_frame(launch, tmp_p
         "    made = baseline(n_infrastructure=2)\n"
         "    return made | dict(agents=made['agents'] | dict(infra_2=made['agents']['*'] | dict(on_exit='restart')))\n"
     )
-    run: Launched = launch(str(tmp_path / "phoenix.py"), "--mode", "realtime", "--frames", "100")
+    run: Launched = launch(str(tmp_path / "phoenix.py"), "--mode", "realtime", "--rate", "5", "--frames", "300")
     record = at_frame(run, 15)
     observer = Observer(record, "agent/infra_2/tracks")
     try:
@@ -79,11 +79,11 @@ def test_an_agent_with_policy_restart_returns_at_the_current_frame(launch, tmp_p
     node = run.record()["nodes"]["infra_2"]
     assert node["restarts"] == 1
     assert node["pid"] != record["nodes"]["infra_2"]["pid"]
-    assert node["last_frame"] == 99, "it took part until the end"
+    assert node["last_frame"] == 299, "it took part until the end"
     frames = [codec.decode(sample.payload.to_bytes(), "tracks").header.frame for _, sample in observer.samples]
     assert frames == sorted(frames)
-    assert frames[-1] == 99
-    assert len(frames) < 100 - frames[0], "frames passed while it was away"
+    assert frames[-1] == 299
+    assert len(frames) < 300 - frames[0], "frames passed while it was away"
 
 
 def test_a_dead_command_centre_fails_the_run_with_its_own_exit_code(launch) -> None:

@@ -1,0 +1,95 @@
+"""Nodes that are forked are processes like any other."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from launched import eventually
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import StartError
+from mast_zenoh.launch.forking import Forked, ForkServer, is_available
+
+pytestmark = [
+    pytest.mark.mesh,
+    pytest.mark.skipif(not is_available(), reason="this system cannot wait for processes of others"),
+]
+
+#: Arguments of a node without a run folder, which fails at once with exit code 2.
+COMMAND = [sys.executable, "-P", "-m", "mast_zenoh.runtime"]
+
+
+@pytest.fixture
+def server() -> Iterator[ForkServer]:
+    server = ForkServer({"OMP_NUM_THREADS": "1"})  # a small environment leaves little room for the names of nodes
+    yield server
+    server.close()
+
+
+def started(server: ForkServer, folder: Path, *words: str) -> Forked:
+    with (folder / "node.log").open("ab", buffering=0) as log:
+        return server.start([*COMMAND, *words], folder, log)
+
+
+def test_the_exit_code_and_the_output_are_those_of_the_command(server: ForkServer, tmp_path: Path) -> None:
+    node = started(server, tmp_path, "nodes/agent.py")
+    assert node.wait(30) == node.poll() == 2
+    alone = subprocess.run([*COMMAND, "nodes/agent.py"], capture_output=True, text=True, check=False)
+    assert alone.returncode == 2
+    said = [
+        text.splitlines()[-1].partition("error:")[2] for text in ((tmp_path / "node.log").read_text(), alone.stderr)
+    ]
+    assert said[0] == said[1] != ""
+
+
+def test_nodes_are_processes_with_their_own_log(server: ForkServer, tmp_path: Path) -> None:
+    nodes = []
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        nodes.append(started(server, tmp_path / name, "--help"))
+    assert len({node.pid for node in nodes}) == 2
+    assert [node.wait(30) for node in nodes] == [0, 0]
+    assert all("--run-folder" in (tmp_path / name / "node.log").read_text() for name in ("one", "two"))
+
+
+def test_a_node_has_a_session_a_folder_a_name_and_signals_of_its_own(server: ForkServer, tmp_path: Path) -> None:
+    path, loaded = scenario.load("baseline", [])
+    resolved = scenario.resolve(path, loaded, frames=1)
+    resolved.write(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # the node waits for its answer
+        router = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+        words = ("--run-folder", str(tmp_path), "--name", "infra_1", "--endpoint", router, "--run", "one")
+        node = started(server, tmp_path, resolved.nodes["infra_1"].file, *words)
+        silent.accept()[0].close()
+        process = psutil.Process(node.pid)
+        command = [*COMMAND, resolved.nodes["infra_1"].file, *words]
+        assert [*filter(None, process.cmdline())] == command
+        assert os.getsid(node.pid) == node.pid
+        assert process.cwd() == str(tmp_path)
+        node.send_signal(signal.SIGKILL)
+        assert node.wait(30) == -signal.SIGKILL
+
+
+def test_a_node_that_is_killed_has_the_signal_as_its_exit_code(server: ForkServer, tmp_path: Path) -> None:
+    node = started(server, tmp_path, "nodes/agent.py", "--run-folder", str(tmp_path), "--help")
+    node.kill()
+    assert node.wait(30) in (-signal.SIGKILL, 0), "it may have ended before"
+    node.kill()  # again, without effect
+
+
+def test_a_server_that_has_ended_is_told(server: ForkServer, tmp_path: Path) -> None:
+    node = started(server, tmp_path, "--help")
+    (process,) = [each for each in psutil.Process().children() if "mast_zenoh.runtime.fork_server" in each.cmdline()]
+    process.kill()
+    eventually(lambda: process.status() == psutil.STATUS_ZOMBIE, "the server has ended")
+    assert node.wait(30) in (0, 1), "its exit code is known only if the server told it before"
+    with pytest.raises(StartError, match="the process that starts the nodes has ended"):
+        started(server, tmp_path, "--help")
