@@ -22,7 +22,7 @@ PLACEHOLDERS = {"/home/me/shover.py"}
 #: Documents of the working group that are not shipped.
 NOT_SHIPPED = re.compile(r"\b(DESIGN|ANCHORS|INTEGRITY|STYLE|DATASETS|REVIEWS|ZENOH)\b|layout-moves")
 #: Prefixes in backticks that are not modules: suffixes of data files, labels, other packages.
-FOREIGN = {"detections", "visibility", "buildings", "scene", "study", "mast", "self", "role", "filterpy"}
+FOREIGN = {"detections", "visibility", "buildings", "scene", "study", "mast", "self", "role", "filterpy", "subprocess"}
 
 
 def docstrings(path: Path) -> Iterator[str]:

@@ -408,7 +408,7 @@ INVALID_SCENARIOS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "a scene's type that is a list": (lambda s: s.update(scene=dict(type=[1])), r"scene\.type: no Scene named \[1\]"),
     "a scene's parameter": (
         lambda s: s.update(scene=dict(type="Intersection", n_infrastructure=99)),
-        "scene: Intersection: n_infrastructure is 99, expected 0 to 16",
+        "scene: Intersection: n_infrastructure is 99, expected 0 to 88",
     ),
     "an agent without an entry": (lambda s: s.update(agents={"infra_*": AGENT}), "agents: no entry for 'ego'"),
     "an agent's configuration": (lambda s: s.update(agents={"*": 3}), "agents: ego: found 3, expected a dict"),
