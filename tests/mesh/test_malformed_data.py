@@ -54,7 +54,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launc
 
         # A node logs the first malformed message of a key, after all that arrived before it. So a key that was not
         # flooded yet shows how far the evaluator has read, which subscribes to every key.
-        # None waits for longer than the few seconds after which Zenoh would close the observer's link.
+        # There are several, so that no message waits for the few seconds after which Zenoh closes the observer's link.
         milestones = [key for key in hearers if key.endswith(("/tracks", "/report", "/mission"))]
         flooded = [key for key in hearers if key not in milestones]
         log = run.out / "logs" / "evaluator.log"
