@@ -92,6 +92,7 @@ class RunContext:
     The launcher sets these during the run:
 
     frame:    the newest frame that has begun; -1 before the first
+    first_frame_s: when the first frame began, s on the monotonic clock
     mesh:     None before it is joined
     signatures: signs control messages, with the run's keys once the mesh is joined
     invalid:  counts the control messages that the launcher has refused
@@ -107,6 +108,7 @@ class RunContext:
     detours: dict[str, str] = field(default_factory=dict)
     viewer: bool = False
     frame: int = field(default=-1, init=False)
+    first_frame_s: float | None = field(default=None, init=False)
     mesh: Mesh | None = field(default=None, init=False)
     signatures: Signatures = field(init=False)
     invalid: InvalidMessages = field(init=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,9 +23,10 @@ def conclude(context: RunContext, supervisor: Supervisor[Any], reports: Reports,
     record, stop, outcomes = context.record, context.stop, reports.outcomes
     record["nodes"] = supervisor.to_json(reports.by_node())
     driver: Mapping[str, Any] = next((o for o in outcomes.values() if "sent_ns" in o), {})
+    if context.first_frame_s is not None:
+        record["timings"]["start_s"] = round(context.first_frame_s - begun, 3)
     if driver:
         record["timings"] |= run_folder.rates(driver["frames"], driver["wall_s"])
-        record["timings"]["start_s"] = round(time.monotonic() - begun - driver["wall_s"], 3)
         record["churn"] = driver["churn"]
     lost = [child for child in supervisor.children.values() if not child.handed_in and not child.exit_expected]
     record["message"] = "; ".join(f"{child.name} {child.ended}" for child in lost)

@@ -106,6 +106,8 @@ def _declare(context: RunContext, session: zenoh.Session, requests: StepRequests
         timespan = context.resolved.timespan  # None: a user's simulator, which may play longer
         if frame < 0 or (timespan is not None and frame >= max(1, timespan.frames)):
             return
+        if context.first_frame_s is None:
+            context.first_frame_s = time.monotonic()
         context.frame = frame
         if hosts is not None:
             hosts.begin()

@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import importlib
 import json
 import os
 import select
@@ -31,11 +32,22 @@ from mast_zenoh.runtime.mesh.main import main  # noqa: E402
 
 #: Most bytes of a request.
 MAX_REQUEST = 1 << 16
+#: What argparse, numpy.unique and zipfile import at their first call.
+_LATER = "locale", "numpy.ma", "encodings.cp437"
 #: An argument as long as any node's command, which is written in place of the server's.
 ROOM = " " * (1 << 14)
 
 #: Descriptors that come with a request: standard input and log.
 _N_DESCRIPTORS = 2
+
+
+def preload() -> None:
+    """Import what nodes import, and exempt it from garbage collection, which would copy shared memory."""
+    for name in _LATER:
+        importlib.import_module(name)
+    for name in bundle.names("nodes"):
+        loading.module(bundle.ROOT / "nodes" / name)
+    gc.freeze()
 
 
 def serve(requests: socket.socket) -> list[str] | None:
@@ -110,9 +122,7 @@ def _rename(command: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    for name in bundle.names("nodes"):
-        loading.module(bundle.ROOT / "nodes" / name)
-    gc.freeze()
+    preload()
     command = None
     with socket.socket(fileno=os.dup(0)) as to_launcher, contextlib.suppress(ConnectionError):  # the launcher has ended
         command = serve(to_launcher)

@@ -85,6 +85,20 @@ def test_a_node_that_is_killed_has_the_signal_as_its_exit_code(server: ForkServe
     node.kill()  # again, without effect
 
 
+def test_nodes_import_nothing_after_they_are_forked(tmp_path: Path) -> None:
+    path, loaded = scenario.load("baseline", [])
+    scenario.resolve(path, loaded, frames=20).write(tmp_path)
+    code = (
+        "import argparse, sys, pathlib; from mast_zenoh.runtime import fork_server; fork_server.preload();"
+        "from mast_zenoh.config.resolved import Resolved; from mast_zenoh.runtime.inproc import InProcess;"
+        "before = set(sys.modules); argparse.ArgumentParser().parse_args([]);"
+        "InProcess(Resolved.read(pathlib.Path())).run();"
+        "print(*(set(sys.modules) - before))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert run.stdout.split() == []
+
+
 def test_a_server_that_has_ended_is_told(server: ForkServer, tmp_path: Path) -> None:
     node = started(server, tmp_path, "--help")
     (process,) = [each for each in psutil.Process().children() if "mast_zenoh.runtime.fork_server" in each.cmdline()]
