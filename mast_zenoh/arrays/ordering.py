@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Ints, ObjectStates
+from mast_zenoh.kernels import kernel
 
 #: Number of rows up to which sorting is faster than checking whether they are sorted.
 _FEW = 256
@@ -19,16 +20,28 @@ def row_order(*keys: NDArray[Any], ties: Callable[[], Iterable[NDArray[Any]]] | 
 
     The same as `np.lexsort((*ties(), *keys))`, but faster if the rows are sorted already or no two keys are equal.
     """
+    if len(keys) == 1:
+        order, tied = sorted_rows(keys[0])
+        if tied and ties is not None:
+            order = np.lexsort((*ties(), keys[0]))
+        return order.astype(np.int64, copy=False)
     if len(keys[0]) > _FEW:
         if ascending(*keys):
             return np.arange(len(keys[0]), dtype=np.int64)
         order = keys[-1].argsort(kind="stable")
         if ascending(*[key.take(order) for key in keys]):
             return order.astype(np.int64)
-    order = np.lexsort(keys) if len(keys) > 1 else keys[0].argsort(kind="stable")
+    order = np.lexsort(keys)
     if ties is not None and _any_equal(*[key.take(order) for key in keys]):
         order = np.lexsort((*ties(), *keys))
     return order.astype(np.int64, copy=False)
+
+
+@kernel
+def sorted_rows(key: NDArray[Any]) -> tuple[Ints, bool]:
+    """(n,) row indices that sort by `key` (n,), float64 or int64, and whether any two are equal."""
+    order = key.argsort(kind="stable")
+    return order, _any_equal(key.take(order))
 
 
 def ascending(*keys: NDArray[Any]) -> bool:

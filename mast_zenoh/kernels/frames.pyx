@@ -7,9 +7,9 @@ from libc.string cimport memcpy, memset
 
 from mast_zenoh.kernels.algebra cimport wrap_angle
 from mast_zenoh.kernels.arrays cimport (
-    contiguous, empty_matrices, empty_matrix, empty_vector, float_data, int_data, length, writable_data,
+    byte_data, contiguous, empty_matrices, empty_matrix, empty_vector, float_data, int_data, length, writable_data,
 )
-from mast_zenoh.kernels.table cimport SOURCE_DIGEST
+from mast_zenoh.kernels.table cimport SOURCE_DIGEST, N_CLASSES
 
 np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
@@ -70,22 +70,38 @@ def rigid_transform(position, yaw, covariance, origin, rotation):
     return places, headings, covariances
 
 
-def box_noise(covariance, order, variance, double least, double most):
-    covariance = contiguous(covariance)
-    cdef const double* reported = float_data(covariance, 3)
+def ordered_boxes(order, columns, variance, double least, double most):
+    positions, sizes, yaws, classes, scores, covariances = columns
+    positions, sizes, covariances = contiguous(positions), contiguous(sizes), contiguous(covariances)
+    yaws, classes, scores = contiguous(yaws), contiguous(classes), contiguous(scores)
     cdef const np.int64_t* row = int_data(order)
+    cdef const double* position = float_data(positions, 2)
+    cdef const double* size = float_data(sizes, 2)
+    cdef const double* yaw = float_data(yaws, 1)
+    cdef const np.uint8_t* class_id = byte_data(classes)
+    cdef const double* score = float_data(scores, 1)
+    cdef const double* reported = float_data(covariances, 3)
     cdef const double* default = float_data(variance, 1)
     cdef const double* own
     cdef Py_ssize_t r, i, n = length(order)
     cdef double bound
     cdef bint known = False
-    result = empty_matrices(n, 6)
-    cdef double* noise = writable_data(result, 3)
+    boxes, noises, out_yaws = empty_matrix(n, 6), empty_matrices(n, 6), empty_vector(np.NPY_DOUBLE, n)
+    out_classes, out_scores = empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_DOUBLE, n)
+    cdef double* box = writable_data(boxes, 2)
+    cdef double* noise = writable_data(noises, 3)
+    cdef double* out_yaw = writable_data(out_yaws, 1)
+    cdef np.int64_t* out_class = int_data(out_classes)
+    cdef double* out_score = writable_data(out_scores, 1)
     memset(noise, 0, 36 * n * sizeof(double))
-    for i in range(9 * n):
+    for i in range(9 * length(covariances)):
         known = known or reported[i] != 0.0
     for r in range(n):
         own = reported + 9 * row[r]
+        memcpy(box, position + 3 * row[r], 3 * sizeof(double))
+        memcpy(box + 3, size + 3 * row[r], 3 * sizeof(double))
+        out_yaw[r], out_score[r] = yaw[row[r]], score[row[r]]
+        out_class[r] = class_id[row[r]] if class_id[row[r]] < N_CLASSES else 0
         for i in range(6):
             noise[7 * i] = default[i]
         if known:
@@ -95,8 +111,26 @@ def box_noise(covariance, order, variance, double least, double most):
                 noise[7 * i] = fmin(fmax(noise[7 * i], least), most)
             bound = sqrt((noise[0] - 0.5 * least) * (noise[7] - 0.5 * least))
             noise[1] = noise[6] = fmin(fmax(own[1], -bound), bound)
-        noise += 36
-    return result
+        box, noise = box + 6, noise + 36
+    return boxes, noises, out_yaws, out_classes, out_scores
+
+
+def sorted_rows(key):
+    order = np.PyArray_ArgSort(key, 0, np.NPY_MERGESORT)
+    ordered = key.take(order)
+    cdef Py_ssize_t r, n = length(key)
+    cdef const double* real
+    cdef const np.int64_t* whole
+    cdef bint tied = False
+    if np.PyArray_TYPE(ordered) == np.NPY_DOUBLE:
+        real = float_data(ordered, 1)
+        for r in range(1, n):
+            tied = tied or real[r] == real[r - 1]
+    else:
+        whole = int_data(ordered)
+        for r in range(1, n):
+            tied = tied or whole[r] == whole[r - 1]
+    return order, tied
 
 
 def quaternion_from_rotation(rotation):

@@ -2,7 +2,7 @@
 """Kernels on the table of tracks: prediction, correction, existence. The NumPy references document them."""
 
 cimport numpy as np
-from libc.math cimport cos, exp, fabs, fmax, fmin, rint, sin, sqrt
+from libc.math cimport INFINITY, cos, exp, fabs, fmax, fmin, isinf, rint, sin, sqrt
 from libc.string cimport memcpy, memset
 
 from mast_zenoh.kernels.algebra cimport factorise, forward, wrap_angle
@@ -11,7 +11,7 @@ from mast_zenoh.kernels.arrays cimport (
 )
 from mast_zenoh.kernels.table cimport (
     SOURCE_DIGEST, P, XX, XY, YY, YAW, YAW_VARIANCE, TURN, LATERAL_RESIDUAL, ODDS, HITS, MISSES, VOTES, N_CLASSES,
-    CLASS, CONFIRMED, AGE, ID, ROW, WIDTH,
+    CLASS, CONFIRMED, AGE, ID, ROW, SCORE, SPAN, DUE, WIDTH,
 )
 
 np.import_array()
@@ -111,21 +111,6 @@ def correct_speed(t, direction, noise):
         row += WIDTH
 
 
-def correct_heading(t, yaw, double variance):
-    cdef double* row = writable_data(t, 2)
-    cdef const double* measured = float_data(yaw, 1)
-    cdef Py_ssize_t r
-    cdef double innovation, half_turns, gain
-    for r in range(length(t)):
-        innovation = measured[r] - row[YAW]
-        half_turns = rint(innovation * (1.0 / PI))
-        gain = row[YAW_VARIANCE] / (row[YAW_VARIANCE] + variance)
-        row[YAW] += gain * (innovation - PI * half_turns)
-        row[YAW_VARIANCE] = variance * gain
-        row[TURN] += 1.0 - 2.0 * fabs(half_turns - 2.0 * rint(0.5 * half_turns))
-        row += WIDTH
-
-
 def resolve_heading_direction(t, double forward, double limit):
     cdef double* row = writable_data(t, 2)
     cdef Py_ssize_t r
@@ -162,18 +147,152 @@ def lateral_constraint(t, innovation, free, double slip, double share, double ti
     return directions, variances
 
 
+cdef inline void vote(double* row, Py_ssize_t class_id) noexcept nogil:
+    """Count a vote for a class; the class with most votes wins, in a tie the lower."""
+    cdef Py_ssize_t k, best = 0
+    row[VOTES + class_id] += 1.0
+    for k in range(1, N_CLASSES):
+        if row[VOTES + k] > row[VOTES + best]:
+            best = k
+    row[CLASS] = best
+
+
 def update_class(t, class_id):
     cdef double* row = writable_data(t, 2)
     cdef const np.int64_t* seen = int_data(class_id)
-    cdef Py_ssize_t r, k, best
+    cdef Py_ssize_t r
     for r in range(length(t)):
-        row[VOTES + seen[r]] += 1.0
-        best = 0
-        for k in range(1, N_CLASSES):
-            if row[VOTES + k] > row[VOTES + best]:
-                best = k
-        row[CLASS] = best
+        vote(row, seen[r])
         row += WIDTH
+
+
+def matched_tracks(t, match, detected, measured, double yaw_variance, double most):
+    of_track, of_measurement, log_ratios, jumps = match
+    rows, yaws, classes, scores = measured
+    cdef const double* before = float_data(t, 2)
+    cdef const np.int64_t* track = int_data(of_track)
+    cdef const np.int64_t* measurement = int_data(of_measurement)
+    cdef const double* log_ratio = float_data(log_ratios, 1)
+    cdef const double* jump = float_data(jumps, 1)
+    cdef const double* probability = float_data(detected, 1)
+    cdef const np.int64_t* row_of = int_data(rows)
+    cdef const double* yaw = float_data(yaws, 1)
+    cdef const np.int64_t* class_id = int_data(classes)
+    cdef const double* score = float_data(scores, 1)
+    cdef Py_ssize_t r, m, k = length(of_track)
+    cdef double innovation, half_turns, gain, p
+    result = empty_matrix(k, WIDTH)
+    cdef double* row = writable_data(result, 2)
+    for r in range(k):
+        m, p = measurement[r], probability[track[r]]
+        memcpy(row, before + WIDTH * track[r], WIDTH * sizeof(double))
+        row[XX] += jump[r]
+        row[YY] += jump[r]
+        innovation = yaw[m] - row[YAW]
+        half_turns = rint(innovation * (1.0 / PI))
+        gain = row[YAW_VARIANCE] / (row[YAW_VARIANCE] + yaw_variance)
+        row[YAW] += gain * (innovation - PI * half_turns)
+        row[YAW_VARIANCE] = yaw_variance * gain
+        row[TURN] += 1.0 - 2.0 * fabs(half_turns - 2.0 * rint(0.5 * half_turns))
+        vote(row, class_id[m])
+        row[ODDS] = fmin(row[ODDS] * (p * exp(log_ratio[r]) + (1.0 - p)), most)
+        row[HITS] += 1.0
+        row[SCORE] += (score[m] - row[SCORE]) / row[HITS]
+        row[SPAN] += row[AGE]
+        row[AGE], row[ROW] = 0.0, row_of[m]
+        row += WIDTH
+    return result
+
+
+def confirmed_innovations(t, innovation, jump):
+    cdef const double* row = float_data(t, 2)
+    cdef const double* offset = float_data(innovation, 2)
+    cdef const double* added = float_data(jump, 1)
+    cdef Py_ssize_t r, count = 0
+    cdef double squared = 0.0, predicted = 0.0
+    for r in range(length(t)):
+        if added[r] == 0.0 and row[CONFIRMED] > 0.0:
+            squared += offset[2 * r] * offset[2 * r] + offset[2 * r + 1] * offset[2 * r + 1]
+            predicted += row[XX] + row[YY]
+            count += 1
+        row += WIDTH
+    return squared - predicted, count
+
+
+def ended_stages(t, double report_odds):
+    cdef const double* row = float_data(t, 2)
+    cdef Py_ssize_t r, k = 0, n = length(t)
+    rows, lasting = empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_BOOL, n)
+    cdef np.int64_t* of = int_data(rows)
+    cdef np.uint8_t* survived = byte_data(lasting)
+    for r in range(n):
+        survived[k] = row[SPAN] >= fabs(row[DUE])
+        if survived[k] or (row[ODDS] <= report_odds * row[CONFIRMED] and 0.0 < row[DUE] < INFINITY):
+            of[k] = r
+            k += 1
+        row += WIDTH
+    return rows[:k], lasting[:k]
+
+
+def coasting_tracks(t, double report_odds):
+    cdef const double* row = float_data(t, 2)
+    cdef Py_ssize_t r, k = 0, m = 0, n = length(t)
+    rows, others = empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_INT64, n)
+    cdef np.int64_t* coasting = int_data(rows)
+    cdef np.int64_t* occluding = int_data(others)
+    for r in range(n):
+        if row[ROW] < 0.0:
+            coasting[k] = r
+            k += 1
+        if row[CONFIRMED] > 0.0 and row[ODDS] > report_odds:
+            occluding[m] = r
+            m += 1
+        row += WIDTH
+    return rows[:k], others[:m]
+
+
+def likely_tracks(t, probability, double least):
+    cdef const double* row = float_data(t, 2)
+    cdef const double* p = float_data(probability, 1)
+    cdef Py_ssize_t r, n = length(t)
+    result = empty_vector(np.NPY_BOOL, n)
+    cdef np.uint8_t* likely = byte_data(result)
+    for r in range(n):
+        likely[r] = row[ODDS] / (1.0 + row[ODDS]) * p[r] > least or isinf(row[DUE])
+        row += WIDTH
+    return result
+
+
+def tempered_probability(t):
+    cdef const double* row = float_data(t, 2)
+    cdef Py_ssize_t r, n = length(t)
+    cdef double power
+    result = empty_vector(np.NPY_DOUBLE, n)
+    cdef double* out = writable_data(result, 1)
+    for r in range(n):
+        power = sqrt(sqrt(sqrt(row[ODDS])))
+        out[r] = power / (1.0 + power)
+        row += WIDTH
+    return result
+
+
+def calibrated(t, stages, edges, table):
+    cdef const double* row = float_data(t, 2)
+    cdef const double* due = float_data(stages, 1)
+    cdef const double* edge = float_data(edges, 1)
+    cdef const double* probability = float_data(table, 2)
+    cdef Py_ssize_t r, stage, interval, n = length(t), n_stages = length(stages), n_edges = length(edges)
+    result = empty_vector(np.NPY_DOUBLE, n)
+    cdef double* out = writable_data(result, 1)
+    for r in range(n):
+        stage = interval = 0
+        while stage < n_stages and due[stage] < fabs(row[DUE]):
+            stage += 1
+        while interval < n_edges and not row[SCORE] < edge[interval]:
+            interval += 1
+        out[r] = probability[stage * (n_edges + 1) + interval]
+        row += WIDTH
+    return result
 
 
 def predict_existence(t, double dt, double lifetime_s, double memory_s):
@@ -196,17 +315,6 @@ def detection_probability(t, double prior, double weight):
         out[r] = fmin((row[HITS] + prior * weight) / (row[HITS] + row[MISSES] + weight), prior)
         row += WIDTH
     return result
-
-
-def update_detected(t, detected, log_ratio, double max_odds):
-    cdef double* row = writable_data(t, 2)
-    cdef const double* p = float_data(detected, 1)
-    cdef const double* log_of = float_data(log_ratio, 1)
-    cdef Py_ssize_t r
-    for r in range(length(t)):
-        row[ODDS] = fmin(row[ODDS] * (p[r] * exp(log_of[r]) + (1.0 - p[r])), max_odds)
-        row[HITS] += 1.0
-        row += WIDTH
 
 
 def update_missed(t, detected, visible, double birth):

@@ -11,12 +11,13 @@ from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
-from mast_zenoh.tracking.evidence import ScoreEvidence, add_scores, established, tempered_probability
+from mast_zenoh.tracking.evidence import ScoreEvidence, likely_tracks, tempered_probability
 from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_heading_direction
 from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
+from mast_zenoh.tracking.matched import matched_tracks
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE, XX, YAW_VARIANCE, YY
 from mast_zenoh.tracking.view import SensorView
@@ -135,7 +136,7 @@ class KalmanBoxTracker3D(Tracker):
             measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
             innovation = measured[:, :2] - matched[:, :2]
             if not detections.covariance.any():
-                self._noise.learn(matched, innovation, match.jump == 0.0)
+                self._noise.learn(matched, innovation, match.jump)
             self.innovations.add(*innovation_sum(matched, measured, R, match.jump), len(matched))
             self.filter.correct(matched, measured, R)
             constrain_lateral_speed(self.filter, matched, innovation)
@@ -226,27 +227,18 @@ class KalmanBoxTracker3D(Tracker):
 
     def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
         """A copy of the matched tracks, updated except for the Kalman correction."""
-        used = match.measurement
-        updated = self._tracks.take(match.track, 0)
-        if np.count_nonzero(match.jump):
-            updated[:, XX] += match.jump
-            updated[:, YY] += match.jump
-        correct_heading(updated, measurements.yaw.take(used), self._yaw_noise)
-        tracks.update_class(updated, measurements.class_id.take(used))
-        existence.update_detected(updated, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
-        add_scores(updated, measurements.score.take(used))
-        updated[:, tracks.AGE], updated[:, ROW] = 0.0, measurements.row.take(used)
-        return updated
+        pairs = match.track, match.measurement, match.log_ratio, match.jump
+        columns = measurements.row, measurements.yaw, measurements.class_id, measurements.score
+        return matched_tracks(self._tracks, pairs, detected, columns, self._yaw_noise, existence.MAX_ODDS)
 
     def _missed_fraction(self, view: SensorView | None) -> Floats:
         """Fraction (n,) of each track that was visible, not occluded and not measured."""
         t = self._tracks
-        coasting = t[:, ROW] < 0.0
-        missed = coasting.astype(np.float64)
-        rows = coasting.nonzero()[0]
-        if view is not None and len(rows):
-            occluders = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)).nonzero()[0]
-            missed[rows] = view.visible_fraction(t.take(rows, 0), t.take(occluders, 0))
+        missed = np.zeros(len(t))
+        coasting, occluding = existence.coasting_tracks(t, self._report_odds)
+        if len(coasting):
+            seen = 1.0 if view is None else view.visible_fraction(t.take(coasting, 0), t.take(occluding, 0))
+            missed[coasting] = seen
         return missed
 
     def _new_objects(self, match: Match, measurements: Measured) -> Ints:
@@ -270,10 +262,10 @@ class KalmanBoxTracker3D(Tracker):
         """
         states, weight = tracks.to_states(reported), mean if probability is None else probability
         if probability is not None:
-            likely = (states.score * probability > self._min_probability) | established(reported)
+            likely = likely_tracks(reported, probability, self._min_probability)
             if np.count_nonzero(likely) < len(likely):
                 states, reported, weight = states.select(likely), reported[likely], probability[likely]
-        states.score[:] = tempered_probability(reported[:, ODDS])
+        states.score[:] = tempered_probability(reported)
         if weight is not None:
             states.score[:] *= weight
         self._matched = reported[:, ROW].astype(np.int64)

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.tracks import CONFIRMED, XX, YY
 
 #: Number of pairs over which the estimate averages, and weight of the default in pairs.
@@ -34,22 +35,31 @@ class DetectionNoise:
         self._default = self.variance = default
         self._sum, self._weight = PRIOR * float(default[0]), PRIOR
 
-    def learn(self, tracks: Floats, innovation: Floats, steady: Bools) -> None:
+    def learn(self, tracks: Floats, innovation: Floats, jump: Floats) -> None:
         """Learn from k matched pairs.
 
-        tracks: (k, WIDTH), predicted; innovation: (k, 2) m; steady: (k,) whether steady motion explains the pair
+        tracks: (k, WIDTH), predicted; innovation: (k, 2) m; jump: (k,) m^2, variance added by a sudden displacement
 
-        Only confirmed tracks count: the velocity of new ones is not known yet.
+        Pairs with a displacement do not count.
         """
-        rows = (steady & (tracks[:, CONFIRMED] > 0.0)).nonzero()[0]
-        if len(rows) == 0:
+        excess, count = confirmed_innovations(tracks, innovation, jump)
+        if count == 0:
             return
-        innovation, t = innovation.take(rows, 0), tracks.take(rows, 0)
-        excess = 0.5 * float(np.einsum("ij,ij->", innovation, innovation) - t[:, XX].sum() - t[:, YY].sum())
-        keep = math.exp(-len(rows) / MEMORY)
-        self._sum, self._weight = max(keep * self._sum + excess, 0.0), keep * self._weight + len(rows)
+        keep = math.exp(-count / MEMORY)
+        self._sum, self._weight = max(keep * self._sum + 0.5 * excess, 0.0), keep * self._weight + count
         ratio = self._sum / (self._weight * float(self._default[0]))
         self.variance = self._default
         if ratio > TOLERANCE:
             self.variance = self._default.copy()
             self.variance[:2] *= min(ratio, LARGEST)
+
+
+@kernel
+def confirmed_innovations(tracks: Floats, innovation: Floats, jump: Floats) -> tuple[float, int]:
+    """Squared innovations of confirmed tracks beyond the variances of their predictions, m^2, and how many they are.
+
+    See `DetectionNoise.learn`. The velocity of tracks that are not confirmed is not known yet.
+    """
+    rows = ((jump == 0.0) & (tracks[:, CONFIRMED] > 0.0)).nonzero()[0]
+    innovation, t = innovation.take(rows, 0), tracks.take(rows, 0)
+    return float(np.square(innovation).sum() - t[:, XX].sum() - t[:, YY].sum()), len(rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.score_calibration import STAGES_S, ScoreCalibration
 from mast_zenoh.tracking.tracks import AGE, CONFIRMED, DUE, HITS, ODDS, SCORE, SPAN, planar
 
@@ -36,15 +37,16 @@ def add_scores(tracks: Floats, score: Floats) -> None:
     tracks[:, SPAN] += tracks[:, AGE]
 
 
-def tempered_probability(odds: Floats) -> Floats:
+@kernel
+def tempered_probability(tracks: Floats) -> Floats:
     """(n,) probabilities of existence with discounted evidence, which rank tracks whose existence is certain.
 
-    odds: (n,) of existence, as if detections in successive frames were independent. They are not: errors last. So their
-    likelihoods count with an exponent (a power likelihood: Holmes and Walker, Biometrika 2017), which keeps the order.
+    The odds of existence are as if detections in successive frames were independent. They are not: errors last. So
+    their likelihoods count with an exponent (a power likelihood: Holmes and Walker, Biometrika 2017), which keeps the order.
     The exponent is the share of frames that are independent evidence: about one sample per second, ten frames
     (docs/metrics.md). 1/8 is three square roots, which are equal to the last bit on any machine.
     """
-    power = np.sqrt(np.sqrt(np.sqrt(odds)))
+    power = np.sqrt(np.sqrt(np.sqrt(tracks[:, ODDS])))
     return np.asarray(power / (1.0 + power))
 
 
@@ -117,16 +119,14 @@ class ScoreEvidence:
             self._varies = bool(np.count_nonzero(score != self._constant))
         if not self._varies:
             return
-        due = tracks[:, DUE]
-        survived = tracks[:, SPAN] >= np.abs(due)
-        failed = (tracks[:, ODDS] <= report_odds * tracks[:, CONFIRMED]) & (due > 0.0) & (due < np.inf)
-        rows = (survived | failed).nonzero()[0]
+        rows, survived = ended_stages(tracks, report_odds)
         if len(rows):
             self._add(tracks, rows, survived)
 
-    def _add(self, tracks: Floats, rows: Ints, survived: Bools) -> None:
-        """Add samples of the tracks in `rows`, whose stage ends; survived: (n,) of all tracks."""
-        stage, lasts, due = _stage(tracks[rows]), survived[rows], tracks[rows, DUE]
+    def _add(self, tracks: Floats, rows: Ints, lasts: Bools) -> None:
+        """Add samples of the tracks (k,) in `rows`, whose stage ends; lasts: (k,) whether they survive it."""
+        due = tracks[rows, DUE]
+        stage = STAGES_S.searchsorted(np.abs(due))
         tracks[rows, DUE] = np.where(lasts, np.copysign(_NEXT_DUE[stage], due), -due)
         lasting = lasts & (due == STAGES_S[-1])
         if lasting.any():
@@ -136,7 +136,7 @@ class ScoreEvidence:
 
     def probability(self, tracks: Floats) -> Floats | None:
         """(k,) probability that tracks (k, WIDTH) are objects, by their scores; None: the scores tell nothing."""
-        return self._calibration.probability(tracks[:, SCORE], _stage(tracks))
+        return self._calibration.probability(tracks)
 
     def doubtful(self, tracks: Floats) -> Bools:
         """Which tracks (k, WIDTH) score too low to be reported: (k,), see `ScorePrior`."""
@@ -148,11 +148,29 @@ def _moving(tracks: Floats) -> Bools:
     return np.asarray(np.abs(planar(tracks[:, 6:8])) > MOVING)
 
 
+@kernel
+def likely_tracks(tracks: Floats, probability: Floats, least: float) -> Bools:
+    """Which tracks (n, WIDTH) are likely to exist, or have survived all stages: (n,).
+
+    probability: (n,) that they are objects if they exist; least: probability of both
+    """
+    odds = tracks[:, ODDS]
+    return np.asarray((odds / (1.0 + odds) * probability > least) | established(tracks))
+
+
 def established(tracks: Floats) -> Bools:
     """Whether tracks (n, WIDTH) have survived all stages: (n,)."""
     return np.isinf(tracks[:, DUE])
 
 
-def _stage(tracks: Floats) -> Ints:
-    """Stages (n,) of tracks (n, WIDTH), from 0."""
-    return np.asarray(STAGES_S.searchsorted(np.abs(tracks[:, DUE])))
+@kernel
+def ended_stages(tracks: Floats, report_odds: float) -> tuple[Ints, Bools]:
+    """Rows (k,) of the tracks (n, WIDTH) whose stage ends, and whether each survives it.
+
+    report_odds: odds up to which a confirmed track counts as gone
+    """
+    due = tracks[:, DUE]
+    survived = tracks[:, SPAN] >= np.abs(due)
+    failed = (tracks[:, ODDS] <= report_odds * tracks[:, CONFIRMED]) & (due > 0.0) & (due < np.inf)
+    rows = (survived | failed).nonzero()[0]
+    return rows, survived[rows]

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, XX, YY, planar
+from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, ROW, XX, YY, planar
 
 #: Upper limit of the odds; keeps products of odds finite for any number of measurements.
 MAX_ODDS = 1e12
@@ -44,7 +44,6 @@ def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats
     return np.asarray(np.minimum((hits + prior * weight) / (hits + tracks[:, MISSES] + weight), prior))
 
 
-@kernel
 def update_detected(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> None:
     """Update existence of measured tracks.
 
@@ -64,6 +63,16 @@ def update_missed(tracks: Floats, detected: Floats, visible: Floats, birth: floa
     odds = tracks[:, ODDS] * (1.0 - detected * visible)
     tracks[:, ODDS] = np.maximum(odds, birth * tracks[:, CONFIRMED])
     tracks[:, MISSES] += visible
+
+
+@kernel
+def coasting_tracks(tracks: Floats, report_odds: float) -> tuple[Ints, Ints]:
+    """Rows of the tracks without a measurement in this step, and of those that may occlude others.
+
+    report_odds: odds above which a confirmed track counts as an object
+    """
+    occluding = (tracks[:, CONFIRMED] > 0.0) & (tracks[:, ODDS] > report_odds)
+    return (tracks[:, ROW] < 0.0).nonzero()[0], occluding.nonzero()[0]
 
 
 @kernel

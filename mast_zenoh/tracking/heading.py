@@ -15,7 +15,6 @@ FORWARD = 2.0
 TURN_LIMIT = 5.0
 
 
-@kernel
 def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
     """Correct the headings by measured ones (n,) of `variance` rad^2.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,10 +32,8 @@ class Measured(NamedTuple):
     def detections(cls, d: Detections, variance: Floats) -> Measured:
         """Measurements of boxes; variance: (6,) defaults for unspecified noise."""
         order = row_order(d.position[:, 0], ties=lambda: (d.score, d.class_id, *d.size.T, d.yaw, *d.position.T[:0:-1]))
-        box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
-        noise = box_noise(d.covariance, order, variance, MIN_VARIANCE, MAX_VARIANCE)
-        class_id = known_class(d.class_id.take(order))
-        return cls(order, box, noise, d.yaw.take(order), class_id, d.score.take(order))
+        columns = d.position, d.size, d.yaw, d.class_id, d.score, d.covariance
+        return cls(order, *ordered_boxes(order, columns, variance, MIN_VARIANCE, MAX_VARIANCE))
 
     @classmethod
     def states(cls, s: ObjectStates) -> Measured:
@@ -47,7 +45,22 @@ class Measured(NamedTuple):
 
 
 @kernel
-def box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
+def ordered_boxes(
+    order: Ints, columns: tuple[Any, ...], variance: Floats, least: float, most: float
+) -> tuple[Floats, Floats, Floats, Ints, Floats]:
+    """The fields of `Measured` of m boxes, except `row`: the rows `order` of n boxes.
+
+    columns: position, size (n, 3) m, yaw (n,) rad, class_id (n,) uint8, score (n,) and position covariance (n, 3, 3)
+        m^2, all zero if unknown
+    variance: (6,) m^2, defaults; least, most: m^2, MIN_VARIANCE, MAX_VARIANCE
+    """
+    position, size, yaw, class_id, score, covariance = columns
+    box = np.concatenate([position, size], axis=1).take(order, 0)
+    noise = _box_noise(covariance, order, variance, least, most)
+    return box, noise, yaw.take(order), known_class(class_id.take(order)), score.take(order)
+
+
+def _box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
     """Noise covariances (m, 6, 6) of boxes in `order`.
 
     covariance: (m, 3, 3) m^2, reported position covariances, all zero if unknown

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.kernels import kernel
+from mast_zenoh.tracking.tracks import DUE, SCORE
 
 #: s from a track's first to its last detection, at which it has survived one more stage; after the last it is
 #: established.
@@ -59,14 +61,9 @@ class ScoreCalibration:
             self._used = self._count
             self._tabulate()
 
-    def probability(self, score: Floats, stage: Ints) -> Floats | None:
-        """(n,) probability that tracks of this mean score in this stage are objects; None: nothing is known yet.
-
-        stage: from 0; STAGES for established tracks, which keep the probability of the last stage
-        """
-        if self._table is None:
-            return None
-        return np.asarray(self._table[stage, self._edges.searchsorted(score, "right")])
+    def probability(self, tracks: Floats) -> Floats | None:
+        """(n,) probability that tracks (n, WIDTH) are objects, by mean score and stage; None: nothing is known yet."""
+        return None if self._table is None else calibrated(tracks, STAGES_S, self._edges, self._table)
 
     def _tabulate(self) -> None:
         """Make the table (STAGES + 1, intervals) of probabilities and the inner edges of its intervals of scores."""
@@ -85,7 +82,17 @@ class ScoreCalibration:
         rate = np.array([isotonic(*row) for row in zip((survived + PRIOR * mean) / weight, weight, strict=True)])
         established = rate[::-1].cumprod(0)[::-1]
         probability = established / established[:, -1:]
-        self._table = np.concatenate([probability, probability[-1:]])
+        self._table = np.concatenate([probability, probability[-1:]])  # established tracks keep that of the last stage
+
+
+@kernel
+def calibrated(tracks: Floats, stages: Floats, edges: Floats, table: Floats) -> Floats:
+    """(n,) probabilities in a table (STAGES + 1, intervals), by the stages and the mean scores of tracks (n, WIDTH).
+
+    stages: (STAGES,) s, STAGES_S; edges: (intervals - 1,) inner edges of the intervals. Established tracks are in the
+    last row.
+    """
+    return np.asarray(table[stages.searchsorted(np.abs(tracks[:, DUE])), edges.searchsorted(tracks[:, SCORE], "right")])
 
 
 def isotonic(value: Floats, weight: Floats) -> Floats:
