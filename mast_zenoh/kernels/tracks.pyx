@@ -20,6 +20,16 @@ DIGEST = SOURCE_DIGEST.decode()
 cdef double PI = 3.141592653589793
 
 
+def begin_step(t, double dt, double yaw_drift):
+    cdef double* row = writable_data(t, 2)
+    cdef Py_ssize_t r
+    for r in range(length(t)):
+        row[ROW] = -1.0
+        row[YAW_VARIANCE] += yaw_drift * dt
+        row[AGE] += dt
+        row += WIDTH
+
+
 def predict(t, double dt, noise):
     cdef double* row = writable_data(t, 2)
     cdef const double* by_class = float_data(noise, 3)

@@ -19,7 +19,7 @@ from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.matched import matched_tracks
 from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE, XX, YAW_VARIANCE, YY
+from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE, XX, YY
 from mast_zenoh.tracking.view import SensorView
 
 #: rad/sqrt(s), drift of a heading.
@@ -135,21 +135,19 @@ class KalmanBoxTracker3D(Tracker):
             matched = self._matched_tracks(match, measurements, detected)
             measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
             innovation = measured[:, :2] - matched[:, :2]
-            if not detections.covariance.any():
+            if not np.count_nonzero(detections.covariance):
                 self._noise.learn(matched, innovation, match.jump)
             self.innovations.add(*innovation_sum(matched, measured, R, match.jump), len(matched))
             self.filter.correct(matched, measured, R)
             constrain_lateral_speed(self.filter, matched, innovation)
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
-        new_rows = self._new_objects(match, measurements)
-        new_tracks = self._created(new_rows, measurements)
-        if len(new_rows):
-            new_tracks[:, kalman.BOX] = measurements.state[new_rows]
-            P = first_covariance(
-                measurements.noise[new_rows], measurements.yaw[new_rows], measurements.class_id[new_rows]
-            )
-            new_tracks[:, COVARIANCE] = P.reshape(len(new_rows), 81)
+        new_tracks = None
+        if len(rows := self._new_objects(match, measurements)):
+            new_tracks = self._created(rows, measurements)
+            new_tracks[:, kalman.BOX] = measurements.state[rows]
+            P = first_covariance(measurements.noise[rows], measurements.yaw[rows], measurements.class_id[rows])
+            new_tracks[:, COVARIANCE] = P.reshape(len(rows), 81)
             new_tracks[:, ODDS] = self._birth_odds
         reported = self._finish(match, new_tracks)
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
@@ -180,14 +178,14 @@ class KalmanBoxTracker3D(Tracker):
             resolve_heading_direction(matched, FORWARD, TURN_LIMIT)
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
-        new_rows = self._new_objects(match, measurements)
-        new_tracks = self._created(new_rows, measurements)
-        if len(new_rows):
-            new_tracks[:, MEAN] = measurements.state[new_rows]
-            new_tracks[:, COVARIANCE] = measurements.noise[new_rows].reshape(len(new_rows), 81)
+        new_tracks = None
+        if len(rows := self._new_objects(match, measurements)):
+            new_tracks = self._created(rows, measurements)
+            new_tracks[:, MEAN] = measurements.state[rows]
+            new_tracks[:, COVARIANCE] = measurements.noise[rows].reshape(len(rows), 81)
             # The tempered score is the prior: the source's own odds count successive frames as independent
             # evidence, although their errors last (`tempered_probability`).
-            score = np.clip(FIRST_REPORT * measured.score[measurements.row[new_rows]], 0.01, 0.99)
+            score = np.clip(FIRST_REPORT * measured.score[measurements.row[rows]], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
         reported = self._finish(match, new_tracks)
         return self._states(reported, None, np.clip(reported[:, SCORE], 0.0, 1.0))
@@ -201,14 +199,12 @@ class KalmanBoxTracker3D(Tracker):
             )
         self._time_ns = time_ns
         t, dt = self._tracks, (time_ns - before) * 1e-9
-        t[:, ROW] = -1.0
+        tracks.begin_step(t, dt, YAW_DRIFT**2)
         if len(t) and dt > 0.0:
             if dt != self._process_noise[0]:
                 noise = kalman.process_noise(dt, self._acceleration, classes.VERTICAL_ACCELERATION, classes.SIZE_DRIFT)
                 self._process_noise = (dt, noise)
             self.filter.predict(t, dt, self._process_noise[1])
-            t[:, YAW_VARIANCE] += YAW_DRIFT**2 * dt
-            t[:, tracks.AGE] += dt
             existence.predict_existence(t, dt, self._lifetime_s, self._memory_s)
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
@@ -271,7 +267,7 @@ class KalmanBoxTracker3D(Tracker):
         self._matched = reported[:, ROW].astype(np.int64)
         return states
 
-    def _finish(self, match: Match, new_tracks: Floats) -> Floats:
+    def _finish(self, match: Match, new_tracks: Floats | None) -> Floats:
         """Drop tracks and add the new ones; the tracks (k, WIDTH) to report."""
         t = self._tracks
         keep, report = existence.track_status(t, *self._status_limits)
@@ -284,5 +280,5 @@ class KalmanBoxTracker3D(Tracker):
             likely = keep & (t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)
             self.innovations.silent += bool((t[likely, ROW] >= 0.0).any())
         t = t if np.count_nonzero(keep) == len(t) else t[keep]
-        self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
+        self._tracks = t if new_tracks is None else np.concatenate([t, new_tracks])
         return reported

@@ -42,8 +42,8 @@ def tempered_probability(tracks: Floats) -> Floats:
     """(n,) probabilities of existence with discounted evidence, which rank tracks whose existence is certain.
 
     The odds of existence are as if detections in successive frames were independent. They are not: errors last. So
-    their likelihoods count with an exponent (a power likelihood: Holmes and Walker, Biometrika 2017), which keeps the order.
-    The exponent is the share of frames that are independent evidence: about one sample per second, ten frames
+    their likelihoods count with an exponent (a power likelihood: Holmes and Walker, Biometrika 2017), which keeps the
+    order. The exponent is the share of frames that are independent evidence: about one sample per second, ten frames
     (docs/metrics.md). 1/8 is three square roots, which are equal to the last bit on any machine.
     """
     power = np.sqrt(np.sqrt(np.sqrt(tracks[:, ODDS])))

@@ -16,11 +16,10 @@ def created(rows: Ints, measurements: Measured, first_id: int, yaw_variance: flo
     first_id: of the first one, the others follow; yaw_variance: rad^2
     """
     new = tracks.empty(len(rows))
-    if len(rows):
-        new[:, tracks.ID] = np.arange(first_id, first_id + len(rows))
-        new[:, tracks.YAW], new[:, tracks.YAW_VARIANCE] = measurements.yaw[rows], yaw_variance
-        new[:, tracks.TURN] = 1.0
-        new[:, tracks.HITS], new[:, tracks.ROW] = 1.0, measurements.row[rows]
-        new[:, tracks.SCORE], new[:, tracks.DUE] = measurements.score[rows], FIRST_DUE
-        tracks.update_class(new, measurements.class_id[rows])
+    new[:, tracks.ID] = np.arange(first_id, first_id + len(rows))
+    new[:, tracks.YAW], new[:, tracks.YAW_VARIANCE] = measurements.yaw[rows], yaw_variance
+    new[:, tracks.TURN] = 1.0
+    new[:, tracks.HITS], new[:, tracks.ROW] = 1.0, measurements.row[rows]
+    new[:, tracks.SCORE], new[:, tracks.DUE] = measurements.score[rows], FIRST_DUE
+    tracks.update_class(new, measurements.class_id[rows])
     return new

@@ -26,13 +26,13 @@ def matched_tracks(
     yaw_variance: rad^2, of a measured heading; most: upper limit of the odds
     """
     track, measurement, log_ratio, jump = match
-    row, yaw, class_id, score = (column.take(measurement) for column in measured)
+    row, yaw, class_id, score = measured
     updated = tracks.take(track, 0)
     updated[:, XX] += jump
     updated[:, YY] += jump
-    correct_heading(updated, yaw, yaw_variance)
-    update_class(updated, class_id)
+    correct_heading(updated, yaw.take(measurement), yaw_variance)
+    update_class(updated, class_id.take(measurement))
     update_detected(updated, detected.take(track), log_ratio, most)
-    add_scores(updated, score)
-    updated[:, AGE], updated[:, ROW] = 0.0, row
+    add_scores(updated, score.take(measurement))
+    updated[:, AGE], updated[:, ROW] = 0.0, row.take(measurement)
     return updated

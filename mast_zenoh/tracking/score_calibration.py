@@ -69,9 +69,8 @@ class ScoreCalibration:
         """Make the table (STAGES + 1, intervals) of probabilities and the inner edges of its intervals of scores."""
         n = min(self._count, MEMORY)
         ordered = np.sort(self._score[:n])
-        # Equal scores are in one interval.
-        edges = np.unique(ordered[np.arange(1, INTERVALS) * n // INTERVALS])
-        self._edges = edges[edges > ordered[0]]
+        edges = ordered[np.arange(INTERVALS) * n // INTERVALS]
+        self._edges = edges[1:][edges[1:] > edges[:-1]]  # equal scores are in one interval
         width = len(self._edges) + 1
         cell = self._stage[:n] * width + self._edges.searchsorted(self._score[:n], "right")
         shape = STAGES, width

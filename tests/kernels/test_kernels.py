@@ -32,6 +32,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.tracking import SensorView, classes, gating, tracks
+from mast_zenoh.tracking.score_calibration import STAGES_S
 
 for package in ("tracking", "fusion", "metrics", "sensing", "attacks", "integrity"):
     for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):
@@ -64,6 +65,30 @@ def table(random, n):
     t[:, tracks.CLASS], t[:, tracks.CONFIRMED] = random.integers(0, 7, n), random.integers(0, 2, n)
     t[:, tracks.ID], t[:, tracks.ROW] = np.arange(n), random.integers(-1, 9, n)
     return t
+
+
+def staged(random, n):
+    """Tracks with scores, spans, and stages that are due, some of them negated or over."""
+    t = table(random, n)
+    t[:, tracks.SCORE], t[:, tracks.SPAN] = random.uniform(0, 1, n).round(1), random.uniform(0, 3, n).round(1)
+    t[:, tracks.DUE] = random.choice([*STAGES_S, np.inf], n) * random.choice([-1.0, 1.0], n)
+    return t
+
+
+def ordered_boxes(random, n, m):
+    columns = (
+        places(random, n), random.uniform(0.3, 5, (n, 3)), random.uniform(-9, 9, n),
+        random.integers(0, 256, n).astype(np.uint8), random.random(n),
+        random.normal(size=(n, 3, 3)) * random.choice([0.0, 1.0, 1e5]),
+    )  # fmt: skip
+    return random.permutation(n), columns, random.uniform(0.1, 1, 6), 1e-4, 1e8
+
+
+def matched_tracks(random, n, m):
+    k = min(n, m)
+    match = random.permutation(n)[:k], random.permutation(m)[:k], random.normal(0, 5, k), random.choice([0.0, 1.5], k)
+    measured = np.arange(m), random.uniform(-9, 9, m), random.integers(0, 7, m), random.random(m)
+    return staged(random, n), match, random.uniform(0.1, 0.9, n), measured, 0.01, 1e12
 
 
 def pairs(random, n, m):
@@ -245,6 +270,7 @@ def buildings(random, m):
 
 #: For each kernel its arguments, with n rows and m others (both may be 0).
 ARGUMENTS = {
+    "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09),
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
     "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
@@ -259,13 +285,20 @@ ARGUMENTS = {
     ),
     "useful_pairs": lambda r, n, m: (*(ends := pairs(r, n, m)), r.integers(-4, 3, len(ends[0])).astype(float)),
     "min_cost_matching": lambda r, n, m: (*(ends := pairs(r, n, m)), -r.uniform(0, 4, len(ends[0]))),
-    "correct_heading": lambda r, n, m: (table(r, n), r.uniform(-9, 9, n), 0.01),
     "resolve_heading_direction": lambda r, n, m: (table(r, n), 2.0, 5.0),
     "lateral_constraint": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
+    "matched_tracks": matched_tracks,
+    "confirmed_innovations": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.choice([0.0, 1.5], n)),
+    "ended_stages": lambda r, n, m: (staged(r, n), 1.0),
+    "coasting_tracks": lambda r, n, m: (table(r, n), 1.0),
+    "likely_tracks": lambda r, n, m: (staged(r, n), r.uniform(0, 1, n), 0.5),
+    "tempered_probability": lambda r, n, m: (table(r, n),),
+    "calibrated": lambda r, n, m: (
+        staged(r, n), STAGES_S, edges := np.unique(r.uniform(0, 1, m).round(1)), r.random((4, len(edges) + 1)),
+    ),
     "update_class": lambda r, n, m: (table(r, n), r.integers(0, 7, n)),
     "predict_existence": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
     "detection_probability": lambda r, n, m: (table(r, n), 0.9, 2.0),
-    "update_detected": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.normal(0, 5, n), 1e12),
     "update_missed": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),
     "track_status": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
     "to_columns": lambda r, n, m: (table(r, n),),
@@ -281,8 +314,9 @@ ARGUMENTS = {
     "rigid_transform": lambda r, n, m: (
         places(r, n), r.uniform(-9, 9, n), covariances(r, n, 3), r.normal(size=3), r.random((3, 3)),
     ),
-    "box_noise": lambda r, n, m: (
-        r.normal(size=(n, 3, 3)) * r.choice([0.0, 1.0, 1e5]), r.permutation(n), r.uniform(0.1, 1, 6), 1e-4, 1e8,
+    "ordered_boxes": ordered_boxes,
+    "sorted_rows": lambda r, n, m: (
+        r.integers(0, r.choice([9, 10**6]), n).astype(r.choice([np.int64, np.float64])),
     ),
     "pairs_in_groups": lambda r, n, m: (
         r.integers(0, 3, n + 1), places(r, n + 1), r.integers(0, 4, m + 1), places(r, m + 1), r.uniform(0, 5),

@@ -85,7 +85,7 @@ def test_the_estimate_is_bounded_and_returns_to_the_default() -> None:
     noise = tracker._noise
     row = np.zeros((10, tracker._tracks.shape[1]))
     row[:, :] = 1.0
-    steady = np.ones(10, bool)
+    steady = np.zeros(10)
     for _ in range(300):
         noise.learn(row, np.full((10, 2), 1e6), steady)
     assert np.sqrt(noise.variance[0]) == pytest.approx(2.0)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
 from tracking_worlds import detected, joined, matched, nanoseconds
 
@@ -121,11 +122,18 @@ def test_a_false_detection_that_never_ends_does_not_make_others_with_its_score_c
     bush = [replace(detected([[0.0, 0.0]]), score=np.array([0.15])) for _ in frames]
     tracker = KalmanBoxTracker3D()
     _, false = errors([joined(one, two) for one, two in zip(frames, bush, strict=True)], MAPS["as they are"], tracker)
-    probability = tracker._evidence._calibration.probability(np.array([0.15, 0.9]), np.zeros(2, np.int64))
+    probability = tracker._evidence._calibration.probability(rows([0.15, 0.9]))
     assert probability is not None
     assert probability[0] < 0.25
     assert probability[1] == 1.0
     assert false - 1.0 < 0.35 * errors(frames, constant)[1], "the bush itself is reported, as anything that lasts"
+
+
+def rows(score: ArrayLike, stage: int = 0) -> np.ndarray:
+    """Tracks with these mean scores (n,) in one stage."""
+    table = tracks.empty(len(np.asarray(score)))
+    table[:, tracks.SCORE], table[:, tracks.DUE] = score, [*STAGES_S, np.inf][stage]
+    return table
 
 
 def filled(random: np.random.Generator, n: int, score: np.ndarray | None = None) -> ScoreCalibration:
@@ -142,7 +150,7 @@ def test_the_probability_of_an_object_never_decreases_with_the_score_and_is_a_pr
     for seed in range(20):
         calibration = filled(np.random.default_rng(seed), 40 * (1 + seed))
         for stage in range(STAGES + 1):
-            probability = calibration.probability(np.linspace(-1.0, 2.0, 99), np.full(99, stage))
+            probability = calibration.probability(rows(np.linspace(-1.0, 2.0, 99), stage))
             assert probability is not None
             assert (np.diff(probability) >= 0.0).all()
             assert (probability > 0.0).all()
@@ -150,14 +158,14 @@ def test_the_probability_of_an_object_never_decreases_with_the_score_and_is_a_pr
 
 
 def test_nothing_is_known_before_the_first_samples() -> None:
-    assert ScoreCalibration().probability(np.zeros(2), np.zeros(2, np.int64)) is None
+    assert ScoreCalibration().probability(rows([0.0, 0.0])) is None
 
 
 def test_any_numbers_are_survived_and_the_memory_is_bounded() -> None:
     random = np.random.default_rng(0)
     score = random.choice([np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300, 5e-324], 4000)
     calibration = filled(random, 4000, score)
-    probability = calibration.probability(score[:50], np.zeros(50, np.int64))
+    probability = calibration.probability(rows(score[:50]))
     assert probability is not None
     assert np.isfinite(probability).all()
     assert len(calibration._score) == MEMORY
