@@ -34,6 +34,7 @@ from mast_zenoh.runtime.mesh.intake import Intake
 from mast_zenoh.runtime.mesh.outlets import Outlets
 from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
 from mast_zenoh.runtime.mesh.wiring_follower import WiringFollower
+from mast_zenoh.runtime.mesh.zenoh_threads import keeping_state
 from mast_zenoh.wiring.model import Wiring
 
 _LINGER_S = 0.01  # for messages that are probably in transit
@@ -289,7 +290,7 @@ class MeshNode:
         Its callback runs in Zenoh's thread and must return quickly.
         """
         return self.session.declare_subscriber(
-            f"{self._prefix}/{key}", zenoh.handlers.Callback(callback, indirect=False)
+            f"{self._prefix}/{key}", zenoh.handlers.Callback(keeping_state(callback), indirect=False)
         )
 
     def await_matching(self) -> None:
