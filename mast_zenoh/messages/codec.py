@@ -17,13 +17,23 @@ from numpy.typing import NDArray
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import validation
-from mast_zenoh.messages.layout import LAYOUTS, MAX_BYTES, MAX_ROWS, MAX_TEXT, WIRE_DTYPE, exact_columns, layout_of
+from mast_zenoh.messages.layout import (
+    LAYOUTS,
+    MAX_BYTES,
+    MAX_ROWS,
+    MAX_TEXT,
+    TEXT,
+    WIRE_DTYPE,
+    exact_columns,
+    layout_of,
+)
 from mast_zenoh.messages.row_limits import NO_LIMITS, RowLimits
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Message, Schema
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
 _HEADER_NAMES = frozenset(_HEADER_KEYS)
 _MAP_OF_6, _MAP_OF_7, _BODY_KEY = b"\x86", b"\x87", b"\xa4body"
+_pack = msgpack.Packer().pack  # one for all messages: each would begin with a buffer of 256 KiB
 _LONGEST_HEADER = 4096  #: bytes
 _HEADER_LIMIT = 1 << 62
 
@@ -112,15 +122,21 @@ def encode(message: Message) -> bytes:
     """Encode a message that `conform` made."""
     header, columns = message
     layout = LAYOUTS[header.schema]
-    body: dict[str, list[Any]] = {}
     plan = layout.plan_of(columns)
-    for name, (dtype_name, dims, _) in zip(plan.names, plan.packed, strict=True):
-        array = columns[name]
-        body[name] = [dtype_name, dims, list(array) if dtype_name == "str" else array.tobytes()]
-    version = SCHEMAS[header.schema].version
-    values = (header.schema, version, header.source, header.frame, header.time_ns, header.seq, body)
-    packed: bytes = msgpack.packb(dict(zip(_HEADER_KEYS, values, strict=True)))
-    return packed
+    fields = _pack(
+        {
+            "schema": header.schema,
+            "version": layout.schema.version,
+            "source": header.source,
+            "frame": header.frame,
+            "time_ns": header.time_ns,
+            "seq": header.seq,
+        }
+    )
+    parts = [_MAP_OF_7, fields[1:], layout.body_prefix]
+    for name, prefix, dtype in zip(plan.names, plan.prefixes, plan.dtypes, strict=True):
+        parts += (prefix, _pack(list(columns[name])) if dtype is TEXT else columns[name])
+    return b"".join(parts)
 
 
 def decode(
@@ -248,8 +264,12 @@ def _columns(schema: Schema, body: Mapping[str, Any], limits: RowLimits, limit_o
 
 
 def _check_header(header: Header) -> None:
-    if not isinstance(header.source, str) or len(header.source) > MAX_TEXT:
-        raise MessageError(f"{header.schema}: source is not a name")
-    for name, value in (("frame", header.frame), ("time_ns", header.time_ns), ("seq", header.seq)):
+    schema, source, frame, time_ns, seq = header
+    if not isinstance(source, str) or len(source) > MAX_TEXT:
+        raise MessageError(f"{schema}: source is not a name")
+    numbers = frame, time_ns, seq
+    if type(frame) is type(time_ns) is type(seq) is int and min(numbers) >= 0 and max(numbers) < _HEADER_LIMIT:
+        return
+    for name, value in (("frame", frame), ("time_ns", time_ns), ("seq", seq)):
         if type(value) is not int or not 0 <= value < _HEADER_LIMIT:
-            raise MessageError(f"{header.schema}: {name} is {str(value)[:40]}, expected a whole number from 0")
+            raise MessageError(f"{schema}: {name} is {str(value)[:40]}, expected a whole number from 0")

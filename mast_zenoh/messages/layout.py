@@ -5,12 +5,14 @@ Nearly all messages are valid, so all columns are checked at once. `validation` 
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from math import prod
 from typing import Any, NamedTuple
 
+import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +28,7 @@ MAX_MAGNITUDE = 1e9  #: limit of values in SI units, far above any scene; larger
 #: By dtype of a column: its NumPy dtype in memory (little-endian), and its name in a message.
 WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}
 DTYPE_NAME = {name: dtype.str for name, dtype in WIRE_DTYPE.items()} | {"str": "str"}
-_TEXT = np.dtype(object)
+TEXT = np.dtype(object)  #: of columns of text
 assert sys.byteorder == "little", "columns are sent with their bytes in memory order"
 
 MAX_SQUARES = MAX_MAGNITUDE**2
@@ -38,6 +40,7 @@ class Plan(NamedTuple):
 
     dtypes: object for text; limits: see `limit_of`
     packed: (name of the dtype, shape as a list, bytes) of the column in a message; text has no bytes
+    prefixes: of each column in a message: all that precedes its data
     fits: whether the columns are within MAX_BYTES
     """
 
@@ -46,6 +49,7 @@ class Plan(NamedTuple):
     shapes: tuple[tuple[int, ...], ...]
     limits: tuple[float, ...]
     packed: tuple[tuple[str, list[int], int], ...]
+    prefixes: tuple[bytes, ...]
     fits: bool
 
 
@@ -71,6 +75,7 @@ class Layout:
                     self._letters.setdefault(size, (column.name, axis))
         self._sources = tuple(self._letters.values())
         self.schema = schema
+        self.body_prefix: bytes = msgpack.packb("body") + msgpack.Packer().pack_map_header(len(schema.columns))
         self._plans: dict[tuple[int, ...], Plan] = {}
 
     def sizes(self, body: Body) -> dict[str, int]:
@@ -96,16 +101,17 @@ class Layout:
         """The plan for sizes by letter."""
         columns = self.schema.columns
         shapes = tuple(tuple(sizes[n] if isinstance(n, str) else n for n in column.shape) for column in columns)
-        dtypes = tuple(WIRE_DTYPE.get(column.dtype, _TEXT) for column in columns)
-        n_bytes = [prod(shape) * dtype.itemsize * (dtype != _TEXT) for shape, dtype in zip(shapes, dtypes, strict=True)]
+        dtypes = tuple(WIRE_DTYPE.get(column.dtype, TEXT) for column in columns)
+        n_bytes = [prod(shape) * dtype.itemsize * (dtype != TEXT) for shape, dtype in zip(shapes, dtypes, strict=True)]
+        names = tuple(column.name for column in columns)
+        packed = tuple(zip([DTYPE_NAME[column.dtype] for column in columns], map(list, shapes), n_bytes, strict=True))
         return Plan(
-            names=tuple(column.name for column in columns),
+            names=names,
             dtypes=dtypes,
             shapes=shapes,
             limits=tuple(map(limit_of, columns)),
-            packed=tuple(
-                zip([DTYPE_NAME[column.dtype] for column in columns], map(list, shapes), n_bytes, strict=True)
-            ),
+            packed=packed,
+            prefixes=tuple(itertools.starmap(_prefix, zip(names, packed, strict=True))),
             fits=sum(n_bytes) <= MAX_BYTES,
         )
 
@@ -135,6 +141,16 @@ class Layout:
         plan = self.plan_of(body)
         body = body if type(body) is dict else dict(body)  # as compiled functions need it
         return plan.fits and sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
+
+
+def _prefix(name: str, packed: tuple[str, list[int], int]) -> bytes:
+    """What precedes the data of a column in a message: its name, dtype and shape; packed: see `Plan`."""
+    dtype, shape, n_bytes = packed
+    prefix: bytes = msgpack.packb({name: [dtype, shape, 0]})[1:-1]
+    if dtype == "str":
+        return prefix
+    size = next(size for size in (1, 2, 4) if n_bytes < 256**size)
+    return prefix + {1: b"\xc4", 2: b"\xc5", 4: b"\xc6"}[size] + n_bytes.to_bytes(size, "big")
 
 
 @kernel
@@ -181,7 +197,7 @@ def exact_columns(
         array = body.get(name)
         if type(array) is not np.ndarray or array.dtype != dtype or array.shape != shape:
             return None
-        if dtype is not _TEXT:
+        if dtype is not TEXT:
             if not array.flags.c_contiguous:
                 return None
             if array.flags.writeable:
@@ -201,7 +217,7 @@ def sound_values(columns: Mapping[str, NDArray[Any]], names: tuple[str, ...], li
     squares = 0.0
     for name, limit in zip(names, limits, strict=True):
         array = columns[name]
-        if array.dtype is _TEXT:
+        if array.dtype is TEXT:
             for item in array:
                 if not isinstance(item, str) or len(item) > limit:
                     return float("inf")
