@@ -22,7 +22,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.lockstep.pacer import Pacer
+from mast_zenoh.runtime.lockstep.pacer import SETTLE_EVERY, Pacer
 from mast_zenoh.runtime.lockstep.timetable import LEAVING, Timetable
 from mast_zenoh.runtime.mesh.inbox import Event
 from mast_zenoh.runtime.mesh.membership import Membership
@@ -37,9 +37,6 @@ REALTIME_GRACE_S = 0.5
 
 #: Time without a report in lock-step, s, after which the driver checks whether the reports are plausible.
 SUSPECT_S = 3.0
-
-#: Frames of lock-step after which the driver also waits for nodes that publish nothing.
-SETTLE_EVERY = 50
 
 
 class Driver(MeshNode):

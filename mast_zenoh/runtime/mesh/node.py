@@ -26,6 +26,7 @@ from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.lockstep.pacer import SETTLE_EVERY
 from mast_zenoh.runtime.mesh import drain, results_client
 from mast_zenoh.runtime.mesh.arrivals import Arrivals
 from mast_zenoh.runtime.mesh.drain import DrainQueries
@@ -38,6 +39,7 @@ from mast_zenoh.runtime.mesh.zenoh_threads import keeping_state
 from mast_zenoh.wiring.model import Wiring
 
 _LINGER_S = 0.01  # for messages that are probably in transit
+_DOZE_S = 0.004  # of a node that only listens
 
 
 class MeshNode:
@@ -147,9 +149,13 @@ class MeshNode:
         due_s: time until then, s; None: no message is delayed
 
         While fewer messages were received than in the frames before, more are probably in transit. Waiting briefly for
-        them costs less than an unnecessary report costs the driver.
+        them costs less than an unnecessary report costs the driver. A node that the driver does not wait for sleeps, so
+        that it takes many messages at once.
         """
-        if due_s is None and self.intake.expects_more:
+        dozes = self.lockstep and not self.outlets and (self.host.frame + 1) % SETTLE_EVERY
+        if dozes:
+            time.sleep(_DOZE_S)
+        if due_s is None and (dozes or self.intake.expects_more):
             try:
                 return self.inbox.get(timeout=_LINGER_S)
             except queue.Empty:
