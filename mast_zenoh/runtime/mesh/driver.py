@@ -47,6 +47,8 @@ class Driver(MeshNode):
     start_timeout_s, stall_timeout_s: how long to wait for nodes to start, and for the mesh to become quiet
     """
 
+    report_kinds = ("failed",)
+
     def __init__(
         self,
         run: str,
@@ -297,4 +299,5 @@ class Driver(MeshNode):
         self._announcement = self.signatures.sign("epoch", flow.encode_epoch(epoch, members, update))
         self._epoch_publisher.put(self._announcement)
         self._enter_epoch(epoch, members, update)
-        self.report()
+        if update is None:  # with one, it has reported
+            self.report()

@@ -12,7 +12,7 @@ import queue
 import time
 from collections.abc import Callable, Collection
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import zenoh
 
@@ -49,6 +49,9 @@ class MeshNode:
     lockstep: whether time advances with frames; without: nodes that are not running yet
     timespan: valid frames and times of messages; None: any
     """
+
+    #: the control messages that it publishes about itself
+    report_kinds: ClassVar[Collection[str]] = ("counts", "failed")
 
     def __init__(
         self,
@@ -188,7 +191,7 @@ class MeshNode:
         with self.intake.lock:
             if self.epoch and not self.follower.busy:
                 sent = self.outlets.counted(self.host.sent)
-                self._counts.put(flow.encode_counts(self.epoch, sent, self.host.handled))
+                self._reports["counts"].put(flow.encode_counts(self.epoch, sent, self.host.handled))
 
     def hand_in(self) -> None:
         """Finish the node, and hand in its files and its results to the launcher."""
@@ -213,7 +216,7 @@ class MeshNode:
 
     def _report_failure(self, failure: Failure) -> None:
         """Report a failure immediately: a process that is killed hands in no results."""
-        self._failed.put(reports.encode_failure(self._process, failure.entry()))
+        self._reports["failed"].put(reports.encode_failure(self._process, failure.entry()))
 
     def extra_results(self) -> dict[str, Any]:
         """Additional results of the process, for subclasses."""
@@ -275,7 +278,7 @@ class MeshNode:
         for wire, leg in wiring.legs():
             if leg.publisher.node == self.name:
                 self.outlets.add(leg.key, wire.message)
-        self._counts, self._failed = (self._declare_control(f"{kind}/{self.name}") for kind in ("counts", "failed"))
+        self._reports = {kind: self._declare_control(f"{kind}/{self.name}") for kind in self.report_kinds}
 
     def _declare_control(self, key: str) -> zenoh.Publisher:
         """Declare a publisher of control messages; their own queue overtakes blocked data."""
@@ -302,4 +305,4 @@ class MeshNode:
     def await_matching(self) -> None:
         """Wait until all wires with subscribers are matched, so that no message is lost."""
         subscribed = self.outlets.subscribed(self.follower.wiring, self.name, self.without)
-        self.outlets.await_subscribers([*subscribed, self._counts, self._failed])
+        self.outlets.await_subscribers([*subscribed, *self._reports.values()])
