@@ -26,15 +26,15 @@ from mast_zenoh.messages.layout import (
     WIRE_DTYPE,
     exact_columns,
     layout_of,
+    split_header,
 )
 from mast_zenoh.messages.row_limits import NO_LIMITS, RowLimits
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Message, Schema
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
 _HEADER_NAMES = frozenset(_HEADER_KEYS)
-_MAP_OF_6, _MAP_OF_7, _BODY_KEY = b"\x86", b"\x87", b"\xa4body"
+_BODY_KEY = b"\xa4body"
 _pack = msgpack.Packer().pack  # one for all messages: each would begin with a buffer of 256 KiB
-_LONGEST_HEADER = 4096  #: bytes
 _HEADER_LIMIT = 1 << 62
 
 
@@ -94,16 +94,11 @@ def check_values(message: Message, limits: RowLimits = NO_LIMITS) -> None:
     kept = limits.shortened(header.schema, full, header.schema)
     if kept is not full:
         message = Message(header, kept)
-    if LAYOUTS[header.schema].is_valid(kept) and (kept is full or _fits(full)):
-        validation.check_references(message)
-        return
-    if not _fits(full):
+    layout = LAYOUTS[header.schema]
+    if not layout.plan_of(full).fits:
         raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
-    for column in SCHEMAS[header.schema].columns:
-        array = kept[column.name]
-        if column.dtype == "str":
-            validation.check_strings(header.schema, column, array)
-        validation.check_values(header.schema, column, array)
+    if not layout.is_sound(kept):
+        _check_columns(layout.schema, kept)
     validation.check_references(message)
 
 
@@ -114,28 +109,16 @@ def limited(message: Message, limits: RowLimits, limit_of: str | None = None) ->
     return message if kept is body else Message(header, kept)
 
 
-def _fits(body: Body) -> bool:
-    return sum(column.nbytes for column in body.values()) <= MAX_BYTES
-
-
 def encode(message: Message) -> bytes:
     """Encode a message that `conform` made."""
     header, columns = message
     layout = LAYOUTS[header.schema]
     plan = layout.plan_of(columns)
-    fields = _pack(
-        {
-            "schema": header.schema,
-            "version": layout.schema.version,
-            "source": header.source,
-            "frame": header.frame,
-            "time_ns": header.time_ns,
-            "seq": header.seq,
-        }
-    )
-    parts = [_MAP_OF_7, fields[1:], layout.body_prefix]
+    numbers = _pack({"frame": header.frame, "time_ns": header.time_ns, "seq": header.seq})[1:]
+    parts = [layout.header_prefix, _pack(header.source), numbers, layout.body_prefix]
     for name, prefix, dtype in zip(plan.names, plan.prefixes, plan.dtypes, strict=True):
-        parts += (prefix, _pack(list(columns[name])) if dtype is TEXT else columns[name])
+        parts.append(prefix)
+        parts += map(_pack, columns[name]) if dtype is TEXT else (columns[name],)
     return b"".join(parts)
 
 
@@ -151,10 +134,18 @@ def decode(
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
     limits.check_length(schema.name, len(payload))
-    header, body = _unpack(payload, schema)
-    if not isinstance(body, dict) or len(body) != len(schema.columns):
-        raise MessageError(validation.names_differ(schema.name, body, schema.columns))
-    message = Message(header, _columns(schema, body, limits, limit_of or schema.name))
+    layout = layout_of(schema)
+    header, place = _quick_header(payload, schema) or (None, 0)
+    columns: Body | None = None if header is None else layout.split(payload, place)
+    if header is None or columns is None:
+        header, body = _unpack(payload, schema)
+        if not isinstance(body, dict) or len(body) != len(schema.columns):
+            raise MessageError(validation.names_differ(schema.name, body, schema.columns))
+        columns = layout.unpack(body, len(payload) - place if place else 0) or _columns(schema, body)
+    kept = limits.shortened(schema.name, columns, limit_of or schema.name)
+    if not layout.is_sound(kept):
+        _check_columns(schema, kept)
+    message = Message(header, kept)
     validation.check_references(message)
     return message
 
@@ -197,24 +188,18 @@ def decode_header_only(payload: bytes, expected: str | Schema) -> Header:
     Raises MessageError if `decode` would do so because of the header.
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
-    return _quick_header(payload, schema) or _unpack(payload, schema)[0]
+    return (_quick_header(payload, schema) or _unpack(payload, schema))[0]
 
 
-def _quick_header(payload: bytes, expected: Schema) -> Header | None:
-    """The header of a valid message, without its body; None if anything is unusual."""
-    end = payload.find(_BODY_KEY, 0, _LONGEST_HEADER)
-    if payload[:1] != _MAP_OF_7 or end < 0 or len(payload) > MAX_BYTES:
+def _quick_header(payload: bytes, expected: Schema) -> tuple[Header, int] | None:
+    """The header of a message and where it ends; None if anything is unusual."""
+    found = split_header(payload, layout_of(expected).header_prefix)
+    if found is None or not payload.startswith(_BODY_KEY, found[-1]) or len(payload) > MAX_BYTES:
         return None
-    try:
-        fields = msgpack.unpackb(_MAP_OF_6 + payload[1:end], strict_map_key=True, max_ext_len=0, max_map_len=6)
-        schema, version, source, frame, time_ns, seq = [fields[name] for name in _HEADER_KEYS[:-1]]
-    except Exception:  # the full check names the error
-        return None
-    if schema != expected.name or type(version) is not int or version != expected.version:
-        return None
-    header = Header(schema, source, frame, time_ns, seq)
+    source, frame, time_ns, seq, end = found
+    header = Header(expected.name, source, frame, time_ns, seq)
     _check_header(header)
-    return header
+    return header, end
 
 
 def decode_header(payload: bytes, expected: str | Schema) -> Header:
@@ -222,7 +207,15 @@ def decode_header(payload: bytes, expected: str | Schema) -> Header:
 
     Raises MessageError if `decode` would do so for any reason other than the body's columns.
     """
-    return _unpack(payload, SCHEMAS[expected] if isinstance(expected, str) else expected)[0]
+    schema = SCHEMAS[expected] if isinstance(expected, str) else expected
+    layout = layout_of(schema)
+    header, place = _quick_header(payload, schema) or (None, 0)
+    if header is not None and layout.split(payload, place) is not None:
+        return header
+    header, body = _unpack(payload, schema)
+    if place and isinstance(body, dict):
+        layout.unpack(body, len(payload) - place)  # the next one of this length is split
+    return header
 
 
 def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
@@ -245,22 +238,23 @@ def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
     return header, body
 
 
-def _columns(schema: Schema, body: Mapping[str, Any], limits: RowLimits, limit_of: str) -> Body:
-    """The checked columns of a packed body."""
-    checked = layout_of(schema).unpack(body, limits, limit_of)
-    if checked is not None:
-        return checked
-    # Invalid: checking each column names the error.
+def _columns(schema: Schema, body: Mapping[str, Any]) -> Body:
+    """The columns of a packed body; raises MessageError for one that `Layout.unpack` does not accept."""
     columns: dict[str, NDArray[Any]] = {}
     sizes: dict[str, int] = {}
     for column in schema.columns:
         if column.name not in body:
             raise MessageError(validation.names_differ(schema.name, body, schema.columns))
         columns[column.name] = validation.array_of(schema.name, column, body[column.name], sizes)
-    kept = limits.shortened(schema.name, columns, limit_of)
+    return columns
+
+
+def _check_columns(schema: Schema, columns: Body) -> None:
+    """Check the values of each column, so that an error names it."""
     for column in schema.columns:
-        validation.check_values(schema.name, column, kept[column.name])
-    return kept
+        if column.dtype == "str":
+            validation.check_strings(schema.name, column, columns[column.name])
+        validation.check_values(schema.name, column, columns[column.name])
 
 
 def _check_header(header: Header) -> None:

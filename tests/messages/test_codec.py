@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.layout import Layout
 from mast_zenoh.messages.schemas import SCHEMAS, Column, Header, Message, text
 
 finite = st.floats(-1e5, 1e5)
@@ -113,6 +114,30 @@ def test_a_damaged_message_is_refused_or_still_valid(place: int, value: int, cop
     for name, column in message.body.items():
         if column.dtype == np.float64:
             assert np.isfinite(column).all(), name
+
+
+def outcome(payload: bytes) -> tuple | str:
+    """What comes of a message, of detections."""
+    try:
+        header, body = codec.decode(payload, "detections")
+    except MessageError as error:
+        return str(error)
+    return header, [(name, column.shape, column.dtype, column.tobytes()) for name, column in body.items()]
+
+
+@given(place=st.integers(0, 700), value=st.integers(0, 255), copies=st.sampled_from([0, 1, 2]))
+@settings(max_examples=300)
+def test_a_message_means_the_same_whether_one_of_its_length_was_decoded_before(
+    place: int, value: int, copies: int
+) -> None:
+    payload = bytearray(codec.encode(message_of("detections", {"n": 3})))
+    payload[place : place + 1] = bytes([value]) * copies
+    message = bytes(payload)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Layout, "split", lambda layout, payload, place: None)
+        expected = outcome(message)
+    outcome(codec.encode(message_of("detections", {"n": 3}, seed=1)))
+    assert outcome(message) == expected
 
 
 @pytest.mark.parametrize("cut", [0, 1, 10, 100, -1])
