@@ -2,7 +2,10 @@
 """Kernels that check the columns of messages. The NumPy references in `messages.layout` document them."""
 
 cimport numpy as np
+from cpython.bytes cimport PyBytes_FromStringAndSize
+from cpython.unicode cimport PyUnicode_DecodeASCII
 from libc.math cimport INFINITY
+from libc.string cimport memcmp
 
 import numpy
 
@@ -70,6 +73,99 @@ def packed_columns(body, plan):
             array = read_only(data, <char*><bytes>data, <int>len(sizes), shape, dtype.type_num)
         columns[names[column]] = array
     return columns
+
+
+cdef Py_ssize_t text_at(const unsigned char* begin, Py_ssize_t* place, Py_ssize_t end) noexcept:
+    """The length of the short ASCII text at a place, which is moved to its first character; -1 if there is none."""
+    cdef Py_ssize_t n_bytes, k
+    if place[0] >= end or begin[place[0]] < 0xA0 or begin[place[0]] > 0xBF:
+        return -1
+    n_bytes = begin[place[0]] - 0xA0
+    place[0] += 1
+    if end - place[0] < n_bytes:
+        return -1
+    for k in range(place[0], place[0] + n_bytes):
+        if begin[k] >= 128:
+            return -1
+    return n_bytes
+
+
+cdef long long number_at(const unsigned char* begin, Py_ssize_t* place, Py_ssize_t end, bytes name) noexcept:
+    """The whole number after a name at a place, which is moved behind it; -1 if there is none."""
+    cdef Py_ssize_t n_bytes = len(name), k
+    cdef unsigned long long number = 0
+    if end - place[0] <= n_bytes or memcmp(begin + place[0], <const char*>name, n_bytes) != 0:
+        return -1
+    place[0] += n_bytes
+    cdef unsigned char first = begin[place[0]]
+    place[0] += 1
+    if first < 128:
+        return first
+    if first < 0xCC or first > 0xCF:
+        return -1
+    n_bytes = 1 << (first - 0xCC)
+    if end - place[0] < n_bytes:
+        return -1
+    for k in range(place[0], place[0] + n_bytes):
+        number = (number << 8) | begin[k]
+    place[0] += n_bytes
+    return <long long>number if number < 1ULL << 63 else -1
+
+
+def split_header(bytes payload, bytes prefix):
+    cdef const unsigned char* begin = payload
+    cdef Py_ssize_t end = len(payload), place = len(prefix), n_bytes
+    cdef long long frame, time_ns, seq
+    if end < place or memcmp(begin, <const char*>prefix, place) != 0:
+        return None
+    n_bytes = text_at(begin, &place, end)
+    if n_bytes < 0:
+        return None
+    source = PyUnicode_DecodeASCII(<const char*>begin + place, n_bytes, NULL)
+    place += n_bytes
+    frame = number_at(begin, &place, end, b"\xa5frame")
+    time_ns = number_at(begin, &place, end, b"\xa7time_ns")
+    seq = number_at(begin, &place, end, b"\xa3seq")
+    if frame < 0 or time_ns < 0 or seq < 0:
+        return None
+    return source, frame, time_ns, seq, place
+
+
+def split_columns(bytes payload, Py_ssize_t place, plan):
+    cdef tuple names = plan.names, dtypes = plan.dtypes, shapes = plan.shapes, prefixes = plan.prefixes
+    cdef tuple packed = plan.packed, sizes
+    cdef bytes prefix, data
+    cdef const char* begin = payload
+    cdef Py_ssize_t end = len(payload), column, axis, n_bytes, row
+    cdef np.npy_intp[np.NPY_MAXDIMS] shape
+    cdef np.dtype dtype
+    cdef np.ndarray array
+    cdef dict columns = {}
+    for column in range(len(names)):
+        prefix, dtype, sizes = prefixes[column], dtypes[column], shapes[column]
+        n_bytes = len(prefix)
+        if end - place < n_bytes or memcmp(begin + place, <const char*>prefix, n_bytes) != 0:
+            return None
+        place += n_bytes
+        if dtype.type_num == np.NPY_OBJECT:
+            array = numpy.empty(sizes, object)
+            for row in range(len(array)):
+                n_bytes = text_at(<const unsigned char*>begin, &place, end)
+                if n_bytes < 0:
+                    return None
+                array[row] = PyUnicode_DecodeASCII(begin + place, n_bytes, NULL)
+                place += n_bytes
+        else:
+            n_bytes = (<tuple>packed[column])[2]
+            if end - place < n_bytes:
+                return None
+            data = PyBytes_FromStringAndSize(begin + place, n_bytes)
+            for axis in range(len(sizes)):
+                shape[axis] = sizes[axis]
+            array = read_only(data, <char*>data, <int>len(sizes), shape, dtype.type_num)
+            place += n_bytes
+        columns[names[column]] = array
+    return columns if place == end else None
 
 
 def exact_columns(body, tuple names, tuple dtypes, tuple shapes):

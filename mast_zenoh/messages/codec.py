@@ -17,14 +17,24 @@ from numpy.typing import NDArray
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import validation
-from mast_zenoh.messages.layout import LAYOUTS, MAX_BYTES, MAX_ROWS, MAX_TEXT, WIRE_DTYPE, exact_columns, layout_of
+from mast_zenoh.messages.layout import (
+    LAYOUTS,
+    MAX_BYTES,
+    MAX_ROWS,
+    MAX_TEXT,
+    TEXT,
+    WIRE_DTYPE,
+    exact_columns,
+    layout_of,
+    split_header,
+)
 from mast_zenoh.messages.row_limits import NO_LIMITS, RowLimits
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Message, Schema
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
 _HEADER_NAMES = frozenset(_HEADER_KEYS)
-_MAP_OF_6, _MAP_OF_7, _BODY_KEY = b"\x86", b"\x87", b"\xa4body"
-_LONGEST_HEADER = 4096  #: bytes
+_BODY_KEY = b"\xa4body"
+_pack = msgpack.Packer().pack  # one for all messages: each would begin with a buffer of 256 KiB
 _HEADER_LIMIT = 1 << 62
 
 
@@ -84,16 +94,11 @@ def check_values(message: Message, limits: RowLimits = NO_LIMITS) -> None:
     kept = limits.shortened(header.schema, full, header.schema)
     if kept is not full:
         message = Message(header, kept)
-    if LAYOUTS[header.schema].is_valid(kept) and (kept is full or _fits(full)):
-        validation.check_references(message)
-        return
-    if not _fits(full):
+    layout = LAYOUTS[header.schema]
+    if not layout.plan_of(full).fits:
         raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
-    for column in SCHEMAS[header.schema].columns:
-        array = kept[column.name]
-        if column.dtype == "str":
-            validation.check_strings(header.schema, column, array)
-        validation.check_values(header.schema, column, array)
+    if not layout.is_sound(kept):
+        _check_columns(layout.schema, kept)
     validation.check_references(message)
 
 
@@ -104,23 +109,17 @@ def limited(message: Message, limits: RowLimits, limit_of: str | None = None) ->
     return message if kept is body else Message(header, kept)
 
 
-def _fits(body: Body) -> bool:
-    return sum(column.nbytes for column in body.values()) <= MAX_BYTES
-
-
 def encode(message: Message) -> bytes:
     """Encode a message that `conform` made."""
     header, columns = message
     layout = LAYOUTS[header.schema]
-    body: dict[str, list[Any]] = {}
     plan = layout.plan_of(columns)
-    for name, (dtype_name, dims, _) in zip(plan.names, plan.packed, strict=True):
-        array = columns[name]
-        body[name] = [dtype_name, dims, list(array) if dtype_name == "str" else array.tobytes()]
-    version = SCHEMAS[header.schema].version
-    values = (header.schema, version, header.source, header.frame, header.time_ns, header.seq, body)
-    packed: bytes = msgpack.packb(dict(zip(_HEADER_KEYS, values, strict=True)))
-    return packed
+    numbers = _pack({"frame": header.frame, "time_ns": header.time_ns, "seq": header.seq})[1:]
+    parts = [layout.header_prefix, _pack(header.source), numbers, layout.body_prefix]
+    for name, prefix, dtype in zip(plan.names, plan.prefixes, plan.dtypes, strict=True):
+        parts.append(prefix)
+        parts += map(_pack, columns[name]) if dtype is TEXT else (columns[name],)
+    return b"".join(parts)
 
 
 def decode(
@@ -135,10 +134,18 @@ def decode(
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
     limits.check_length(schema.name, len(payload))
-    header, body = _unpack(payload, schema)
-    if not isinstance(body, dict) or len(body) != len(schema.columns):
-        raise MessageError(validation.names_differ(schema.name, body, schema.columns))
-    message = Message(header, _columns(schema, body, limits, limit_of or schema.name))
+    layout = layout_of(schema)
+    header, place = _quick_header(payload, schema) or (None, 0)
+    columns: Body | None = None if header is None else layout.split(payload, place)
+    if header is None or columns is None:
+        header, body = _unpack(payload, schema)
+        if not isinstance(body, dict) or len(body) != len(schema.columns):
+            raise MessageError(validation.names_differ(schema.name, body, schema.columns))
+        columns = layout.unpack(body, len(payload) - place if place else 0) or _columns(schema, body)
+    kept = limits.shortened(schema.name, columns, limit_of or schema.name)
+    if not layout.is_sound(kept):
+        _check_columns(schema, kept)
+    message = Message(header, kept)
     validation.check_references(message)
     return message
 
@@ -181,24 +188,18 @@ def decode_header_only(payload: bytes, expected: str | Schema) -> Header:
     Raises MessageError if `decode` would do so because of the header.
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
-    return _quick_header(payload, schema) or _unpack(payload, schema)[0]
+    return (_quick_header(payload, schema) or _unpack(payload, schema))[0]
 
 
-def _quick_header(payload: bytes, expected: Schema) -> Header | None:
-    """The header of a valid message, without its body; None if anything is unusual."""
-    end = payload.find(_BODY_KEY, 0, _LONGEST_HEADER)
-    if payload[:1] != _MAP_OF_7 or end < 0 or len(payload) > MAX_BYTES:
+def _quick_header(payload: bytes, expected: Schema) -> tuple[Header, int] | None:
+    """The header of a message and where it ends; None if anything is unusual."""
+    found = split_header(payload, layout_of(expected).header_prefix)
+    if found is None or not payload.startswith(_BODY_KEY, found[-1]) or len(payload) > MAX_BYTES:
         return None
-    try:
-        fields = msgpack.unpackb(_MAP_OF_6 + payload[1:end], strict_map_key=True, max_ext_len=0, max_map_len=6)
-        schema, version, source, frame, time_ns, seq = [fields[name] for name in _HEADER_KEYS[:-1]]
-    except Exception:  # the full check names the error
-        return None
-    if schema != expected.name or type(version) is not int or version != expected.version:
-        return None
-    header = Header(schema, source, frame, time_ns, seq)
+    source, frame, time_ns, seq, end = found
+    header = Header(expected.name, source, frame, time_ns, seq)
     _check_header(header)
-    return header
+    return header, end
 
 
 def decode_header(payload: bytes, expected: str | Schema) -> Header:
@@ -206,7 +207,15 @@ def decode_header(payload: bytes, expected: str | Schema) -> Header:
 
     Raises MessageError if `decode` would do so for any reason other than the body's columns.
     """
-    return _unpack(payload, SCHEMAS[expected] if isinstance(expected, str) else expected)[0]
+    schema = SCHEMAS[expected] if isinstance(expected, str) else expected
+    layout = layout_of(schema)
+    header, place = _quick_header(payload, schema) or (None, 0)
+    if header is not None and layout.split(payload, place) is not None:
+        return header
+    header, body = _unpack(payload, schema)
+    if place and isinstance(body, dict):
+        layout.unpack(body, len(payload) - place)  # the next one of this length is split
+    return header
 
 
 def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
@@ -229,27 +238,32 @@ def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
     return header, body
 
 
-def _columns(schema: Schema, body: Mapping[str, Any], limits: RowLimits, limit_of: str) -> Body:
-    """The checked columns of a packed body."""
-    checked = layout_of(schema).unpack(body, limits, limit_of)
-    if checked is not None:
-        return checked
-    # Invalid: checking each column names the error.
+def _columns(schema: Schema, body: Mapping[str, Any]) -> Body:
+    """The columns of a packed body; raises MessageError for one that `Layout.unpack` does not accept."""
     columns: dict[str, NDArray[Any]] = {}
     sizes: dict[str, int] = {}
     for column in schema.columns:
         if column.name not in body:
             raise MessageError(validation.names_differ(schema.name, body, schema.columns))
         columns[column.name] = validation.array_of(schema.name, column, body[column.name], sizes)
-    kept = limits.shortened(schema.name, columns, limit_of)
+    return columns
+
+
+def _check_columns(schema: Schema, columns: Body) -> None:
+    """Check the values of each column, so that an error names it."""
     for column in schema.columns:
-        validation.check_values(schema.name, column, kept[column.name])
-    return kept
+        if column.dtype == "str":
+            validation.check_strings(schema.name, column, columns[column.name])
+        validation.check_values(schema.name, column, columns[column.name])
 
 
 def _check_header(header: Header) -> None:
-    if not isinstance(header.source, str) or len(header.source) > MAX_TEXT:
-        raise MessageError(f"{header.schema}: source is not a name")
-    for name, value in (("frame", header.frame), ("time_ns", header.time_ns), ("seq", header.seq)):
+    schema, source, frame, time_ns, seq = header
+    if not isinstance(source, str) or len(source) > MAX_TEXT:
+        raise MessageError(f"{schema}: source is not a name")
+    numbers = frame, time_ns, seq
+    if type(frame) is type(time_ns) is type(seq) is int and min(numbers) >= 0 and max(numbers) < _HEADER_LIMIT:
+        return
+    for name, value in (("frame", frame), ("time_ns", time_ns), ("seq", seq)):
         if type(value) is not int or not 0 <= value < _HEADER_LIMIT:
-            raise MessageError(f"{header.schema}: {name} is {str(value)[:40]}, expected a whole number from 0")
+            raise MessageError(f"{schema}: {name} is {str(value)[:40]}, expected a whole number from 0")

@@ -5,17 +5,18 @@ Nearly all messages are valid, so all columns are checked at once. `validation` 
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from math import prod
 from typing import Any, NamedTuple
 
+import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.kernels import kernel
-from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Schema
 
 MAX_BYTES = 16 * 1024 * 1024  #: limit of a message
@@ -26,11 +27,12 @@ MAX_MAGNITUDE = 1e9  #: limit of values in SI units, far above any scene; larger
 #: By dtype of a column: its NumPy dtype in memory (little-endian), and its name in a message.
 WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}
 DTYPE_NAME = {name: dtype.str for name, dtype in WIRE_DTYPE.items()} | {"str": "str"}
-_TEXT = np.dtype(object)
+TEXT = np.dtype(object)  #: of columns of text
 assert sys.byteorder == "little", "columns are sent with their bytes in memory order"
 
 MAX_SQUARES = MAX_MAGNITUDE**2
 _MAX_PLANS = 1024
+_SHORT_TEXT = 0xA0  # of MessagePack: this byte plus a length below 32 precedes a text
 
 
 class Plan(NamedTuple):
@@ -38,6 +40,7 @@ class Plan(NamedTuple):
 
     dtypes: object for text; limits: see `limit_of`
     packed: (name of the dtype, shape as a list, bytes) of the column in a message; text has no bytes
+    prefixes: of each column in a message: all that precedes its data
     fits: whether the columns are within MAX_BYTES
     """
 
@@ -46,6 +49,7 @@ class Plan(NamedTuple):
     shapes: tuple[tuple[int, ...], ...]
     limits: tuple[float, ...]
     packed: tuple[tuple[str, list[int], int], ...]
+    prefixes: tuple[bytes, ...]
     fits: bool
 
 
@@ -71,7 +75,15 @@ class Layout:
                     self._letters.setdefault(size, (column.name, axis))
         self._sources = tuple(self._letters.values())
         self.schema = schema
+        self._names = tuple(column.name for column in schema.columns)
+        self._limits = tuple(map(limit_of, schema.columns))
+        #: what precedes the source, and the columns, in a message
+        self.header_prefix = (
+            b"\x87" + msgpack.packb({"schema": schema.name, "version": schema.version, "source": 0})[1:-1]
+        )
+        self.body_prefix = msgpack.packb("body") + msgpack.Packer().pack_map_header(len(schema.columns))
         self._plans: dict[tuple[int, ...], Plan] = {}
+        self._plan_of_length: dict[int, Plan] = {}  # of the newest body with so many bytes
 
     def sizes(self, body: Body) -> dict[str, int]:
         """Sizes of the letters, from arrays; raises KeyError or IndexError if missing."""
@@ -96,16 +108,16 @@ class Layout:
         """The plan for sizes by letter."""
         columns = self.schema.columns
         shapes = tuple(tuple(sizes[n] if isinstance(n, str) else n for n in column.shape) for column in columns)
-        dtypes = tuple(WIRE_DTYPE.get(column.dtype, _TEXT) for column in columns)
-        n_bytes = [prod(shape) * dtype.itemsize * (dtype != _TEXT) for shape, dtype in zip(shapes, dtypes, strict=True)]
+        dtypes = tuple(WIRE_DTYPE.get(column.dtype, TEXT) for column in columns)
+        n_bytes = [prod(shape) * dtype.itemsize * (dtype != TEXT) for shape, dtype in zip(shapes, dtypes, strict=True)]
+        packed = tuple(zip([DTYPE_NAME[column.dtype] for column in columns], map(list, shapes), n_bytes, strict=True))
         return Plan(
-            names=tuple(column.name for column in columns),
+            names=self._names,
             dtypes=dtypes,
             shapes=shapes,
-            limits=tuple(map(limit_of, columns)),
-            packed=tuple(
-                zip([DTYPE_NAME[column.dtype] for column in columns], map(list, shapes), n_bytes, strict=True)
-            ),
+            limits=self._limits,
+            packed=packed,
+            prefixes=tuple(itertools.starmap(_prefix, zip(self._names, packed, strict=True))),
             fits=sum(n_bytes) <= MAX_BYTES,
         )
 
@@ -114,27 +126,46 @@ class Layout:
         sizes = tuple([body[name].shape[axis] for name, axis in self._sources])
         return self._plans.get(sizes) or self.plan(sizes)
 
-    def unpack(self, body: Mapping[str, Any], limits: RowLimits, limit_of: str) -> Body | None:
-        """The columns of a packed body; None if it is invalid in any way.
+    def split(self, payload: bytes, place: int) -> dict[str, NDArray[Any]] | None:
+        """The columns of a message, values unchecked; None if it is not as expected, which does not make it invalid.
 
-        limit_of: which of the limits holds; rows beyond it are left out, and not checked
+        place: in the message, after its header
+
+        Expected is a message as `codec.encode` makes it, with the sizes of the last one of its length.
+        """
+        plan = self._plan_of_length.get(len(payload) - place)
+        if plan is None or not payload.startswith(self.body_prefix, place):
+            return None
+        return split_columns(payload, place + len(self.body_prefix), plan)
+
+    def unpack(self, body: Mapping[str, Any], n_bytes: int) -> dict[str, NDArray[Any]] | None:
+        """The columns of a packed body, values unchecked; None if it is invalid in any way.
+
+        n_bytes: of the message after its header, for `split`; 0: unknown
         """
         try:
             plan = self.plan(tuple([body[name][1][axis] for name, axis in self._sources]))
         except (KeyError, IndexError, TypeError, ValueError):
             return None
         columns = packed_columns(body, plan)
-        if columns is None:
-            return None
-        kept = limits.shortened(self.schema.name, columns, limit_of)
-        plain = kept if type(kept) is dict else dict(kept)
-        return kept if sound_values(plain, plan.names, plan.limits) <= MAX_SQUARES else None
+        if columns is not None and n_bytes and len(self._plan_of_length) < _MAX_PLANS:
+            self._plan_of_length[n_bytes] = plan
+        return columns
 
-    def is_valid(self, body: Body) -> bool:
-        """Whether the values of a body that `conform` made are valid."""
-        plan = self.plan_of(body)
-        body = body if type(body) is dict else dict(body)  # as compiled functions need it
-        return plan.fits and sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
+    def is_sound(self, columns: Body) -> bool:
+        """Whether all values are valid, of columns with the right dtypes and shapes; if not, each may still be."""
+        plain = columns if type(columns) is dict else dict(columns)  # as compiled functions need it
+        return sound_values(plain, self._names, self._limits) <= MAX_SQUARES
+
+
+def _prefix(name: str, packed: tuple[str, list[int], int]) -> bytes:
+    """What precedes the data of a column in a message: its name, dtype, shape and length; packed: see `Plan`."""
+    dtype, shape, n_bytes = packed
+    prefix: bytes = msgpack.packb({name: [dtype, shape, 0]})[1:-1]
+    if dtype == "str":
+        return prefix + bytes(msgpack.Packer().pack_array_header(shape[0]))
+    size = next(size for size in (1, 2, 4) if n_bytes < 256**size)
+    return prefix + {1: b"\xc4", 2: b"\xc5", 4: b"\xc6"}[size] + n_bytes.to_bytes(size, "big")
 
 
 @kernel
@@ -165,6 +196,66 @@ def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any
     return columns
 
 
+def _text_at(payload: bytes, place: int) -> str | None:
+    """The ASCII text at a place in a message, after a byte with its length; None if there is none."""
+    n_bytes = payload[place] - _SHORT_TEXT if place < len(payload) else -1
+    text = payload[place + 1 : place + 1 + n_bytes]
+    return text.decode() if 0 <= n_bytes < 32 and len(text) == n_bytes and text.isascii() else None
+
+
+@kernel
+def split_header(payload: bytes, prefix: bytes) -> tuple[str, int, int, int, int] | None:
+    """The source, frame, time_ns, seq and length of a header as `codec.encode` makes it; None for any other.
+
+    prefix: the header up to the source
+    """
+    source = _text_at(payload, len(prefix)) if payload.startswith(prefix) else None
+    if source is None:
+        return None
+    place = len(prefix) + 1 + len(source)
+    numbers = []
+    for name in (b"\xa5frame", b"\xa7time_ns", b"\xa3seq"):
+        place += len(name) + 1
+        first = payload[place - 1] if payload.startswith(name, place - 1 - len(name)) and place <= len(payload) else 255
+        size = {0xCC: 1, 0xCD: 2, 0xCE: 4, 0xCF: 8}.get(first, 0)
+        if (first >= 128 and not size) or place + size > len(payload):
+            return None
+        numbers.append(int.from_bytes(payload[place : place + size], "big") if size else first)
+        place += size
+    frame, time_ns, seq = numbers
+    return None if max(numbers) >= 1 << 63 else (source, frame, time_ns, seq, place)
+
+
+@kernel
+def split_columns(payload: bytes, place: int, plan: Plan) -> dict[str, NDArray[Any]] | None:
+    """The columns that end a message, packed exactly as planned; None if they are not. Values are unchecked.
+
+    place: of the first column
+    """
+    columns: dict[str, NDArray[Any]] = {}
+    for name, dtype, shape, prefix, (_, _, n_bytes) in zip(
+        plan.names, plan.dtypes, plan.shapes, plan.prefixes, plan.packed, strict=True
+    ):
+        if not payload.startswith(prefix, place):
+            return None
+        place += len(prefix)
+        if dtype == TEXT:
+            columns[name] = array = np.empty(shape, object)
+            for row in range(len(array)):
+                text = _text_at(payload, place)
+                if text is None:
+                    return None
+                array[row] = text
+                place += 1 + len(text)
+        else:
+            data = payload[place : place + n_bytes]
+            if len(data) != n_bytes:
+                return None
+            columns[name] = np.ndarray(shape, dtype, data)
+            place += n_bytes
+    return columns if place == len(payload) else None
+
+
 @kernel
 def exact_columns(
     body: Mapping[str, Any],
@@ -181,7 +272,7 @@ def exact_columns(
         array = body.get(name)
         if type(array) is not np.ndarray or array.dtype != dtype or array.shape != shape:
             return None
-        if dtype is not _TEXT:
+        if dtype is not TEXT:
             if not array.flags.c_contiguous:
                 return None
             if array.flags.writeable:
@@ -201,7 +292,7 @@ def sound_values(columns: Mapping[str, NDArray[Any]], names: tuple[str, ...], li
     squares = 0.0
     for name, limit in zip(names, limits, strict=True):
         array = columns[name]
-        if array.dtype is _TEXT:
+        if array.dtype is TEXT:
             for item in array:
                 if not isinstance(item, str) or len(item) > limit:
                     return float("inf")

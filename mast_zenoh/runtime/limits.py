@@ -27,7 +27,7 @@ class Limit(NamedTuple):
 HELD = Limit(10_000, 32 * _MIB)
 #: Messages of an epoch that this node has not entered yet: messages sent while the epoch message is in transit.
 EARLY = Limit(10_000, 32 * _MIB)
-#: Messages in the inbox. Listeners may fall behind by `driver.SETTLE_EVERY` frames, of 1.8 MB for the largest source.
+#: Messages in the inbox. Listeners may fall behind by `pacer.SETTLE_EVERY` frames, of 1.8 MB for the largest source.
 INBOX = Limit(20_000, 128 * _MIB)
 #: Delayed messages. A link that delays a picture of 300 objects by half a minute keeps 68 MB of them.
 DELAYED = Limit(10_000, 128 * _MIB)

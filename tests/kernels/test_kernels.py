@@ -225,6 +225,28 @@ def packed(random, n, m):
     return (body | {name: wrong[kind]} if kind < len(wrong) else body), plan
 
 
+def damaged(random, payload, begin):
+    """A message with other bytes somewhere after `begin`, cut off, or unchanged."""
+    place, kind = int(random.integers(begin, len(payload))), random.integers(0, 4)
+    byte = bytes([int(random.choice([0, 65, 127, 128, 160, 190, 192, 255]))])
+    return [payload, payload, payload[:place], payload[:place] + byte + payload[place + 1 :]][kind]
+
+
+def split(random, n, m):
+    sound, plan = message(random, n)
+    payload, prefix = codec.encode(sound), LAYOUTS["collated"].body_prefix
+    begin = payload.index(prefix) + len(prefix)
+    return damaged(random, payload, begin), begin, plan
+
+
+def split_header(random, n, m):
+    numbers = [int(random.integers(0, 1 << bits)) for bits in random.choice([6, 7, 8, 16, 32, 62], 3)]
+    source = str(random.choice(["", "broker", "x" * 31, "x" * 32, "münchen"]))
+    payload = codec.encode(message(random, 1)[0]._replace(header=Header("collated", source, *numbers)))
+    prefix = LAYOUTS["collated"].header_prefix
+    return damaged(random, payload[: payload.index(b"\xa4body") + 9], 0), prefix
+
+
 def exact(random, n, m):
     sound, plan = message(random, n)
     body = dict(sound.body)
@@ -342,6 +364,8 @@ ARGUMENTS = {
     "occluded_by_walls": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),
     "inside_outlines": lambda r, n, m: (r.normal(0, 20, (n, 3)), *(walls := buildings(r, m))[:2], walls[3]),
     "packed_columns": packed,
+    "split_columns": split,
+    "split_header": split_header,
     "exact_columns": exact,
     "sound_values": values,
 }  # fmt: skip

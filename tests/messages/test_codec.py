@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.layout import Layout
 from mast_zenoh.messages.schemas import SCHEMAS, Column, Header, Message, text
 
 finite = st.floats(-1e5, 1e5)
@@ -56,6 +57,19 @@ def test_every_message_is_unchanged_by_encoding_and_decoding(
     assert codec.encode(decoded) == payload
 
 
+@pytest.mark.parametrize("schema", sorted(SCHEMAS))
+@pytest.mark.parametrize("n", [0, 2, 40, 1500])  # data with a length of 1, 2 and 4 bytes
+def test_a_message_is_what_messagepack_makes_of_its_fields(schema: str, n: int) -> None:
+    header, body = message = message_of(schema, {"n": n, "a": 3, "m": 2, "k": 2})
+    wire = {"float64": "<f8", "int64": "<i8", "int32": "<i4", "uint8": "|u1", "str": "str"}
+    columns = {
+        column.name: [wire[column.dtype], list(array.shape), list(array) if column.dtype == "str" else array.tobytes()]
+        for column, array in zip(SCHEMAS[schema].columns, body.values(), strict=True)
+    }
+    fields = {"schema": schema, "version": SCHEMAS[schema].version, **dict(list(header._asdict().items())[1:])}
+    assert codec.encode(message) == msgpack.packb(fields | {"body": columns})
+
+
 def test_received_columns_are_read_only() -> None:
     decoded = codec.decode(codec.encode(message_of("tracks", {"n": 2})), "tracks")
     with pytest.raises(ValueError, match="read-only"):
@@ -100,6 +114,30 @@ def test_a_damaged_message_is_refused_or_still_valid(place: int, value: int, cop
     for name, column in message.body.items():
         if column.dtype == np.float64:
             assert np.isfinite(column).all(), name
+
+
+def outcome(payload: bytes) -> tuple | str:
+    """What comes of a message, of detections."""
+    try:
+        header, body = codec.decode(payload, "detections")
+    except MessageError as error:
+        return str(error)
+    return header, [(name, column.shape, column.dtype, column.tobytes()) for name, column in body.items()]
+
+
+@given(place=st.integers(0, 700), value=st.integers(0, 255), copies=st.sampled_from([0, 1, 2]))
+@settings(max_examples=300)
+def test_a_message_means_the_same_whether_one_of_its_length_was_decoded_before(
+    place: int, value: int, copies: int
+) -> None:
+    payload = bytearray(codec.encode(message_of("detections", {"n": 3})))
+    payload[place : place + 1] = bytes([value]) * copies
+    message = bytes(payload)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Layout, "split", lambda layout, payload, place: None)
+        expected = outcome(message)
+    outcome(codec.encode(message_of("detections", {"n": 3}, seed=1)))
+    assert outcome(message) == expected
 
 
 @pytest.mark.parametrize("cut", [0, 1, 10, 100, -1])

@@ -22,7 +22,7 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.limits import DELAYED, EARLY, HELD, INBOX, Limit, Room
-from mast_zenoh.runtime.mesh.driver import SETTLE_EVERY
+from mast_zenoh.runtime.lockstep.pacer import SETTLE_EVERY
 from mast_zenoh.runtime.mesh.inbox import Inbox
 from mast_zenoh.runtime.mesh.node import MeshNode
 from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK

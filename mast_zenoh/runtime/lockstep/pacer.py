@@ -19,6 +19,9 @@ from collections.abc import Collection, Iterable, Mapping
 from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.wiring.model import Wiring
 
+#: Frames after which the driver also waits for nodes that publish nothing.
+SETTLE_EVERY = 50
+
 
 class Pacer:
     """Detects quiescence among the members of the current epoch.

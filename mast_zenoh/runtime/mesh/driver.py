@@ -22,7 +22,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.lockstep.pacer import Pacer
+from mast_zenoh.runtime.lockstep.pacer import SETTLE_EVERY, Pacer
 from mast_zenoh.runtime.lockstep.timetable import LEAVING, Timetable
 from mast_zenoh.runtime.mesh.inbox import Event
 from mast_zenoh.runtime.mesh.membership import Membership
@@ -38,9 +38,6 @@ REALTIME_GRACE_S = 0.5
 #: Time without a report in lock-step, s, after which the driver checks whether the reports are plausible.
 SUSPECT_S = 3.0
 
-#: Frames of lock-step after which the driver also waits for nodes that publish nothing.
-SETTLE_EVERY = 50
-
 
 class Driver(MeshNode):
     """A MeshNode whose node is a Source: it has no inputs and publishes in `advance`.
@@ -49,6 +46,8 @@ class Driver(MeshNode):
     timetable: the process steps; nodes that start later are not waited for at the beginning
     start_timeout_s, stall_timeout_s: how long to wait for nodes to start, and for the mesh to become quiet
     """
+
+    report_kinds = ("failed",)
 
     def __init__(
         self,
@@ -300,4 +299,5 @@ class Driver(MeshNode):
         self._announcement = self.signatures.sign("epoch", flow.encode_epoch(epoch, members, update))
         self._epoch_publisher.put(self._announcement)
         self._enter_epoch(epoch, members, update)
-        self.report()
+        if update is None:  # with one, it has reported
+            self.report()

@@ -12,7 +12,7 @@ import queue
 import time
 from collections.abc import Callable, Collection
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import zenoh
 
@@ -26,6 +26,7 @@ from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.lockstep.pacer import SETTLE_EVERY
 from mast_zenoh.runtime.mesh import drain, results_client
 from mast_zenoh.runtime.mesh.arrivals import Arrivals
 from mast_zenoh.runtime.mesh.drain import DrainQueries
@@ -34,9 +35,11 @@ from mast_zenoh.runtime.mesh.intake import Intake
 from mast_zenoh.runtime.mesh.outlets import Outlets
 from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
 from mast_zenoh.runtime.mesh.wiring_follower import WiringFollower
+from mast_zenoh.runtime.mesh.zenoh_threads import keeping_state
 from mast_zenoh.wiring.model import Wiring
 
 _LINGER_S = 0.01  # for messages that are probably in transit
+_DOZE_S = 0.004  # of a node that only listens
 
 
 class MeshNode:
@@ -46,6 +49,9 @@ class MeshNode:
     lockstep: whether time advances with frames; without: nodes that are not running yet
     timespan: valid frames and times of messages; None: any
     """
+
+    #: the control messages that it publishes about itself
+    report_kinds: ClassVar[Collection[str]] = ("counts", "failed")
 
     def __init__(
         self,
@@ -146,9 +152,13 @@ class MeshNode:
         due_s: time until then, s; None: no message is delayed
 
         While fewer messages were received than in the frames before, more are probably in transit. Waiting briefly for
-        them costs less than an unnecessary report costs the driver.
+        them costs less than an unnecessary report costs the driver. A node that the driver does not wait for sleeps, so
+        that it takes many messages at once.
         """
-        if due_s is None and self.intake.expects_more:
+        dozes = self.lockstep and not self.outlets and (self.host.frame + 1) % SETTLE_EVERY
+        if dozes:
+            time.sleep(_DOZE_S)
+        if due_s is None and (dozes or self.intake.expects_more):
             try:
                 return self.inbox.get(timeout=_LINGER_S)
             except queue.Empty:
@@ -181,7 +191,7 @@ class MeshNode:
         with self.intake.lock:
             if self.epoch and not self.follower.busy:
                 sent = self.outlets.counted(self.host.sent)
-                self._counts.put(flow.encode_counts(self.epoch, sent, self.host.handled))
+                self._reports["counts"].put(flow.encode_counts(self.epoch, sent, self.host.handled))
 
     def hand_in(self) -> None:
         """Finish the node, and hand in its files and its results to the launcher."""
@@ -206,7 +216,7 @@ class MeshNode:
 
     def _report_failure(self, failure: Failure) -> None:
         """Report a failure immediately: a process that is killed hands in no results."""
-        self._failed.put(reports.encode_failure(self._process, failure.entry()))
+        self._reports["failed"].put(reports.encode_failure(self._process, failure.entry()))
 
     def extra_results(self) -> dict[str, Any]:
         """Additional results of the process, for subclasses."""
@@ -268,7 +278,7 @@ class MeshNode:
         for wire, leg in wiring.legs():
             if leg.publisher.node == self.name:
                 self.outlets.add(leg.key, wire.message)
-        self._counts, self._failed = (self._declare_control(f"{kind}/{self.name}") for kind in ("counts", "failed"))
+        self._reports = {kind: self._declare_control(f"{kind}/{self.name}") for kind in self.report_kinds}
 
     def _declare_control(self, key: str) -> zenoh.Publisher:
         """Declare a publisher of control messages; their own queue overtakes blocked data."""
@@ -289,10 +299,10 @@ class MeshNode:
         Its callback runs in Zenoh's thread and must return quickly.
         """
         return self.session.declare_subscriber(
-            f"{self._prefix}/{key}", zenoh.handlers.Callback(callback, indirect=False)
+            f"{self._prefix}/{key}", zenoh.handlers.Callback(keeping_state(callback), indirect=False)
         )
 
     def await_matching(self) -> None:
         """Wait until all wires with subscribers are matched, so that no message is lost."""
         subscribed = self.outlets.subscribed(self.follower.wiring, self.name, self.without)
-        self.outlets.await_subscribers([*subscribed, self._counts, self._failed])
+        self.outlets.await_subscribers([*subscribed, *self._reports.values()])
