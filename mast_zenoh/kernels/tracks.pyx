@@ -387,3 +387,52 @@ def track_status(
         reported[r] = row[CONFIRMED] > 0.0 and row[ODDS] > report and variance <= max_variance
         row += WIDTH
     return keep_mask, report_mask
+
+
+def averaged(mean, yaw, covariance, j, pairs, limits):
+    own_means, own_covariances, claims, own_yaws, shares, changes = pairs
+    covariance, yaw = contiguous(covariance), contiguous(yaw)
+    cdef const double* mean_of = float_data(mean, 2)
+    cdef const np.int64_t* place = int_data(j)
+    cdef const double* own_mean = float_data(own_means, 2)
+    cdef const double* own_covariance = float_data(own_covariances, 3)
+    cdef const double* claimed = float_data(claims, 3)
+    cdef const double* own_yaw = float_data(own_yaws, 1)
+    cdef const double* share_of = float_data(shares, 1)
+    cdef const double* change = float_data(changes, 2)
+    cdef double least = limits[0], picture_share = limits[1], disagreement = limits[2]
+    cdef Py_ssize_t r, i, row, n = length(mean), p = length(j)
+    positions, sizes, velocities = empty_matrix(n, 3), empty_matrix(n, 3), empty_matrix(n, 3)
+    yaws, covariances = empty_vector(np.NPY_DOUBLE, n), empty_matrices(n, 9)
+    cdef double* parts[3]
+    parts[0], parts[1], parts[2] = writable_data(positions, 2), writable_data(sizes, 2), writable_data(velocities, 2)
+    cdef double* out_yaw = writable_data(yaws, 1)
+    cdef double* out = writable_data(covariances, 3)
+    cdef double own_variance, picture_variance, share, gain, weight
+    cdef double[9] difference
+    memcpy(out_yaw, float_data(yaw, 1), n * sizeof(double))
+    memcpy(out, float_data(covariance, 3), 81 * n * sizeof(double))
+    for r in range(n):
+        for i in range(9):
+            parts[i // 3][3 * r + i % 3] = mean_of[9 * r + i]
+    for r in range(p):
+        row = place[r]
+        own_variance = fmax(own_covariance[0] + own_covariance[10], least)
+        picture_variance = fmax(claimed[0] + claimed[10], least)
+        for i in range(9):
+            difference[i] = own_mean[9 * r + i] - mean_of[9 * row + i]
+        share = disagreement * (difference[0] * difference[0] + difference[1] * difference[1])
+        share = fmax(share_of[r], fmin(share / (own_variance + picture_variance), 1.0))
+        picture_variance = fmax(picture_share * picture_variance, least)
+        gain = picture_variance / (share * picture_variance + own_variance)
+        weight = gain * share
+        for i in range(9):
+            parts[i // 3][3 * row + i % 3] = (
+                mean_of[9 * row + i] + weight * difference[i] + (gain - weight) * change[9 * r + i]
+            )
+        for i in range(81):
+            out[81 * row + i] = claimed[i] + weight * (own_covariance[i] - claimed[i])
+        if own_variance < picture_variance:
+            out_yaw[row] = own_yaw[r]
+        own_covariance, claimed = own_covariance + 81, claimed + 81
+    return positions, sizes, velocities, yaws, covariances

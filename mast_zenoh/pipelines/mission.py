@@ -11,6 +11,7 @@ from mast_zenoh.arrays.matching import greedy_matching, uncontested
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.kernels import kernel
 from mast_zenoh.pipelines.mission_ids import NONE, MissionIds
 from mast_zenoh.tracking.classes import ACCELERATION
 from mast_zenoh.tracking.covariance_repair import make_positive_definite
@@ -24,6 +25,7 @@ PICTURE_SHARE = 0.3
 #: How much of an own track counts by its disagreement with the picture: this times their squared distance, relative to
 #: the variance that both claim. Then a picture from badly surveyed sensors makes the estimate hardly worse.
 DISAGREEMENT = 3.0
+LIMITS = LEAST_VARIANCE, PICTURE_SHARE, DISAGREEMENT
 #: Estimates whose own tracks are remembered: a picture's age in frames, at most.
 MAX_EARLIER = 16
 #: Where a flat covariance has the terms of a horizontal position's variance after some time: those of its x, then of y.
@@ -198,23 +200,46 @@ def _average_pairs(
         return picture
     own_covariance = make_positive_definite(own.covariance.take(i, 0))
     claimed = make_positive_definite(picture.covariance.take(j, 0))
-    own_variance, picture_variance = np.maximum(_variance(own_covariance), LEAST_VARIANCE), _variance(claimed)
-    picture_variance = np.maximum(picture_variance, LEAST_VARIANCE)
-    picture_mean = _means(picture)
-    mean = picture_mean.take(j, 0)
-    difference = own_mean - mean
+    pairs = own_mean, own_covariance, claimed, own.yaw.take(i), share, change
+    position, size, velocity, yaw, covariance = averaged(
+        _means(picture), picture.yaw, picture.covariance, j, pairs, LIMITS
+    )
+    return picture.with_(position=position, size=size, velocity=velocity, yaw=yaw, covariance=covariance)
+
+
+@kernel
+def averaged(
+    mean: Floats,
+    yaw: Floats,
+    covariance: Floats,
+    j: Ints,
+    pairs: tuple[Floats, ...],
+    limits: tuple[float, float, float],
+) -> tuple[Floats, ...]:
+    """Position, size and velocity (n, 3), yaw (n,) and covariance (n, 9, 9) of `_average_pairs`.
+
+    mean (n, 9), yaw, covariance: of the picture, whose objects j (p,) are paired
+    pairs: means (p, 9) and covariances (p, 9, 9) of the own tracks, claimed covariances (p, 9, 9) of the objects, yaws
+        (p,) of the own tracks, share and change;  limits: LIMITS
+    """
+    own_mean, own_covariance, claimed, own_yaw, share, change = pairs
+    least, picture_share, disagreement = limits
+    own_variance = np.maximum(_variance(own_covariance), least)
+    picture_variance = np.maximum(_variance(claimed), least)
+    paired = mean.take(j, 0)
+    difference = own_mean - paired
     apart = difference[:, 0] * difference[:, 0] + difference[:, 1] * difference[:, 1]
-    share = np.maximum(share, np.minimum(DISAGREEMENT * apart / (own_variance + picture_variance), 1.0))
-    picture_variance = np.maximum(PICTURE_SHARE * picture_variance, LEAST_VARIANCE)
+    share = np.maximum(share, np.minimum(disagreement * apart / (own_variance + picture_variance), 1.0))
+    picture_variance = np.maximum(picture_share * picture_variance, least)
     gain = picture_variance / (share * picture_variance + own_variance)
     weight = gain * share  # of the own track
-    picture_mean[j] = mean + weight[:, None] * difference + (gain - weight)[:, None] * change
-    covariance, yaw = picture.covariance.copy(), picture.yaw.copy()
+    mean, yaw, covariance = mean.copy(), yaw.copy(), covariance.copy()
+    mean[j] = paired + weight[:, None] * difference + (gain - weight)[:, None] * change
     covariance[j] = claimed + weight[:, None, None] * (own_covariance - claimed)
     nearer = (own_variance < picture_variance).nonzero()[0]
-    yaw[j.take(nearer)] = own.yaw.take(i.take(nearer))
-    position, size, velocity = (picture_mean[:, part : part + 3].copy() for part in (0, 3, 6))
-    return picture.with_(position=position, size=size, velocity=velocity, yaw=yaw, covariance=covariance)
+    yaw[j.take(nearer)] = own_yaw.take(nearer)
+    position, size, velocity = (mean[:, part : part + 3].copy() for part in (0, 3, 6))
+    return position, size, velocity, yaw, covariance
 
 
 def _means(states: ObjectStates) -> Floats:

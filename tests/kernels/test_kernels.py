@@ -31,10 +31,11 @@ from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS
 from mast_zenoh.messages.schemas import Header
+from mast_zenoh.pipelines import mission
 from mast_zenoh.tracking import SensorView, classes, gating, tracks
 from mast_zenoh.tracking.score_calibration import STAGES_S
 
-for package in ("tracking", "fusion", "metrics", "sensing", "attacks", "integrity"):
+for package in ("tracking", "fusion", "pipelines", "metrics", "sensing", "attacks", "integrity"):
     for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):
         importlib.import_module(f"mast_zenoh.{package}.{module.name}")
 
@@ -89,6 +90,16 @@ def matched_tracks(random, n, m):
     match = random.permutation(n)[:k], random.permutation(m)[:k], random.normal(0, 5, k), random.choice([0.0, 1.5], k)
     measured = np.arange(m), random.uniform(-9, 9, m), random.integers(0, 7, m), random.random(m)
     return staged(random, n), match, random.uniform(0.1, 0.9, n), measured, 0.01, 1e12
+
+
+def averaged(random, n, m):
+    k = min(n, m)
+    pairs = (
+        random.normal(size=(k, 9)), covariances(random, k), covariances(random, k), random.uniform(-4, 4, k),
+        random.random(k), random.normal(size=(k, 9)),
+    )  # fmt: skip
+    picture = random.normal(size=(n, 9)), random.uniform(-4, 4, n), covariances(random, n)
+    return *picture, random.permutation(n)[:k], pairs, mission.LIMITS
 
 
 def pairs(random, n, m):
@@ -318,6 +329,7 @@ ARGUMENTS = {
     "calibrated": lambda r, n, m: (
         staged(r, n), STAGES_S, edges := np.unique(r.uniform(0, 1, m).round(1)), r.random((4, len(edges) + 1)),
     ),
+    "averaged": averaged,
     "update_class": lambda r, n, m: (table(r, n), r.integers(0, 7, n)),
     "predict_existence": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
     "detection_probability": lambda r, n, m: (table(r, n), 0.9, 2.0),
