@@ -104,7 +104,7 @@ class Evaluation:
         ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in data.record.agents}
         data.record.hold_pictures({agent: round(age_s * 1e9) for agent, age_s in ages_s.items()}, data.times_ns)
         scores = self.scorer.score(data.record)
-        truth, agents = data.record.truth(scores.frames), data.record.agents
+        truth, agents = scores.pairs.truth, data.record.agents
         effects = _measured(data, scores)
         from_absence = effects_of_absence(effects, data.presence.absences(scores.frames), scores.frames)
         interposed = manipulations(

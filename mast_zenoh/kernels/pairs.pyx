@@ -2,7 +2,7 @@
 """Kernels for pairs of objects: gating, association gains. The NumPy references document them."""
 
 cimport numpy as np
-from libc.math cimport fabs, fmax, fmin, log, sqrt
+from libc.math cimport INFINITY, fabs, fmax, fmin, log, sqrt
 
 from mast_zenoh.kernels.arrays cimport (
     byte_data, contiguous, empty_vector, float_data, int_data, length, writable_data, zero_vector,
@@ -251,3 +251,23 @@ def pairs_in_groups(a_group, a_position, b_group, b_position, double radius):
                 of_a[p], of_b[p] = i, row[k]
                 p += 1
     return rows[:p], others[:p]
+
+
+def nearest_points(position, path, least, double reach_m):
+    path = contiguous(path)
+    cdef const double* at = float_data(position, 2)
+    cdef const double* point = float_data(path, 2)
+    cdef const np.int64_t* first = int_data(least)
+    cdef Py_ssize_t r, k, n = length(position), stride = length(position, 1), points = length(path)
+    cdef double dx, dy, squared, closest
+    result = empty_vector(np.NPY_INT64, n)
+    cdef np.int64_t* nearest = int_data(result)
+    for r in range(n):
+        nearest[r], closest = -1, INFINITY
+        for k in range(first[r], points):
+            dx, dy = at[0] - point[2 * k], at[1] - point[2 * k + 1]
+            squared = dx * dx + dy * dy
+            if squared < closest and squared <= reach_m * reach_m:
+                nearest[r], closest = k, squared
+        at += stride
+    return result

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.boxes import Boxes, pairs_in_groups
+from mast_zenoh.kernels import kernel
+from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.metrics.braking import BrakingRule, SafeDistance, time_to_collision
 from mast_zenoh.metrics.overlap import birdseye_intersection
 
@@ -121,12 +122,18 @@ def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
 
     Objects and vehicle are compared in the frame of each object.
     """
-    frame, zeros = objects.frame[row], np.zeros(len(row), np.int64)
-    size = np.tile([vehicle.length, vehicle.width, 0.0], (len(row), 1))
+    offset = objects.position[row] - vehicle.position[objects.frame[row]]
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    overlaps = distance <= _SELF_M
+    reach = 0.5 * (np.hypot(vehicle.length, vehicle.width) + np.hypot(*objects.size[row, :2].T))
+    near = (~overlaps & (distance <= reach + _SELF_M)).nonzero()[0]  # the outlines of others cannot meet
+    row, zeros = row[near], np.zeros(len(near), np.int64)
+    size = np.tile([vehicle.length, vehicle.width, 0.0], (len(near), 1))
+    frame = objects.frame[row]
     own = Boxes(zeros, zeros, vehicle.position[frame], size, vehicle.heading[frame])
     other = Boxes(zeros, zeros, objects.position[row], objects.size[row], objects.yaw[row])
-    distance = np.hypot(*(other.position - own.position)[:, :2].T)
-    return np.asarray((distance <= _SELF_M) | (birdseye_intersection(own, other) > _TOUCH_M2))
+    overlaps[near] = birdseye_intersection(own, other) > _TOUCH_M2
+    return np.asarray(overlaps)
 
 
 def _near_path(objects: Objects, path: Floats, along: Floats, driven: Floats) -> tuple[Ints, Ints]:
@@ -135,26 +142,25 @@ def _near_path(objects: Objects, path: Floats, along: Floats, driven: Floats) ->
     The points are ahead of the vehicle.
     along: (k,) m, arc lengths of the points;  driven: (f,) m, arc length of the vehicle in each frame
     """
-    if not len(objects.frame):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    row, point = pairs_in_groups(
-        np.zeros(len(objects.frame), np.int64),
-        np.ascontiguousarray(objects.position),
-        np.zeros(len(path), np.int64),
-        np.column_stack([path, np.zeros(len(path))]),
-        _REACH_M,
-    )
-    is_ahead = along[point] >= driven[objects.frame[row]] - _STEP_M
-    row, point = row[is_ahead], point[is_ahead]
-    if not len(row):
-        return row, point
-    offset = objects.position[row, :2] - path[point]
-    squared_distance = np.einsum("ij,ij->i", offset, offset)
-    start = np.diff(row, prepend=-1) != 0  # the pairs are sorted by row
-    nearest = squared_distance == np.minimum.reduceat(squared_distance, start.nonzero()[0])[np.cumsum(start) - 1]
-    row, point = row[nearest], point[nearest]
-    first = np.diff(row, prepend=-1) != 0
-    return row[first], point[first]
+    least = along.searchsorted(driven[objects.frame] - _STEP_M)
+    point = nearest_points(np.ascontiguousarray(objects.position), path, least, _REACH_M)
+    row = (point >= 0).nonzero()[0]
+    return row, point[row]
+
+
+@kernel
+def nearest_points(position: Floats, path: Floats, least: Ints, reach_m: float) -> Ints:
+    """Nearest point (n,) of a path to each position within `reach_m` of it, the first of several; -1: none.
+
+    position: (n, >= 2) m; path: (k, 2) m; least: (n,) the first point that counts, k: none
+    """
+    nearest = np.full(len(position), -1)
+    for row, (place, first) in enumerate(zip(position[:, :2], least.tolist(), strict=True)):
+        offset = place - path[first:]
+        squared = offset[:, 0] * offset[:, 0] + offset[:, 1] * offset[:, 1]
+        if len(squared) and squared.min() <= reach_m * reach_m:
+            nearest[row] = first + squared.argmin()
+    return nearest
 
 
 def _path(vehicle: Vehicle, horizon_m: float) -> tuple[Floats, Floats, Floats]:

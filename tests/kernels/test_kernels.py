@@ -312,6 +312,7 @@ ARGUMENTS = {
     "pairs_within_radius": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
     "gated_pairs": gated_pairs,
     "pair_gains": pair_gains,
+    "nearest_points": lambda r, n, m: (places(r, n), places(r, m)[:, :2], r.integers(0, m + 1, n), r.uniform(0, 9)),
     "innovation_sum": lambda r, n, m: (
         t := table(r, n), t[:, : (k := r.choice([6, 9]))] + r.normal(size=(n, k)), covariances(r, n, k),
         r.choice([0.0, 1.5], n),
