@@ -20,28 +20,27 @@ def row_order(*keys: NDArray[Any], ties: Callable[[], Iterable[NDArray[Any]]] | 
 
     The same as `np.lexsort((*ties(), *keys))`, but faster if the rows are sorted already or no two keys are equal.
     """
-    if len(keys) == 1:
-        order, tied = sorted_rows(keys[0])
-        if tied and ties is not None:
-            order = np.lexsort((*ties(), keys[0]))
-        return order.astype(np.int64, copy=False)
-    if len(keys[0]) > _FEW:
+    if len(keys) > 1 and len(keys[0]) > _FEW:
         if ascending(*keys):
             return np.arange(len(keys[0]), dtype=np.int64)
         order = keys[-1].argsort(kind="stable")
         if ascending(*[key.take(order) for key in keys]):
             return order.astype(np.int64)
-    order = np.lexsort(keys)
-    if ties is not None and _any_equal(*[key.take(order) for key in keys]):
+    order, tied = sorted_rows(keys)
+    if tied and ties is not None:
         order = np.lexsort((*ties(), *keys))
     return order.astype(np.int64, copy=False)
 
 
 @kernel
-def sorted_rows(key: NDArray[Any]) -> tuple[Ints, bool]:
-    """(n,) row indices that sort by `key` (n,), float64 or int64, and whether any two are equal."""
-    order = key.argsort(kind="stable")
-    return order, _any_equal(key.take(order))
+def sorted_rows(keys: tuple[NDArray[Any], ...]) -> tuple[Ints, bool]:
+    """(n,) row indices that sort by `keys` (n,), the last comes first, and whether two rows have the same."""
+    order = np.lexsort(keys)
+    ordered = [key.take(order) for key in keys]
+    equal = np.ones(max(len(order) - 1, 0), bool)
+    for key in ordered:
+        equal &= key[1:] == key[:-1]
+    return order, bool(np.count_nonzero(equal))
 
 
 def ascending(*keys: NDArray[Any]) -> bool:
@@ -57,14 +56,6 @@ def ascending(*keys: NDArray[Any]) -> bool:
 def within_runs(count: Ints) -> Ints:
     """0 to count - 1 for each of k runs of rows, one run after the other: (sum of count,)."""
     return np.asarray(np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count))
-
-
-def _any_equal(*keys: NDArray[Any]) -> bool:
-    """Whether two neighbouring rows have the same keys (n,)."""
-    equal = keys[0][1:] == keys[0][:-1]
-    for key in keys[1:]:
-        equal &= key[1:] == key[:-1]
-    return bool(np.count_nonzero(equal))
 
 
 def by_agent(states: ObjectStates, agent: Ints) -> Ints:

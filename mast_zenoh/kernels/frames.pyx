@@ -115,22 +115,31 @@ def ordered_boxes(order, columns, variance, double least, double most):
     return boxes, noises, out_yaws, out_classes, out_scores
 
 
-def sorted_rows(key):
-    order = np.PyArray_ArgSort(key, 0, np.NPY_MERGESORT)
-    ordered = key.take(order)
-    cdef Py_ssize_t r, n = length(key)
+def sorted_rows(keys):
+    order = np.PyArray_ArgSort(keys[0], 0, np.NPY_MERGESORT) if len(keys) == 1 else np.PyArray_LexSort(keys, 0)
+    cdef Py_ssize_t r, n = length(order), left = max(n - 1, 0)
     cdef const double* real
     cdef const np.int64_t* whole
-    cdef bint tied = False
-    if np.PyArray_TYPE(ordered) == np.NPY_DOUBLE:
-        real = float_data(ordered, 1)
-        for r in range(1, n):
-            tied = tied or real[r] == real[r - 1]
-    else:
-        whole = int_data(ordered)
-        for r in range(1, n):
-            tied = tied or whole[r] == whole[r - 1]
-    return order, tied
+    tie_mask = empty_vector(np.NPY_BOOL, n)
+    cdef np.uint8_t* tied = byte_data(tie_mask)  # with the next row
+    memset(tied, 1, n)
+    for key in keys:
+        ordered = key.take(order)
+        if np.PyArray_TYPE(ordered) == np.NPY_DOUBLE:
+            real = float_data(ordered, 1)
+            for r in range(left):
+                tied[r] = tied[r] and real[r] == real[r + 1]
+        elif np.PyArray_TYPE(ordered) == np.NPY_INT64:
+            whole = int_data(ordered)
+            for r in range(left):
+                tied[r] = tied[r] and whole[r] == whole[r + 1]
+        else:
+            for r in range(left):
+                tied[r] = tied[r] and ordered[r] == ordered[r + 1]
+    for r in range(left):
+        if tied[r]:
+            return order, True
+    return order, False
 
 
 def quaternion_from_rotation(rotation):

@@ -214,6 +214,20 @@ def matched_tracks(t, match, detected, measured, double yaw_variance, double mos
     return result
 
 
+def widen(t, noise):
+    cdef double* row = writable_data(t, 2)
+    cdef double* measured = writable_data(noise, 3)
+    cdef Py_ssize_t r, i
+    cdef double variance, weight
+    for r in range(length(t)):
+        variance = measured[0] + measured[10]
+        weight = variance / (row[XX] + row[YY] + variance)
+        for i in range(81):
+            row[P + i] /= weight
+            measured[i] /= 1.0 - weight
+        row, measured = row + WIDTH, measured + 81
+
+
 def confirmed_innovations(t, innovation, jump):
     cdef const double* row = float_data(t, 2)
     cdef const double* offset = float_data(innovation, 2)

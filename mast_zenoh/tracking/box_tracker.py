@@ -17,7 +17,7 @@ from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_heading_dir
 from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
-from mast_zenoh.tracking.matched import matched_tracks
+from mast_zenoh.tracking.matched import matched_tracks, widen
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE, XX, YY
 from mast_zenoh.tracking.view import SensorView
@@ -165,12 +165,7 @@ class KalmanBoxTracker3D(Tracker):
         if len(match.track):
             matched = self._matched_tracks(match, measurements, detected)
             R = measurements.noise.take(match.measurement, 0)
-            # Successive outputs of a filter are correlated. Covariance intersection of track and measurement avoids
-            # double counting; weights by the trace of the position covariance (Niehsen, FUSION 2002).
-            track_variance, measured_variance = matched[:, XX] + matched[:, YY], R[:, 0, 0] + R[:, 1, 1]
-            weight = (measured_variance / (track_variance + measured_variance))[:, None]
-            matched[:, COVARIANCE] /= weight
-            R /= 1.0 - weight[:, None]
+            widen(matched, R)
             state = measurements.state.take(match.measurement, 0)
             self.innovations.add(*innovation_sum(matched, state, R, match.jump), len(matched))
             self.innovations.at_most = True

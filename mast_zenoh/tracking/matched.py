@@ -7,7 +7,7 @@ from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.evidence import add_scores
 from mast_zenoh.tracking.existence import update_detected
 from mast_zenoh.tracking.heading import correct_heading
-from mast_zenoh.tracking.tracks import AGE, ROW, XX, YY, update_class
+from mast_zenoh.tracking.tracks import AGE, COVARIANCE, ROW, XX, YY, update_class
 
 
 @kernel
@@ -36,3 +36,16 @@ def matched_tracks(
     add_scores(updated, score.take(measurement))
     updated[:, AGE], updated[:, ROW] = 0.0, row.take(measurement)
     return updated
+
+
+@kernel
+def widen(tracks: Floats, noise: Floats) -> None:
+    """Widen the covariances of k tracks and of their measurements (k, 9, 9) so that correlated errors count once.
+
+    Successive outputs of a filter are correlated. Covariance intersection of track and measurement avoids double
+    counting; weights by the trace of the position covariance (Niehsen, FUSION 2002).
+    """
+    track_variance, measured_variance = tracks[:, XX] + tracks[:, YY], noise[:, 0, 0] + noise[:, 1, 1]
+    weight = (measured_variance / (track_variance + measured_variance))[:, None]
+    tracks[:, COVARIANCE] /= weight
+    noise /= 1.0 - weight[:, None]

@@ -322,6 +322,7 @@ ARGUMENTS = {
     "resolve_heading_direction": lambda r, n, m: (table(r, n), 2.0, 5.0),
     "lateral_constraint": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
     "matched_tracks": matched_tracks,
+    "widen": lambda r, n, m: (table(r, n), covariances(r, n)),
     "confirmed_innovations": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.choice([0.0, 1.5], n)),
     "ended_stages": lambda r, n, m: (staged(r, n), 1.0),
     "coasting_tracks": lambda r, n, m: (table(r, n), 1.0),
@@ -351,7 +352,8 @@ ARGUMENTS = {
     ),
     "ordered_boxes": ordered_boxes,
     "sorted_rows": lambda r, n, m: (
-        r.integers(0, r.choice([9, 10**6]), n).astype(r.choice([np.int64, np.float64])),
+        tuple(r.integers(0, r.choice([9, 10**6]), n).astype(kind) for kind in r.permutation(
+            [np.int64, np.float64, np.uint8])[: r.integers(1, 3)]),
     ),
     "pairs_in_groups": lambda r, n, m: (
         r.integers(0, 3, n + 1), places(r, n + 1), r.integers(0, 4, m + 1), places(r, m + 1), r.uniform(0, 5),
