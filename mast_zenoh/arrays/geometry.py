@@ -35,14 +35,13 @@ def rotation_from_yaw_pitch(yaw: float, pitch_down: float) -> Floats:
     return np.asarray(rotation_from_yaw(yaw) @ pitch, np.float64)
 
 
+@kernel
 def rotation_from_quaternion(quaternion: Floats) -> Floats:
     """(..., 3, 3) rotations from (..., 4) active quaternions (w, x, y, z).
 
     The quaternions are normalised first.
     """
     q = np.asarray(quaternion, np.float64)
-    if q.ndim == 1:  # a single one, as in every message: scalars are faster than arrays of one
-        return _rotation(*q.tolist())
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -50,18 +49,6 @@ def rotation_from_quaternion(quaternion: Floats) -> Floats:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def _rotation(w: float, x: float, y: float, z: float) -> Floats:
-    """(3, 3) rotation of one quaternion."""
-    n = 2.0 / (w * w + x * x + y * y + z * z)
-    return np.array(
-        [
-            [1.0 - n * (y * y + z * z), n * (x * y - w * z), n * (x * z + w * y)],
-            [n * (x * y + w * z), 1.0 - n * (x * x + z * z), n * (y * z - w * x)],
-            [n * (x * z - w * y), n * (y * z + w * x), 1.0 - n * (x * x + y * y)],
-        ]
-    )
 
 
 @kernel

@@ -47,9 +47,14 @@ class Route:
 
         The position is interpolated linearly, the rotation comes from the last row up to `time_s`.
         """
-        row = max(0, int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1)
-        position = np.array([np.interp(time_s, self.time_s, self.position[:, axis]) for axis in range(3)])
-        return position, rotation_from_quaternion(self.rotation[row])
+        row = max(0, int(self.time_s.searchsorted(time_s + 1e-9, side="right")) - 1)
+        return self.position_at(time_s), rotation_from_quaternion(self.rotation[row])
+
+    def position_at(self, time_s: float) -> Floats:
+        """As the position of `at`."""
+        if len(self.time_s) == 1:
+            return self.position[0].copy()
+        return np.array([np.interp(time_s, self.time_s, self.position[:, axis]) for axis in range(3)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +151,7 @@ class Surroundings:
 
     def other_positions(self, time_s: float) -> Floats:
         """(k, 3) m route positions of all agents that are not compromised."""
-        others = [sensor.route.at(time_s)[0] for name, sensor in self.sensors.items() if name not in self.victims]
+        others = [sensor.route.position_at(time_s) for name, sensor in self.sensors.items() if name not in self.victims]
         return np.array(others).reshape(-1, 3)
 
     def inside_buildings(self, positions: Floats) -> Bools:

@@ -142,6 +142,27 @@ def sorted_rows(keys):
     return order, False
 
 
+def rotation_from_quaternion(quaternion):
+    quaternion = np.PyArray_FROMANY(quaternion, np.NPY_DOUBLE, 1, 0, np.NPY_ARRAY_CARRAY_RO)
+    cdef Py_ssize_t r, n = np.PyArray_SIZE(quaternion) // 4
+    flat, result = quaternion.reshape(n, 4), empty_matrix(n, 9)
+    cdef const double* q = float_data(flat, 2)
+    cdef double* R = writable_data(result, 2)
+    cdef double w, x, y, z, norm
+    for r in range(n):
+        if np.PyArray_NDIM(quaternion) == 1:
+            w, x, y, z = q[0], q[1], q[2], q[3]
+            norm = 2.0 / (w * w + x * x + y * y + z * z)
+        else:
+            norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+            w, x, y, z, norm = q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm, 2.0
+        R[0], R[1], R[2] = 1.0 - norm * (y * y + z * z), norm * (x * y - w * z), norm * (x * z + w * y)
+        R[3], R[4], R[5] = norm * (x * y + w * z), 1.0 - norm * (x * x + z * z), norm * (y * z - w * x)
+        R[6], R[7], R[8] = norm * (x * z - w * y), norm * (y * z + w * x), 1.0 - norm * (x * x + y * y)
+        q, R = q + 4, R + 9
+    return result.reshape((<object>quaternion).shape[:-1] + (3, 3))
+
+
 def quaternion_from_rotation(rotation):
     rotation = contiguous(rotation)
     cdef Py_ssize_t r, k, largest, n = np.PyArray_SIZE(rotation) // 9

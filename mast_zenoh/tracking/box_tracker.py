@@ -19,7 +19,7 @@ from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.matched import matched_tracks, widen
 from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE, XX, YY
+from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE
 from mast_zenoh.tracking.view import SensorView
 
 #: rad/sqrt(s), drift of a heading.

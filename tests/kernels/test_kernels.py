@@ -344,6 +344,7 @@ ARGUMENTS = {
     "ray_evidence": ray_evidence,
     "median_boxes": median_boxes,
     "track_offsets": track_offsets,
+    "rotation_from_quaternion": lambda r, n, m: (r.normal(size=(4,) if n == 1 else (n, 4)),),
     "quaternion_from_rotation": lambda r, n, m: (np.linalg.qr(r.normal(size=(n, 3, 3)))[0],),
     "overlap": overlap,
     "constant_velocity": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
