@@ -33,7 +33,7 @@ _HORIZONTAL = np.array([0, 10, 1, 9, 60, 70, 61, 69])
 #: Variances of position and velocity.
 _VARIANCES = np.array([[0, 10], [60, 70]])
 _EIGHT = np.arange(8)
-#: Covariances that are checked at once, so that their copies stay in the cache; ten times as many pairs of agents.
+#: Covariances that are checked at once, so that their copies stay in the cache.
 _CHUNK = 128
 
 
@@ -190,13 +190,7 @@ class CheckedCovariances(CovarianceCheck):
         count = len(self._agents)
         sums = self._sums[:count, :count]
         decay, share = math.exp(-elapsed_s / self._averaging_s), min(elapsed_s / _PERIOD_S, 1.0)
-        doubtful, rows = False, 10 * _CHUNK // max(count, 1) + 1
-        for start in range(0, count, rows):
-            part = sums[start : start + rows]
-            part *= decay
-            part += share * comparisons[start : start + rows]
-            limit = 2.0 * self._limit * (part[..., 0] + _PRIOR_PAIRS)
-            doubtful = doubtful or bool((part[..., 1] + 2.0 * _PRIOR_PAIRS > limit).any())
+        doubtful = add_decayed(self._sums, comparisons, decay, share, self._limit, _PRIOR_PAIRS)
         if doubtful or self._excess[:count].any():  # otherwise it is 0
             compared = (sums[..., 0] > _FORGOTTEN).any(axis=1)
             self._excess[:count] = np.where(compared, _excess(sums, self._limit, self._most), self._excess[:count])
@@ -256,6 +250,22 @@ def compare_members(motion: Floats, spread: Floats, agent: Ints, label: Ints, ag
     codes = ((agent.take(i) * agents + agent.take(j)) * 8)[:, None] + _EIGHT
     sums = np.bincount(codes.ravel(), values.ravel(), agents * agents * 8).reshape(agents, agents, 2, 4)
     return np.asarray(sums + sums.transpose(1, 0, 2, 3))
+
+
+@kernel
+def add_decayed(
+    sums: Floats, comparisons: Floats, decay: float, share: float, limit: float, prior_pairs: float
+) -> bool:
+    """Whether the innovations of two agents, with those that each two start with, exceed `limit` times the expected.
+
+    sums: (b, b, 2, 4) see `_comparisons`. In place, those of the first a agents are multiplied by `decay`, then get
+        `share` of the new ones.
+    comparisons: (a, a, 2, 4) the new ones, a <= b
+    """
+    part = sums[: len(comparisons), : len(comparisons)]
+    part *= decay
+    part += share * comparisons
+    return bool((part[..., 1] + 2.0 * prior_pairs > 2.0 * limit * (part[..., 0] + prior_pairs)).any())
 
 
 def _excess(sums: Floats, limit: float, most: float) -> Floats:

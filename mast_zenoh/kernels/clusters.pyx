@@ -339,3 +339,18 @@ def compare_members(motion, spread, agent, label, Py_ssize_t agents, Py_ssize_t 
                 for k in range(8):
                     total[k] = mirrored[k] = total[k] + mirrored[k]
     return result.reshape(agents, agents, 2, 4)
+
+
+def add_decayed(sums, comparisons, double decay, double share, double limit, double prior_pairs):
+    cdef double* total = writable_data(sums, 4)
+    cdef const double* new = float_data(comparisons, 4)
+    cdef Py_ssize_t r, k, all_agents = length(sums), agents = length(comparisons)
+    cdef bint exceeded = False
+    for r in range(agents):
+        for k in range(8 * agents):
+            total[k] = total[k] * decay + share * new[k]
+        for k in range(0, 8 * agents, 4):
+            exceeded |= total[k + 1] + 2.0 * prior_pairs > 2.0 * limit * (total[k] + prior_pairs)
+        total += 8 * all_agents
+        new += 8 * agents
+    return bool(exceeded)

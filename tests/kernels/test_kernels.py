@@ -370,6 +370,9 @@ ARGUMENTS = {
     "merge_pairs": lambda r, n, m: near_pairs(r, n),
     "isolated_groups": tracks_of_agents,
     "compare_members": lambda r, n, m: cluster_tracks(r, n),
+    "add_decayed": lambda r, n, m: (
+        r.uniform(0, 60, (n + m, n + m, 2, 4)), r.uniform(0, 60, (n, n, 2, 4)), 0.9, 0.2, r.choice([1.0, 9.0]), 10.0,
+    ),
     "track_observations": track_observations,
     "imitate_rows": lambda r, n, m: (
         (places(r, m), r.normal(0, 9, (m, 3)), r.uniform(0.3, 5, (m, 3)), r.uniform(-4, 4, m)),
