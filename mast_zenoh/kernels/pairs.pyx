@@ -18,7 +18,7 @@ cdef double LOG_2_PI = log(2.0 * 3.141592653589793)
 def gate_radius(t, covariance, jump, double gate):
     cdef const double* row = float_data(t, 2)
     cdef const double* noise = float_data(covariance, 3)
-    cdef const double* jump_variance = float_data(jump, 1)
+    cdef const double* variance_of = float_data(jump, 1)
     cdef Py_ssize_t r, n = length(t), k = length(covariance, 1)
     cdef double widest = 0.0
     result = empty_vector(np.NPY_DOUBLE, n)
@@ -27,7 +27,7 @@ def gate_radius(t, covariance, jump, double gate):
         widest = fmax(widest, noise[0] + noise[k + 1])
         noise += k * k
     for r in range(n):
-        out[r] = sqrt(gate * (row[XX] + row[YY] + 0.5 * jump_variance[r] + widest))
+        out[r] = sqrt(gate * (row[XX] + row[YY] + 0.5 * variance_of[<Py_ssize_t>row[CLASS]] + widest))
         row += WIDTH
     return result
 
@@ -74,18 +74,24 @@ cdef inline double distance_of(double dx, double dy, double a, double b, double 
     return distance
 
 
-def gated_pairs(t, position, covariance, jump, near, gates, double log_jump):
+def gated_pairs(t, detected, boxes, near, gates, chances):
     i, j, dx, dy = near
+    position, covariance, class_id = boxes
+    jump, log_of_jump, clutter, confusion = chances
     cdef const double* rows = float_data(t, 2)
+    cdef const double* detection = float_data(detected, 1)
     cdef const double* at = float_data(position, 2)
     cdef const double* noise = float_data(covariance, 3)
-    cdef const double* jump_variances = float_data(jump, 1)
+    cdef const np.int64_t* class_of = int_data(class_id)
+    cdef const double* jump_of = float_data(jump, 1)
+    cdef const double* log_confusion = float_data(confusion, 2)
+    cdef double log_jump = log_of_jump, log_clutter = clutter
     cdef const np.int64_t* of_t = int_data(i)
     cdef const np.int64_t* of_m = int_data(j)
     cdef const double* x = float_data(dx, 1)
     cdef const double* y = float_data(dy, 1)
     cdef Py_ssize_t n = length(t), m = length(position), stride = length(position, 1), w = length(covariance, 1)
-    cdef Py_ssize_t p, q, r, s, k = 0, count = length(i)
+    cdef Py_ssize_t p, q, r, s, k = 0, count = length(i), classes = length(confusion, 1)
     cdef double gate = gates.steady, jump_gate = gates.sudden, level_m = gates.level_m
     cdef double standing = gates.standing, per_speed = gates.moving
     cdef double a, b, c, jump_variance
@@ -116,7 +122,7 @@ def gated_pairs(t, position, covariance, jump, near, gates, double log_jump):
             chosen[p] = 0
             if not track_explained[r] and not measurement_explained[s]:
                 row, measurement_noise = rows + WIDTH * r, noise + w * w * s
-                jump_variance = jump_variances[r] * fmin(standing + per_speed * (row[6] * row[6] + row[7] * row[7]), 1.0)
+                jump_variance = jump_of[<Py_ssize_t>row[CLASS]] * fmin(standing + per_speed * (row[6] * row[6] + row[7] * row[7]), 1.0)
                 a = row[XX] + measurement_noise[0] + jump_variance
                 b = row[XY] + measurement_noise[1]
                 c = row[YY] + measurement_noise[w + 1] + jump_variance
@@ -125,42 +131,23 @@ def gated_pairs(t, position, covariance, jump, near, gates, double log_jump):
                     variance[p] = jump_variance
                     chosen[p] = 1
                     k += 1
-    if k == count:
-        return i, j, density, added
     tracks, measurements = empty_vector(np.NPY_INT64, k), empty_vector(np.NPY_INT64, k)
-    densities, jumps = empty_vector(np.NPY_DOUBLE, k), empty_vector(np.NPY_DOUBLE, k)
+    ratios, jumps, costs = empty_vector(np.NPY_DOUBLE, k), empty_vector(np.NPY_DOUBLE, k), empty_vector(np.NPY_DOUBLE, k)
     cdef np.int64_t* out_i = int_data(tracks)
     cdef np.int64_t* out_j = int_data(measurements)
-    cdef double* out_density = writable_data(densities, 1)
+    cdef double* ratio = writable_data(ratios, 1)
     cdef double* out_added = writable_data(jumps, 1)
+    cdef double* cost = writable_data(costs, 1)
     q = 0
     for p in range(count):
         if chosen[p]:
-            out_i[q], out_j[q], out_density[q], out_added[q] = of_t[p], of_m[p], log_density[p], variance[p]
+            r, s = of_t[p], of_m[p]
+            row = rows + WIDTH * r
+            out_i[q], out_j[q], out_added[q] = r, s, variance[p]
+            ratio[q] = log_density[p] - log_clutter + log_confusion[classes * <Py_ssize_t>row[CLASS] + class_of[s]]
+            cost[q] = -(ratio[q] + log(detection[r] * row[ODDS] / ((1.0 - detection[r]) * (1.0 + row[ODDS]))))
             q += 1
-    return tracks, measurements, densities, jumps
-
-
-def pair_gains(t, detected, class_id, confusion, i, j, log_density, double log_clutter):
-    cdef const double* row = float_data(t, 2)
-    cdef const double* detection = float_data(detected, 1)
-    cdef const np.int64_t* class_of = int_data(class_id)
-    cdef const double* log_confusion = float_data(confusion, 2)
-    cdef const np.int64_t* of_t = int_data(i)
-    cdef const np.int64_t* of_m = int_data(j)
-    cdef const double* density = float_data(log_density, 1)
-    cdef Py_ssize_t p, r, n = length(t), count = length(i), classes = length(confusion, 1)
-    ratios, total, track_gains = empty_vector(np.NPY_DOUBLE, count), empty_vector(np.NPY_DOUBLE, count), empty_vector(np.NPY_DOUBLE, n)
-    cdef double* ratio = writable_data(ratios, 1)
-    cdef double* gain = writable_data(total, 1)
-    cdef double* track_gain = writable_data(track_gains, 1)
-    for r in range(n):
-        track_gain[r] = log(detection[r] * row[WIDTH * r + ODDS] / ((1.0 - detection[r]) * (1.0 + row[WIDTH * r + ODDS])))
-    for p in range(count):
-        r = of_t[p]
-        ratio[p] = density[p] - log_clutter + log_confusion[classes * <Py_ssize_t>row[WIDTH * r + CLASS] + class_of[of_m[p]]]
-        gain[p] = ratio[p] + track_gain[r]
-    return ratios, total
+    return tracks, measurements, ratios, jumps, costs
 
 
 def innovation_sum(t, measured, noise, jump):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectStates
@@ -12,7 +14,7 @@ from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
 from mast_zenoh.tracking.evidence import ScoreEvidence, likely_tracks, tempered_probability
-from mast_zenoh.tracking.gating import Match, innovation_sum, near_pairs, pair_gains
+from mast_zenoh.tracking.gating import Chances, Match, innovation_sum, near_pairs
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_heading_direction
 from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
@@ -94,7 +96,6 @@ class KalmanBoxTracker3D(Tracker):
         self._yaw_noise = yaw_std_rad**2
         self._detection_probability = detection_probability
         self._report_probability = report_probability
-        self._log_clutter = float(np.log(clutter_per_m2))
         self._birth_odds = birth_odds
         self._lifetime_s = lifetime_s
         self._memory_s = memory_s
@@ -103,8 +104,12 @@ class KalmanBoxTracker3D(Tracker):
         confirm_odds, drop_odds = confirm_probability / (1.0 - confirm_probability), birth_odds * DROP_FRACTION
         limits = confirm_odds, self._report_odds, drop_odds, max_coast_s, LOST_M**2, MAX_SPEED, max_std_m**2
         self._status_limits = limits
-        self._jump_probability = jump_probability
-        self._jump_variance = np.square(jump_std_m * classes.JUMP)
+        self._chances = Chances(
+            np.square(jump_std_m * classes.JUMP),
+            math.log(jump_probability),
+            float(np.log(clutter_per_m2)),
+            classes.CONFUSION,
+        )
         self._acceleration = acceleration_scale * classes.ACCELERATION
         self._assignment = assignment
         self.reset()
@@ -204,17 +209,12 @@ class KalmanBoxTracker3D(Tracker):
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
-        t = self._tracks
-        class_id = tracks.classes_of(t)
-        pairs = near_pairs(
-            t, measurements.state, measurements.noise, self._jump_variance.take(class_id), self._jump_probability
-        )
-        i, j = pairs.track, pairs.measurement
-        ratio, gain = pair_gains(
-            t, detected, measurements.class_id, classes.CONFUSION, i, j, pairs.log_density, self._log_clutter
-        )
-        chosen = self._assignment.match(i, j, -gain)
-        return Match(i[chosen], j[chosen], ratio[chosen], pairs.jump[chosen], pairs, len(chosen) < len(i))
+        pairs = near_pairs(self._tracks, detected, measurements, self._chances)
+        chosen = self._assignment.match(pairs.track, pairs.measurement, pairs.cost)
+        if len(chosen) == len(pairs.track):
+            return Match(pairs.track, pairs.measurement, pairs.log_ratio, pairs.jump, pairs, contested=False)
+        columns = (column[chosen] for column in pairs[:4])
+        return Match(*columns, pairs, contested=True)
 
     def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
         """A copy of the matched tracks, updated except for the Kalman correction."""

@@ -10,6 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
+from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, planar
 
 LOG_2_PI = math.log(2.0 * math.pi)
@@ -39,61 +40,82 @@ _HORIZONTAL = np.array([XX, XY, YY])
 _NONE = np.zeros(0, np.int64)
 
 
+class Chances(NamedTuple):
+    """What is likely before any measurement.
+
+    jump: (classes,) m^2, variance per axis of a sudden displacement of a moving object
+    log_jump: ln of the probability of a sudden displacement in a frame
+    log_clutter: ln of the density of false detections, per m^2
+    confusion: (classes, classes) log-likelihoods, see `classes`
+    """
+
+    jump: Floats
+    log_jump: float
+    log_clutter: float
+    confusion: Floats
+
+
 class Pairs(NamedTuple):
     """p gated pairs of a track and a measurement.
 
     track, measurement: (p,) rows
-    log_density: (p,) ln of the density, per m^2, of the measurement's horizontal position given the track
+    log_ratio: (p,) ln of the density of the measurement's horizontal position given the track, over that of clutter
     jump: (p,) m^2, variance per axis added by a sudden displacement, 0 if steady motion explains the pair
+    cost: (p,) of choosing the pair, relative to leaving both unassigned: the object was missed or is absent, the
+        measurement is clutter
     """
 
     track: Ints
     measurement: Ints
-    log_density: Floats
+    log_ratio: Floats
     jump: Floats
+    cost: Floats
 
 
-def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Floats, jump_probability: float) -> Pairs:
+def near_pairs(tracks: Floats, detected: Floats, measured: Measured, chances: Chances) -> Pairs:
     """Pairs of n tracks and m measurements within the gate, sorted by track.
 
-    position: (m, >= 3) m; covariance: (m, k, k), the first two rows and columns are x and y, m^2
-    jump: (n,) m^2, variance per axis of a sudden displacement of a moving object, which occurs in a frame with
-        `jump_probability`
+    detected: (n,) probability of detection
 
     Boxes do jump: their centre shifts as more of an object comes into view, and simulated traffic changes lanes within
     a step. Jumps are considered only for tracks and measurements without a pair under steady motion. Objects at rest
     do not change lanes.
     """
-    if len(tracks) == 0 or len(position) == 0:
-        return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
-    near = neighbours(tracks, position, gate_radius(tracks, covariance, jump, GATE.steady))
-    return Pairs(*gated_pairs(tracks, position, covariance, jump, near, GATE, math.log(jump_probability)))
+    if len(tracks) == 0 or len(measured.row) == 0:
+        return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0), np.zeros(0))
+    near = neighbours(tracks, measured.state, gate_radius(tracks, measured.noise, chances.jump, GATE.steady))
+    boxes = measured.state, measured.noise, measured.class_id
+    return Pairs(*gated_pairs(tracks, detected, boxes, near, GATE, chances))
 
 
 @kernel
 def gate_radius(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
-    """Radius (n,) m around each track that contains all measurements within its gate."""
+    """Radius (n,) m around each track that contains all measurements within its gate.
+
+    covariance: (m, k, k) of the measurements; jump: see `Chances`
+    """
     # The trace bounds the largest eigenvalue, which gives a cheap circle around both ellipses for all pairs.
     widest = (covariance[:, 0, 0] + covariance[:, 1, 1]).max()
-    return np.asarray(np.sqrt(gate * (tracks[:, XX] + tracks[:, YY] + 0.5 * jump + widest)))
+    added = 0.5 * jump.take(classes_of(tracks))
+    return np.asarray(np.sqrt(gate * (tracks[:, XX] + tracks[:, YY] + added + widest)))
 
 
 @kernel
 def gated_pairs(
     tracks: Floats,
-    position: Floats,
-    covariance: Floats,
-    jump: Floats,
+    detected: Floats,
+    boxes: tuple[Floats, Floats, Ints],
     near: tuple[Ints, Ints, Floats, Floats],
     gate: Gate,
-    log_jump: float,
-) -> tuple[Ints, Ints, Floats, Floats]:
+    chances: Chances,
+) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """Select p candidate pairs within the gate; the result are the fields of `Pairs`.
 
+    boxes: `state`, `noise` and `class_id` of `Measured`
     near: (p,) rows of tracks and of measurements, and offsets in x and y from track to measurement, m
-    log_jump: ln of the probability of a sudden displacement
     """
     i, j, dx, dy = near
+    position, covariance, class_id = boxes
     track_variance = tracks.take(_HORIZONTAL, 1)
     k = covariance.shape[1]
     measured_variance = covariance.reshape(len(position), k * k).take((0, 1, k + 1), 1)
@@ -108,33 +130,17 @@ def gated_pairs(
     far = (level & alone[i] & unexplained[j]).nonzero()[0]
     if len(far):
         speed = np.abs(planar(tracks[i[far], 6:8]))
-        jump_variance = jump[i[far]] * np.minimum(gate.standing + gate.moving * speed * speed, 1.0)
+        jump = chances.jump.take(classes_of(tracks)[i[far]])
+        jump_variance = jump * np.minimum(gate.standing + gate.moving * speed * speed, 1.0)
         density, distance = _gaussian(dx[far], dy[far], a[far] + jump_variance, b[far], c[far] + jump_variance)
-        log_density[far] = density + log_jump
+        log_density[far] = density + chances.log_jump
         added[far] = jump_variance
         selected[far] = distance <= gate.sudden
-    return i[selected], j[selected], log_density[selected], added[selected]
-
-
-@kernel
-def pair_gains(
-    tracks: Floats,
-    detected: Floats,
-    class_id: Ints,
-    confusion: Floats,
-    i: Ints,
-    j: Ints,
-    log_density: Floats,
-    log_clutter: float,
-) -> tuple[Floats, Floats]:
-    """Log likelihood ratios (p,) of pairs to clutter, and gains (p,) of choosing them.
-
-    The gain is relative to leaving both unassigned: the object was missed or is absent, the measurement is clutter.
-    detected: (n,) probability of detection; class_id: (m,) measured; confusion: see `classes`
-    """
-    ratio = log_density - log_clutter + confusion[classes_of(tracks)[i], class_id[j]]
+    i, j = i[selected], j[selected]
+    ratio = log_density[selected] - chances.log_clutter + chances.confusion[classes_of(tracks)[i], class_id[j]]
     odds = tracks[:, ODDS]
-    return ratio, ratio + np.log(detected * odds / ((1.0 - detected) * (1.0 + odds)))[i]
+    gain = ratio + np.log(detected * odds / ((1.0 - detected) * (1.0 + odds)))[i]
+    return i, j, ratio, added[selected], -gain
 
 
 @kernel

@@ -111,14 +111,9 @@ def gated_pairs(random, n, m):
     t, position = table(random, n), places(random, m)
     i, j = pairs(random, n, m)
     dx, dy = (position[j, axis] - t[i, axis] for axis in (0, 1))
-    jump = random.uniform(0, 2, n)
-    return t, position, covariances(random, m, 6), jump, (i, j, dx, dy), gating.GATE, -4.6
-
-
-def pair_gains(random, n, m):
-    i, j = pairs(random, n, m)
-    t, detected, class_id = table(random, n), random.uniform(0.1, 0.98, n), random.integers(0, 7, m)
-    return t, detected, class_id, classes.CONFUSION, i, j, random.normal(size=len(i)), -9.9
+    boxes = position, covariances(random, m, 6), random.integers(0, 7, m)
+    chances = gating.Chances(random.uniform(0, 2, 7), -4.6, -9.9, classes.CONFUSION)
+    return t, random.uniform(0.1, 0.98, n), boxes, (i, j, dx, dy), gating.GATE, chances
 
 
 def near_pairs(random, n):
@@ -308,10 +303,9 @@ ARGUMENTS = {
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
     "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
     "with_speed": lambda r, n, m: (covariances(r, n, 6), r.uniform(9, 99, n), r.normal(size=n), r.normal(size=n), 0.25),
-    "gate_radius": lambda r, n, m: (table(r, n), covariances(r, m + 1, 6), r.uniform(0, 3, n), 16.0),
+    "gate_radius": lambda r, n, m: (table(r, n), covariances(r, m + 1, 6), r.uniform(0, 3, 7), 16.0),
     "pairs_within_radius": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
     "gated_pairs": gated_pairs,
-    "pair_gains": pair_gains,
     "nearest_points": lambda r, n, m: (places(r, n), places(r, m)[:, :2], r.integers(0, m + 1, n), r.uniform(0, 9)),
     "innovation_sum": lambda r, n, m: (
         t := table(r, n), t[:, : (k := r.choice([6, 9]))] + r.normal(size=(n, k)), covariances(r, n, k),
