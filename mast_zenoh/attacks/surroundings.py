@@ -53,7 +53,7 @@ class Route:
     def position_at(self, time_s: float) -> Floats:
         """As the position of `at`."""
         if len(self.time_s) == 1:
-            return self.position[0].copy()
+            return np.array(self.position[0])
         return np.array([np.interp(time_s, self.time_s, self.position[:, axis]) for axis in range(3)])
 
 

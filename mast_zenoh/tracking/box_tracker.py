@@ -211,10 +211,11 @@ class KalmanBoxTracker3D(Tracker):
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
         pairs = near_pairs(self._tracks, detected, measurements, self._chances)
         chosen = self._assignment.match(pairs.track, pairs.measurement, pairs.cost)
-        if len(chosen) == len(pairs.track):
-            return Match(pairs.track, pairs.measurement, pairs.log_ratio, pairs.jump, pairs, contested=False)
-        columns = (column[chosen] for column in pairs[:4])
-        return Match(*columns, pairs, contested=True)
+        contested = len(chosen) < len(pairs.track)
+        i, j, log_ratio, jump = pairs.track, pairs.measurement, pairs.log_ratio, pairs.jump
+        if contested:
+            i, j, log_ratio, jump = i[chosen], j[chosen], log_ratio[chosen], jump[chosen]
+        return Match(i, j, log_ratio, jump, pairs, contested)
 
     def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
         """A copy of the matched tracks, updated except for the Kalman correction."""
