@@ -159,10 +159,10 @@ class UncoordinatedAttack(_TargetedAttack):
     def _targets_at(
         self, frame: int, time_ns: int, seen: ObjectStates, coverage: Coverage, directive: Targets | None
     ) -> Targets | None:
-        view = self._selection.view(seen)
-        if self._campaign.due(time_ns):
-            view = view.select(self._follower.established(ESTABLISHED))
-        return self._campaign.begin(frame, time_ns, view, coverage)
+        def scene() -> tuple[ObjectStates, Coverage]:
+            return self._selection.view(seen).select(self._follower.established(ESTABLISHED)), coverage
+
+        return self._campaign.begin(frame, time_ns, scene)
 
     def _store_targets(self, targets: Targets, time_ns: int) -> None:
         self._campaign.store(targets, time_ns)
