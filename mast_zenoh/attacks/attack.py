@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import replace
 
 from mast_zenoh.arrays.geometry import within_range
 from mast_zenoh.arrays.ordering import canonical_order
@@ -92,12 +91,14 @@ class _TargetedAttack(Attack):
         if targets is None:
             return Tampering.nothing(len(objects))
         targets, remove_row, move_row = self._follower.follow(targets, self._attach_m)
-        in_range = targets.add.select(within_range(targets.add.position, agent_position, self._max_range_m))
+        in_range, near = targets.add, within_range(targets.add.position, agent_position, self._max_range_m)
+        if not near.all():
+            in_range = in_range.select(near)
         false_objects = self._imitation.show(frame, in_range, seen, coverage, view)
         tampering = carry_out(targets, false_objects, seen, order, remove_row, move_row)
         self._store_targets(tampering.targets, time_ns)
         self._forger.remember(frame, objects, tampering)
-        return replace(tampering, added=false_objects.with_(id=self._ids.of(false_objects.id)))
+        return tampering.adding(false_objects.with_(id=self._ids.of(false_objects.id)))
 
     def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
         return self._forger.forge(frame, swept)
