@@ -165,4 +165,5 @@ class Tampering:
 
 
 _NO_TARGETS = Targets.empty()
-_NO_CHANGES = Changes.of(*[ObjectStates.empty()] * 4, [np.zeros(0, np.int64)] * 3)
+_NONE = ObjectStates.empty()
+_NO_CHANGES = Changes.of(_NONE, _NONE, _NONE, _NONE, [_NONE.id] * 3)
