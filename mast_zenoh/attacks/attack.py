@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import replace
 
 from mast_zenoh.arrays.geometry import within_range
 from mast_zenoh.arrays.ordering import canonical_order
@@ -92,12 +91,14 @@ class _TargetedAttack(Attack):
         if targets is None:
             return Tampering.nothing(len(objects))
         targets, remove_row, move_row = self._follower.follow(targets, self._attach_m)
-        in_range = targets.add.select(within_range(targets.add.position, agent_position, self._max_range_m))
+        in_range, near = targets.add, within_range(targets.add.position, agent_position, self._max_range_m)
+        if not near.all():
+            in_range = in_range.select(near)
         false_objects = self._imitation.show(frame, in_range, seen, coverage, view)
         tampering = carry_out(targets, false_objects, seen, order, remove_row, move_row)
         self._store_targets(tampering.targets, time_ns)
         self._forger.remember(frame, objects, tampering)
-        return replace(tampering, added=false_objects.with_(id=self._ids.of(false_objects.id)))
+        return tampering.adding(false_objects.with_(id=self._ids.of(false_objects.id)))
 
     def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
         return self._forger.forge(frame, swept)
@@ -159,10 +160,10 @@ class UncoordinatedAttack(_TargetedAttack):
     def _targets_at(
         self, frame: int, time_ns: int, seen: ObjectStates, coverage: Coverage, directive: Targets | None
     ) -> Targets | None:
-        view = self._selection.view(seen)
-        if self._campaign.due(time_ns):
-            view = view.select(self._follower.established(ESTABLISHED))
-        return self._campaign.begin(frame, time_ns, view, coverage)
+        def scene() -> tuple[ObjectStates, Coverage]:
+            return self._selection.view(seen).select(self._follower.established(ESTABLISHED)), coverage
+
+        return self._campaign.begin(frame, time_ns, scene)
 
     def _store_targets(self, targets: Targets, time_ns: int) -> None:
         self._campaign.store(targets, time_ns)

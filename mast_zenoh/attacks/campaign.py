@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -59,12 +59,15 @@ class Campaign:
         """Set the random streams, named by (seed, scene, name, purpose, frame)."""
         self._seed, self._scene, self._name = seed, scene, name
 
-    def begin(self, frame: int, time_ns: int, objects: ObjectStates, coverage: Coverage) -> Targets | None:
-        """The targets at `time_ns`, None before the start; objects: see `Selection.view`."""
+    def begin(self, frame: int, time_ns: int, scene: Callable[[], tuple[ObjectStates, Coverage]]) -> Targets | None:
+        """The targets at `time_ns`, None before the start.
+
+        scene: called if new targets are due, for objects as in `Selection.view`, and the coverage
+        """
         if time_ns < self._start_ns:
             return None
         if self.due(time_ns):
-            chosen = self._selection.select(objects, coverage, self._stream("selection", frame))
+            chosen = self._selection.select(*scene(), self._stream("selection", frame))
             targets = chosen.numbered(self._numbers_used)
             self._numbers_used += len(targets)
             placed = len(targets.add)
@@ -82,7 +85,7 @@ class Campaign:
             targets = replace(stored, remove=propagate(stored.remove, elapsed), move=propagate(stored.move, elapsed))
         rng = self._stream("propagation", frame) if self._propagation.draws else _UNUSED
         add = self._propagation.advance(targets.add, elapsed, age, rng)
-        return replace(targets, add=add, time_ns=time_ns)
+        return Targets(add, targets.remove, targets.move, targets.move_offset, time_ns, targets.wanted)
 
     def store(self, targets: Targets, time_ns: int) -> None:
         """Store the current targets, after they have followed their objects."""

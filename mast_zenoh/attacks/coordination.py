@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import replace
 
 import numpy as np
 
@@ -117,23 +116,28 @@ class Coordinator(Coordination):
     ) -> tuple[Targets, ...]:
         view = self._selection.view(objects, source)
         view = view.select(canonical_order(view))
-        views = self._views if len(self._views) == len(agent_positions) else tuple(map(unlimited, agent_positions))
-        time_s = time_ns / NANOSECONDS
-        agents = np.concatenate([agent_positions, self._surroundings.other_positions(time_s)])
-        agents = agents[np.lexsort(agents.T)]  # the same draws whichever of them are compromised
-        coverage = Coverage(self._surroundings, views, time_s, agents=agents)
         # The id of a cluster changes with its members, so it is ignored.
         self._follower.observe(view.with_(id=np.full(len(view), -1, np.int64)), time_ns)
-        if self._campaign.due(time_ns):
-            view = view.select(self._follower.established(ESTABLISHED))
-            ego = ego_among(agent_positions, self._surroundings, time_s)
-            coverage = replace(coverage, ego_tracks=None if ego is None else objects.select(source == ego))
-        targets = self._campaign.begin(frame, time_ns, view, coverage)
+
+        def scene() -> tuple[ObjectStates, Coverage]:
+            coverage = self._coverage(time_ns / NANOSECONDS, objects, source, agent_positions)
+            return view.select(self._follower.established(ESTABLISHED)), coverage
+
+        targets = self._campaign.begin(frame, time_ns, scene)
         if targets is None:
             return (Targets.empty(time_ns),) * len(agent_positions)
         targets, _, _ = self._follower.follow(targets, OWN_TARGET_M)
         self._campaign.store(targets, time_ns)
         return (targets,) * len(agent_positions)
+
+    def _coverage(self, time_s: float, objects: ObjectStates, source: Ints, agent_positions: Floats) -> Coverage:
+        """What the agents cover; the arguments are those of `step`."""
+        views = self._views if len(self._views) == len(agent_positions) else tuple(map(unlimited, agent_positions))
+        agents = np.concatenate([agent_positions, self._surroundings.other_positions(time_s)])
+        agents = agents[np.lexsort(agents.T)]  # the same draws whichever of them are compromised
+        ego = ego_among(agent_positions, self._surroundings, time_s)
+        ego_tracks = None if ego is None else objects.select(source == ego)
+        return Coverage(self._surroundings, views, time_s, ego_tracks=ego_tracks, agents=agents)
 
 
 def ego_among(agent_positions: Floats, surroundings: Surroundings, time_s: float) -> int | None:

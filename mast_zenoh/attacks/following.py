@@ -6,7 +6,6 @@ because the neighbour's own track takes that row.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -96,7 +95,11 @@ class Follower:
             none = np.zeros(0, np.int64)
             return targets, none, none
         both, row = self.locate(both, attach_m)
-        located = replace(targets, remove=both.select(slice(0, n)), move=both.select(slice(n, None)))
+        if n == len(both):
+            remove, move = both, targets.move
+        else:
+            remove, move = both.select(slice(0, n)), both.select(slice(n, None))
+        located = Targets(targets.add, remove, move, targets.move_offset, targets.time_ns, targets.wanted)
         return located, row[:n], row[n:]
 
     def locate(self, targets: ObjectStates, attach_m: float) -> tuple[ObjectStates, Ints]:
@@ -111,7 +114,7 @@ class Follower:
         track = np.full(len(numbers), -1, np.int64)
         target_row, track_row = (numbers[:, None] == self._tracks[:, TARGET]).nonzero()
         track[target_row] = track_row
-        track[self._lost(targets, track)] = -1
+        self._release_lost(targets, track)
         unattached = (track < 0).nonzero()[0]
         if len(unattached):
             self._attach_tracks(targets, unattached, track, attach_m)
@@ -144,15 +147,16 @@ class Follower:
         self._known.intersection_update(numbers.tolist())
         self._tracks[~np.isin(self._tracks[:, TARGET], numbers), TARGET] = -1.0
 
-    def _lost(self, targets: ObjectStates, track: Ints) -> Bools:
-        """(k,) whether targets have lost their objects; releases their tracks (k,)."""
+    def _release_lost(self, targets: ObjectStates, track: Ints) -> None:
+        """Release the tracks (k,) of targets that have lost their objects, and mark them as -1."""
         attached = (track >= 0).nonzero()[0]
-        tracks = self._tracks[track[attached]]
-        offset = tracks[:, PLACE][:, :2] - targets.position[attached, :2]
-        lost = np.zeros(len(track), bool)
-        lost[attached] = (tracks[:, ROW] < 0) & ((offset * offset).sum(axis=1) > LOST_M**2)
-        self._tracks[track[lost], TARGET] = -1.0
-        return lost
+        missing = attached[self._tracks[track[attached], ROW] < 0.0]
+        if len(missing):
+            tracks = track.take(missing)
+            offset = self._tracks[tracks, :2] - targets.position[missing, :2]
+            far = (offset * offset).sum(axis=1) > LOST_M**2
+            self._tracks[tracks[far], TARGET] = -1.0
+            track[missing[far]] = -1
 
     def _attach_tracks(self, targets: ObjectStates, unattached: Ints, track: Ints, attach_m: float) -> None:
         known = np.array([number in self._known for number in targets.id[unattached].tolist()], bool)

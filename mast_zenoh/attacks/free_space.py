@@ -31,25 +31,27 @@ class ViewForger:
 
     def __init__(self) -> None:
         self._frame = -1
-        self._hidden = ObjectStates.empty()
-        self._invented = ObjectStates.empty()
+        self._lies: list[tuple[ObjectStates, Tampering]] = []
 
     def remember(self, frame: int, objects: ObjectStates, tampering: Tampering) -> None:
         """Add the lies about the n objects of one message of a frame."""
         if frame != self._frame:
-            self._frame, self._hidden, self._invented = frame, ObjectStates.empty(), ObjectStates.empty()
-        before, after = objects.select(tampering.moved_index), tampering.moved
-        if len(after):
-            displaced = np.hypot(*(after.position - before.position)[:, :2].T) > SAME_PLACE_M
-            before, after = before.select(displaced), after.select(displaced)
-        self._hidden = concatenate([self._hidden, objects.select(~tampering.keep), before])
-        self._invented = concatenate([self._invented, tampering.added, after])
+            self._frame, self._lies = frame, []
+        self._lies.append((objects, tampering))
 
     def forge(self, frame: int, swept: SweptView) -> SweptView:
         """The view with the lies of a frame; unchanged for a frame without any."""
         if frame != self._frame:
             return swept
-        return blocked(opened(swept, self._hidden), self._invented)
+        hidden, invented = [], []
+        for objects, tampering in self._lies:
+            before, after = objects.select(tampering.moved_index), tampering.moved
+            if len(after):
+                displaced = np.hypot(*(after.position - before.position)[:, :2].T) > SAME_PLACE_M
+                before, after = before.select(displaced), after.select(displaced)
+            hidden += [objects.select(~tampering.keep), before]
+            invented += [tampering.added, after]
+        return blocked(opened(swept, concatenate(hidden)), concatenate(invented))
 
 
 def opened(swept: SweptView, boxes: ObjectStates) -> SweptView:

@@ -17,6 +17,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concaten
 #: The changes to an object, and to a pose or a view; an attack report contains indices into this tuple.
 ACTIONS = ("inserted", "removed", "moved", "altered", "reframed")
 INSERTED, REMOVED, MOVED, ALTERED, REFRAMED = range(len(ACTIONS))
+_KINDS = np.array([INSERTED, REMOVED, MOVED], np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +58,8 @@ class Targets:
 
     def propagated(self, dt: float) -> Targets:
         """All targets moved `dt` seconds along their velocities."""
-        return replace(
-            self, add=propagate(self.add, dt), remove=propagate(self.remove, dt), move=propagate(self.move, dt)
-        )
+        add, remove, move = (propagate(states, dt) for states in (self.add, self.remove, self.move))
+        return Targets(add, remove, move, self.move_offset, self.time_ns, self.wanted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +94,8 @@ class Changes:
         """
         counts = (len(added), len(removed), len(after))
         return cls(
-            action=np.repeat(np.array([INSERTED, REMOVED, MOVED], np.uint8), counts),
-            target=np.concatenate(numbers).astype(np.int64),
+            action=_KINDS.repeat(counts),
+            target=np.concatenate(numbers).astype(np.int64, copy=False),
             before_position=np.concatenate([np.zeros((counts[0], 3)), removed.position, before.position]),
             after_position=np.concatenate([added.position, np.zeros((counts[1], 3)), after.position]),
             velocity=np.concatenate([added.velocity, removed.velocity, after.velocity]),
@@ -146,8 +146,13 @@ class Tampering:
     def nothing(cls, n: int, targets: Targets | None = None) -> Tampering:
         """No change to any of the n objects."""
         no_objects = ObjectStates.empty()
-        report = Changes.of(no_objects, no_objects, no_objects, no_objects, [np.zeros(0, np.int64)] * 3)
-        return cls(np.ones(n, bool), np.zeros(0, np.int64), no_objects, no_objects, report, targets or Targets.empty())
+        targets = _NO_TARGETS if targets is None else targets
+        return cls(np.ones(n, bool), no_objects.id, no_objects, no_objects, _NO_CHANGES, targets)
+
+    def adding(self, added: ObjectStates, moved: ObjectStates | None = None) -> Tampering:
+        """The same with other `added` objects, and other `moved` ones."""
+        moved = self.moved if moved is None else moved
+        return Tampering(self.keep, self.moved_index, moved, added, self.report, self.targets)
 
     def applied_to(self, objects: ObjectStates) -> ObjectStates:
         """The objects that replace `objects` on the wire: kept rows, then added ones."""
@@ -157,3 +162,8 @@ class Tampering:
                 columns[name][self.moved_index] = column
             objects = ObjectStates.from_columns(columns)
         return concatenate([objects if self.keep.all() else objects.select(self.keep), self.added])
+
+
+_NO_TARGETS = Targets.empty()
+_NONE = ObjectStates.empty()
+_NO_CHANGES = Changes.of(_NONE, _NONE, _NONE, _NONE, [_NONE.id] * 3)

@@ -8,6 +8,7 @@ import pytest
 from tiny_world import Bench, Run, states, tiny
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.attacks import Surroundings
 from mast_zenoh.messages.schemas import Message
 
 DIRECTIVES = tuple(f"attack/adversary_{i}/directive" for i in (1, 2))
@@ -151,3 +152,17 @@ def test_observations_of_different_times_are_brought_to_the_latest_of_them(resol
     np.testing.assert_allclose([view.position[0] for view in calls["views"]], [4.0, 3.0])
     np.testing.assert_allclose(calls["velocities"][:, 0], 5.0)
     np.testing.assert_allclose(calls["rotations"], np.stack([np.eye(3)] * 2))
+
+
+def test_what_the_agents_cover_is_worked_out_only_when_new_targets_are_selected(
+    resolved, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    coordinator = Bench(resolved, "coordinator")
+    made: list[float] = []
+    whole = Surroundings.other_positions
+    monkeypatch.setattr(Surroundings, "other_positions", lambda self, s: made.append(s) or whole(self, s))
+    for frame in range(4):
+        coordinator.clock(frame)
+        observe(coordinator, 1, frame)
+        observe(coordinator, 2, frame)
+    assert made == [0.0]
