@@ -8,6 +8,7 @@ from libc.string cimport memcpy, memset
 from mast_zenoh.kernels.algebra cimport factorise, forward, wrap_angle
 from mast_zenoh.kernels.arrays cimport (
     byte_data, contiguous, empty_matrices, empty_matrix, empty_vector, float_data, int_data, length, writable_data,
+    zero_vector,
 )
 from mast_zenoh.kernels.table cimport (
     SOURCE_DIGEST, P, XX, XY, YY, YAW, YAW_VARIANCE, TURN, LATERAL_RESIDUAL, ODDS, HITS, MISSES, VOTES, N_CLASSES,
@@ -297,6 +298,56 @@ def tempered_probability(t):
         power = sqrt(sqrt(sqrt(row[ODDS])))
         out[r] = power / (1.0 + power)
         row += WIDTH
+    return result
+
+
+def survival_table(score, stage, survived, edges, Py_ssize_t stages, double prior):
+    cdef const double* value = float_data(score, 1)
+    cdef const np.int64_t* stage_of = int_data(stage)
+    cdef const np.uint8_t* lasts = byte_data(survived)
+    cdef const double* edge = float_data(edges, 1)
+    cdef Py_ssize_t r, k, s, blocks, n_edges = length(edges), width = n_edges + 1
+    cdef double n, n_lasting, mean, total
+    counts, survivors = zero_vector(np.NPY_DOUBLE, stages * width), zero_vector(np.NPY_DOUBLE, stages * width)
+    levels, weights, ends = empty_vector(np.NPY_DOUBLE, width), empty_vector(np.NPY_DOUBLE, width), empty_vector(np.NPY_INT64, width)
+    result = empty_matrix(stages + 1, width)
+    cdef double* samples = writable_data(counts, 1)
+    cdef double* lasting = writable_data(survivors, 1)
+    cdef double* level = writable_data(levels, 1)
+    cdef double* weight = writable_data(weights, 1)
+    cdef np.int64_t* end = int_data(ends)
+    cdef double* table = writable_data(result, 2)
+    for r in range(length(score)):
+        k = 0
+        while k < n_edges and not value[r] < edge[k]:
+            k += 1
+        samples[stage_of[r] * width + k] += 1.0
+        lasting[stage_of[r] * width + k] += lasts[r]
+    for s in range(stages - 1, -1, -1):
+        n = n_lasting = 0.0
+        for k in range(width):
+            n += samples[s * width + k]
+            n_lasting += lasting[s * width + k]
+        blocks = 0
+        for k in range(width):  # isotonic regression
+            total = samples[s * width + k] + prior
+            mean = (lasting[s * width + k] + prior * ((n_lasting + 1.0) / (n + 1.0))) / total
+            while blocks > 0 and level[blocks - 1] >= mean:
+                blocks -= 1
+                mean = (level[blocks] * weight[blocks] + mean * total) / (weight[blocks] + total)
+                total += weight[blocks]
+            level[blocks], weight[blocks], end[blocks] = mean, total, k + 1
+            blocks += 1
+        r = 0
+        for k in range(width):
+            if k == end[r]:
+                r += 1
+            table[s * width + k] = level[r] if s == stages - 1 else table[(s + 1) * width + k] * level[r]
+    for s in range(stages):
+        total = table[s * width + width - 1]
+        for k in range(width):
+            table[s * width + k] /= total
+    memcpy(table + stages * width, table + (stages - 1) * width, width * sizeof(double))
     return result
 
 

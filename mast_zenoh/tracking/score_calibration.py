@@ -7,6 +7,9 @@ stay until they are out of view.
 
 from __future__ import annotations
 
+import math
+from itertools import islice
+
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
@@ -53,10 +56,11 @@ class ScoreCalibration:
 
         Scores that are not finite are left out.
         """
-        finite = np.isfinite(score).nonzero()[0][:MEMORY]
-        place = (self._count + np.arange(len(finite))) % MEMORY
-        self._score[place], self._stage[place], self._survived[place] = score[finite], stage[finite], survived[finite]
-        self._count += len(finite)
+        samples = zip(score.tolist(), stage.tolist(), survived.tolist(), strict=True)  # they are few
+        for sample in islice((each for each in samples if math.isfinite(each[0])), MEMORY):
+            place = self._count % MEMORY
+            self._score[place], self._stage[place], self._survived[place] = sample
+            self._count += 1
         if self._count - self._used >= max(INTERVALS, min(self._count, MEMORY) // 16):
             self._used = self._count
             self._tabulate()
@@ -71,17 +75,26 @@ class ScoreCalibration:
         ordered = np.sort(self._score[:n])
         edges = ordered[np.arange(INTERVALS) * n // INTERVALS]
         self._edges = edges[1:][edges[1:] > edges[:-1]]  # equal scores are in one interval
-        width = len(self._edges) + 1
-        cell = self._stage[:n] * width + self._edges.searchsorted(self._score[:n], "right")
-        shape = STAGES, width
-        samples = np.bincount(cell, minlength=STAGES * width).reshape(shape)
-        survived = np.bincount(cell, self._survived[:n], minlength=STAGES * width).reshape(shape)
-        mean = (survived.sum(1, keepdims=True) + 1.0) / (samples.sum(1, keepdims=True) + 1.0)
-        weight = samples + PRIOR
-        rate = np.array([isotonic(*row) for row in zip((survived + PRIOR * mean) / weight, weight, strict=True)])
-        established = rate[::-1].cumprod(0)[::-1]
-        probability = established / established[:, -1:]
-        self._table = np.concatenate([probability, probability[-1:]])  # established tracks keep that of the last stage
+        samples = self._score[:n], self._stage[:n], self._survived[:n]
+        self._table = survival_table(*samples, self._edges, STAGES, PRIOR)
+
+
+@kernel
+def survival_table(score: Floats, stage: Ints, survived: Bools, edges: Floats, stages: int, prior: float) -> Floats:
+    """The table (stages + 1, intervals) of `ScoreCalibration` from n samples; established tracks are in the last row.
+
+    edges: (intervals - 1,) inner edges of the intervals of scores; prior: PRIOR
+    """
+    width = len(edges) + 1
+    cell = stage * width + edges.searchsorted(score, "right")
+    samples = np.bincount(cell, minlength=stages * width).reshape(stages, width)
+    lasting = np.bincount(cell, survived, minlength=stages * width).reshape(stages, width)
+    mean = (lasting.sum(1, keepdims=True) + 1.0) / (samples.sum(1, keepdims=True) + 1.0)
+    weight = samples + prior
+    rate = np.array([isotonic(*row) for row in zip((lasting + prior * mean) / weight, weight, strict=True)])
+    established = rate[::-1].cumprod(0)[::-1]
+    probability = established / established[:, -1:]
+    return np.concatenate([probability, probability[-1:]])  # established tracks keep that of the last stage
 
 
 @kernel

@@ -322,6 +322,9 @@ ARGUMENTS = {
     "coasting_tracks": lambda r, n, m: (table(r, n), 1.0),
     "likely_tracks": lambda r, n, m: (staged(r, n), r.uniform(0, 1, n), 0.5),
     "tempered_probability": lambda r, n, m: (table(r, n),),
+    "survival_table": lambda r, n, m: (
+        r.random(n).round(2), r.integers(0, 3, n), r.random(n) < 0.6, np.unique(r.random(min(m, 7)).round(1)), 3, 2.0,
+    ),
     "calibrated": lambda r, n, m: (
         staged(r, n), STAGES_S, edges := np.unique(r.uniform(0, 1, m).round(1)), r.random((4, len(edges) + 1)),
     ),
