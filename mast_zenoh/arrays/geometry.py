@@ -146,5 +146,5 @@ def box_corners(position: Floats, size: Floats, yaw: Floats) -> Floats:
 
 def within_range(position: Floats, centre: Floats, radius: float) -> Bools:
     """Whether (n, 3) positions are within `radius` m of `centre` (3,) on the ground."""
-    offset = position[:, :2] - centre[:2]
-    return np.asarray(np.einsum("ij,ij->i", offset, offset) <= radius * radius)
+    dx, dy = position[:, 0] - centre[0], position[:, 1] - centre[1]
+    return np.asarray(dx * dx + dy * dy <= radius * radius)

@@ -159,12 +159,14 @@ class Follower:
             track[missing[far]] = -1
 
     def _attach_tracks(self, targets: ObjectStates, unattached: Ints, track: Ints, attach_m: float) -> None:
-        known = np.array([number in self._known for number in targets.id[unattached].tolist()], bool)
         free = ((self._tracks[:, TARGET] < 0) & (self._tracks[:, ROW] >= 0)).nonzero()[0]
         positions = self._objects.position[self._tracks[free, ROW].astype(np.int64)]
         i, j, dx, dy = neighbours(
             targets.position[unattached], positions, np.full(len(unattached), attach_m, np.float64)
         )
+        if len(i) == 0:
+            return
+        known = np.array([number in self._known for number in targets.id[unattached].tolist()], bool)
         new = self._tracks[free[j], AGE] <= NEW_S
         cost = dx * dx + dy * dy
         allowed = (~known[i] | new | (cost < SAME_PLACE_M**2)).nonzero()[0]
