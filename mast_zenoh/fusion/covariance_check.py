@@ -145,8 +145,7 @@ class CheckedCovariances(CovarianceCheck):
         self._excess = np.zeros((0, 2))  # by agent, what its variances of position and velocity grow by
 
     def floored(self, states: ObjectStates) -> ObjectStates:
-        parts = (states.covariance[start : start + _CHUNK] for start in range(0, len(states), _CHUNK))
-        if all(symmetrise(part * self._per_unit, 2.0, MAX_VARIANCE)[1] for part in parts):
+        if achievable(states.covariance, self._per_unit, 2.0, MAX_VARIANCE):
             return states
         limited = np.clip(states.covariance, -MAX_VARIANCE, MAX_VARIANCE)
         scaled = 0.5 * (limited + limited.transpose(0, 2, 1)) * self._per_unit
@@ -221,9 +220,25 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
     They are the number of pairs, normalised innovations squared, squared differences, and traces of their covariances.
     """
     rows = trusted_rows(agent, labels, weights)
-    motion = np.concatenate([states.position[:, :2], states.velocity[:, :2]], axis=1).take(rows, 0)
-    spread = states.covariance.reshape(len(states), 81)[rows[:, None], _HORIZONTAL]
+    motion, spread = horizontal_motion(states.position, states.velocity, states.covariance, rows)
     return compare_members(motion, spread, agent.take(rows), labels.take(rows), agents, _MAX_PARTNERS)
+
+
+@kernel
+def achievable(covariance: Floats, per_unit: Floats, least: float, most: float) -> bool:
+    """Whether all covariances (n, 9, 9), multiplied by `per_unit` (9, 9), are within limits, see `symmetrise`."""
+    parts = (covariance[start : start + _CHUNK] for start in range(0, len(covariance), _CHUNK))
+    return all(symmetrise(part * per_unit, least, most)[1] for part in parts)
+
+
+@kernel
+def horizontal_motion(position: Floats, velocity: Floats, covariance: Floats, rows: Ints) -> tuple[Floats, Floats]:
+    """Horizontal position and velocity (k, 4) of tracks `rows` of n, and their covariances (k, 8), see `_HORIZONTAL`.
+
+    position, velocity: (n, 3); covariance: (n, 9, 9)
+    """
+    motion = np.concatenate([position[:, :2], velocity[:, :2]], axis=1).take(rows, 0)
+    return motion, covariance.reshape(len(position), 81)[rows[:, None], _HORIZONTAL]
 
 
 @kernel

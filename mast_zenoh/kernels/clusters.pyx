@@ -300,6 +300,52 @@ def isolated_groups(motion, agent, inverse_bias, double radius, double gate):
     return roots, separate
 
 
+def achievable(covariance, per_unit, double least, double most):
+    covariance = contiguous(covariance)
+    cdef const double* matrix = float_data(covariance, 3)
+    cdef const double* factor = float_data(per_unit, 2)
+    cdef Py_ssize_t r, i, j, k = length(covariance, 1)
+    cdef double[MAX_ROWS * MAX_ROWS] shifted
+    if k > MAX_ROWS:
+        raise ValueError(f"covariance: found {k} rows, expected at most {MAX_ROWS}")
+    for r in range(length(covariance)):
+        for i in range(k):
+            for j in range(i + 1):
+                shifted[k * i + j] = shifted[k * j + i] = 0.5 * (
+                    matrix[k * i + j] * factor[k * i + j] + matrix[k * j + i] * factor[k * j + i]
+                )
+            if not shifted[k * i + i] <= most:
+                return False
+            shifted[k * i + i] -= 0.5 * least
+        factorise(shifted, k)
+        for i in range(k):
+            if not shifted[k * i + i] > 0.0:
+                return False
+        matrix += k * k
+    return True
+
+
+def horizontal_motion(position, velocity, covariance, rows):
+    position, velocity, covariance = contiguous(position), contiguous(velocity), contiguous(covariance)
+    cdef const double* at = float_data(position, 2)
+    cdef const double* speed = float_data(velocity, 2)
+    cdef const double* matrix = float_data(covariance, 3)
+    cdef const np.int64_t* row = int_data(rows)
+    cdef const double* P
+    cdef Py_ssize_t r, s, q, n = length(rows)
+    motions, spreads = empty_matrix(n, 4), empty_matrix(n, 8)
+    cdef double* motion = writable_data(motions, 2)
+    cdef double* spread = writable_data(spreads, 2)
+    for r in range(n):
+        s = row[r]
+        motion[0], motion[1], motion[2], motion[3] = at[3 * s], at[3 * s + 1], speed[3 * s], speed[3 * s + 1]
+        for q in range(2):
+            P = matrix + 81 * s + 60 * q
+            spread[4 * q], spread[4 * q + 1], spread[4 * q + 2], spread[4 * q + 3] = P[0], P[10], P[1], P[9]
+        motion, spread = motion + 4, spread + 8
+    return motions, spreads
+
+
 def compare_members(motion, spread, agent, label, Py_ssize_t agents, Py_ssize_t partners):
     motion, spread = contiguous(motion), contiguous(spread)
     cdef const double* at = float_data(motion, 2)

@@ -366,6 +366,13 @@ ARGUMENTS = {
     ),
     "merge_pairs": lambda r, n, m: near_pairs(r, n),
     "isolated_groups": tracks_of_agents,
+    "achievable": lambda r, n, m: (
+        covariances(r, n) - r.choice([0.0, 0.02]) * np.eye(9), np.ones((9, 9)), r.choice([1e-4, 0.2]),
+        r.choice([9.0, 1e8]),
+    ),
+    "horizontal_motion": lambda r, n, m: (
+        places(r, n), places(r, n), covariances(r, n), r.integers(0, n, m) if n else np.zeros(0, np.int64),
+    ),
     "compare_members": lambda r, n, m: cluster_tracks(r, n),
     "add_decayed": lambda r, n, m: (
         r.uniform(0, 60, (n + m, n + m, 2, 4)), r.uniform(0, 60, (n, n, 2, 4)), 0.9, 0.2, r.choice([1.0, 9.0]), 10.0,
