@@ -55,7 +55,7 @@ def send_invalid_messages() -> None:
         if self.epoch:  # the driver is subscribed
             MeshNode.report = report  # type: ignore[method-assign]
             for payload in RUBBISH:
-                self._counts.put(payload)
+                self._reports["counts"].put(payload)
         report(self)
 
     MeshNode.run_until_stopped = run  # type: ignore[method-assign]
