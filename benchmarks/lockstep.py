@@ -11,7 +11,7 @@ the simulator begins the next frame:
 
 The difference from the testbed is the cost of its computations. It runs without a recorder here.
 
-    python benchmarks/lockstep.py [--frames 150] [--repeats 3]
+    python benchmarks/lockstep.py [--frames 150] [--repeats 3] [--poles 4]
 """
 
 from __future__ import annotations
@@ -170,12 +170,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=150)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--poles", type=int, default=4, help="infrastructure agents, next to the ego vehicle")
     parser.add_argument("--node", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.node:
         bare_node(*arguments.node)
         return
-    path, loaded = scenario.load("baseline")
+    path, loaded = scenario.load("baseline", [f"n_infrastructure={arguments.poles}"])
     resolved = scenario.resolve(path, loaded, frames=arguments.frames)
     sizes = payload_sizes(resolved)
     rates: dict[str, list[float]] = defaultdict(list)
