@@ -50,26 +50,6 @@ def predict(t, double dt, noise):
         row += WIDTH
 
 
-def with_speed(box, mean, swing, cross, double vertical):
-    box = contiguous(box)
-    cdef const double* noise = float_data(box, 3)
-    cdef const double* middle = float_data(mean, 1)
-    cdef const double* half = float_data(swing, 1)
-    cdef const double* common = float_data(cross, 1)
-    cdef Py_ssize_t r, i, n = length(mean)
-    result = empty_matrices(n, 9)
-    cdef double* out = writable_data(result, 3)
-    memset(out, 0, 81 * n * sizeof(double))
-    for r in range(n):
-        for i in range(6):
-            memcpy(out + 9 * i, noise + 6 * i, 6 * sizeof(double))
-        out[60], out[70] = middle[r] + half[r], middle[r] - half[r]
-        out[61] = out[69] = common[r]
-        out[80] = vertical
-        out, noise = out + 81, noise + 36
-    return result
-
-
 def correct(t, measured, noise):
     cdef double* row = writable_data(t, 2)
     cdef const double* measurement = float_data(measured, 2)
@@ -168,13 +148,44 @@ cdef inline void vote(double* row, Py_ssize_t class_id) noexcept nogil:
     row[CLASS] = best
 
 
-def update_class(t, class_id):
-    cdef double* row = writable_data(t, 2)
-    cdef const np.int64_t* seen = int_data(class_id)
-    cdef Py_ssize_t r
-    for r in range(length(t)):
-        vote(row, seen[r])
+def new_tracks(explained, measured, first_id, constants, speed):
+    rows, states, noises, yaws, classes, scores = measured
+    by_class, half_by_class, vertical_variance = speed
+    cdef const np.uint8_t* known = byte_data(explained)
+    cdef const np.int64_t* row_of = int_data(rows)
+    cdef const double* state = float_data(states, 2)
+    cdef const double* noise = float_data(noises, 3)
+    cdef const double* yaw = float_data(yaws, 1)
+    cdef const np.int64_t* class_id = int_data(classes)
+    cdef const double* score = float_data(scores, 1)
+    cdef const double* mean = float_data(by_class, 1)
+    cdef const double* half = float_data(half_by_class, 1)
+    cdef double yaw_variance = constants[0], odds = constants[1], due = constants[2], vertical = vertical_variance
+    cdef double id = first_id, swing
+    cdef Py_ssize_t m, i, k = 0, n = length(explained), w = length(states, 1)
+    for m in range(n):
+        k += not known[m]
+    result = empty_matrix(k, WIDTH)
+    cdef double* row = writable_data(result, 2)
+    memset(row, 0, k * WIDTH * sizeof(double))
+    for m in range(n):
+        if known[m]:
+            continue
+        memcpy(row, state + w * m, w * sizeof(double))
+        for i in range(w):
+            memcpy(row + P + 9 * i, noise + w * (w * m + i), w * sizeof(double))
+        if w < 9:
+            swing = half[class_id[m]] * cos(2.0 * yaw[m])
+            row[P + 60], row[P + 70] = mean[class_id[m]] + swing, mean[class_id[m]] - swing
+            row[P + 61] = row[P + 69] = half[class_id[m]] * sin(2.0 * yaw[m])
+            row[P + 80] = vertical
+        row[ID], row[ROW], row[SCORE] = id, row_of[m], score[m]
+        row[YAW], row[YAW_VARIANCE], row[TURN] = yaw[m], yaw_variance, 1.0
+        row[ODDS], row[HITS], row[DUE] = odds, 1.0, due
+        vote(row, class_id[m])
+        id += 1.0
         row += WIDTH
+    return result
 
 
 def matched_tracks(t, match, detected, measured, double yaw_variance, double most):

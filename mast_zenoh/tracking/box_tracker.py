@@ -10,7 +10,6 @@ from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectSt
 from mast_zenoh.tracking import classes, existence, kalman, parameters, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
-from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
 from mast_zenoh.tracking.evidence import ScoreEvidence, likely_tracks, tempered_probability
@@ -21,7 +20,7 @@ from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.matched import matched_tracks, widen
 from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE
+from mast_zenoh.tracking.tracks import CONFIRMED, ODDS, ROW, SCORE
 from mast_zenoh.tracking.view import SensorView
 
 #: rad/sqrt(s), drift of a heading.
@@ -147,14 +146,7 @@ class KalmanBoxTracker3D(Tracker):
             constrain_lateral_speed(self.filter, matched, innovation)
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
-        new_tracks = None
-        if len(rows := self._new_objects(match, measurements)):
-            new_tracks = self._created(rows, measurements)
-            new_tracks[:, kalman.BOX] = measurements.state[rows]
-            P = first_covariance(measurements.noise[rows], measurements.yaw[rows], measurements.class_id[rows])
-            new_tracks[:, COVARIANCE] = P.reshape(len(rows), 81)
-            new_tracks[:, ODDS] = self._birth_odds
-        reported = self._finish(match, new_tracks)
+        reported = self._finish(match, self._created(match, measurements))
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
         doubtful = self._evidence.doubtful(reported)
         if np.count_nonzero(doubtful):
@@ -178,14 +170,11 @@ class KalmanBoxTracker3D(Tracker):
             resolve_heading_direction(matched, FORWARD, TURN_LIMIT)
             t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
-        new_tracks = None
-        if len(rows := self._new_objects(match, measurements)):
-            new_tracks = self._created(rows, measurements)
-            new_tracks[:, MEAN] = measurements.state[rows]
-            new_tracks[:, COVARIANCE] = measurements.noise[rows].reshape(len(rows), 81)
+        new_tracks = self._created(match, measurements)
+        if len(new_tracks):
             # The tempered score is the prior: the source's own odds count successive frames as independent
             # evidence, although their errors last (`tempered_probability`).
-            score = np.clip(FIRST_REPORT * measured.score[measurements.row[rows]], 0.01, 0.99)
+            score = np.clip(FIRST_REPORT * new_tracks[:, SCORE], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
         reported = self._finish(match, new_tracks)
         return self._states(reported, None, np.clip(reported[:, SCORE], 0.0, 1.0))
@@ -233,19 +222,16 @@ class KalmanBoxTracker3D(Tracker):
             missed[coasting] = seen
         return missed
 
-    def _new_objects(self, match: Match, measurements: Measured) -> Ints:
-        """Rows of measurements that neither match nor duplicate a matched object."""
+    def _created(self, match: Match, measurements: Measured) -> Floats:
+        """New tracks for the measurements that neither match nor duplicate a matched object."""
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
         if match.contested:
             i, j = match.near.track, match.near.measurement
             explained[j[duplicated(self._tracks, measurements.state, measurements.yaw, i, j, explained)]] = True
-        return (~explained).nonzero()[0]
-
-    def _created(self, rows: Ints, measurements: Measured) -> Floats:
-        """New tracks for the measurements in `rows`, without mean, covariance and odds."""
-        self._next_id += len(rows)
-        return created(rows, measurements, self._next_id - len(rows), self._yaw_noise)
+        new_tracks = created(explained, measurements, self._next_id, self._yaw_noise, self._birth_odds)
+        self._next_id += len(new_tracks)
+        return new_tracks
 
     def _states(self, reported: Floats, probability: Floats | None, mean: Floats | None) -> ObjectStates:
         """The tracks to report that are likely to exist or established, with scores that rank them.
@@ -263,7 +249,7 @@ class KalmanBoxTracker3D(Tracker):
         self._matched = reported[:, ROW].astype(np.int64)
         return states
 
-    def _finish(self, match: Match, new_tracks: Floats | None) -> Floats:
+    def _finish(self, match: Match, new_tracks: Floats) -> Floats:
         """Drop tracks and add the new ones; the tracks (k, WIDTH) to report."""
         t = self._tracks
         keep, report = existence.track_status(t, *self._status_limits)
@@ -276,5 +262,5 @@ class KalmanBoxTracker3D(Tracker):
             likely = keep & (t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)
             self.innovations.silent += bool((t[likely, ROW] >= 0.0).any())
         t = t if np.count_nonzero(keep) == len(t) else t[keep]
-        self._tracks = t if new_tracks is None else np.concatenate([t, new_tracks])
+        self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
         return reported

@@ -85,6 +85,13 @@ def ordered_boxes(random, n, m):
     return random.permutation(n), columns, random.uniform(0.1, 1, 6), 1e-4, 1e8
 
 
+def new_tracks(random, n, m):
+    k = random.choice([6, 9])
+    measured = random.permutation(n), random.normal(size=(n, k)), covariances(random, n, k)
+    measured += random.uniform(-9, 9, n), random.integers(0, 7, n), random.random(n)
+    return random.random(n) < 0.5, measured, m, (0.01, 0.03, 0.5), classes.FIRST_SPEED
+
+
 def matched_tracks(random, n, m):
     k = min(n, m)
     match = random.permutation(n)[:k], random.permutation(m)[:k], random.normal(0, 5, k), random.choice([0.0, 1.5], k)
@@ -302,7 +309,6 @@ ARGUMENTS = {
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
     "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
-    "with_speed": lambda r, n, m: (covariances(r, n, 6), r.uniform(9, 99, n), r.normal(size=n), r.normal(size=n), 0.25),
     "gate_radius": lambda r, n, m: (table(r, n), covariances(r, m + 1, 6), r.uniform(0, 3, 7), 16.0),
     "pairs_within_radius": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
     "gated_pairs": gated_pairs,
@@ -315,6 +321,7 @@ ARGUMENTS = {
     "min_cost_matching": lambda r, n, m: (*(ends := pairs(r, n, m)), -r.uniform(0, 4, len(ends[0]))),
     "resolve_heading_direction": lambda r, n, m: (table(r, n), 2.0, 5.0),
     "lateral_constraint": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
+    "new_tracks": new_tracks,
     "matched_tracks": matched_tracks,
     "widen": lambda r, n, m: (table(r, n), covariances(r, n)),
     "confirmed_innovations": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.choice([0.0, 1.5], n)),
@@ -329,7 +336,6 @@ ARGUMENTS = {
         staged(r, n), STAGES_S, edges := np.unique(r.uniform(0, 1, m).round(1)), r.random((4, len(edges) + 1)),
     ),
     "averaged": averaged,
-    "update_class": lambda r, n, m: (table(r, n), r.integers(0, 7, n)),
     "predict_existence": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
     "detection_probability": lambda r, n, m: (table(r, n), 0.9, 2.0),
     "update_missed": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),
