@@ -5,7 +5,7 @@ cimport numpy as np
 from libc.math cimport INFINITY, cos, exp, fabs, fmax, fmin, isinf, rint, sin, sqrt
 from libc.string cimport memcpy, memset
 
-from mast_zenoh.kernels.algebra cimport factorise, forward, wrap_angle
+from mast_zenoh.kernels.algebra cimport distance_of, factorise, forward, wrap_angle
 from mast_zenoh.kernels.arrays cimport (
     byte_data, contiguous, empty_matrices, empty_matrix, empty_vector, float_data, int_data, length, writable_data,
     zero_vector,
@@ -102,22 +102,6 @@ def correct_speed(t, direction, noise):
         row += WIDTH
 
 
-def resolve_heading_direction(t, double forward, double limit):
-    cdef double* row = writable_data(t, 2)
-    cdef Py_ssize_t r
-    cdef double along
-    for r in range(length(t)):
-        along = row[6] * cos(row[YAW]) + row[7] * sin(row[YAW])
-        if along > forward:
-            row[TURN] += 1.0
-        elif along < -forward:
-            row[TURN] -= 1.0
-        if row[TURN] < 0.0:
-            row[YAW] += PI
-        row[TURN] = fmin(fabs(row[TURN]), limit)
-        row += WIDTH
-
-
 def lateral_constraint(t, innovation, free, double slip, double share, double time_s):
     cdef double* row = writable_data(t, 2)
     cdef const double* offset = float_data(innovation, 2)
@@ -188,9 +172,19 @@ def new_tracks(explained, measured, first_id, constants, speed):
     return result
 
 
+cdef void share_errors(double* track_covariance, double* noise) noexcept nogil:
+    """Widen the covariances of a track and of its measurement, (9, 9) each, as `matched.widen` does."""
+    cdef double variance = noise[0] + noise[10]
+    cdef double weight = variance / (track_covariance[0] + track_covariance[10] + variance)
+    cdef Py_ssize_t i
+    for i in range(81):
+        track_covariance[i] /= weight
+        noise[i] /= 1.0 - weight
+
+
 def matched_tracks(t, match, detected, measured, double yaw_variance, double most):
     of_track, of_measurement, log_ratios, jumps = match
-    rows, yaws, classes, scores = measured
+    rows, states, noises, yaws, classes, scores = measured
     cdef const double* before = float_data(t, 2)
     cdef const np.int64_t* track = int_data(of_track)
     cdef const np.int64_t* measurement = int_data(of_measurement)
@@ -198,22 +192,30 @@ def matched_tracks(t, match, detected, measured, double yaw_variance, double mos
     cdef const double* jump = float_data(jumps, 1)
     cdef const double* probability = float_data(detected, 1)
     cdef const np.int64_t* row_of = int_data(rows)
+    cdef const double* box = float_data(states, 2)
+    cdef const double* measurement_noise = float_data(noises, 3)
     cdef const double* yaw = float_data(yaws, 1)
     cdef const np.int64_t* class_id = int_data(classes)
     cdef const double* score = float_data(scores, 1)
-    cdef Py_ssize_t r, m, k = length(of_track)
-    cdef double innovation, half_turns, gain, p
-    result = empty_matrix(k, WIDTH)
-    cdef double* row = writable_data(result, 2)
+    cdef Py_ssize_t r, m, k = length(of_track), w = length(states, 1), steady = 0, confirmed = 0
+    cdef double turn, half_turns, gain, p, total = 0.0, squared = 0.0, predicted = 0.0, log_density
+    updated, innovations = empty_matrix(k, WIDTH), empty_matrix(k, 2)
+    matched_states, matched_noises = empty_matrix(k, w), empty_matrices(k, w)
+    cdef double* row = writable_data(updated, 2)
+    cdef double* state = writable_data(matched_states, 2)
+    cdef double* noise = writable_data(matched_noises, 3)
+    cdef double* innovation = writable_data(innovations, 2)
     for r in range(k):
         m, p = measurement[r], probability[track[r]]
         memcpy(row, before + WIDTH * track[r], WIDTH * sizeof(double))
+        memcpy(state, box + w * m, w * sizeof(double))
+        memcpy(noise, measurement_noise + w * w * m, w * w * sizeof(double))
         row[XX] += jump[r]
         row[YY] += jump[r]
-        innovation = yaw[m] - row[YAW]
-        half_turns = rint(innovation * (1.0 / PI))
+        turn = yaw[m] - row[YAW]
+        half_turns = rint(turn * (1.0 / PI))
         gain = row[YAW_VARIANCE] / (row[YAW_VARIANCE] + yaw_variance)
-        row[YAW] += gain * (innovation - PI * half_turns)
+        row[YAW] += gain * (turn - PI * half_turns)
         row[YAW_VARIANCE] = yaw_variance * gain
         row[TURN] += 1.0 - 2.0 * fabs(half_turns - 2.0 * rint(0.5 * half_turns))
         vote(row, class_id[m])
@@ -222,37 +224,40 @@ def matched_tracks(t, match, detected, measured, double yaw_variance, double mos
         row[SCORE] += (score[m] - row[SCORE]) / row[HITS]
         row[SPAN] += row[AGE]
         row[AGE], row[ROW] = 0.0, row_of[m]
+        if w == 9:
+            share_errors(row + P, noise)
+        innovation[0], innovation[1] = state[0] - row[0], state[1] - row[1]
+        if jump[r] == 0.0:
+            total += distance_of(
+                innovation[0], innovation[1], row[XX] + noise[0], row[XY] + noise[1], row[YY] + noise[w + 1],
+                &log_density,
+            )
+            steady += 1
+            if row[CONFIRMED] > 0.0:
+                squared += innovation[0] * innovation[0] + innovation[1] * innovation[1]
+                predicted += row[XX] + row[YY]
+                confirmed += 1
+        row, state, noise, innovation = row + WIDTH, state + w, noise + w * w, innovation + 2
+    return updated, matched_states, matched_noises, innovations, (total, steady), (squared - predicted, confirmed)
+
+
+def store_matched(t, track, matched, double forward, double limit):
+    cdef double* rows = writable_data(t, 2)
+    cdef const np.int64_t* row_of = int_data(track)
+    cdef double* row = writable_data(matched, 2)
+    cdef Py_ssize_t r
+    cdef double along
+    for r in range(length(matched)):
+        along = row[6] * cos(row[YAW]) + row[7] * sin(row[YAW])
+        if along > forward:
+            row[TURN] += 1.0
+        elif along < -forward:
+            row[TURN] -= 1.0
+        if row[TURN] < 0.0:
+            row[YAW] += PI
+        row[TURN] = fmin(fabs(row[TURN]), limit)
+        memcpy(rows + WIDTH * row_of[r], row, WIDTH * sizeof(double))
         row += WIDTH
-    return result
-
-
-def widen(t, noise):
-    cdef double* row = writable_data(t, 2)
-    cdef double* measured = writable_data(noise, 3)
-    cdef Py_ssize_t r, i
-    cdef double variance, weight
-    for r in range(length(t)):
-        variance = measured[0] + measured[10]
-        weight = variance / (row[XX] + row[YY] + variance)
-        for i in range(81):
-            row[P + i] /= weight
-            measured[i] /= 1.0 - weight
-        row, measured = row + WIDTH, measured + 81
-
-
-def confirmed_innovations(t, innovation, jump):
-    cdef const double* row = float_data(t, 2)
-    cdef const double* offset = float_data(innovation, 2)
-    cdef const double* added = float_data(jump, 1)
-    cdef Py_ssize_t r, count = 0
-    cdef double squared = 0.0, predicted = 0.0
-    for r in range(length(t)):
-        if added[r] == 0.0 and row[CONFIRMED] > 0.0:
-            squared += offset[2 * r] * offset[2 * r] + offset[2 * r + 1] * offset[2 * r + 1]
-            predicted += row[XX] + row[YY]
-            count += 1
-        row += WIDTH
-    return squared - predicted, count
 
 
 def ended_stages(t, double report_odds):

@@ -13,12 +13,12 @@ from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
 from mast_zenoh.tracking.evidence import ScoreEvidence, likely_tracks, tempered_probability
-from mast_zenoh.tracking.gating import Chances, Match, innovation_sum, near_pairs
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_heading_direction
+from mast_zenoh.tracking.gating import Chances, Match, near_pairs
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, store_matched
 from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
-from mast_zenoh.tracking.matched import matched_tracks, widen
+from mast_zenoh.tracking.matched import matched_tracks
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import CONFIRMED, ODDS, ROW, SCORE
 from mast_zenoh.tracking.view import SensorView
@@ -136,15 +136,12 @@ class KalmanBoxTracker3D(Tracker):
         detected = existence.detection_probability(t, prior, PRIOR_FRAMES)
         match = self._associate(measurements, detected)
         if len(match.track):
-            matched = self._matched_tracks(match, measurements, detected)
-            measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
-            innovation = measured[:, :2] - matched[:, :2]
+            matched, state, noise, innovation, excess = self._matched_tracks(match, measurements, detected)
             if not np.count_nonzero(detections.covariance):
-                self._noise.learn(matched, innovation, match.jump)
-            self.innovations.add(*innovation_sum(matched, measured, R, match.jump), len(matched))
-            self.filter.correct(matched, measured, R)
+                self._noise.learn(*excess)
+            self.filter.correct(matched, state, noise)
             constrain_lateral_speed(self.filter, matched, innovation)
-            t[match.track] = matched
+            store_matched(t, match.track, matched, FORWARD, TURN_LIMIT)
         existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
         reported = self._finish(match, self._created(match, measurements))
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
@@ -160,15 +157,10 @@ class KalmanBoxTracker3D(Tracker):
         detected = np.full(len(t), self._report_probability)
         match = self._associate(measurements, detected)
         if len(match.track):
-            matched = self._matched_tracks(match, measurements, detected)
-            R = measurements.noise.take(match.measurement, 0)
-            widen(matched, R)
-            state = measurements.state.take(match.measurement, 0)
-            self.innovations.add(*innovation_sum(matched, state, R, match.jump), len(matched))
+            matched, state, noise, _, _ = self._matched_tracks(match, measurements, detected)
             self.innovations.at_most = True
-            self.filter.correct(matched, state, R)
-            resolve_heading_direction(matched, FORWARD, TURN_LIMIT)
-            t[match.track] = matched
+            self.filter.correct(matched, state, noise)
+            store_matched(t, match.track, matched, FORWARD, TURN_LIMIT)
         existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
         new_tracks = self._created(match, measurements)
         if len(new_tracks):
@@ -206,11 +198,16 @@ class KalmanBoxTracker3D(Tracker):
             i, j, log_ratio, jump = i[chosen], j[chosen], log_ratio[chosen], jump[chosen]
         return Match(i, j, log_ratio, jump, pairs, contested)
 
-    def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
-        """A copy of the matched tracks, updated except for the Kalman correction."""
+    def _matched_tracks(
+        self, match: Match, measurements: Measured, detected: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats, tuple[float, int]]:
+        """The matched tracks before the Kalman correction, and their measurements, see `matched.matched_tracks`."""
         pairs = match.track, match.measurement, match.log_ratio, match.jump
-        columns = measurements.row, measurements.yaw, measurements.class_id, measurements.score
-        return matched_tracks(self._tracks, pairs, detected, columns, self._yaw_noise, existence.MAX_ODDS)
+        matched, state, noise, innovation, total, excess = matched_tracks(
+            self._tracks, pairs, detected, measurements, self._yaw_noise, existence.MAX_ODDS
+        )
+        self.innovations.add(*total, len(matched))
+        return matched, state, noise, innovation, excess
 
     def _missed_fraction(self, view: SensorView | None) -> Floats:
         """Fraction (n,) of each track that was visible, not occluded and not measured."""
