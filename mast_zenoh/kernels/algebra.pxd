@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Factorisation of small symmetric matrices, stored by rows; skips zeros, of which there are many."""
+"""Small symmetric matrices, stored by rows, factorised with zeros skipped; angles; Gaussians in the plane."""
 
-from libc.math cimport floor
+from libc.math cimport floor, log
 from libc.string cimport memset
 
 cdef enum:
@@ -63,3 +63,15 @@ cdef inline double wrap_angle(double angle) noexcept nogil:
     cdef double pi = 3.141592653589793
     angle += pi
     return angle - 2.0 * pi * floor(angle / (2.0 * pi)) - pi
+
+
+cdef inline double distance_of(double dx, double dy, double a, double b, double c, double* log_density) noexcept nogil:
+    """Squared distance at (dx, dy) of a zero-mean Gaussian with covariance [[a, b], [b, c]], and its log density."""
+    cdef double log_2_pi = 1.8378770664093453
+    cdef double slope = b / a
+    cdef double conditional = c - b * slope
+    cdef double distance
+    dy = dy - slope * dx
+    distance = dx * dx / a + dy * dy / conditional
+    log_density[0] = -0.5 * (distance + log(a * conditional)) - log_2_pi
+    return distance

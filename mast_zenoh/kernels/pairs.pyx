@@ -4,6 +4,7 @@
 cimport numpy as np
 from libc.math cimport INFINITY, fabs, fmax, fmin, log, sqrt
 
+from mast_zenoh.kernels.algebra cimport distance_of
 from mast_zenoh.kernels.arrays cimport (
     byte_data, contiguous, empty_vector, float_data, int_data, length, writable_data, zero_vector,
 )
@@ -11,8 +12,6 @@ from mast_zenoh.kernels.table cimport SOURCE_DIGEST, XX, XY, YY, ODDS, CLASS, WI
 
 np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
-
-cdef double LOG_2_PI = log(2.0 * 3.141592653589793)
 
 
 def gate_radius(t, covariance, jump, double gate):
@@ -62,16 +61,6 @@ def pairs_within_radius(a, b, radius):
                 of_a[p], of_b[p], x[p], y[p] = i, j, dx, dy
                 p += 1
     return rows, others, east, north
-
-
-cdef inline double distance_of(double dx, double dy, double a, double b, double c, double* log_density) noexcept nogil:
-    cdef double slope = b / a
-    cdef double conditional = c - b * slope
-    cdef double distance
-    dy = dy - slope * dx
-    distance = dx * dx / a + dy * dy / conditional
-    log_density[0] = -0.5 * (distance + log(a * conditional)) - LOG_2_PI
-    return distance
 
 
 def gated_pairs(t, detected, boxes, near, gates, chances):
@@ -148,24 +137,6 @@ def gated_pairs(t, detected, boxes, near, gates, chances):
             cost[q] = -(ratio[q] + log(detection[r] * row[ODDS] / ((1.0 - detection[r]) * (1.0 + row[ODDS]))))
             q += 1
     return tracks, measurements, ratios, jumps, costs
-
-
-def innovation_sum(t, measured, noise, jump):
-    cdef const double* row = float_data(t, 2)
-    cdef const double* at = float_data(measured, 2)
-    cdef const double* measurement_noise = float_data(noise, 3)
-    cdef const double* added = float_data(jump, 1)
-    cdef Py_ssize_t r, steady = 0, stride = length(measured, 1), w = length(noise, 1)
-    cdef double total = 0.0, log_density
-    for r in range(length(t)):
-        if added[r] == 0.0:
-            total += distance_of(
-                at[0] - row[0], at[1] - row[1], row[XX] + measurement_noise[0], row[XY] + measurement_noise[1],
-                row[YY] + measurement_noise[w + 1], &log_density,
-            )
-            steady += 1
-        row, at, measurement_noise = row + WIDTH, at + stride, measurement_noise + w * w
-    return total, steady
 
 
 def useful_pairs(row, column, cost):

@@ -5,7 +5,7 @@ cimport numpy as np
 from libc.math cimport INFINITY, cos, exp, fabs, fmax, fmin, isinf, rint, sin, sqrt
 from libc.string cimport memcpy, memset
 
-from mast_zenoh.kernels.algebra cimport factorise, forward, wrap_angle
+from mast_zenoh.kernels.algebra cimport distance_of, factorise, forward, wrap_angle
 from mast_zenoh.kernels.arrays cimport (
     byte_data, contiguous, empty_matrices, empty_matrix, empty_vector, float_data, int_data, length, writable_data,
     zero_vector,
@@ -48,26 +48,6 @@ def predict(t, double dt, noise):
         for k in range(81):
             row[P + k] += added[k]
         row += WIDTH
-
-
-def with_speed(box, mean, swing, cross, double vertical):
-    box = contiguous(box)
-    cdef const double* noise = float_data(box, 3)
-    cdef const double* middle = float_data(mean, 1)
-    cdef const double* half = float_data(swing, 1)
-    cdef const double* common = float_data(cross, 1)
-    cdef Py_ssize_t r, i, n = length(mean)
-    result = empty_matrices(n, 9)
-    cdef double* out = writable_data(result, 3)
-    memset(out, 0, 81 * n * sizeof(double))
-    for r in range(n):
-        for i in range(6):
-            memcpy(out + 9 * i, noise + 6 * i, 6 * sizeof(double))
-        out[60], out[70] = middle[r] + half[r], middle[r] - half[r]
-        out[61] = out[69] = common[r]
-        out[80] = vertical
-        out, noise = out + 81, noise + 36
-    return result
 
 
 def correct(t, measured, noise):
@@ -122,22 +102,6 @@ def correct_speed(t, direction, noise):
         row += WIDTH
 
 
-def resolve_heading_direction(t, double forward, double limit):
-    cdef double* row = writable_data(t, 2)
-    cdef Py_ssize_t r
-    cdef double along
-    for r in range(length(t)):
-        along = row[6] * cos(row[YAW]) + row[7] * sin(row[YAW])
-        if along > forward:
-            row[TURN] += 1.0
-        elif along < -forward:
-            row[TURN] -= 1.0
-        if row[TURN] < 0.0:
-            row[YAW] += PI
-        row[TURN] = fmin(fabs(row[TURN]), limit)
-        row += WIDTH
-
-
 def lateral_constraint(t, innovation, free, double slip, double share, double time_s):
     cdef double* row = writable_data(t, 2)
     cdef const double* offset = float_data(innovation, 2)
@@ -168,18 +132,59 @@ cdef inline void vote(double* row, Py_ssize_t class_id) noexcept nogil:
     row[CLASS] = best
 
 
-def update_class(t, class_id):
-    cdef double* row = writable_data(t, 2)
-    cdef const np.int64_t* seen = int_data(class_id)
-    cdef Py_ssize_t r
-    for r in range(length(t)):
-        vote(row, seen[r])
+def new_tracks(explained, measured, first_id, constants, speed):
+    rows, states, noises, yaws, classes, scores = measured
+    by_class, half_by_class, vertical_variance = speed
+    cdef const np.uint8_t* known = byte_data(explained)
+    cdef const np.int64_t* row_of = int_data(rows)
+    cdef const double* state = float_data(states, 2)
+    cdef const double* noise = float_data(noises, 3)
+    cdef const double* yaw = float_data(yaws, 1)
+    cdef const np.int64_t* class_id = int_data(classes)
+    cdef const double* score = float_data(scores, 1)
+    cdef const double* mean = float_data(by_class, 1)
+    cdef const double* half = float_data(half_by_class, 1)
+    cdef double yaw_variance = constants[0], odds = constants[1], due = constants[2], vertical = vertical_variance
+    cdef double id = first_id, swing
+    cdef Py_ssize_t m, i, k = 0, n = length(explained), w = length(states, 1)
+    for m in range(n):
+        k += not known[m]
+    result = empty_matrix(k, WIDTH)
+    cdef double* row = writable_data(result, 2)
+    memset(row, 0, k * WIDTH * sizeof(double))
+    for m in range(n):
+        if known[m]:
+            continue
+        memcpy(row, state + w * m, w * sizeof(double))
+        for i in range(w):
+            memcpy(row + P + 9 * i, noise + w * (w * m + i), w * sizeof(double))
+        if w < 9:
+            swing = half[class_id[m]] * cos(2.0 * yaw[m])
+            row[P + 60], row[P + 70] = mean[class_id[m]] + swing, mean[class_id[m]] - swing
+            row[P + 61] = row[P + 69] = half[class_id[m]] * sin(2.0 * yaw[m])
+            row[P + 80] = vertical
+        row[ID], row[ROW], row[SCORE] = id, row_of[m], score[m]
+        row[YAW], row[YAW_VARIANCE], row[TURN] = yaw[m], yaw_variance, 1.0
+        row[ODDS], row[HITS], row[DUE] = odds, 1.0, due
+        vote(row, class_id[m])
+        id += 1.0
         row += WIDTH
+    return result
+
+
+cdef void share_errors(double* track_covariance, double* noise) noexcept nogil:
+    """Widen the covariances of a track and of its measurement, (9, 9) each, as `matched.widen` does."""
+    cdef double variance = noise[0] + noise[10]
+    cdef double weight = variance / (track_covariance[0] + track_covariance[10] + variance)
+    cdef Py_ssize_t i
+    for i in range(81):
+        track_covariance[i] /= weight
+        noise[i] /= 1.0 - weight
 
 
 def matched_tracks(t, match, detected, measured, double yaw_variance, double most):
     of_track, of_measurement, log_ratios, jumps = match
-    rows, yaws, classes, scores = measured
+    rows, states, noises, yaws, classes, scores = measured
     cdef const double* before = float_data(t, 2)
     cdef const np.int64_t* track = int_data(of_track)
     cdef const np.int64_t* measurement = int_data(of_measurement)
@@ -187,22 +192,30 @@ def matched_tracks(t, match, detected, measured, double yaw_variance, double mos
     cdef const double* jump = float_data(jumps, 1)
     cdef const double* probability = float_data(detected, 1)
     cdef const np.int64_t* row_of = int_data(rows)
+    cdef const double* box = float_data(states, 2)
+    cdef const double* measurement_noise = float_data(noises, 3)
     cdef const double* yaw = float_data(yaws, 1)
     cdef const np.int64_t* class_id = int_data(classes)
     cdef const double* score = float_data(scores, 1)
-    cdef Py_ssize_t r, m, k = length(of_track)
-    cdef double innovation, half_turns, gain, p
-    result = empty_matrix(k, WIDTH)
-    cdef double* row = writable_data(result, 2)
+    cdef Py_ssize_t r, m, k = length(of_track), w = length(states, 1), steady = 0, confirmed = 0
+    cdef double turn, half_turns, gain, p, total = 0.0, squared = 0.0, predicted = 0.0, log_density
+    updated, innovations = empty_matrix(k, WIDTH), empty_matrix(k, 2)
+    matched_states, matched_noises = empty_matrix(k, w), empty_matrices(k, w)
+    cdef double* row = writable_data(updated, 2)
+    cdef double* state = writable_data(matched_states, 2)
+    cdef double* noise = writable_data(matched_noises, 3)
+    cdef double* innovation = writable_data(innovations, 2)
     for r in range(k):
         m, p = measurement[r], probability[track[r]]
         memcpy(row, before + WIDTH * track[r], WIDTH * sizeof(double))
+        memcpy(state, box + w * m, w * sizeof(double))
+        memcpy(noise, measurement_noise + w * w * m, w * w * sizeof(double))
         row[XX] += jump[r]
         row[YY] += jump[r]
-        innovation = yaw[m] - row[YAW]
-        half_turns = rint(innovation * (1.0 / PI))
+        turn = yaw[m] - row[YAW]
+        half_turns = rint(turn * (1.0 / PI))
         gain = row[YAW_VARIANCE] / (row[YAW_VARIANCE] + yaw_variance)
-        row[YAW] += gain * (innovation - PI * half_turns)
+        row[YAW] += gain * (turn - PI * half_turns)
         row[YAW_VARIANCE] = yaw_variance * gain
         row[TURN] += 1.0 - 2.0 * fabs(half_turns - 2.0 * rint(0.5 * half_turns))
         vote(row, class_id[m])
@@ -211,37 +224,40 @@ def matched_tracks(t, match, detected, measured, double yaw_variance, double mos
         row[SCORE] += (score[m] - row[SCORE]) / row[HITS]
         row[SPAN] += row[AGE]
         row[AGE], row[ROW] = 0.0, row_of[m]
+        if w == 9:
+            share_errors(row + P, noise)
+        innovation[0], innovation[1] = state[0] - row[0], state[1] - row[1]
+        if jump[r] == 0.0:
+            total += distance_of(
+                innovation[0], innovation[1], row[XX] + noise[0], row[XY] + noise[1], row[YY] + noise[w + 1],
+                &log_density,
+            )
+            steady += 1
+            if row[CONFIRMED] > 0.0:
+                squared += innovation[0] * innovation[0] + innovation[1] * innovation[1]
+                predicted += row[XX] + row[YY]
+                confirmed += 1
+        row, state, noise, innovation = row + WIDTH, state + w, noise + w * w, innovation + 2
+    return updated, matched_states, matched_noises, innovations, (total, steady), (squared - predicted, confirmed)
+
+
+def store_matched(t, track, matched, double forward, double limit):
+    cdef double* rows = writable_data(t, 2)
+    cdef const np.int64_t* row_of = int_data(track)
+    cdef double* row = writable_data(matched, 2)
+    cdef Py_ssize_t r
+    cdef double along
+    for r in range(length(matched)):
+        along = row[6] * cos(row[YAW]) + row[7] * sin(row[YAW])
+        if along > forward:
+            row[TURN] += 1.0
+        elif along < -forward:
+            row[TURN] -= 1.0
+        if row[TURN] < 0.0:
+            row[YAW] += PI
+        row[TURN] = fmin(fabs(row[TURN]), limit)
+        memcpy(rows + WIDTH * row_of[r], row, WIDTH * sizeof(double))
         row += WIDTH
-    return result
-
-
-def widen(t, noise):
-    cdef double* row = writable_data(t, 2)
-    cdef double* measured = writable_data(noise, 3)
-    cdef Py_ssize_t r, i
-    cdef double variance, weight
-    for r in range(length(t)):
-        variance = measured[0] + measured[10]
-        weight = variance / (row[XX] + row[YY] + variance)
-        for i in range(81):
-            row[P + i] /= weight
-            measured[i] /= 1.0 - weight
-        row, measured = row + WIDTH, measured + 81
-
-
-def confirmed_innovations(t, innovation, jump):
-    cdef const double* row = float_data(t, 2)
-    cdef const double* offset = float_data(innovation, 2)
-    cdef const double* added = float_data(jump, 1)
-    cdef Py_ssize_t r, count = 0
-    cdef double squared = 0.0, predicted = 0.0
-    for r in range(length(t)):
-        if added[r] == 0.0 and row[CONFIRMED] > 0.0:
-            squared += offset[2 * r] * offset[2 * r] + offset[2 * r + 1] * offset[2 * r + 1]
-            predicted += row[XX] + row[YY]
-            count += 1
-        row += WIDTH
-    return squared - predicted, count
 
 
 def ended_stages(t, double report_odds):

@@ -10,18 +10,17 @@ from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectSt
 from mast_zenoh.tracking import classes, existence, kalman, parameters, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
-from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
 from mast_zenoh.tracking.evidence import ScoreEvidence, likely_tracks, tempered_probability
-from mast_zenoh.tracking.gating import Chances, Match, innovation_sum, near_pairs
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_heading_direction
+from mast_zenoh.tracking.gating import Chances, Match, near_pairs
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, store_matched
 from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
-from mast_zenoh.tracking.matched import matched_tracks, widen
+from mast_zenoh.tracking.matched import matched_tracks
 from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, SCORE
+from mast_zenoh.tracking.tracks import CONFIRMED, ODDS, ROW, SCORE
 from mast_zenoh.tracking.view import SensorView
 
 #: rad/sqrt(s), drift of a heading.
@@ -137,24 +136,14 @@ class KalmanBoxTracker3D(Tracker):
         detected = existence.detection_probability(t, prior, PRIOR_FRAMES)
         match = self._associate(measurements, detected)
         if len(match.track):
-            matched = self._matched_tracks(match, measurements, detected)
-            measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
-            innovation = measured[:, :2] - matched[:, :2]
+            matched, state, noise, innovation, excess = self._matched_tracks(match, measurements, detected)
             if not np.count_nonzero(detections.covariance):
-                self._noise.learn(matched, innovation, match.jump)
-            self.innovations.add(*innovation_sum(matched, measured, R, match.jump), len(matched))
-            self.filter.correct(matched, measured, R)
+                self._noise.learn(*excess)
+            self.filter.correct(matched, state, noise)
             constrain_lateral_speed(self.filter, matched, innovation)
-            t[match.track] = matched
+            store_matched(t, match.track, matched, FORWARD, TURN_LIMIT)
         existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
-        new_tracks = None
-        if len(rows := self._new_objects(match, measurements)):
-            new_tracks = self._created(rows, measurements)
-            new_tracks[:, kalman.BOX] = measurements.state[rows]
-            P = first_covariance(measurements.noise[rows], measurements.yaw[rows], measurements.class_id[rows])
-            new_tracks[:, COVARIANCE] = P.reshape(len(rows), 81)
-            new_tracks[:, ODDS] = self._birth_odds
-        reported = self._finish(match, new_tracks)
+        reported = self._finish(match, self._created(match, measurements))
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
         doubtful = self._evidence.doubtful(reported)
         if np.count_nonzero(doubtful):
@@ -168,24 +157,16 @@ class KalmanBoxTracker3D(Tracker):
         detected = np.full(len(t), self._report_probability)
         match = self._associate(measurements, detected)
         if len(match.track):
-            matched = self._matched_tracks(match, measurements, detected)
-            R = measurements.noise.take(match.measurement, 0)
-            widen(matched, R)
-            state = measurements.state.take(match.measurement, 0)
-            self.innovations.add(*innovation_sum(matched, state, R, match.jump), len(matched))
+            matched, state, noise, _, _ = self._matched_tracks(match, measurements, detected)
             self.innovations.at_most = True
-            self.filter.correct(matched, state, R)
-            resolve_heading_direction(matched, FORWARD, TURN_LIMIT)
-            t[match.track] = matched
+            self.filter.correct(matched, state, noise)
+            store_matched(t, match.track, matched, FORWARD, TURN_LIMIT)
         existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
-        new_tracks = None
-        if len(rows := self._new_objects(match, measurements)):
-            new_tracks = self._created(rows, measurements)
-            new_tracks[:, MEAN] = measurements.state[rows]
-            new_tracks[:, COVARIANCE] = measurements.noise[rows].reshape(len(rows), 81)
+        new_tracks = self._created(match, measurements)
+        if len(new_tracks):
             # The tempered score is the prior: the source's own odds count successive frames as independent
             # evidence, although their errors last (`tempered_probability`).
-            score = np.clip(FIRST_REPORT * measured.score[measurements.row[rows]], 0.01, 0.99)
+            score = np.clip(FIRST_REPORT * new_tracks[:, SCORE], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
         reported = self._finish(match, new_tracks)
         return self._states(reported, None, np.clip(reported[:, SCORE], 0.0, 1.0))
@@ -217,11 +198,16 @@ class KalmanBoxTracker3D(Tracker):
             i, j, log_ratio, jump = i[chosen], j[chosen], log_ratio[chosen], jump[chosen]
         return Match(i, j, log_ratio, jump, pairs, contested)
 
-    def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
-        """A copy of the matched tracks, updated except for the Kalman correction."""
+    def _matched_tracks(
+        self, match: Match, measurements: Measured, detected: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats, tuple[float, int]]:
+        """The matched tracks before the Kalman correction, and their measurements, see `matched.matched_tracks`."""
         pairs = match.track, match.measurement, match.log_ratio, match.jump
-        columns = measurements.row, measurements.yaw, measurements.class_id, measurements.score
-        return matched_tracks(self._tracks, pairs, detected, columns, self._yaw_noise, existence.MAX_ODDS)
+        matched, state, noise, innovation, total, excess = matched_tracks(
+            self._tracks, pairs, detected, measurements, self._yaw_noise, existence.MAX_ODDS
+        )
+        self.innovations.add(*total, len(matched))
+        return matched, state, noise, innovation, excess
 
     def _missed_fraction(self, view: SensorView | None) -> Floats:
         """Fraction (n,) of each track that was visible, not occluded and not measured."""
@@ -233,19 +219,16 @@ class KalmanBoxTracker3D(Tracker):
             missed[coasting] = seen
         return missed
 
-    def _new_objects(self, match: Match, measurements: Measured) -> Ints:
-        """Rows of measurements that neither match nor duplicate a matched object."""
+    def _created(self, match: Match, measurements: Measured) -> Floats:
+        """New tracks for the measurements that neither match nor duplicate a matched object."""
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
         if match.contested:
             i, j = match.near.track, match.near.measurement
             explained[j[duplicated(self._tracks, measurements.state, measurements.yaw, i, j, explained)]] = True
-        return (~explained).nonzero()[0]
-
-    def _created(self, rows: Ints, measurements: Measured) -> Floats:
-        """New tracks for the measurements in `rows`, without mean, covariance and odds."""
-        self._next_id += len(rows)
-        return created(rows, measurements, self._next_id - len(rows), self._yaw_noise)
+        new_tracks = created(explained, measurements, self._next_id, self._yaw_noise, self._birth_odds)
+        self._next_id += len(new_tracks)
+        return new_tracks
 
     def _states(self, reported: Floats, probability: Floats | None, mean: Floats | None) -> ObjectStates:
         """The tracks to report that are likely to exist or established, with scores that rank them.
@@ -263,7 +246,7 @@ class KalmanBoxTracker3D(Tracker):
         self._matched = reported[:, ROW].astype(np.int64)
         return states
 
-    def _finish(self, match: Match, new_tracks: Floats | None) -> Floats:
+    def _finish(self, match: Match, new_tracks: Floats) -> Floats:
         """Drop tracks and add the new ones; the tracks (k, WIDTH) to report."""
         t = self._tracks
         keep, report = existence.track_status(t, *self._status_limits)
@@ -276,5 +259,5 @@ class KalmanBoxTracker3D(Tracker):
             likely = keep & (t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)
             self.innovations.silent += bool((t[likely, ROW] >= 0.0).any())
         t = t if np.count_nonzero(keep) == len(t) else t[keep]
-        self._tracks = t if new_tracks is None else np.concatenate([t, new_tracks])
+        self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
         return reported

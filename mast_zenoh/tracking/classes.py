@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints
-from mast_zenoh.kernels import kernel
 
 #: Per class:
 #: speed_along, speed_across  m/s, standard deviation of a new object's speed along and across its heading: covers
@@ -46,6 +45,9 @@ CONFUSION[CLASS_INDEX["unknown"], :] = CONFUSION[:, CLASS_INDEX["unknown"]] = 0.
 #: m/s, standard deviation of a new object's vertical speed.
 SPEED_VERTICAL = 0.5
 
+#: (7,), (7,) and a scalar, (m/s)^2, of a new object's velocity: `_SPEED_MEAN`, `_SPEED_HALF`, the vertical variance.
+FIRST_SPEED = _SPEED_MEAN, _SPEED_HALF, SPEED_VERTICAL**2
+
 
 def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
     """Covariances (n, 9, 9) of new objects: box noise and the velocity prior.
@@ -56,19 +58,10 @@ def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
     """
     double = 2.0 * yaw
     mean, half = _SPEED_MEAN.take(class_id), _SPEED_HALF.take(class_id)
-    return with_speed(box, mean, half * np.cos(double), half * np.sin(double), SPEED_VERTICAL**2)
-
-
-@kernel
-def with_speed(box: Floats, mean: Floats, swing: Floats, cross: Floats, vertical: float) -> Floats:
-    """(n, 9, 9) covariances from box noise `box` (n, 6, 6) and velocity variances.
-
-    mean, swing, cross, vertical: (n,), (n,), (n,) and a scalar, (m/s)^2: variances mean + swing along x, mean - swing
-    along y, their covariance `cross`, and the variance of the vertical speed
-    """
-    covariance = np.zeros((len(mean), 9, 9))
+    swing, cross = half * np.cos(double), half * np.sin(double)
+    covariance = np.zeros((len(yaw), 9, 9))
     covariance[:, :6, :6] = box
     covariance[:, 6, 6], covariance[:, 7, 7] = mean + swing, mean - swing
     covariance[:, 6, 7] = covariance[:, 7, 6] = cross
-    covariance[:, 8, 8] = vertical
+    covariance[:, 8, 8] = SPEED_VERTICAL**2
     return covariance

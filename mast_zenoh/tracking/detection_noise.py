@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.tracks import CONFIRMED, XX, YY
 
 #: Number of pairs over which the estimate averages, and weight of the default in pairs.
 MEMORY, PRIOR = 1000.0, 200.0
@@ -35,14 +31,8 @@ class DetectionNoise:
         self._default = self.variance = default
         self._sum, self._weight = PRIOR * float(default[0]), PRIOR
 
-    def learn(self, tracks: Floats, innovation: Floats, jump: Floats) -> None:
-        """Learn from k matched pairs.
-
-        tracks: (k, WIDTH), predicted; innovation: (k, 2) m; jump: (k,) m^2, variance added by a sudden displacement
-
-        Pairs with a displacement do not count.
-        """
-        excess, count = confirmed_innovations(tracks, innovation, jump)
+    def learn(self, excess: float, count: int) -> None:
+        """Learn from `count` matched pairs; excess: m^2, see `matched.excess_sum`."""
         if count == 0:
             return
         keep = math.exp(-count / MEMORY)
@@ -52,14 +42,3 @@ class DetectionNoise:
         if ratio > TOLERANCE:
             self.variance = self._default.copy()
             self.variance[:2] *= min(ratio, LARGEST)
-
-
-@kernel
-def confirmed_innovations(tracks: Floats, innovation: Floats, jump: Floats) -> tuple[float, int]:
-    """Squared innovations of confirmed tracks beyond the variances of their predictions, m^2, and how many they are.
-
-    See `DetectionNoise.learn`. The velocity of tracks that are not confirmed is not known yet.
-    """
-    rows = ((jump == 0.0) & (tracks[:, CONFIRMED] > 0.0)).nonzero()[0]
-    innovation, t = innovation.take(rows, 0), tracks.take(rows, 0)
-    return float(np.square(innovation).sum() - t[:, XX].sum() - t[:, YY].sum()), len(rows)

@@ -122,7 +122,7 @@ def gated_pairs(
     level = np.abs(position[:, 2].take(j) - tracks[:, 2].take(i)) <= gate.level_m
     total = track_variance.take(i, 0) + measured_variance.take(j, 0)
     a, b, c = total[:, 0], total[:, 1], total[:, 2]
-    log_density, distance = _gaussian(dx, dy, a, b, c)
+    log_density, distance = gaussian(dx, dy, a, b, c)
     selected = (distance <= gate.steady) & level
     added = np.zeros(len(i))
     alone, unexplained = np.ones(len(tracks), bool), np.ones(len(position), bool)
@@ -132,7 +132,7 @@ def gated_pairs(
         speed = np.abs(planar(tracks[i[far], 6:8]))
         jump = chances.jump.take(classes_of(tracks)[i[far]])
         jump_variance = jump * np.minimum(gate.standing + gate.moving * speed * speed, 1.0)
-        density, distance = _gaussian(dx[far], dy[far], a[far] + jump_variance, b[far], c[far] + jump_variance)
+        density, distance = gaussian(dx[far], dy[far], a[far] + jump_variance, b[far], c[far] + jump_variance)
         log_density[far] = density + chances.log_jump
         added[far] = jump_variance
         selected[far] = distance <= gate.sudden
@@ -143,21 +143,7 @@ def gated_pairs(
     return i, j, ratio, added[selected], -gain
 
 
-@kernel
-def innovation_sum(tracks: Floats, measured: Floats, noise: Floats, jump: Floats) -> tuple[float, int]:
-    """Sum of normalised innovations squared of k matched pairs, and how many they are.
-
-    Of the horizontal position; pairs with a sudden displacement are left out.
-    tracks: (k, WIDTH) predicted; measured: (k, >= 2) m; noise: (k, m, m), the first two rows and columns are x and y
-    jump: (k,) m^2, variance added by a sudden displacement, 0: none
-    """
-    offset = measured[:, :2] - tracks[:, :2]
-    a, b, c = tracks[:, XX] + noise[:, 0, 0], tracks[:, XY] + noise[:, 0, 1], tracks[:, YY] + noise[:, 1, 1]
-    steady = jump == 0.0
-    return float(_gaussian(offset[:, 0], offset[:, 1], a, b, c)[1][steady].sum()), int(np.count_nonzero(steady))
-
-
-def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
+def gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
     """Log densities of zero-mean Gaussians at (dx, dy), and squared distances.
 
     The covariance is [[a, b], [b, c]].

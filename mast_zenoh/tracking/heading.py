@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.tracks import TURN, YAW, YAW_VARIANCE, planar
 
@@ -32,8 +32,10 @@ def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
 
 
 @kernel
-def resolve_heading_direction(tracks: Floats, forward: float, limit: float) -> None:
-    """Vote on the front end by the speed along the heading; reverse outvoted tracks.
+def store_matched(table: Floats, rows: Ints, tracks: Floats, forward: float, limit: float) -> None:
+    """Write corrected tracks to the `rows` (k,) of the table, after a vote on their front ends.
+
+    The vote is by the speed along the heading; outvoted tracks are reversed.
 
     forward: m/s, speed above which to vote; limit: on the accumulated votes
     """
@@ -43,3 +45,4 @@ def resolve_heading_direction(tracks: Floats, forward: float, limit: float) -> N
     turn -= along < -forward
     tracks[:, YAW] += np.pi * (turn < 0.0)
     tracks[:, TURN] = np.minimum(np.abs(turn), limit)
+    table[rows] = tracks

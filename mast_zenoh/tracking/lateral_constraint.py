@@ -7,7 +7,6 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.classes import WHEELED
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_heading_direction
 from mast_zenoh.tracking.kalman import BoxFilter
 from mast_zenoh.tracking.tracks import LATERAL_RESIDUAL, YAW, YAW_VARIANCE, classes_of, planar
 
@@ -30,7 +29,6 @@ def constrain_lateral_speed(box_filter: BoxFilter, tracks: Floats, innovation: F
     """
     direction, variance = lateral_constraint(tracks, innovation, _UNCONSTRAINED, SLIP, RESIDUAL_WEIGHT, RESIDUAL_S)
     box_filter.correct_speed(tracks, direction, variance)
-    resolve_heading_direction(tracks, FORWARD, TURN_LIMIT)
 
 
 @kernel

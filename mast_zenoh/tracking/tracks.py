@@ -86,7 +86,6 @@ def known_class(class_id: NDArray[np.uint8]) -> Ints:
     return np.asarray(_KNOWN.take(class_id))
 
 
-@kernel
 def update_class(tracks: Floats, class_id: Ints) -> None:
     """Count a vote for a class (n,) of each track; the class with most votes wins.
 

@@ -85,11 +85,21 @@ def ordered_boxes(random, n, m):
     return random.permutation(n), columns, random.uniform(0.1, 1, 6), 1e-4, 1e8
 
 
+def measured(random, n):
+    """The fields of `Measured`."""
+    k = random.choice([6, 9])
+    columns = random.permutation(n), random.normal(size=(n, k)), covariances(random, n, k)
+    return *columns, random.uniform(-9, 9, n), random.integers(0, 7, n), random.random(n)
+
+
+def new_tracks(random, n, m):
+    return random.random(n) < 0.5, measured(random, n), m, (0.01, 0.03, 0.5), classes.FIRST_SPEED
+
+
 def matched_tracks(random, n, m):
     k = min(n, m)
     match = random.permutation(n)[:k], random.permutation(m)[:k], random.normal(0, 5, k), random.choice([0.0, 1.5], k)
-    measured = np.arange(m), random.uniform(-9, 9, m), random.integers(0, 7, m), random.random(m)
-    return staged(random, n), match, random.uniform(0.1, 0.9, n), measured, 0.01, 1e12
+    return staged(random, n), match, random.uniform(0.1, 0.9, n), measured(random, m), 0.01, 1e12
 
 
 def averaged(random, n, m):
@@ -302,22 +312,16 @@ ARGUMENTS = {
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
     "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
-    "with_speed": lambda r, n, m: (covariances(r, n, 6), r.uniform(9, 99, n), r.normal(size=n), r.normal(size=n), 0.25),
     "gate_radius": lambda r, n, m: (table(r, n), covariances(r, m + 1, 6), r.uniform(0, 3, 7), 16.0),
     "pairs_within_radius": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
     "gated_pairs": gated_pairs,
     "nearest_points": lambda r, n, m: (places(r, n), places(r, m)[:, :2], r.integers(0, m + 1, n), r.uniform(0, 9)),
-    "innovation_sum": lambda r, n, m: (
-        t := table(r, n), t[:, : (k := r.choice([6, 9]))] + r.normal(size=(n, k)), covariances(r, n, k),
-        r.choice([0.0, 1.5], n),
-    ),
     "useful_pairs": lambda r, n, m: (*(ends := pairs(r, n, m)), r.integers(-4, 3, len(ends[0])).astype(float)),
     "min_cost_matching": lambda r, n, m: (*(ends := pairs(r, n, m)), -r.uniform(0, 4, len(ends[0]))),
-    "resolve_heading_direction": lambda r, n, m: (table(r, n), 2.0, 5.0),
     "lateral_constraint": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
+    "new_tracks": new_tracks,
     "matched_tracks": matched_tracks,
-    "widen": lambda r, n, m: (table(r, n), covariances(r, n)),
-    "confirmed_innovations": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.choice([0.0, 1.5], n)),
+    "store_matched": lambda r, n, m: (table(r, n + m), r.permutation(n + m)[:n], table(r, n), 2.0, 5.0),
     "ended_stages": lambda r, n, m: (staged(r, n), 1.0),
     "coasting_tracks": lambda r, n, m: (table(r, n), 1.0),
     "likely_tracks": lambda r, n, m: (staged(r, n), r.uniform(0, 1, n), 0.5),
@@ -329,7 +333,6 @@ ARGUMENTS = {
         staged(r, n), STAGES_S, edges := np.unique(r.uniform(0, 1, m).round(1)), r.random((4, len(edges) + 1)),
     ),
     "averaged": averaged,
-    "update_class": lambda r, n, m: (table(r, n), r.integers(0, 7, n)),
     "predict_existence": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
     "detection_probability": lambda r, n, m: (table(r, n), 0.9, 2.0),
     "update_missed": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),

@@ -83,14 +83,11 @@ def test_the_order_of_noisy_detections_does_not_matter() -> None:
 def test_the_estimate_is_bounded_and_returns_to_the_default() -> None:
     tracker = KalmanBoxTracker3D()
     noise = tracker._noise
-    row = np.zeros((10, tracker._tracks.shape[1]))
-    row[:, :] = 1.0
-    steady = np.zeros(10)
     for _ in range(300):
-        noise.learn(row, np.full((10, 2), 1e6), steady)
+        noise.learn(2e13, 10)
     assert np.sqrt(noise.variance[0]) == pytest.approx(2.0)
     for _ in range(10_000):
-        noise.learn(row, np.zeros((10, 2)), steady)
+        noise.learn(-20.0, 10)
     np.testing.assert_array_equal(noise.variance, tracker._variance)
 
 
