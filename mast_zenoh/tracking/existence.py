@@ -54,25 +54,26 @@ def update_detected(tracks: Floats, detected: Floats, log_ratio: Floats, most: f
 
 
 @kernel
-def update_missed(tracks: Floats, detected: Floats, visible: Floats, birth: float) -> None:
+def update_missed(tracks: Floats, detected: Floats, coasting: Ints, visible: Floats, birth: float) -> None:
     """Update existence of unmeasured tracks.
 
-    visible: (n,) visible fraction, 0 to 1; 0 for measured tracks. The odds of a confirmed track stay at least at
-    `birth`, those of a new object, so that it can be recovered.
+    coasting: (k,) their rows, ascending; visible: (k,) their visible fractions, 0 to 1. The odds of a
+    confirmed track stay at least at `birth`, those of a new object, so that it can be recovered.
     """
-    odds = tracks[:, ODDS] * (1.0 - detected * visible)
-    tracks[:, ODDS] = np.maximum(odds, birth * tracks[:, CONFIRMED])
-    tracks[:, MISSES] += visible
+    tracks[coasting, ODDS] *= 1.0 - detected[coasting] * visible
+    tracks[coasting, MISSES] += visible
+    tracks[:, ODDS] = np.maximum(tracks[:, ODDS], birth * tracks[:, CONFIRMED])
 
 
 @kernel
-def coasting_tracks(tracks: Floats, report_odds: float) -> tuple[Ints, Ints]:
-    """Rows of the tracks without a measurement in this step, and of those that may occlude others.
+def coasting_tracks(tracks: Floats, report_odds: float) -> tuple[Ints, Floats, Floats]:
+    """Rows (k,) and boxes (k, 6) of the tracks without a measurement in this step; boxes of those that may occlude.
 
     report_odds: odds above which a confirmed track counts as an object
     """
     occluding = (tracks[:, CONFIRMED] > 0.0) & (tracks[:, ODDS] > report_odds)
-    return (tracks[:, ROW] < 0.0).nonzero()[0], occluding.nonzero()[0]
+    rows, boxes = (tracks[:, ROW] < 0.0).nonzero()[0], tracks[:, :6]
+    return rows, boxes[rows], boxes[occluding]
 
 
 @kernel
