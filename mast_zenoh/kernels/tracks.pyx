@@ -21,13 +21,17 @@ DIGEST = SOURCE_DIGEST.decode()
 cdef double PI = 3.141592653589793
 
 
-def begin_step(t, double dt, double yaw_drift):
+def begin_step(t, double dt, double yaw_drift, double lifetime_s, double memory_s):
     cdef double* row = writable_data(t, 2)
-    cdef Py_ssize_t r
+    cdef Py_ssize_t r, k
+    cdef double growth = exp(dt / lifetime_s), decay = exp(-dt / memory_s)
     for r in range(length(t)):
         row[ROW] = -1.0
         row[YAW_VARIANCE] += yaw_drift * dt
         row[AGE] += dt
+        row[ODDS] /= growth + (growth - 1.0) * row[ODDS]
+        for k in range(HITS, VOTES + N_CLASSES):
+            row[k] *= decay
         row += WIDTH
 
 
@@ -408,17 +412,6 @@ def calibrated(t, stages, edges, table):
         out[r] = probability[stage * (n_edges + 1) + interval]
         row += WIDTH
     return result
-
-
-def predict_existence(t, double dt, double lifetime_s, double memory_s):
-    cdef double* row = writable_data(t, 2)
-    cdef Py_ssize_t r, k
-    cdef double growth = exp(dt / lifetime_s), decay = exp(-dt / memory_s)
-    for r in range(length(t)):
-        row[ODDS] /= growth + (growth - 1.0) * row[ODDS]
-        for k in range(HITS, VOTES + N_CLASSES):
-            row[k] *= decay
-        row += WIDTH
 
 
 def detection_probability(t, double prior, double weight):

@@ -180,13 +180,12 @@ class KalmanBoxTracker3D(Tracker):
             )
         self._time_ns = time_ns
         t, dt = self._tracks, (time_ns - before) * 1e-9
-        tracks.begin_step(t, dt, YAW_DRIFT**2)
+        existence.begin_step(t, dt, YAW_DRIFT**2, self._lifetime_s, self._memory_s)
         if len(t) and dt > 0.0:
             if dt != self._process_noise[0]:
                 noise = kalman.process_noise(dt, self._acceleration, classes.VERTICAL_ACCELERATION, classes.SIZE_DRIFT)
                 self._process_noise = (dt, noise)
             self.filter.predict(t, dt, self._process_noise[1])
-            existence.predict_existence(t, dt, self._lifetime_s, self._memory_s)
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""

@@ -12,18 +12,22 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, ROW, XX, YY, planar
+from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, ROW, XX, YAW_VARIANCE, YY, planar
 
 #: Upper limit of the odds; keeps products of odds finite for any number of measurements.
 MAX_ODDS = 1e12
 
 
 @kernel
-def predict_existence(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> None:
-    """Predict existence by `dt` s with the lifetime `lifetime_s` s on average.
+def begin_step(tracks: Floats, dt: float, yaw_drift: float, lifetime_s: float, memory_s: float) -> None:
+    """Let the tracks coast for `dt` s: all of them but their mean and covariance.
 
-    Counts decay with the time constant `memory_s` s.
+    yaw_drift: rad^2/s, growth of the variance of a heading; lifetime_s: average time that an object exists
+    memory_s: time constant of counts
     """
+    tracks[:, ROW] = -1.0
+    tracks[:, YAW_VARIANCE] += yaw_drift * dt
+    tracks[:, AGE] += dt
     # p' = s p, in odds o = p / (1 - p): o' = s o / (1 + (1 - s) o), which bounds the odds by s / (1 - s).
     growth = math.exp(dt / lifetime_s)
     odds = tracks[:, ODDS]

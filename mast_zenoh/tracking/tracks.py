@@ -37,14 +37,6 @@ def empty(n: int) -> Floats:
     return np.zeros((n, WIDTH))
 
 
-@kernel
-def begin_step(tracks: Floats, dt: float, yaw_drift: float) -> None:
-    """Let the tracks coast for `dt` s; yaw_drift: rad^2/s, growth of the variance of a heading."""
-    tracks[:, ROW] = -1.0
-    tracks[:, YAW_VARIANCE] += yaw_drift * dt
-    tracks[:, AGE] += dt
-
-
 def covariances(tracks: Floats) -> Floats:
     """Covariances (n, 9, 9), a view."""
     return tracks[:, COVARIANCE].reshape(len(tracks), 9, 9)

@@ -308,7 +308,7 @@ def buildings(random, m):
 
 #: For each kernel its arguments, with n rows and m others (both may be 0).
 ARGUMENTS = {
-    "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09),
+    "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09, 30.0, 2.0),
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
     "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
@@ -337,7 +337,6 @@ ARGUMENTS = {
         staged(r, n), STAGES_S, edges := np.unique(r.uniform(0, 1, m).round(1)), r.random((4, len(edges) + 1)),
     ),
     "averaged": averaged,
-    "predict_existence": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
     "detection_probability": lambda r, n, m: (table(r, n), 0.9, 2.0),
     "track_status": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
     "visible_fraction": view,
