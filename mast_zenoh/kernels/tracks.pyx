@@ -2,7 +2,7 @@
 """Kernels on the table of tracks: prediction, correction, existence. The NumPy references document them."""
 
 cimport numpy as np
-from libc.math cimport INFINITY, cos, exp, fabs, fmax, fmin, isinf, rint, sin, sqrt
+from libc.math cimport INFINITY, copysign, cos, exp, fabs, fmax, fmin, rint, sin, sqrt
 from libc.string cimport memcpy, memset
 
 from mast_zenoh.kernels.algebra cimport distance_of, factorise, forward, wrap_angle
@@ -21,13 +21,17 @@ DIGEST = SOURCE_DIGEST.decode()
 cdef double PI = 3.141592653589793
 
 
-def begin_step(t, double dt, double yaw_drift):
+def begin_step(t, double dt, double yaw_drift, double lifetime_s, double memory_s):
     cdef double* row = writable_data(t, 2)
-    cdef Py_ssize_t r
+    cdef Py_ssize_t r, k
+    cdef double growth = exp(dt / lifetime_s), decay = exp(-dt / memory_s)
     for r in range(length(t)):
         row[ROW] = -1.0
         row[YAW_VARIANCE] += yaw_drift * dt
         row[AGE] += dt
+        row[ODDS] /= growth + (growth - 1.0) * row[ODDS]
+        for k in range(HITS, VOTES + N_CLASSES):
+            row[k] *= decay
         row += WIDTH
 
 
@@ -260,61 +264,85 @@ def store_matched(t, track, matched, double forward, double limit):
         row += WIDTH
 
 
-def ended_stages(t, double report_odds):
-    cdef const double* row = float_data(t, 2)
-    cdef Py_ssize_t r, k = 0, n = length(t)
-    rows, lasting = empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_BOOL, n)
-    cdef np.int64_t* of = int_data(rows)
+def end_stages(t, double report_odds, stages):
+    cdef double* row = writable_data(t, 2)
+    cdef const double* due = float_data(stages, 1)
+    cdef Py_ssize_t r, stage, k = 0, m = 0, n = length(t), last = length(stages) - 1
+    cdef bint lasts
+    scores, stages_of, lasting = empty_vector(np.NPY_DOUBLE, n), empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_BOOL, n)
+    rows = empty_vector(np.NPY_INT64, n)
+    cdef double* score = writable_data(scores, 1)
+    cdef np.int64_t* stage_of = int_data(stages_of)
     cdef np.uint8_t* survived = byte_data(lasting)
+    cdef np.int64_t* established = int_data(rows)
     for r in range(n):
-        survived[k] = row[SPAN] >= fabs(row[DUE])
-        if survived[k] or (row[ODDS] <= report_odds * row[CONFIRMED] and 0.0 < row[DUE] < INFINITY):
-            of[k] = r
-            k += 1
+        lasts = row[SPAN] >= fabs(row[DUE])
+        if lasts or (row[ODDS] <= report_odds * row[CONFIRMED] and 0.0 < row[DUE] < INFINITY):
+            stage = 0
+            while stage < last and due[stage] < fabs(row[DUE]):
+                stage += 1
+            if row[CONFIRMED] > 0.0 and row[DUE] > 0.0:
+                score[k], stage_of[k], survived[k] = row[SCORE], stage, lasts
+                k += 1
+            if lasts and row[DUE] == due[last]:
+                established[m] = r
+                m += 1
+            row[DUE] = copysign(due[stage + 1] if stage < last else INFINITY, row[DUE]) if lasts else -row[DUE]
         row += WIDTH
-    return rows[:k], lasting[:k]
+    return scores[:k], stages_of[:k], lasting[:k], rows[:m]
+
+
+def extremes(values):
+    cdef const double* value = float_data(values, 1)
+    cdef Py_ssize_t r
+    cdef double low = value[0], high = value[0]
+    for r in range(length(values)):
+        if value[r] != value[r]:
+            return value[r], value[r]
+        low, high = fmin(low, value[r]), fmax(high, value[r])
+    return low, high
 
 
 def coasting_tracks(t, double report_odds):
     cdef const double* row = float_data(t, 2)
     cdef Py_ssize_t r, k = 0, m = 0, n = length(t)
-    rows, others = empty_vector(np.NPY_INT64, n), empty_vector(np.NPY_INT64, n)
+    rows, boxes, others = empty_vector(np.NPY_INT64, n), empty_matrix(n, 6), empty_matrix(n, 6)
     cdef np.int64_t* coasting = int_data(rows)
-    cdef np.int64_t* occluding = int_data(others)
+    cdef double* box = writable_data(boxes, 2)
+    cdef double* occluder = writable_data(others, 2)
     for r in range(n):
         if row[ROW] < 0.0:
             coasting[k] = r
+            memcpy(box + 6 * k, row, 6 * sizeof(double))
             k += 1
         if row[CONFIRMED] > 0.0 and row[ODDS] > report_odds:
-            occluding[m] = r
+            memcpy(occluder + 6 * m, row, 6 * sizeof(double))
             m += 1
         row += WIDTH
-    return rows[:k], others[:m]
+    return rows[:k], boxes[:k], others[:m]
 
 
-def likely_tracks(t, probability, double least):
+def next_table(t, keep, report, new):
     cdef const double* row = float_data(t, 2)
-    cdef const double* p = float_data(probability, 1)
-    cdef Py_ssize_t r, n = length(t)
-    result = empty_vector(np.NPY_BOOL, n)
-    cdef np.uint8_t* likely = byte_data(result)
+    cdef const np.uint8_t* kept = byte_data(keep)
+    cdef const np.uint8_t* reported = byte_data(report)
+    cdef Py_ssize_t r, k = 0, m = 0, n = length(t), n_new = length(new)
     for r in range(n):
-        likely[r] = row[ODDS] / (1.0 + row[ODDS]) * p[r] > least or isinf(row[DUE])
-        row += WIDTH
-    return result
-
-
-def tempered_probability(t):
-    cdef const double* row = float_data(t, 2)
-    cdef Py_ssize_t r, n = length(t)
-    cdef double power
-    result = empty_vector(np.NPY_DOUBLE, n)
-    cdef double* out = writable_data(result, 1)
+        k += kept[r]
+        m += kept[r] and reported[r]
+    table, selected = empty_matrix(k + n_new, WIDTH), empty_matrix(m, WIDTH)
+    cdef double* out = writable_data(table, 2)
+    cdef double* out_reported = writable_data(selected, 2)
     for r in range(n):
-        power = sqrt(sqrt(sqrt(row[ODDS])))
-        out[r] = power / (1.0 + power)
+        if kept[r]:
+            memcpy(out, row, WIDTH * sizeof(double))
+            out += WIDTH
+            if reported[r]:
+                memcpy(out_reported, row, WIDTH * sizeof(double))
+                out_reported += WIDTH
         row += WIDTH
-    return result
+    memcpy(out, float_data(new, 2), n_new * WIDTH * sizeof(double))
+    return table, selected
 
 
 def survival_table(score, stage, survived, edges, Py_ssize_t stages, double prior):
@@ -386,17 +414,6 @@ def calibrated(t, stages, edges, table):
     return result
 
 
-def predict_existence(t, double dt, double lifetime_s, double memory_s):
-    cdef double* row = writable_data(t, 2)
-    cdef Py_ssize_t r, k
-    cdef double growth = exp(dt / lifetime_s), decay = exp(-dt / memory_s)
-    for r in range(length(t)):
-        row[ODDS] /= growth + (growth - 1.0) * row[ODDS]
-        for k in range(HITS, VOTES + N_CLASSES):
-            row[k] *= decay
-        row += WIDTH
-
-
 def detection_probability(t, double prior, double weight):
     cdef const double* row = float_data(t, 2)
     cdef Py_ssize_t r, n = length(t)
@@ -408,23 +425,35 @@ def detection_probability(t, double prior, double weight):
     return result
 
 
-def update_missed(t, detected, visible, double birth):
+def update_missed(t, detected, coasting, visible, double birth):
     cdef double* row = writable_data(t, 2)
     cdef const double* p = float_data(detected, 1)
+    cdef const np.int64_t* unmeasured = int_data(coasting)
     cdef const double* fraction = float_data(visible, 1)
-    cdef Py_ssize_t r
+    cdef Py_ssize_t r, k = 0, n = length(coasting)
     for r in range(length(t)):
-        row[ODDS] = fmax(row[ODDS] * (1.0 - p[r] * fraction[r]), birth * row[CONFIRMED])
-        row[MISSES] += fraction[r]
+        if k < n and unmeasured[k] == r:
+            row[ODDS] *= 1.0 - p[r] * fraction[k]
+            row[MISSES] += fraction[k]
+            k += 1
+        row[ODDS] = fmax(row[ODDS], birth * row[CONFIRMED])
         row += WIDTH
 
 
-def to_columns(t):
+def report_columns(t, weights, double least):
     cdef const double* row = float_data(t, 2)
-    cdef Py_ssize_t r, n = length(t)
-    ids, positions, velocities = empty_vector(np.NPY_INT64, n), empty_matrix(n, 3), empty_matrix(n, 3)
-    sizes, yaws, covariances = empty_matrix(n, 3), empty_vector(np.NPY_DOUBLE, n), empty_matrices(n, 9)
-    scores, classes = empty_vector(np.NPY_DOUBLE, n), empty_vector(np.NPY_UINT8, n)
+    cdef const double* weight = float_data(weights, 1)
+    cdef Py_ssize_t r, k = 0, n = length(t)
+    cdef double power
+    chosen = empty_vector(np.NPY_BOOL, n)
+    cdef np.uint8_t* likely = byte_data(chosen)
+    for r in range(n):
+        likely[r] = row[ODDS] / (1.0 + row[ODDS]) * weight[r] > least or fabs(row[DUE]) == INFINITY
+        k += likely[r]
+        row += WIDTH
+    ids, positions, velocities = empty_vector(np.NPY_INT64, k), empty_matrix(k, 3), empty_matrix(k, 3)
+    sizes, yaws, covariances = empty_matrix(k, 3), empty_vector(np.NPY_DOUBLE, k), empty_matrices(k, 9)
+    scores, classes, rows = empty_vector(np.NPY_DOUBLE, k), empty_vector(np.NPY_UINT8, k), empty_vector(np.NPY_INT64, k)
     cdef np.int64_t* id = int_data(ids)
     cdef double* position = writable_data(positions, 2)
     cdef double* velocity = writable_data(velocities, 2)
@@ -433,17 +462,22 @@ def to_columns(t):
     cdef double* covariance = writable_data(covariances, 3)
     cdef double* score = writable_data(scores, 1)
     cdef np.uint8_t* class_id = byte_data(classes)
+    cdef np.int64_t* row_of = int_data(rows)
+    k, row = 0, float_data(t, 2)
     for r in range(n):
-        id[r] = <np.int64_t>row[ID]
-        memcpy(position + 3 * r, row, 3 * sizeof(double))
-        memcpy(size + 3 * r, row + 3, 3 * sizeof(double))
-        memcpy(velocity + 3 * r, row + 6, 3 * sizeof(double))
-        memcpy(covariance + 81 * r, row + P, 81 * sizeof(double))
-        yaw[r] = wrap_angle(row[YAW])
-        score[r] = row[ODDS] / (1.0 + row[ODDS])
-        class_id[r] = <np.uint8_t>row[CLASS]
+        if likely[r]:
+            id[k], row_of[k] = <np.int64_t>row[ID], <np.int64_t>row[ROW]
+            memcpy(position + 3 * k, row, 3 * sizeof(double))
+            memcpy(size + 3 * k, row + 3, 3 * sizeof(double))
+            memcpy(velocity + 3 * k, row + 6, 3 * sizeof(double))
+            memcpy(covariance + 81 * k, row + P, 81 * sizeof(double))
+            yaw[k] = wrap_angle(row[YAW])
+            power = sqrt(sqrt(sqrt(row[ODDS])))
+            score[k] = power / (1.0 + power) * weight[r]
+            class_id[k] = <np.uint8_t>row[CLASS]
+            k += 1
         row += WIDTH
-    return ids, positions, velocities, sizes, yaws, covariances, scores, classes
+    return (ids, positions, velocities, sizes, yaws, covariances, scores, classes), rows
 
 
 def track_status(

@@ -12,7 +12,7 @@ from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
-from mast_zenoh.tracking.evidence import ScoreEvidence, likely_tracks, tempered_probability
+from mast_zenoh.tracking.evidence import ScoreEvidence, report_columns
 from mast_zenoh.tracking.gating import Chances, Match, near_pairs
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, store_matched
 from mast_zenoh.tracking.initiation import created
@@ -142,13 +142,13 @@ class KalmanBoxTracker3D(Tracker):
             self.filter.correct(matched, state, noise)
             constrain_lateral_speed(self.filter, matched, innovation)
             store_matched(t, match.track, matched, FORWARD, TURN_LIMIT)
-        existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
+        self._update_missed(detected, view)
         reported = self._finish(match, self._created(match, measurements))
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
         doubtful = self._evidence.doubtful(reported)
         if np.count_nonzero(doubtful):
             reported = reported[~doubtful]
-        return self._states(reported, self._evidence.probability(reported), None)
+        return self._states(reported, self._evidence.probability(reported), self._min_probability)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
         measurements = Measured.states(measured)
@@ -161,7 +161,7 @@ class KalmanBoxTracker3D(Tracker):
             self.innovations.at_most = True
             self.filter.correct(matched, state, noise)
             store_matched(t, match.track, matched, FORWARD, TURN_LIMIT)
-        existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
+        self._update_missed(detected, None)
         new_tracks = self._created(match, measurements)
         if len(new_tracks):
             # The tempered score is the prior: the source's own odds count successive frames as independent
@@ -169,7 +169,7 @@ class KalmanBoxTracker3D(Tracker):
             score = np.clip(FIRST_REPORT * new_tracks[:, SCORE], 0.01, 0.99)
             new_tracks[:, ODDS] = score / (1.0 - score)
         reported = self._finish(match, new_tracks)
-        return self._states(reported, None, np.clip(reported[:, SCORE], 0.0, 1.0))
+        return self._states(reported, np.clip(reported[:, SCORE], 0.0, 1.0), -math.inf)
 
     def _advance(self, time_ns: int) -> None:
         """Predict the tracks to `time_ns`."""
@@ -180,13 +180,12 @@ class KalmanBoxTracker3D(Tracker):
             )
         self._time_ns = time_ns
         t, dt = self._tracks, (time_ns - before) * 1e-9
-        tracks.begin_step(t, dt, YAW_DRIFT**2)
+        existence.begin_step(t, dt, YAW_DRIFT**2, self._lifetime_s, self._memory_s)
         if len(t) and dt > 0.0:
             if dt != self._process_noise[0]:
                 noise = kalman.process_noise(dt, self._acceleration, classes.VERTICAL_ACCELERATION, classes.SIZE_DRIFT)
                 self._process_noise = (dt, noise)
             self.filter.predict(t, dt, self._process_noise[1])
-            existence.predict_existence(t, dt, self._lifetime_s, self._memory_s)
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
@@ -209,15 +208,11 @@ class KalmanBoxTracker3D(Tracker):
         self.innovations.add(*total, len(matched))
         return matched, state, noise, innovation, excess
 
-    def _missed_fraction(self, view: SensorView | None) -> Floats:
-        """Fraction (n,) of each track that was visible, not occluded and not measured."""
-        t = self._tracks
-        missed = np.zeros(len(t))
-        coasting, occluding = existence.coasting_tracks(t, self._report_odds)
-        if len(coasting):
-            seen = 1.0 if view is None else view.visible_fraction(t.take(coasting, 0), t.take(occluding, 0))
-            missed[coasting] = seen
-        return missed
+    def _update_missed(self, detected: Floats, view: SensorView | None) -> None:
+        """Update the tracks that were not measured by how far they were visible."""
+        coasting, boxes, occluders = existence.coasting_tracks(self._tracks, self._report_odds)
+        seen = np.ones(len(boxes)) if view is None else view.visible_fraction(boxes, occluders)
+        existence.update_missed(self._tracks, detected, coasting, seen, self._birth_odds)
 
     def _created(self, match: Match, measurements: Measured) -> Floats:
         """New tracks for the measurements that neither match nor duplicate a matched object."""
@@ -230,21 +225,15 @@ class KalmanBoxTracker3D(Tracker):
         self._next_id += len(new_tracks)
         return new_tracks
 
-    def _states(self, reported: Floats, probability: Floats | None, mean: Floats | None) -> ObjectStates:
+    def _states(self, reported: Floats, weight: Floats | None, least: float) -> ObjectStates:
         """The tracks to report that are likely to exist or established, with scores that rank them.
 
-        probability: (k,) that they are objects; mean: (k,) of the scores reported of them; None: ones
+        weight: (k,) factors on their scores and probabilities, which must exceed `least`; None: report all, factors 1
         """
-        states, weight = tracks.to_states(reported), mean if probability is None else probability
-        if probability is not None:
-            likely = likely_tracks(reported, probability, self._min_probability)
-            if np.count_nonzero(likely) < len(likely):
-                states, reported, weight = states.select(likely), reported[likely], probability[likely]
-        states.score[:] = tempered_probability(reported)
-        if weight is not None:
-            states.score[:] *= weight
-        self._matched = reported[:, ROW].astype(np.int64)
-        return states
+        if weight is None:
+            weight, least = np.ones(len(reported)), -math.inf
+        columns, self._matched = report_columns(reported, weight, least)
+        return ObjectStates(*columns)
 
     def _finish(self, match: Match, new_tracks: Floats) -> Floats:
         """Drop tracks and add the new ones; the tracks (k, WIDTH) to report."""
@@ -253,11 +242,8 @@ class KalmanBoxTracker3D(Tracker):
         if match.contested:
             # Duplicate tracks of one object share nearby measurements.
             keep &= ~duplicates(t)
-        report &= keep
-        reported = t.take(report.nonzero()[0], 0)
+        self._tracks, reported = tracks.next_table(t, keep, report, new_tracks)
         if len(reported) == 0:
             likely = keep & (t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)
             self.innovations.silent += bool((t[likely, ROW] >= 0.0).any())
-        t = t if np.count_nonzero(keep) == len(t) else t[keep]
-        self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
         return reported

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.score_calibration import STAGES_S, ScoreCalibration
-from mast_zenoh.tracking.tracks import AGE, CONFIRMED, DUE, HITS, ODDS, SCORE, SPAN, planar
+from mast_zenoh.tracking.tracks import AGE, CONFIRMED, DUE, HITS, ODDS, ROW, SCORE, SPAN, columns_of, planar
 
 #: s, span of a new track at which its first stage ends.
 FIRST_DUE = float(STAGES_S[0])
@@ -22,7 +24,6 @@ BELIEVED_SHARE = 0.5
 BELIEVED_DOUBT = 0.8
 #: Number of established tracks that are remembered, about.
 MEMORY = 256
-_NEXT_DUE = np.append(STAGES_S[1:], np.inf)
 
 
 def add_scores(tracks: Floats, score: Floats) -> None:
@@ -37,7 +38,6 @@ def add_scores(tracks: Floats, score: Floats) -> None:
     tracks[:, SPAN] += tracks[:, AGE]
 
 
-@kernel
 def tempered_probability(tracks: Floats) -> Floats:
     """(n,) probabilities of existence with discounted evidence, which rank tracks whose existence is certain.
 
@@ -66,7 +66,8 @@ class ScorePrior:
     def see(self, score: Floats) -> None:
         """Learn the range of scores (m,) from detections."""
         if self._in_range and len(score):
-            self._in_range = bool(np.minimum.reduce(score) >= 0.0 and np.maximum.reduce(score) <= 1.0)
+            least, greatest = extremes(score)
+            self._in_range = least >= 0.0 and greatest <= 1.0
 
     def add(self, tracks: Floats) -> None:
         """Learn from tracks (n, WIDTH) that have just been established."""
@@ -119,20 +120,11 @@ class ScoreEvidence:
             self._varies = bool(np.count_nonzero(score != self._constant))
         if not self._varies:
             return
-        rows, survived = ended_stages(tracks, report_odds)
-        if len(rows):
-            self._add(tracks, rows, survived)
-
-    def _add(self, tracks: Floats, rows: Ints, lasts: Bools) -> None:
-        """Add samples of the tracks (k,) in `rows`, whose stage ends; lasts: (k,) whether they survive it."""
-        due = tracks[rows, DUE]
-        stage = STAGES_S.searchsorted(np.abs(due))
-        tracks[rows, DUE] = np.where(lasts, np.copysign(_NEXT_DUE[stage], due), -due)
-        lasting = lasts & (due == STAGES_S[-1])
-        if lasting.any():
-            self._prior.add(tracks[rows[lasting]])
-        sample = (tracks[rows, CONFIRMED] > 0.0) & (due > 0.0)
-        self._calibration.add(tracks[rows[sample], SCORE], stage[sample], lasts[sample])
+        mean_score, stage, survived, newly_established = end_stages(tracks, report_odds, STAGES_S)
+        if len(newly_established):
+            self._prior.add(tracks[newly_established])
+        if len(mean_score):
+            self._calibration.add(mean_score, stage, survived)
 
     def probability(self, tracks: Floats) -> Floats | None:
         """(k,) probability that tracks (k, WIDTH) are objects, by their scores; None: the scores tell nothing."""
@@ -149,13 +141,16 @@ def _moving(tracks: Floats) -> Bools:
 
 
 @kernel
-def likely_tracks(tracks: Floats, probability: Floats, least: float) -> Bools:
-    """Which tracks (n, WIDTH) are likely to exist, or have survived all stages: (n,).
+def report_columns(tracks: Floats, weight: Floats, least: float) -> tuple[tuple[Any, ...], Ints]:
+    """Columns of `ObjectStates`, and ROW, of the tracks (n, WIDTH) that are likely, or have survived all stages.
 
-    probability: (n,) that they are objects if they exist; least: probability of both
+    weight: (n,) factors on the tempered probabilities, which give the scores, and on the probabilities of existence;
+    the latter products must exceed `least`
     """
     odds = tracks[:, ODDS]
-    return np.asarray((odds / (1.0 + odds) * probability > least) | established(tracks))
+    likely = (odds / (1.0 + odds) * weight > least) | established(tracks)
+    t = tracks[likely]
+    return columns_of(t, tempered_probability(t) * weight[likely]), t[:, ROW].astype(np.int64)
 
 
 def established(tracks: Floats) -> Bools:
@@ -164,13 +159,26 @@ def established(tracks: Floats) -> Bools:
 
 
 @kernel
-def ended_stages(tracks: Floats, report_odds: float) -> tuple[Ints, Bools]:
-    """Rows (k,) of the tracks (n, WIDTH) whose stage ends, and whether each survives it.
+def end_stages(tracks: Floats, report_odds: float, stages: Floats) -> tuple[Floats, Ints, Bools, Ints]:
+    """End the stages of tracks (n, WIDTH) that survive them or fail, and set when their next stages are due.
 
-    report_odds: odds up to which a confirmed track counts as gone
+    report_odds: odds up to which a confirmed track counts as gone; stages: s, STAGES_S
+
+    Returns the samples of `ScoreCalibration` (k,): scores, stages and whether they are survived, and the rows (m,) of
+    the tracks that have just been established.
     """
     due = tracks[:, DUE]
     survived = tracks[:, SPAN] >= np.abs(due)
     failed = (tracks[:, ODDS] <= report_odds * tracks[:, CONFIRMED]) & (due > 0.0) & (due < np.inf)
     rows = (survived | failed).nonzero()[0]
-    return rows, survived[rows]
+    due, lasts = due[rows], survived[rows]
+    stage = stages.searchsorted(np.abs(due))
+    tracks[rows, DUE] = np.where(lasts, np.copysign(np.append(stages[1:], np.inf)[stage], due), -due)
+    sample = (tracks[rows, CONFIRMED] > 0.0) & (due > 0.0)
+    return tracks[rows[sample], SCORE], stage[sample], lasts[sample], rows[lasts & (due == stages[-1])]
+
+
+@kernel
+def extremes(values: Floats) -> tuple[float, float]:
+    """The least and the greatest of n >= 1 values, NaN if one is."""
+    return float(np.minimum.reduce(values)), float(np.maximum.reduce(values))

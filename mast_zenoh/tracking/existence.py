@@ -12,18 +12,22 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, ROW, XX, YY, planar
+from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, ROW, XX, YAW_VARIANCE, YY, planar
 
 #: Upper limit of the odds; keeps products of odds finite for any number of measurements.
 MAX_ODDS = 1e12
 
 
 @kernel
-def predict_existence(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> None:
-    """Predict existence by `dt` s with the lifetime `lifetime_s` s on average.
+def begin_step(tracks: Floats, dt: float, yaw_drift: float, lifetime_s: float, memory_s: float) -> None:
+    """Let the tracks coast for `dt` s: all of them but their mean and covariance.
 
-    Counts decay with the time constant `memory_s` s.
+    yaw_drift: rad^2/s, growth of the variance of a heading; lifetime_s: average time that an object exists
+    memory_s: time constant of counts
     """
+    tracks[:, ROW] = -1.0
+    tracks[:, YAW_VARIANCE] += yaw_drift * dt
+    tracks[:, AGE] += dt
     # p' = s p, in odds o = p / (1 - p): o' = s o / (1 + (1 - s) o), which bounds the odds by s / (1 - s).
     growth = math.exp(dt / lifetime_s)
     odds = tracks[:, ODDS]
@@ -54,25 +58,26 @@ def update_detected(tracks: Floats, detected: Floats, log_ratio: Floats, most: f
 
 
 @kernel
-def update_missed(tracks: Floats, detected: Floats, visible: Floats, birth: float) -> None:
+def update_missed(tracks: Floats, detected: Floats, coasting: Ints, visible: Floats, birth: float) -> None:
     """Update existence of unmeasured tracks.
 
-    visible: (n,) visible fraction, 0 to 1; 0 for measured tracks. The odds of a confirmed track stay at least at
-    `birth`, those of a new object, so that it can be recovered.
+    coasting: (k,) their rows, ascending; visible: (k,) their visible fractions, 0 to 1. The odds of a
+    confirmed track stay at least at `birth`, those of a new object, so that it can be recovered.
     """
-    odds = tracks[:, ODDS] * (1.0 - detected * visible)
-    tracks[:, ODDS] = np.maximum(odds, birth * tracks[:, CONFIRMED])
-    tracks[:, MISSES] += visible
+    tracks[coasting, ODDS] *= 1.0 - detected[coasting] * visible
+    tracks[coasting, MISSES] += visible
+    tracks[:, ODDS] = np.maximum(tracks[:, ODDS], birth * tracks[:, CONFIRMED])
 
 
 @kernel
-def coasting_tracks(tracks: Floats, report_odds: float) -> tuple[Ints, Ints]:
-    """Rows of the tracks without a measurement in this step, and of those that may occlude others.
+def coasting_tracks(tracks: Floats, report_odds: float) -> tuple[Ints, Floats, Floats]:
+    """Rows (k,) and boxes (k, 6) of the tracks without a measurement in this step; boxes of those that may occlude.
 
     report_odds: odds above which a confirmed track counts as an object
     """
     occluding = (tracks[:, CONFIRMED] > 0.0) & (tracks[:, ODDS] > report_odds)
-    return (tracks[:, ROW] < 0.0).nonzero()[0], occluding.nonzero()[0]
+    rows, boxes = (tracks[:, ROW] < 0.0).nonzero()[0], tracks[:, :6]
+    return rows, boxes[rows], boxes[occluding]
 
 
 @kernel

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import wrap_angle
-from mast_zenoh.arrays.states import CLASSES, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.kernels import table_columns as columns
 
@@ -37,14 +37,6 @@ def empty(n: int) -> Floats:
     return np.zeros((n, WIDTH))
 
 
-@kernel
-def begin_step(tracks: Floats, dt: float, yaw_drift: float) -> None:
-    """Let the tracks coast for `dt` s; yaw_drift: rad^2/s, growth of the variance of a heading."""
-    tracks[:, ROW] = -1.0
-    tracks[:, YAW_VARIANCE] += yaw_drift * dt
-    tracks[:, AGE] += dt
-
-
 def covariances(tracks: Floats) -> Floats:
     """Covariances (n, 9, 9), a view."""
     return tracks[:, COVARIANCE].reshape(len(tracks), 9, 9)
@@ -60,15 +52,8 @@ def planar(vectors: Floats) -> NDArray[np.complex128]:
     return np.asarray(vectors.view(np.complex128)[:, 0])
 
 
-def to_states(tracks: Floats) -> ObjectStates:
-    """The tracks as object states."""
-    return ObjectStates(*to_columns(tracks))
-
-
-@kernel
-def to_columns(tracks: Floats) -> tuple[Any, ...]:
-    """The columns of `ObjectStates`, in their order."""
-    odds = tracks[:, ODDS]
+def columns_of(tracks: Floats, score: Floats) -> tuple[Any, ...]:
+    """The columns of `ObjectStates`, in their order; score: (n,)."""
     return (
         tracks[:, ID].astype(np.int64),
         tracks[:, 0:3].copy(),
@@ -76,9 +61,15 @@ def to_columns(tracks: Floats) -> tuple[Any, ...]:
         tracks[:, 3:6].copy(),
         wrap_angle(tracks[:, YAW]),
         covariances(tracks).copy(),
-        odds / (1.0 + odds),
+        score,
         tracks[:, CLASS].astype(np.uint8),
     )
+
+
+@kernel
+def next_table(tracks: Floats, keep: Bools, report: Bools, new: Floats) -> tuple[Floats, Floats]:
+    """The tracks (n, WIDTH) to keep, with new ones (k, WIDTH) after them, and a copy of those to keep and report."""
+    return np.concatenate([tracks[keep], new]), tracks[keep & report]
 
 
 def known_class(class_id: NDArray[np.uint8]) -> Ints:

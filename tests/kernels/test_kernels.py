@@ -308,7 +308,7 @@ def buildings(random, m):
 
 #: For each kernel its arguments, with n rows and m others (both may be 0).
 ARGUMENTS = {
-    "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09),
+    "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09, 30.0, 2.0),
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
     "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
@@ -322,10 +322,14 @@ ARGUMENTS = {
     "new_tracks": new_tracks,
     "matched_tracks": matched_tracks,
     "store_matched": lambda r, n, m: (table(r, n + m), r.permutation(n + m)[:n], table(r, n), 2.0, 5.0),
-    "ended_stages": lambda r, n, m: (staged(r, n), 1.0),
+    "end_stages": lambda r, n, m: (staged(r, n), 1.0, STAGES_S),
+    "extremes": lambda r, n, m: (r.choice([r.normal(), np.nan, 0.5], n + 1),),
+    "report_columns": lambda r, n, m: (staged(r, n), r.uniform(0, 1, n), 0.5),
+    "next_table": lambda r, n, m: (table(r, n), r.random(n) < 0.8, r.random(n) < 0.8, table(r, m)),
+    "update_missed": lambda r, n, m: (
+        table(r, n), r.uniform(0.1, 0.9, n), rows := (r.random(n) < 0.5).nonzero()[0], r.random(len(rows)), 0.03,
+    ),
     "coasting_tracks": lambda r, n, m: (table(r, n), 1.0),
-    "likely_tracks": lambda r, n, m: (staged(r, n), r.uniform(0, 1, n), 0.5),
-    "tempered_probability": lambda r, n, m: (table(r, n),),
     "survival_table": lambda r, n, m: (
         r.random(n).round(2), r.integers(0, 3, n), r.random(n) < 0.6, np.unique(r.random(min(m, 7)).round(1)), 3, 2.0,
     ),
@@ -333,11 +337,8 @@ ARGUMENTS = {
         staged(r, n), STAGES_S, edges := np.unique(r.uniform(0, 1, m).round(1)), r.random((4, len(edges) + 1)),
     ),
     "averaged": averaged,
-    "predict_existence": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
     "detection_probability": lambda r, n, m: (table(r, n), 0.9, 2.0),
-    "update_missed": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),
     "track_status": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
-    "to_columns": lambda r, n, m: (table(r, n),),
     "visible_fraction": view,
     "free_ranges": swept,
     "box_visibility": box_visibility,
