@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
 import select
@@ -11,23 +12,25 @@ import socket
 import subprocess
 import sys
 import threading
-import time
+import weakref
 from pathlib import Path
 from typing import IO
 
 from mast_zenoh.errors import StartError
-from mast_zenoh.runtime.fork_server import MAX_REQUEST, ROOM
+from mast_zenoh.runtime.fork_server import ROOM
 
-_END_S = 5.0  # for the server to tell an exit code, or to leave
+#: s, for the server to import everything and to answer, and for it to leave.
+_START_S, _END_S = 30.0, 5.0
+_PR_SET_CHILD_SUBREAPER = 36  # of prctl(2): orphans among the descendants of this process become its children
 
 
 def is_available() -> bool:
-    """Whether this system can tell when a process ends that is not a child of the launcher."""
+    """Whether this process can adopt others, and wait for them with a time limit."""
     try:
         os.close(os.pidfd_open(os.getpid()))
     except (AttributeError, OSError):  # another system, or a container that forbids it
         return False
-    return True
+    return signal.getsignal(signal.SIGCHLD) != signal.SIG_IGN  # which would lose their exit codes
 
 
 class ForkServer:
@@ -39,38 +42,36 @@ class ForkServer:
     def __init__(self, environment: dict[str, str]) -> None:
         self._socket, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._lock = threading.Lock()
-        self._exits: dict[int, int] = {}
+        self._socket.settimeout(_START_S)
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         with its:
-            command = [sys.executable, "-P", "-m", "mast_zenoh.runtime.fork_server", ROOM]
             self._process = subprocess.Popen(
-                command, stdin=its.fileno(), stdout=subprocess.DEVNULL, env=environment, start_new_session=True
+                [sys.executable, "-P", "-m", "mast_zenoh.runtime.fork_server", ROOM],
+                stdin=its.fileno(),
+                stdout=subprocess.DEVNULL,
+                stderr=None if sys.__stderr__ else subprocess.DEVNULL,  # nodes need one, even if this process has none
+                env=environment,
+                start_new_session=True,
             )
 
     def start(self, command: list[str], folder: Path, log: IO[bytes]) -> Forked:
-        """Start a node; raises StartError if the server has ended."""
+        """Start a node; raises StartError if the server has ended, or does not answer."""
         theirs, ours = os.pipe()
         request = json.dumps({"command": command, "folder": str(folder)}).encode()
         with self._lock:
             try:
                 socket.send_fds(self._socket, [request], [theirs, log.fileno()])
-                while (node := self._receive()) is None:
-                    pass
+                answer = self._socket.recv(16)
             except OSError as error:
+                self._socket.close()  # a late answer would be taken for that of the next request
                 os.close(ours)
-                raise StartError(f"the process that starts the nodes has ended: {error}") from None
+                raise StartError(f"the process that starts the nodes has ended, or does not answer: {error}") from None
             finally:
                 os.close(theirs)
-        return Forked(*node, os.fdopen(ours, "wb", buffering=0), self)
-
-    def exit_of(self, pid: int) -> int | None:
-        """The exit code of a node that has ended, once the server has told it; None if it does not."""
-        deadline = time.monotonic() + _END_S
-        with self._lock, contextlib.suppress(OSError):
-            while pid not in self._exits:
-                if not select.select([self._socket], [], [], max(0.0, deadline - time.monotonic()))[0]:
-                    break
-                self._receive()
-        return self._exits.get(pid)
+        if not answer:
+            os.close(ours)
+            raise StartError("the process that starts the nodes has ended")
+        return Forked(int(answer), os.fdopen(ours, "wb", buffering=0))
 
     def close(self) -> None:
         """End the server."""
@@ -82,30 +83,20 @@ class ForkServer:
             self._process.kill()
             self._process.wait()
 
-    def _receive(self) -> tuple[int, int] | None:
-        """What the server tells next: (process id, descriptor) of a new node; None: an exit code, which is noted."""
-        data, descriptors, _, _ = socket.recv_fds(self._socket, MAX_REQUEST, 1)
-        if not data:
-            raise ConnectionError("it has closed its socket")
-        told: dict[str, int] = json.loads(data)
-        if descriptors:
-            return told["pid"], descriptors[0]
-        self._exits[told["pid"]] = told["exit"]
-        return None
-
 
 class Forked:
     """A node's process, with what `subprocess.Popen` has of it.
 
-    descriptor: of the process;  stdin: closed when the node is to leave
+    pid: of a child of this process;  stdin: closed when the node is to leave
     """
 
-    def __init__(self, pid: int, descriptor: int, stdin: IO[bytes], server: ForkServer) -> None:
+    def __init__(self, pid: int, stdin: IO[bytes]) -> None:
         self.pid = pid
         self.stdin = stdin
         self.returncode: int | None = None
-        self._server = server
-        self._descriptor = descriptor
+        self._lock = threading.Lock()
+        self._descriptor = os.pidfd_open(pid)
+        weakref.finalize(self, os.close, self._descriptor)
 
     def poll(self) -> int | None:
         """The exit code, negative for a signal; None while it runs."""
@@ -120,9 +111,8 @@ class Forked:
 
     def send_signal(self, number: int) -> None:
         """Send a signal, unless it has ended."""
-        if self.poll() is None:
-            with contextlib.suppress(ProcessLookupError):
-                signal.pidfd_send_signal(self._descriptor, number)
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self._descriptor, number)
 
     def terminate(self) -> None:
         """Send SIGTERM."""
@@ -134,7 +124,7 @@ class Forked:
 
     def _ended(self, timeout: float | None) -> int | None:
         if self.returncode is None and select.select([self._descriptor], [], [], timeout)[0]:
-            code = self._server.exit_of(self.pid)
-            self.returncode = 1 if code is None else code  # the server has been killed: nobody knows
-            os.close(self._descriptor)
+            with self._lock:
+                if self.returncode is None:
+                    self.returncode = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
         return self.returncode

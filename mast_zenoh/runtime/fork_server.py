@@ -4,10 +4,10 @@
 
 A launcher sends a request for each node on the socket, with the descriptors of the node's standard input and log:
 
-    {"command": words, "folder": path}   → {"pid"}, with a descriptor of the process
+    {"command": words, "folder": path}   → process id
 
-The node is a process of its own, in a session of its own, and named after its command. When one ends, the launcher gets
-{"pid", "exit"}. The server leaves when the launcher closes the socket, or ends.
+The node is a process of its own, in a session of its own, named after its command, and a child of the launcher, which
+adopts orphans. The server leaves when the launcher closes the socket, or ends.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ import gc
 import importlib
 import json
 import os
-import select
-import signal
 import socket
 import sys
 from pathlib import Path
@@ -27,8 +25,10 @@ from typing import Any
 
 gc.disable()  # what is imported stays: searching it for garbage delays the start, and copies shared memory
 
+import numpy as np  # noqa: E402
+
 from mast_zenoh.config import bundle, loading  # noqa: E402
-from mast_zenoh.runtime.mesh.main import main  # noqa: E402
+from mast_zenoh.runtime.mesh.main import main, wake_when_orphaned  # noqa: E402
 
 #: Most bytes of a request.
 MAX_REQUEST = 1 << 16
@@ -52,57 +52,32 @@ def preload() -> None:
 
 def serve(requests: socket.socket) -> list[str] | None:
     """Fork nodes as requested. Returns the command in each node's process; None in the server when it is to leave."""
-    woken, waking = socket.socketpair()
-    waking.setblocking(False)
-    woken.setblocking(False)
-    signal.set_wakeup_fd(waking.fileno(), warn_on_full_buffer=False)
-    signal.signal(signal.SIGCHLD, lambda *_: None)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     while True:
-        ready, _, _ = select.select([requests, woken], [], [])
-        if woken in ready:
-            woken.recv(4096)
-            _tell_ended(requests)
-        if requests not in ready:
-            continue
         data, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST, _N_DESCRIPTORS)
         if not data:
             return None
-        request = json.loads(data)
-        begun, becomes = os.pipe()
-        if (pid := os.fork()) == 0:
-            for end in (requests, woken, waking):
-                end.close()
-            os.close(begun)
+        told, telling = os.pipe()
+        if (between := os.fork()) == 0:
+            if pid := os.fork():
+                os.write(telling, b"%d" % pid)
+                os._exit(0)  # so that the node is an orphan
+            for end in (told, telling):
+                os.close(end)
+            requests.close()
+            request = json.loads(data)
             _become_node(request, descriptors)
-            os.close(becomes)
             command: list[str] = request["command"]
             return command
-        os.close(becomes)
-        os.read(begun, 1)  # until it has become the node, or has ended
-        descriptors += [begun, os.pidfd_open(pid)]
-        socket.send_fds(requests, [json.dumps({"pid": pid}).encode()], descriptors[-1:])
-        for descriptor in descriptors:
-            os.close(descriptor)
-
-
-def _tell_ended(requests: socket.socket) -> None:
-    """Tell the launcher which nodes have ended."""
-    while True:
-        try:
-            pid, status = os.waitpid(-1, os.WNOHANG)
-        except ChildProcessError:
-            return
-        if pid == 0:
-            return
-        requests.send(json.dumps({"pid": pid, "exit": os.waitstatus_to_exitcode(status)}).encode())
+        for end in (telling, *descriptors):
+            os.close(end)
+        os.waitpid(between, 0)
+        requests.send(os.read(told, 16))
+        os.close(told)
 
 
 def _become_node(request: dict[str, Any], descriptors: list[int]) -> None:
     """Give a new process what a node has that is started by its command."""
-    signal.set_wakeup_fd(-1)
-    for number in (signal.SIGCHLD, signal.SIGINT):
-        signal.signal(number, signal.SIG_DFL)
+    np.random.seed()  # noqa: NPY002  # otherwise all nodes draw the same numbers from NumPy's global generator
     os.setsid()
     entrance, log = descriptors
     for descriptor, place in ((entrance, 0), (log, 1), (log, 2)):
@@ -122,6 +97,7 @@ def _rename(command: list[str]) -> None:
 
 
 if __name__ == "__main__":
+    wake_when_orphaned()
     preload()
     command = None
     with socket.socket(fileno=os.dup(0)) as to_launcher, contextlib.suppress(ConnectionError):  # the launcher has ended

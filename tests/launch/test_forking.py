@@ -8,11 +8,11 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
 import pytest
-from launched import eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import StartError
@@ -99,11 +99,42 @@ def test_nodes_import_nothing_after_they_are_forked(tmp_path: Path) -> None:
     assert run.stdout.split() == []
 
 
+def kill(server: ForkServer) -> None:
+    server._process.kill()
+    server._process.wait()
+
+
 def test_a_server_that_has_ended_is_told(server: ForkServer, tmp_path: Path) -> None:
-    node = started(server, tmp_path, "--help")
-    (process,) = [each for each in psutil.Process().children() if "mast_zenoh.runtime.fork_server" in each.cmdline()]
-    process.kill()
-    eventually(lambda: process.status() == psutil.STATUS_ZOMBIE, "the server has ended")
-    assert node.wait(30) in (0, 1), "its exit code is known only if the server told it before"
+    started(server, tmp_path, "--help").wait(30)
+    kill(server)
     with pytest.raises(StartError, match="the process that starts the nodes has ended"):
         started(server, tmp_path, "--help")
+
+
+def test_exit_codes_do_not_depend_on_the_server(server: ForkServer, tmp_path: Path) -> None:
+    node = started(server, tmp_path, "nodes/agent.py")
+    kill(server)
+    assert node.wait(30) == 2
+
+
+def test_a_server_that_does_not_answer_is_told(
+    server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started(server, tmp_path, "--help").wait(30)
+    server._process.send_signal(signal.SIGSTOP)
+    server._socket.settimeout(0.1)
+    with pytest.raises(StartError, match="does not answer"):
+        started(server, tmp_path, "--help")
+
+
+def test_nodes_draw_different_numbers_from_numpys_global_generator(server: ForkServer, tmp_path: Path) -> None:
+    file = tmp_path / "draws.py"
+    file.write_text("import numpy as np\nprint(np.random.normal())\nraise SystemExit\n")
+    path, loaded = scenario.load("baseline", [])
+    resolved = scenario.resolve(path, loaded, frames=1)
+    resolved.nodes["infra_1"] = replace(resolved.nodes["infra_1"], file=str(file))
+    resolved.write(tmp_path)
+    words = ("--run-folder", str(tmp_path), "--name", "infra_1", "--endpoint", "tcp/127.0.0.1:1", "--run", "one")
+    for _ in range(2):
+        assert started(server, tmp_path, str(file), *words).wait(30) == 0
+    assert len(set((tmp_path / "node.log").read_text().split())) == 2

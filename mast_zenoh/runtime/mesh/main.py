@@ -40,7 +40,7 @@ def main(node: type[Node] | None = None) -> None:
     node: its class; None: the class that the scenario names, in the file given as the first argument
     """
     faulthandler.enable()
-    _wake_when_orphaned()
+    wake_when_orphaned()
     parser = argparse.ArgumentParser(description=(node.__doc__ or "").strip() if node else "A node of a run.")
     if node is None:
         parser.add_argument("file", type=Path, help="file of the node; files next to it can be imported by name")
@@ -81,7 +81,7 @@ def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
         mesh_nodes[0].run_until_stopped()
 
 
-def _wake_when_orphaned() -> None:
+def wake_when_orphaned() -> None:
     """Have the kernel resume this process if its launcher dies while it is suspended."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
