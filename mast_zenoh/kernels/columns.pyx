@@ -170,6 +170,7 @@ def split_columns(bytes payload, Py_ssize_t place, plan):
 
 def exact_columns(body, tuple names, tuple dtypes, tuple shapes):
     cdef np.ndarray array
+    cdef np.dtype dtype
     cdef tuple sizes
     cdef dict columns = {}
     cdef Py_ssize_t column, axis, axes
@@ -180,7 +181,9 @@ def exact_columns(body, tuple names, tuple dtypes, tuple shapes):
         array, sizes, dtype = value, shapes[column], dtypes[column]
         axes = len(sizes)
         array_dtype = array.dtype
-        if np.PyArray_NDIM(array) != axes or (array_dtype is not dtype and array_dtype != dtype):
+        if np.PyArray_NDIM(array) != axes or np.PyArray_TYPE(array) != dtype.type_num:
+            return None
+        if array_dtype is not dtype and array_dtype != dtype:  # another byte order
             return None
         for axis in range(axes):
             if np.PyArray_DIM(array, axis) != <Py_ssize_t>sizes[axis]:

@@ -63,7 +63,8 @@ def conform(header: Header, body: Body) -> Message:
             raise MessageError(validation.names_differ(schema.name, body, schema.columns))
         array = body[name]
         if wire is not None:
-            if type(array) is not np.ndarray or array.dtype != wire or not (array.ndim and array.flags.c_contiguous):
+            as_sent = type(array) is np.ndarray and array.dtype == wire and array.dtype.num == wire.num
+            if not (as_sent and array.ndim and array.flags.c_contiguous):
                 array = _converted(schema.name, column.name, array, wire)
             if array.flags.writeable:
                 array = array.view()
@@ -84,7 +85,7 @@ def _converted(schema: str, column: str, array: Any, wire: np.dtype[Any]) -> NDA
         # rounding to float64 is not an error
         if wire.kind != "f" and not np.array_equal(original, converted):
             raise MessageError(f"{schema}.{column}: found {original.dtype} values that {wire} cannot represent")
-    return converted
+    return converted.view(wire)  # also of a type that is equal to it, such as longlong
 
 
 def check_values(message: Message, limits: RowLimits = NO_LIMITS) -> None:

@@ -31,7 +31,7 @@ TEXT = np.dtype(object)  #: of columns of text
 assert sys.byteorder == "little", "columns are sent with their bytes in memory order"
 
 MAX_SQUARES = MAX_MAGNITUDE**2
-_MAX_PLANS = 1024
+_MAX_PLANS = 1024  # remembered; then all are forgotten, so that nobody's messages fill the room for good
 _SHORT_TEXT = 0xA0  # of MessagePack: this byte plus a length below 32 precedes a text
 
 
@@ -100,8 +100,9 @@ class Layout:
             if not all(type(size) is int and 0 <= size <= MAX_ROWS for size in sizes):
                 raise ValueError
             plan = self._planned(dict(zip(self._letters, sizes, strict=True)))
-            if len(self._plans) < _MAX_PLANS:
-                self._plans[sizes] = plan
+            if len(self._plans) >= _MAX_PLANS:
+                self._plans.clear()
+            self._plans[sizes] = plan
         return plan
 
     def _planned(self, sizes: Mapping[str, int]) -> Plan:
@@ -148,7 +149,9 @@ class Layout:
         except (KeyError, IndexError, TypeError, ValueError):
             return None
         columns = packed_columns(body, plan)
-        if columns is not None and n_bytes and len(self._plan_of_length) < _MAX_PLANS:
+        if columns is not None and n_bytes:
+            if len(self._plan_of_length) >= _MAX_PLANS:
+                self._plan_of_length.clear()
             self._plan_of_length[n_bytes] = plan
         return columns
 
@@ -271,6 +274,8 @@ def exact_columns(
     for name, dtype, shape in zip(names, dtypes, shapes, strict=True):
         array = body.get(name)
         if type(array) is not np.ndarray or array.dtype != dtype or array.shape != shape:
+            return None
+        if array.dtype.num != dtype.num:  # such as longlong, which is equal to int64
             return None
         if dtype is not TEXT:
             if not array.flags.c_contiguous:

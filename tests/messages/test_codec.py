@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import codec
+from mast_zenoh.messages import codec, layout
 from mast_zenoh.messages.layout import Layout
 from mast_zenoh.messages.schemas import SCHEMAS, Column, Header, Message, text
 
@@ -68,6 +68,22 @@ def test_a_message_is_what_messagepack_makes_of_its_fields(schema: str, n: int) 
     }
     fields = {"schema": schema, "version": SCHEMAS[schema].version, **dict(list(header._asdict().items())[1:])}
     assert codec.encode(message) == msgpack.packb(fields | {"body": columns})
+
+
+def test_whole_numbers_of_an_equal_type_are_sent_as_int64() -> None:
+    body = {**message_of("status", {}).body, "tracks": np.array([4], np.longlong)}
+    sent = codec.conform(Header("status", "someone", 0, 0, 0), body)
+    assert sent.body["tracks"].dtype.num == np.dtype(np.int64).num
+    assert sent.body["tracks"].tolist() == [4]
+
+
+def test_messages_are_split_after_any_number_of_others_with_other_lengths(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(layout, "_MAX_PLANS", 3)
+    payloads = [codec.encode(message_of("picture", {"n": n})) for n in range(8)]
+    for payload in payloads + payloads[-1:]:
+        codec.decode(payload, "picture")
+    monkeypatch.setattr(Layout, "unpack", lambda *_: pytest.fail("not split"))
+    codec.decode(payloads[-1], "picture")
 
 
 def test_received_columns_are_read_only() -> None:
@@ -134,7 +150,7 @@ def test_a_message_means_the_same_whether_one_of_its_length_was_decoded_before(
     payload[place : place + 1] = bytes([value]) * copies
     message = bytes(payload)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Layout, "split", lambda layout, payload, place: None)
+        patch.setattr(Layout, "split", lambda *_: None)
         expected = outcome(message)
     outcome(codec.encode(message_of("detections", {"n": 3}, seed=1)))
     assert outcome(message) == expected
