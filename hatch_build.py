@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -78,14 +79,20 @@ def compiled(root: Path, folder: Path) -> tuple[list[Path], str]:
         for name in names
     ]
     modules = cythonize(extensions, build_dir=str(folder / "c"))  # an error in our sources fails the installation
-    try:
-        command = build_ext(Distribution({"ext_modules": modules}))
-        command.build_lib, command.build_temp = str(folder / "lib"), str(folder / "temp")
-        command.parallel = True
+    command = build_ext(Distribution({"ext_modules": modules}))
+    command.build_lib, command.build_temp = str(folder / "lib"), str(folder / "temp")
+    command.parallel = True
+
+    def run() -> None:
         command.ensure_finalized()
         with copied_errors(folder / "errors.txt"):
             command.run()
-    except Exception as error:  # the types vary if there is no compiler, or no Python header
+
+    # In a thread, where nothing is being handled: pip handles an error of its own while it calls us, and what is raised
+    # meanwhile would have that as its context instead of the compiler's error.
+    with ThreadPoolExecutor(1) as pool:
+        error = pool.submit(run).exception()
+    if error:  # the types vary if there is no compiler, or no Python header
         errors = folder / "errors.txt"
         reason = why(error, errors.read_text(errors="replace") if errors.exists() else "")
         print(f"kernels not compiled, NumPy will do: {reason}", file=sys.stderr)

@@ -37,7 +37,10 @@ def commit_of(name: str | None) -> str:
     if not name:
         tags = git("tag", "--merged", "HEAD", "--sort=-creatordate").decode().split()
         name = tags[0] if tags else "HEAD~1"
-    return git("rev-parse", f"{name}^{{commit}}").decode().strip()
+    try:
+        return git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}").decode().strip()
+    except subprocess.CalledProcessError:
+        sys.exit(f"{name}: not a commit of this repository; git log --oneline lists them")
 
 
 def built(commit: str) -> Path:
