@@ -391,6 +391,11 @@ def main() -> int:
     if arguments.replay:
         replay(arguments.replay, tally=not arguments.sections)
         return 0
+    missing = kernels.why_not() or ("" if shutil.which("valgrind") else "valgrind is not installed")
+    if arguments.write and missing:
+        parser.error(f"--write needs compiled kernels and valgrind: {missing}")
+    if not arguments.write and (reason := why_not(instructions=True)):
+        print(f"not fully comparable with the budgets: {reason}", file=sys.stderr)
     costs = measure(instructions=False)
     for run, roles in measure(instructions=True).items() if shutil.which("valgrind") else ():
         for role, measures in roles.items():

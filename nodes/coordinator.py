@@ -97,7 +97,7 @@ class Coordinator(Node):
         velocity = np.array([body["agent_velocity"] for body in bodies])
         moved = velocity * np.array(late_s)[:, None]
         self.coordination.look(tuple(map(view_of, bodies, moved)))
-        if getattr(self.coordination.locate, "__func__", None) is not Coordination.locate:  # something uses them
+        if type(self.coordination).locate is not Coordination.locate:  # the class overrides it
             rotations = rotation_from_quaternion(np.array([body["agent_rotation"] for body in bodies]))
             self.coordination.locate(rotations, velocity)
         plans = self.coordination.step(

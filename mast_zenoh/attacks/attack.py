@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import replace
 
 from mast_zenoh.arrays.geometry import within_range
 from mast_zenoh.arrays.ordering import canonical_order
@@ -98,7 +99,7 @@ class _TargetedAttack(Attack):
         tampering = carry_out(targets, false_objects, seen, order, remove_row, move_row)
         self._store_targets(tampering.targets, time_ns)
         self._forger.remember(frame, objects, tampering)
-        return tampering.adding(false_objects.with_(id=self._ids.of(false_objects.id)))
+        return replace(tampering, added=false_objects.with_(id=self._ids.of(false_objects.id)))
 
     def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
         return self._forger.forge(frame, swept)

@@ -85,7 +85,7 @@ class Campaign:
             targets = replace(stored, remove=propagate(stored.remove, elapsed), move=propagate(stored.move, elapsed))
         rng = self._stream("propagation", frame) if self._propagation.draws else _UNUSED
         add = self._propagation.advance(targets.add, elapsed, age, rng)
-        return Targets(add, targets.remove, targets.move, targets.move_offset, time_ns, targets.wanted)
+        return replace(targets, add=add, time_ns=time_ns)
 
     def store(self, targets: Targets, time_ns: int) -> None:
         """Store the current targets, after they have followed their objects."""

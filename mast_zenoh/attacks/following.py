@@ -6,6 +6,7 @@ because the neighbour's own track takes that row.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -99,8 +100,7 @@ class Follower:
             remove, move = both, targets.move
         else:
             remove, move = both.select(slice(0, n)), both.select(slice(n, None))
-        located = Targets(targets.add, remove, move, targets.move_offset, targets.time_ns, targets.wanted)
-        return located, row[:n], row[n:]
+        return replace(targets, remove=remove, move=move), row[:n], row[n:]
 
     def locate(self, targets: ObjectStates, attach_m: float) -> tuple[ObjectStates, Ints]:
         """The targets at their objects' positions, and their rows (k,); -1: missing.

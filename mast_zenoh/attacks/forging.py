@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,11 @@ def forged_states(body: Body, states: ObjectStates, tampering: Tampering) -> Col
     if "origin" not in body:
         return tampering.applied_to(states).columns() | {"support": forged_support(body["support"], tampering)}
     reference = {name: body[name] for name in ("origin", "rotation")}
-    forged = tampering.adding(*(states_to_local(each, **reference) for each in (tampering.added, tampering.moved)))
+    forged = replace(
+        tampering,
+        moved=states_to_local(tampering.moved, **reference),
+        added=states_to_local(tampering.added, **reference),
+    )
     return forged.applied_to(states).columns() | reference
 
 

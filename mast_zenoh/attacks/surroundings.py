@@ -51,7 +51,7 @@ class Route:
         return self.position_at(time_s), rotation_from_quaternion(self.rotation[row])
 
     def position_at(self, time_s: float) -> Floats:
-        """As the position of `at`."""
+        """Position (3,) m at `time_s`, interpolated linearly."""
         if len(self.time_s) == 1:
             return np.array(self.position[0])
         return np.array([np.interp(time_s, self.time_s, self.position[:, axis]) for axis in range(3)])

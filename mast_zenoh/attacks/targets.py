@@ -59,7 +59,7 @@ class Targets:
     def propagated(self, dt: float) -> Targets:
         """All targets moved `dt` seconds along their velocities."""
         add, remove, move = (propagate(states, dt) for states in (self.add, self.remove, self.move))
-        return Targets(add, remove, move, self.move_offset, self.time_ns, self.wanted)
+        return replace(self, add=add, remove=remove, move=move)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,11 +148,6 @@ class Tampering:
         no_objects = ObjectStates.empty()
         targets = _NO_TARGETS if targets is None else targets
         return cls(np.ones(n, bool), no_objects.id, no_objects, no_objects, _NO_CHANGES, targets)
-
-    def adding(self, added: ObjectStates, moved: ObjectStates | None = None) -> Tampering:
-        """The same with other `added` objects, and other `moved` ones."""
-        moved = self.moved if moved is None else moved
-        return Tampering(self.keep, self.moved_index, moved, added, self.report, self.targets)
 
     def applied_to(self, objects: ObjectStates) -> ObjectStates:
         """The objects that replace `objects` on the wire: kept rows, then added ones."""

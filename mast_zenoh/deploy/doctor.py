@@ -56,10 +56,9 @@ def python() -> Finding:
 def compiled_kernels() -> Finding:
     """Whether compiled kernels are in use."""
     reason = kernels.why_not()
-    if reason and kernels.COMPILED:
-        return Finding("kernels", None, f"not used, NumPy is slower: {reason}", "unset MAST_KERNELS")
     if reason:
-        return Finding("kernels", None, f"not compiled, NumPy is slower: {reason}", kernels.HOW)
+        fix = "unset MAST_KERNELS" if kernels.COMPILED else kernels.HOW
+        return Finding("kernels", None, f"not used, NumPy is slower: {reason}", fix)
     return Finding("kernels", True, "compiled")
 
 

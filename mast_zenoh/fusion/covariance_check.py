@@ -33,8 +33,6 @@ _HORIZONTAL = np.array([0, 10, 1, 9, 60, 70, 61, 69])
 #: Variances of position and velocity.
 _VARIANCES = np.array([[0, 10], [60, 70]])
 _EIGHT = np.arange(8)
-#: Covariances that are checked at once, so that their copies stay in the cache.
-_CHUNK = 128
 
 
 class CovarianceCheck(ABC):
@@ -189,7 +187,7 @@ class CheckedCovariances(CovarianceCheck):
         count = len(self._agents)
         sums = self._sums[:count, :count]
         decay, share = math.exp(-elapsed_s / self._averaging_s), min(elapsed_s / _PERIOD_S, 1.0)
-        doubtful = add_decayed(self._sums, comparisons, decay, share, self._limit, _PRIOR_PAIRS)
+        doubtful = decay_and_add(self._sums, comparisons, decay, share, self._limit, _PRIOR_PAIRS)
         if doubtful or self._excess[:count].any():  # otherwise it is 0
             compared = (sums[..., 0] > _FORGOTTEN).any(axis=1)
             self._excess[:count] = np.where(compared, _excess(sums, self._limit, self._most), self._excess[:count])
@@ -227,8 +225,7 @@ def _comparisons(states: ObjectStates, agent: Ints, agents: int, labels: Ints, w
 @kernel
 def achievable(covariance: Floats, per_unit: Floats, least: float, most: float) -> bool:
     """Whether all covariances (n, 9, 9), multiplied by `per_unit` (9, 9), are within limits, see `symmetrise`."""
-    parts = (covariance[start : start + _CHUNK] for start in range(0, len(covariance), _CHUNK))
-    return all(symmetrise(part * per_unit, least, most)[1] for part in parts)
+    return symmetrise(covariance * per_unit, least, most)[1]
 
 
 @kernel
@@ -243,7 +240,7 @@ def horizontal_motion(position: Floats, velocity: Floats, covariance: Floats, ro
 
 @kernel
 def compare_members(motion: Floats, spread: Floats, agent: Ints, label: Ints, agents: int, partners: int) -> Floats:
-    """See `_comparisons`.
+    """(agents, agents, 2, 4) sums over pairs of tracks with one label, see `_comparisons`.
 
     motion: (n, 4) x, y of position and of velocity; spread: (n, 8) their covariances, see `_HORIZONTAL`
     agent, label: (n,) of each track, sorted by label, then agent
@@ -268,13 +265,14 @@ def compare_members(motion: Floats, spread: Floats, agent: Ints, label: Ints, ag
 
 
 @kernel
-def add_decayed(
+def decay_and_add(
     sums: Floats, comparisons: Floats, decay: float, share: float, limit: float, prior_pairs: float
 ) -> bool:
-    """Whether the innovations of two agents, with those that each two start with, exceed `limit` times the expected.
+    """Decay the sums in place, add a share of the new ones; whether any two agents exceed the limit.
 
-    sums: (b, b, 2, 4) see `_comparisons`. In place, those of the first a agents are multiplied by `decay`, then get
-        `share` of the new ones.
+    The limit is `limit` times the expected innovations, if each two agents begin with `prior_pairs` consistent pairs.
+
+    sums: (b, b, 2, 4) see `_comparisons`; those of the first a agents change
     comparisons: (a, a, 2, 4) the new ones, a <= b
     """
     part = sums[: len(comparisons), : len(comparisons)]

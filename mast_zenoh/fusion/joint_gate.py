@@ -36,7 +36,7 @@ class JointGate:
         check_positive({"gate": gate, "bias_m": bias_m, "bias_mps": bias_mps})
         self.gate = gate
         self._bias = 2.0 * np.array([bias_m**2] * 3 + [bias_mps**2] * 3)
-        #: (6,) 1/m², s²/m²: squared differences are at most the sum of their squares by these weights.
+        #: (6,) 1/m² and s²/m²: with these weights, the sum of squared differences is at least the squared distance.
         self.inverse_bias = 1.0 / self._bias
 
     def apart(self, states: ObjectStates, i: Ints, j: Ints) -> Bools:

@@ -29,7 +29,7 @@ MODULES = ("attacks", "boxes", "clusters", "columns", "frames", "matching", "med
 NOT_COMPILED = Path(__file__).with_name("not_compiled.txt")
 
 #: How to get compiled kernels.
-HOW = "install gcc and python3-dev, then mast-zenoh again (in a checkout: make kernels)"
+HOW = "install mast-zenoh again (in a checkout: make kernels), with gcc and python3-dev installed"
 
 
 def _load() -> dict[str, Callable[..., Any]]:
@@ -77,9 +77,9 @@ def why_not(folder: Path = Path(__file__).parent) -> str:
 def notice() -> str:
     """A line that says why compiled kernels are not in use, and how to get them; "" if they are."""
     reason = why_not()
-    if reason and COMPILED:
-        return f"compiled kernels are not used, which is slower: {reason}"
-    return f"kernels are not compiled, which is slower: {reason}; to get them, {HOW}" if reason else ""
+    if not reason:
+        return ""
+    return f"compiled kernels are not used, which is slower: {reason}" + ("" if COMPILED else f"; to get them, {HOW}")
 
 
 #: The references by name.

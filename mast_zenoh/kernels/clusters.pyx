@@ -387,7 +387,7 @@ def compare_members(motion, spread, agent, label, Py_ssize_t agents, Py_ssize_t 
     return result.reshape(agents, agents, 2, 4)
 
 
-def add_decayed(sums, comparisons, double decay, double share, double limit, double prior_pairs):
+def decay_and_add(sums, comparisons, double decay, double share, double limit, double prior_pairs):
     cdef double* total = writable_data(sums, 4)
     cdef const double* new = float_data(comparisons, 4)
     cdef Py_ssize_t r, k, all_agents = length(sums), agents = length(comparisons)

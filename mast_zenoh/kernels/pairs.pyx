@@ -63,10 +63,10 @@ def pairs_within_radius(a, b, radius):
     return rows, others, east, north
 
 
-def gated_pairs(t, detected, boxes, near, gates, chances):
+def gated_pairs(t, detected, boxes, near, gates, model):
     i, j, dx, dy = near
     position, covariance, class_id = boxes
-    jump, log_of_jump, clutter, confusion = chances
+    jump, log_of_jump, clutter, confusion = model
     cdef const double* rows = float_data(t, 2)
     cdef const double* detection = float_data(detected, 1)
     cdef const double* at = float_data(position, 2)

@@ -245,7 +245,7 @@ def matched_tracks(t, match, detected, measured, double yaw_variance, double mos
     return updated, matched_states, matched_noises, innovations, (total, steady), (squared - predicted, confirmed)
 
 
-def store_matched(t, track, matched, double forward, double limit):
+def resolve_headings_and_store(t, track, matched, double forward, double limit):
     cdef double* rows = writable_data(t, 2)
     cdef const np.int64_t* row_of = int_data(track)
     cdef double* row = writable_data(matched, 2)

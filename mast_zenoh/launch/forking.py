@@ -40,14 +40,14 @@ class ForkServer:
     """
 
     def __init__(self, environment: dict[str, str]) -> None:
-        self._socket, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket, server_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._lock = threading.Lock()
         self._socket.settimeout(_START_S)
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-        with its:
+        with server_end:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "mast_zenoh.runtime.fork_server", ROOM],
-                stdin=its.fileno(),
+                stdin=server_end.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=None if sys.__stderr__ else subprocess.DEVNULL,  # nodes need one, even if this process has none
                 env=environment,
@@ -56,22 +56,22 @@ class ForkServer:
 
     def start(self, command: list[str], folder: Path, log: IO[bytes]) -> Forked:
         """Start a node; raises StartError if the server has ended, or does not answer."""
-        theirs, ours = os.pipe()
+        node_stdin, stdin = os.pipe()
         request = json.dumps({"command": command, "folder": str(folder)}).encode()
         with self._lock:
             try:
-                socket.send_fds(self._socket, [request], [theirs, log.fileno()])
+                socket.send_fds(self._socket, [request], [node_stdin, log.fileno()])
                 answer = self._socket.recv(16)
             except OSError as error:
                 self._socket.close()  # a late answer would be taken for that of the next request
-                os.close(ours)
+                os.close(stdin)
                 raise StartError(f"the process that starts the nodes has ended, or does not answer: {error}") from None
             finally:
-                os.close(theirs)
+                os.close(node_stdin)
         if not answer:
-            os.close(ours)
+            os.close(stdin)
             raise StartError("the process that starts the nodes has ended")
-        return Forked(int(answer), os.fdopen(ours, "wb", buffering=0))
+        return Forked(int(answer), os.fdopen(stdin, "wb", buffering=0))
 
     def close(self) -> None:
         """End the server."""
@@ -85,7 +85,7 @@ class ForkServer:
 
 
 class Forked:
-    """A node's process, with what `subprocess.Popen` has of it.
+    """A forked node, with the part of the interface of `subprocess.Popen` that supervisors use.
 
     pid: of a child of this process;  stdin: closed when the node is to leave
     """

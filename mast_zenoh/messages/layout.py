@@ -31,14 +31,14 @@ TEXT = np.dtype(object)  #: of columns of text
 assert sys.byteorder == "little", "columns are sent with their bytes in memory order"
 
 MAX_SQUARES = MAX_MAGNITUDE**2
-_MAX_PLANS = 1024  # remembered; then all are forgotten, so that nobody's messages fill the room for good
+_MAX_PLANS = 1024  # at most; then all are dropped, so that one sender cannot keep the cache full
 _SHORT_TEXT = 0xA0  # of MessagePack: this byte plus a length below 32 precedes a text
 
 
 class Plan(NamedTuple):
     """The valid columns of a body with known sizes, as kernels check them.
 
-    dtypes: object for text; limits: see `limit_of`
+    dtypes: object for text
     packed: (name of the dtype, shape as a list, bytes) of the column in a message; text has no bytes
     prefixes: of each column in a message: all that precedes its data
     fits: whether the columns are within MAX_BYTES
@@ -47,7 +47,6 @@ class Plan(NamedTuple):
     names: tuple[str, ...]
     dtypes: tuple[np.dtype[Any], ...]
     shapes: tuple[tuple[int, ...], ...]
-    limits: tuple[float, ...]
     packed: tuple[tuple[str, list[int], int], ...]
     prefixes: tuple[bytes, ...]
     fits: bool
@@ -116,7 +115,6 @@ class Layout:
             names=self._names,
             dtypes=dtypes,
             shapes=shapes,
-            limits=self._limits,
             packed=packed,
             prefixes=tuple(itertools.starmap(_prefix, zip(self._names, packed, strict=True))),
             fits=sum(n_bytes) <= MAX_BYTES,

@@ -25,7 +25,7 @@ PICTURE_SHARE = 0.3
 #: How much of an own track counts by its disagreement with the picture: this times their squared distance, relative to
 #: the variance that both claim. Then a picture from badly surveyed sensors makes the estimate hardly worse.
 DISAGREEMENT = 3.0
-LIMITS = LEAST_VARIANCE, PICTURE_SHARE, DISAGREEMENT
+WEIGHTING = LEAST_VARIANCE, PICTURE_SHARE, DISAGREEMENT
 #: Estimates whose own tracks are remembered: a picture's age in frames, at most.
 MAX_EARLIER = 16
 #: Where a flat covariance has the terms of a horizontal position's variance after some time: those of its x, then of y.
@@ -202,7 +202,7 @@ def _average_pairs(
     claimed = make_positive_definite(picture.covariance.take(j, 0))
     pairs = own_mean, own_covariance, claimed, own.yaw.take(i), share, change
     position, size, velocity, yaw, covariance = averaged(
-        _means(picture), picture.yaw, picture.covariance, j, pairs, LIMITS
+        _means(picture), picture.yaw, picture.covariance, j, pairs, WEIGHTING
     )
     return picture.with_(position=position, size=size, velocity=velocity, yaw=yaw, covariance=covariance)
 
@@ -214,16 +214,18 @@ def averaged(
     covariance: Floats,
     j: Ints,
     pairs: tuple[Floats, ...],
-    limits: tuple[float, float, float],
+    weighting: tuple[float, float, float],
 ) -> tuple[Floats, ...]:
-    """Position, size and velocity (n, 3), yaw (n,) and covariance (n, 9, 9) of `_average_pairs`.
+    """The n objects of a picture after averaging p of them with own tracks, as in `_average_pairs`.
+
+    Returns position, size and velocity (n, 3), yaw (n,) and covariance (n, 9, 9).
 
     mean (n, 9), yaw, covariance: of the picture, whose objects j (p,) are paired
     pairs: means (p, 9) and covariances (p, 9, 9) of the own tracks, claimed covariances (p, 9, 9) of the objects, yaws
-        (p,) of the own tracks, share and change;  limits: LIMITS
+        (p,) of the own tracks, share and change; weighting: WEIGHTING
     """
     own_mean, own_covariance, claimed, own_yaw, share, change = pairs
-    least, picture_share, disagreement = limits
+    least, picture_share, disagreement = weighting
     own_variance = np.maximum(_variance(own_covariance), least)
     picture_variance = np.maximum(_variance(claimed), least)
     paired = mean.take(j, 0)

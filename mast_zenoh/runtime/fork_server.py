@@ -56,31 +56,31 @@ def serve(requests: socket.socket) -> list[str] | None:
         data, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST, _N_DESCRIPTORS)
         if not data:
             return None
-        told, telling = os.pipe()
-        if (between := os.fork()) == 0:
+        pid_reader, pid_writer = os.pipe()
+        if (intermediate := os.fork()) == 0:  # it ends at once, so that the launcher adopts the node
             if pid := os.fork():
-                os.write(telling, b"%d" % pid)
-                os._exit(0)  # so that the node is an orphan
-            for end in (told, telling):
+                os.write(pid_writer, b"%d" % pid)
+                os._exit(0)
+            for end in (pid_reader, pid_writer):
                 os.close(end)
             requests.close()
             request = json.loads(data)
             _become_node(request, descriptors)
             command: list[str] = request["command"]
             return command
-        for end in (telling, *descriptors):
+        for end in (pid_writer, *descriptors):
             os.close(end)
-        os.waitpid(between, 0)
-        requests.send(os.read(told, 16))
-        os.close(told)
+        os.waitpid(intermediate, 0)
+        requests.send(os.read(pid_reader, 16))
+        os.close(pid_reader)
 
 
 def _become_node(request: dict[str, Any], descriptors: list[int]) -> None:
     """Give a new process what a node has that is started by its command."""
     np.random.seed()  # noqa: NPY002  # otherwise all nodes draw the same numbers from NumPy's global generator
     os.setsid()
-    entrance, log = descriptors
-    for descriptor, place in ((entrance, 0), (log, 1), (log, 2)):
+    stdin, log = descriptors
+    for descriptor, place in ((stdin, 0), (log, 1), (log, 2)):
         os.dup2(descriptor, place)
     for descriptor in descriptors:
         os.close(descriptor)

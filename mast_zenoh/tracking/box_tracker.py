@@ -13,8 +13,8 @@ from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.detection_noise import DetectionNoise
 from mast_zenoh.tracking.duplicates import duplicated, duplicates
 from mast_zenoh.tracking.evidence import ScoreEvidence, report_columns
-from mast_zenoh.tracking.gating import Chances, Match, near_pairs
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, store_matched
+from mast_zenoh.tracking.gating import AssociationModel, Match, near_pairs
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_headings_and_store
 from mast_zenoh.tracking.initiation import created
 from mast_zenoh.tracking.innovations import Innovations
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
@@ -103,7 +103,7 @@ class KalmanBoxTracker3D(Tracker):
         confirm_odds, drop_odds = confirm_probability / (1.0 - confirm_probability), birth_odds * DROP_FRACTION
         limits = confirm_odds, self._report_odds, drop_odds, max_coast_s, LOST_M**2, MAX_SPEED, max_std_m**2
         self._status_limits = limits
-        self._chances = Chances(
+        self._model = AssociationModel(
             np.square(jump_std_m * classes.JUMP),
             math.log(jump_probability),
             float(np.log(clutter_per_m2)),
@@ -141,7 +141,7 @@ class KalmanBoxTracker3D(Tracker):
                 self._noise.learn(*excess)
             self.filter.correct(matched, state, noise)
             constrain_lateral_speed(self.filter, matched, innovation)
-            store_matched(t, match.track, matched, FORWARD, TURN_LIMIT)
+            resolve_headings_and_store(t, match.track, matched, FORWARD, TURN_LIMIT)
         self._update_missed(detected, view)
         reported = self._finish(match, self._created(match, measurements))
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
@@ -160,7 +160,7 @@ class KalmanBoxTracker3D(Tracker):
             matched, state, noise, _, _ = self._matched_tracks(match, measurements, detected)
             self.innovations.at_most = True
             self.filter.correct(matched, state, noise)
-            store_matched(t, match.track, matched, FORWARD, TURN_LIMIT)
+            resolve_headings_and_store(t, match.track, matched, FORWARD, TURN_LIMIT)
         self._update_missed(detected, None)
         new_tracks = self._created(match, measurements)
         if len(new_tracks):
@@ -189,7 +189,7 @@ class KalmanBoxTracker3D(Tracker):
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
-        pairs = near_pairs(self._tracks, detected, measurements, self._chances)
+        pairs = near_pairs(self._tracks, detected, measurements, self._model)
         chosen = self._assignment.match(pairs.track, pairs.measurement, pairs.cost)
         contested = len(chosen) < len(pairs.track)
         i, j, log_ratio, jump = pairs.track, pairs.measurement, pairs.log_ratio, pairs.jump

@@ -40,8 +40,8 @@ _HORIZONTAL = np.array([XX, XY, YY])
 _NONE = np.zeros(0, np.int64)
 
 
-class Chances(NamedTuple):
-    """What is likely before any measurement.
+class AssociationModel(NamedTuple):
+    """What gating assumes of jumps, clutter and confused classes.
 
     jump: (classes,) m^2, variance per axis of a sudden displacement of a moving object
     log_jump: ln of the probability of a sudden displacement in a frame
@@ -72,7 +72,7 @@ class Pairs(NamedTuple):
     cost: Floats
 
 
-def near_pairs(tracks: Floats, detected: Floats, measured: Measured, chances: Chances) -> Pairs:
+def near_pairs(tracks: Floats, detected: Floats, measured: Measured, model: AssociationModel) -> Pairs:
     """Pairs of n tracks and m measurements within the gate, sorted by track.
 
     detected: (n,) probability of detection
@@ -83,16 +83,16 @@ def near_pairs(tracks: Floats, detected: Floats, measured: Measured, chances: Ch
     """
     if len(tracks) == 0 or len(measured.row) == 0:
         return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0), np.zeros(0))
-    near = neighbours(tracks, measured.state, gate_radius(tracks, measured.noise, chances.jump, GATE.steady))
+    near = neighbours(tracks, measured.state, gate_radius(tracks, measured.noise, model.jump, GATE.steady))
     boxes = measured.state, measured.noise, measured.class_id
-    return Pairs(*gated_pairs(tracks, detected, boxes, near, GATE, chances))
+    return Pairs(*gated_pairs(tracks, detected, boxes, near, GATE, model))
 
 
 @kernel
 def gate_radius(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
     """Radius (n,) m around each track that contains all measurements within its gate.
 
-    covariance: (m, k, k) of the measurements; jump: see `Chances`
+    covariance: (m, k, k) of the measurements; jump: see `AssociationModel`
     """
     # The trace bounds the largest eigenvalue, which gives a cheap circle around both ellipses for all pairs.
     widest = (covariance[:, 0, 0] + covariance[:, 1, 1]).max()
@@ -107,7 +107,7 @@ def gated_pairs(
     boxes: tuple[Floats, Floats, Ints],
     near: tuple[Ints, Ints, Floats, Floats],
     gate: Gate,
-    chances: Chances,
+    model: AssociationModel,
 ) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """Select p candidate pairs within the gate; the result are the fields of `Pairs`.
 
@@ -130,14 +130,14 @@ def gated_pairs(
     far = (level & alone[i] & unexplained[j]).nonzero()[0]
     if len(far):
         speed = np.abs(planar(tracks[i[far], 6:8]))
-        jump = chances.jump.take(classes_of(tracks)[i[far]])
+        jump = model.jump.take(classes_of(tracks)[i[far]])
         jump_variance = jump * np.minimum(gate.standing + gate.moving * speed * speed, 1.0)
         density, distance = gaussian(dx[far], dy[far], a[far] + jump_variance, b[far], c[far] + jump_variance)
-        log_density[far] = density + chances.log_jump
+        log_density[far] = density + model.log_jump
         added[far] = jump_variance
         selected[far] = distance <= gate.sudden
     i, j = i[selected], j[selected]
-    ratio = log_density[selected] - chances.log_clutter + chances.confusion[classes_of(tracks)[i], class_id[j]]
+    ratio = log_density[selected] - model.log_clutter + model.confusion[classes_of(tracks)[i], class_id[j]]
     odds = tracks[:, ODDS]
     gain = ratio + np.log(detected * odds / ((1.0 - detected) * (1.0 + odds)))[i]
     return i, j, ratio, added[selected], -gain

@@ -32,8 +32,8 @@ def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
 
 
 @kernel
-def store_matched(table: Floats, rows: Ints, tracks: Floats, forward: float, limit: float) -> None:
-    """Write corrected tracks to the `rows` (k,) of the table, after a vote on their front ends.
+def resolve_headings_and_store(table: Floats, rows: Ints, tracks: Floats, forward: float, limit: float) -> None:
+    """Vote on the front ends of corrected tracks (k, WIDTH), then write them to the `rows` (k,) of the table.
 
     The vote is by the speed along the heading; outvoted tracks are reversed.
 

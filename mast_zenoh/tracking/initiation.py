@@ -30,7 +30,7 @@ def new_tracks(
     constants: tuple[float, float, float],
     speed: tuple[Floats, Floats, float],
 ) -> Floats:
-    """New tracks as in `created`.
+    """New tracks (k, WIDTH) for the measurements that are not explained (m,).
 
     measured: the fields of `Measured`
     constants: yaw_variance, odds and FIRST_DUE; speed: `classes.FIRST_SPEED`, where velocities are not measured

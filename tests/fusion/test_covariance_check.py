@@ -254,13 +254,3 @@ def test_invalid_parameters_are_refused():
         CheckedCovariances(least_speed_std_mps=0.0)
     with pytest.raises(ValueError, match=r"limit: found 0\.5, expected at least 1"):
         CheckedCovariances(limit=0.5)
-
-
-def test_checking_in_parts_changes_no_bit(monkeypatch: pytest.MonkeyPatch):
-    """One agent has too small covariances, another an offset, so both the floor and the inflation act."""
-    arguments = 5, {4: 1.5}, {1: 1e-3}
-    whole = inflated(CheckedCovariances(), *arguments)
-    monkeypatch.setattr("mast_zenoh.fusion.covariance_check._CHUNK", 1)  # a track, and three agents, at once
-    parts = inflated(CheckedCovariances(), *arguments)
-    assert not np.array_equal(whole.covariance, reported(5, FRAMES - 1, {4: 1.5}, {1: 1e-3})[0].covariance)
-    np.testing.assert_array_equal(parts.covariance, whole.covariance)

@@ -37,7 +37,7 @@ print("reason:", len(built), reason)
 @pytest.mark.parametrize(
     ("compiler", "reason"),
     [
-        ("", "1"),
+        ("", " 1 \n"),
         ("false", "0 the C compiler failed: false returned 1"),
         ("echo 'cc1: fatal error: no space' >&2; exit 1", "0 the C compiler failed: cc1: fatal error: no space"),
         ("echo Killed >&2; exit 9", "compiler returned 9: Killed"),
@@ -89,7 +89,7 @@ def test_the_reason_of_a_failed_build_is_the_last_error(output, reason):
 @pytest.mark.parametrize(
     ("compiled", "reason", "first"),
     [
-        ({}, NO_COMPILER, f"kernels are not compiled, which is slower: {NO_COMPILER}; to get them, {kernels.HOW}"),
+        ({}, NO_COMPILER, f"compiled kernels are not used, which is slower: {NO_COMPILER}; to get them, {kernels.HOW}"),
         (
             {"predict": print},
             "MAST_KERNELS=numpy disables them",
@@ -113,13 +113,13 @@ def test_the_first_line_of_a_run_and_its_record_say_why_kernels_are_not_used(
 
 def test_the_first_line_of_a_study_says_why_kernels_are_not_used(monkeypatch, tmp_path):
     page = io.StringIO()
-    monkeypatch.setattr(kernels, "notice", lambda: "kernels are not compiled [cc]")
+    monkeypatch.setattr(kernels, "notice", lambda: "kernels are not used [cc]")
     (tmp_path / "one.py").write_text(
         "def study():\n    return dict(name='one', runs=dict(a=dict(scenario='baseline')), trials=1, frames=2)"
     )
     study = definition.load(str(tmp_path / "one.py"))
     trials.run(study, tmp_path / "out", count=1, console=Console(file=page, width=80))
-    assert page.getvalue().splitlines()[0] == "kernels are not compiled [cc]"
+    assert page.getvalue().splitlines()[0] == "kernels are not used [cc]"
 
 
 def test_a_run_with_compiled_kernels_says_nothing_of_them(monkeypatch, tmp_path):

@@ -29,8 +29,8 @@ from mast_zenoh.attacks import following
 from mast_zenoh.integrity.rays import Tolerances
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.layout import LAYOUTS
-from mast_zenoh.messages.schemas import Header
+from mast_zenoh.messages.layout import LAYOUTS, limit_of
+from mast_zenoh.messages.schemas import SCHEMAS, Header
 from mast_zenoh.pipelines import mission
 from mast_zenoh.tracking import SensorView, classes, gating, tracks
 from mast_zenoh.tracking.score_calibration import STAGES_S
@@ -109,7 +109,7 @@ def averaged(random, n, m):
         random.random(k), random.normal(size=(k, 9)),
     )  # fmt: skip
     picture = random.normal(size=(n, 9)), random.uniform(-4, 4, n), covariances(random, n)
-    return *picture, random.permutation(n)[:k], pairs, mission.LIMITS
+    return *picture, random.permutation(n)[:k], pairs, mission.WEIGHTING
 
 
 def pairs(random, n, m):
@@ -122,8 +122,8 @@ def gated_pairs(random, n, m):
     i, j = pairs(random, n, m)
     dx, dy = (position[j, axis] - t[i, axis] for axis in (0, 1))
     boxes = position, covariances(random, m, 6), random.integers(0, 7, m)
-    chances = gating.Chances(random.uniform(0, 2, 7), -4.6, -9.9, classes.CONFUSION)
-    return t, random.uniform(0.1, 0.98, n), boxes, (i, j, dx, dy), gating.GATE, chances
+    model = gating.AssociationModel(random.uniform(0, 2, 7), -4.6, -9.9, classes.CONFUSION)
+    return t, random.uniform(0.1, 0.98, n), boxes, (i, j, dx, dy), gating.GATE, model
 
 
 def near_pairs(random, n):
@@ -284,7 +284,7 @@ def values(random, n, m):
         body[name].reshape(-1)[random.integers(body[name].size)] = value
     elif random.random() < 0.5:
         body["agents"][0] = random.choice(np.array(["x" * 257, 7, "y" * 256], object))
-    return body, plan.names, plan.limits
+    return body, plan.names, tuple(map(limit_of, SCHEMAS[sound.header.schema].columns))
 
 
 def track_observations(random, n, m):
@@ -321,7 +321,7 @@ ARGUMENTS = {
     "lateral_constraint": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
     "new_tracks": new_tracks,
     "matched_tracks": matched_tracks,
-    "store_matched": lambda r, n, m: (table(r, n + m), r.permutation(n + m)[:n], table(r, n), 2.0, 5.0),
+    "resolve_headings_and_store": lambda r, n, m: (table(r, n + m), r.permutation(n + m)[:n], table(r, n), 2.0, 5.0),
     "end_stages": lambda r, n, m: (staged(r, n), 1.0, STAGES_S),
     "extremes": lambda r, n, m: (r.choice([r.normal(), np.nan, 0.5], n + 1),),
     "report_columns": lambda r, n, m: (staged(r, n), r.uniform(0, 1, n), 0.5),
@@ -378,7 +378,7 @@ ARGUMENTS = {
         places(r, n), places(r, n), covariances(r, n), r.integers(0, n, m) if n else np.zeros(0, np.int64),
     ),
     "compare_members": lambda r, n, m: cluster_tracks(r, n),
-    "add_decayed": lambda r, n, m: (
+    "decay_and_add": lambda r, n, m: (
         r.uniform(0, 60, (n + m, n + m, 2, 4)), r.uniform(0, 60, (n, n, 2, 4)), 0.9, 0.2, r.choice([1.0, 9.0]), 10.0,
     ),
     "track_observations": track_observations,

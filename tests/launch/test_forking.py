@@ -44,10 +44,10 @@ def test_the_exit_code_and_the_output_are_those_of_the_command(server: ForkServe
     assert node.wait(30) == node.poll() == 2
     alone = subprocess.run([*COMMAND, "nodes/agent.py"], capture_output=True, text=True, check=False)
     assert alone.returncode == 2
-    said = [
+    last_lines = [
         text.splitlines()[-1].partition("error:")[2] for text in ((tmp_path / "node.log").read_text(), alone.stderr)
     ]
-    assert said[0] == said[1] != ""
+    assert last_lines[0] == last_lines[1] != ""
 
 
 def test_nodes_are_processes_with_their_own_log(server: ForkServer, tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def kill(server: ForkServer) -> None:
     server._process.wait()
 
 
-def test_a_server_that_has_ended_is_told(server: ForkServer, tmp_path: Path) -> None:
+def test_starting_a_node_after_the_server_ended_raises_start_error(server: ForkServer, tmp_path: Path) -> None:
     started(server, tmp_path, "--help").wait(30)
     kill(server)
     with pytest.raises(StartError, match="the process that starts the nodes has ended"):
@@ -117,7 +117,7 @@ def test_exit_codes_do_not_depend_on_the_server(server: ForkServer, tmp_path: Pa
     assert node.wait(30) == 2
 
 
-def test_a_server_that_does_not_answer_is_told(
+def test_starting_a_node_raises_start_error_if_the_server_does_not_answer(
     server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started(server, tmp_path, "--help").wait(30)

@@ -127,12 +127,16 @@ def test_a_run_continues_without_any_observation() -> None:
     assert len(run.messages["cc/picture"]) == 12
 
 
-def test_observations_of_different_times_are_brought_to_the_latest_of_them(resolved) -> None:
+def test_observations_of_different_times_are_brought_to_the_latest_of_them(
+    resolved, monkeypatch: pytest.MonkeyPatch
+) -> None:
     coordinator = Bench(resolved, "coordinator")
     calls: dict[str, Any] = {}
     coordination = coordinator.node.coordination
     step = coordination.step
-    coordination.locate = lambda rotations, velocities: calls.update(rotations=rotations, velocities=velocities)
+    monkeypatch.setattr(
+        type(coordination), "locate", lambda self, turns, speeds: calls.update(rotations=turns, velocities=speeds)
+    )
     coordination.look = lambda views: calls.update(views=views)
 
     def recorded(frame: int, time_ns: int, objects: ObjectStates, source: Any, positions: Any) -> Any:

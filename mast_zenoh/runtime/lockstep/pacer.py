@@ -23,6 +23,11 @@ from mast_zenoh.wiring.model import Wiring
 SETTLE_EVERY = 50
 
 
+def waits_for_listeners(frames: int) -> bool:
+    """Whether the driver waits for nodes that publish nothing, too, after this many frames."""
+    return frames % SETTLE_EVERY == 0
+
+
 class Pacer:
     """Detects quiescence among the members of the current epoch.
 

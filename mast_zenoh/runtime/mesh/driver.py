@@ -22,7 +22,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.lockstep.pacer import SETTLE_EVERY, Pacer
+from mast_zenoh.runtime.lockstep.pacer import Pacer, waits_for_listeners
 from mast_zenoh.runtime.lockstep.timetable import LEAVING, Timetable
 from mast_zenoh.runtime.mesh.inbox import Event
 from mast_zenoh.runtime.mesh.membership import Membership
@@ -169,7 +169,7 @@ class Driver(MeshNode):
             if not self._send_frame():
                 return END
             self.frames += 1
-            if self.lockstep and (reason := self._await_quiet(include_listeners=self.frames % SETTLE_EVERY == 0)):
+            if self.lockstep and (reason := self._await_quiet(include_listeners=waits_for_listeners(self.frames))):
                 return reason
 
     def _rewire(self) -> StopReason | None:

@@ -26,7 +26,7 @@ from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.runtime.lockstep.pacer import SETTLE_EVERY
+from mast_zenoh.runtime.lockstep.pacer import waits_for_listeners
 from mast_zenoh.runtime.mesh import drain, results_client
 from mast_zenoh.runtime.mesh.arrivals import Arrivals
 from mast_zenoh.runtime.mesh.drain import DrainQueries
@@ -155,7 +155,7 @@ class MeshNode:
         them costs less than an unnecessary report costs the driver. A node that the driver does not wait for sleeps, so
         that it takes many messages at once.
         """
-        dozes = self.lockstep and not self.outlets and (self.host.frame + 1) % SETTLE_EVERY
+        dozes = self.lockstep and not self.outlets and not waits_for_listeners(self.host.frame + 1)
         if dozes:
             time.sleep(_DOZE_S)
         if due_s is None and (dozes or self.intake.expects_more):
