@@ -321,12 +321,19 @@ def versions() -> dict[str, str]:
     }
 
 
-def why_not(*, instructions: bool) -> str:
-    """Why costs cannot be compared with the budgets here; "" if they can."""
+def missing(*, instructions: bool) -> str:
+    """What is missing here to measure costs; "" if nothing is."""
     if reason := kernels.why_not():
         return f"costs are those with compiled kernels: {reason}"
     if instructions and not shutil.which("valgrind"):
         return "valgrind, which counts instructions, is not installed"
+    return ""
+
+
+def why_not(*, instructions: bool) -> str:
+    """Why costs cannot be compared with the budgets here; "" if they can."""
+    if reason := missing(instructions=instructions):
+        return reason
     budgets, here = load()["versions"], versions()
     relevant = here if instructions else ("python", "numpy")
     other = [f"{name} is {here[name]}, expected {budgets[name]}" for name in relevant if here[name] != budgets[name]]
@@ -391,9 +398,8 @@ def main() -> int:
     if arguments.replay:
         replay(arguments.replay, tally=not arguments.sections)
         return 0
-    missing = kernels.why_not() or ("" if shutil.which("valgrind") else "valgrind is not installed")
-    if arguments.write and missing:
-        parser.error(f"--write needs compiled kernels and valgrind: {missing}")
+    if arguments.write and (reason := missing(instructions=True)):
+        parser.error(f"--write: {reason}")
     if not arguments.write and (reason := why_not(instructions=True)):
         print(f"not fully comparable with the budgets: {reason}", file=sys.stderr)
     costs = measure(instructions=False)

@@ -25,6 +25,7 @@ from mast_zenoh.messages.layout import (
     TEXT,
     WIRE_DTYPE,
     exact_columns,
+    has_dtype,
     layout_of,
     split_header,
 )
@@ -63,8 +64,7 @@ def conform(header: Header, body: Body) -> Message:
             raise MessageError(validation.names_differ(schema.name, body, schema.columns))
         array = body[name]
         if wire is not None:
-            as_sent = type(array) is np.ndarray and array.dtype == wire and array.dtype.num == wire.num
-            if not (as_sent and array.ndim and array.flags.c_contiguous):
+            if not (has_dtype(array, wire) and array.ndim and array.flags.c_contiguous):
                 array = _converted(schema.name, column.name, array, wire)
             if array.flags.writeable:
                 array = array.view()

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from math import prod
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard, TypeVar
 
 import msgpack
 import numpy as np
@@ -30,8 +30,10 @@ DTYPE_NAME = {name: dtype.str for name, dtype in WIRE_DTYPE.items()} | {"str": "
 TEXT = np.dtype(object)  #: of columns of text
 assert sys.byteorder == "little", "columns are sent with their bytes in memory order"
 
+Key = TypeVar("Key")
+
 MAX_SQUARES = MAX_MAGNITUDE**2
-_MAX_PLANS = 1024  # at most; then all are dropped, so that one sender cannot keep the cache full
+_MAX_PLANS = 1024  # that are remembered by sizes, and by length
 _SHORT_TEXT = 0xA0  # of MessagePack: this byte plus a length below 32 precedes a text
 
 
@@ -99,9 +101,7 @@ class Layout:
             if not all(type(size) is int and 0 <= size <= MAX_ROWS for size in sizes):
                 raise ValueError
             plan = self._planned(dict(zip(self._letters, sizes, strict=True)))
-            if len(self._plans) >= _MAX_PLANS:
-                self._plans.clear()
-            self._plans[sizes] = plan
+            _remember(self._plans, sizes, plan)
         return plan
 
     def _planned(self, sizes: Mapping[str, int]) -> Plan:
@@ -148,15 +148,25 @@ class Layout:
             return None
         columns = packed_columns(body, plan)
         if columns is not None and n_bytes:
-            if len(self._plan_of_length) >= _MAX_PLANS:
-                self._plan_of_length.clear()
-            self._plan_of_length[n_bytes] = plan
+            _remember(self._plan_of_length, n_bytes, plan)
         return columns
 
     def is_sound(self, columns: Body) -> bool:
         """Whether all values are valid, of columns with the right dtypes and shapes; if not, each may still be."""
         plain = columns if type(columns) is dict else dict(columns)  # as compiled functions need it
         return sound_values(plain, self._names, self._limits) <= MAX_SQUARES
+
+
+def _remember(plans: dict[Key, Plan], key: Key, plan: Plan) -> None:
+    """Remember a plan. If there is no room, all others are forgotten, so that one sender cannot keep it full."""
+    if len(plans) >= _MAX_PLANS:
+        plans.clear()
+    plans[key] = plan
+
+
+def has_dtype(array: object, dtype: np.dtype[Any]) -> TypeGuard[NDArray[Any]]:
+    """Whether this is an array of a dtype itself: longlong, for example, is equal to int64, but has another number."""
+    return type(array) is np.ndarray and array.dtype == dtype and array.dtype.num == dtype.num
 
 
 def _prefix(name: str, packed: tuple[str, list[int], int]) -> bytes:
@@ -271,9 +281,7 @@ def exact_columns(
     columns: dict[str, NDArray[Any]] = {}
     for name, dtype, shape in zip(names, dtypes, shapes, strict=True):
         array = body.get(name)
-        if type(array) is not np.ndarray or array.dtype != dtype or array.shape != shape:
-            return None
-        if array.dtype.num != dtype.num:  # such as longlong, which is equal to int64
+        if not has_dtype(array, dtype) or array.shape != shape:
             return None
         if dtype is not TEXT:
             if not array.flags.c_contiguous:

@@ -31,7 +31,7 @@ from mast_zenoh.config import bundle, loading  # noqa: E402
 from mast_zenoh.runtime.mesh.main import main, wake_when_orphaned  # noqa: E402
 
 #: Most bytes of a request.
-MAX_REQUEST = 1 << 16
+_MAX_REQUEST = 1 << 16
 #: What argparse, numpy.unique and zipfile import at their first call.
 _LATER = "locale", "numpy.ma", "encodings.cp437"
 #: An argument as long as any node's command, which is written in place of the server's.
@@ -53,7 +53,7 @@ def preload() -> None:
 def serve(requests: socket.socket) -> list[str] | None:
     """Fork nodes as requested. Returns the command in each node's process; None in the server when it is to leave."""
     while True:
-        data, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST, _N_DESCRIPTORS)
+        data, descriptors, _, _ = socket.recv_fds(requests, _MAX_REQUEST, _N_DESCRIPTORS)
         if not data:
             return None
         pid_reader, pid_writer = os.pipe()

@@ -12,6 +12,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
+from mast_zenoh.tracking.kalman import BOX
 from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, ROW, XX, YAW_VARIANCE, YY, planar
 
 #: Upper limit of the odds; keeps products of odds finite for any number of measurements.
@@ -76,7 +77,7 @@ def coasting_tracks(tracks: Floats, report_odds: float) -> tuple[Ints, Floats, F
     report_odds: odds above which a confirmed track counts as an object
     """
     occluding = (tracks[:, CONFIRMED] > 0.0) & (tracks[:, ODDS] > report_odds)
-    rows, boxes = (tracks[:, ROW] < 0.0).nonzero()[0], tracks[:, :6]
+    rows, boxes = (tracks[:, ROW] < 0.0).nonzero()[0], tracks[:, BOX]
     return rows, boxes[rows], boxes[occluding]
 
 
