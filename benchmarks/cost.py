@@ -43,7 +43,7 @@ import numpy as np
 
 from mast_zenoh import kernels, scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 
 BUDGETS = Path(__file__).with_name("budgets.toml")

@@ -35,14 +35,14 @@ import zenoh
 from mast_zenoh import links
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import bundle, loading, registry
-from mast_zenoh.control import flow
+from mast_zenoh.control import flow, prefix
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.links import Chain, Passage, Rule
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.runtime.mesh.node import MeshNode, prefix
 from mast_zenoh.runtime.mesh.session import open_client, open_router
-from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
+from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import Wiring
@@ -130,11 +130,11 @@ def link(endpoint: str, path: str) -> None:
         built_rules = tuple(registry.build(rule, Rule, path) for rule in rules(path))
         node = link_class()("ego", built_rules)
         options = {"signatures": Signatures(path), "period_ns": PERIOD_NS, "lockstep": False}
-        hosted = MeshNode(path, "link_ego", node, wiring(), 0, session, **options)
-        hosted.note_arrivals()
+        process = ZenohProcess(path, "link_ego", node, wiring(), 0, session, **options)
+        process.protocol.note_arrivals()
         gc.freeze()  # as runtime/mesh/main.py does
         gc.set_threshold(50_000, 20, 20)
-        hosted.run_until_stopped()
+        process.run()
 
 
 def drawn_delay_us(sizes: int, count: int) -> float:

@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
-from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 

@@ -52,6 +52,11 @@ class NodeSpec:
         return () if value is None else (str(value),)
 
 
+def joining_files(node: str) -> tuple[str, str]:
+    """The files of scenario and wiring with which a node begins that is being inserted into a running run."""
+    return f"scenario.{node}.json", f"wiring.{node}.json"
+
+
 def driver_of(nodes: Mapping[str, NodeSpec]) -> str:
     """The name of the node that drives the scene; "" if there is none."""
     return next((name for name, spec in nodes.items() if spec.role == DRIVER_ROLE), "")
@@ -147,14 +152,17 @@ class Resolved:
         return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages})
 
     @classmethod
-    def read(cls, run_folder: Path, allowed: AllowedCode = SHIPPED) -> Resolved:
+    def read(cls, run_folder: Path, allowed: AllowedCode = SHIPPED, node: str = "") -> Resolved:
         """The resolved scenario in a run folder.
 
         allowed: which of the Python files that it names may run; the others are UntrustedFile
+        node:    which node begins with it: one that is being inserted may begin with another one
         Raises RunFolderError for a folder whose scenario cannot be read.
         """
+        inserted = bool(node) and all((run_folder / name).exists() for name in joining_files(node))
+        names = joining_files(node) if inserted else ("scenario.json", "wiring.json")
         try:
-            scenario, wiring = (read_object(run_folder / name) for name in ("scenario.json", "wiring.json"))
+            scenario, wiring = (read_object(run_folder / name) for name in names)
             Wiring.from_json(wiring)
             resolved = cls.from_json(scenario, wiring)
         except (RunFolderError, ValueError, LookupError, TypeError, AttributeError) as error:

@@ -46,11 +46,10 @@ class Written(NamedTuple):
 class NodeFiles(NamedTuple):
     """The files for a node.
 
-    files: sizes in bytes by path; without: nodes that are not running; written: files that the node wrote before
+    files: sizes in bytes by path; written: files that the node wrote before
     """
 
     files: dict[str, int]
-    without: list[str]
     written: list[str]
 
 
@@ -86,10 +85,10 @@ def decode_file(payload: bytes) -> Written:
 def decode_node_files(payload: bytes) -> NodeFiles:
     """The answer to Join; raises MessageError."""
     answer = fields.unpack(payload, "fetch", _MAX_ANSWER)
-    fields.fields(answer, ("files", "without", "written"), "fetch: answer")
+    fields.fields(answer, ("files", "written"), "fetch: answer")
     files = fields.counters(answer["files"], "fetch: files")
     written = [fields.text(path, "fetch: written") for path in fields.listed(answer["written"], "fetch: written")]
-    return NodeFiles(files, list(fields.names(answer["without"], "fetch: without")), written)
+    return NodeFiles(files, written)
 
 
 def decode_clock(payload: bytes) -> int:

@@ -66,7 +66,7 @@ def failure(value: object) -> Entry:
 
 
 def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
-    """Decode a node's result, as `MeshNode.hand_in` makes it; raises MessageError.
+    """Decode a node's result, as runtime.protocol.node makes it; raises MessageError.
 
     drives: whether the node drives the scene: only that one has stop_reason, frames, wall_s, sent_ns, churn
     """

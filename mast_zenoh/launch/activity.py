@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from mast_zenoh.runtime.mesh.stamp import stamp_of
+from mast_zenoh.runtime.protocol.stamp import stamp_of
 from mast_zenoh.wiring.model import TAP, Wiring
 
 _CAPACITY = 32  # messages of a key between two calls of `read`; with more, missing ones are not counted

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import queue
 import signal
-import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,11 +12,11 @@ from typing import Any, NamedTuple
 import zenoh
 from rich.markup import escape
 
-from mast_zenoh.config.resolved import Resolved, driver_of
+from mast_zenoh.config.resolved import driver_of
 from mast_zenoh.control import prefix
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.errors import RunError
+from mast_zenoh.launch.protocol.state import RunState
 from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.deployment import Deployment
@@ -45,77 +44,36 @@ class Mesh(NamedTuple):
     control: ControlKeys | None = None
 
 
-class Stop:
-    """Request to stop a run, with its time, reason and error.
+@dataclass(kw_only=True)
+class RunContext(RunState):
+    """State of one run on a mesh, shared by the parts of the launcher; RunState has the part that decides.
 
-    since:   time of the request, s on the monotonic clock; None: not requested
-    problem: the first error; the run ends with it
-    """
-
-    def __init__(self) -> None:
-        self.since: float | None = None
-        self.reason = "end"
-        self.problem: RunError | None = None
-
-    @property
-    def requested(self) -> bool:
-        """Whether all nodes are asked to finish."""
-        return self.since is not None
-
-    def request(self, reason: str = "end") -> None:
-        """Ask all nodes to finish from now on; only the first request counts."""
-        if self.since is None:
-            self.since, self.reason = time.monotonic(), reason
-
-    def note(self, problem: RunError) -> None:
-        """Note the error with which the run will end; only the first counts."""
-        self.problem = self.problem or problem
-
-    def fail(self, problem: RunError, reason: str) -> None:
-        """Note an error, and ask all nodes to finish."""
-        self.note(problem)
-        self.request(reason)
-
-
-@dataclass
-class RunContext:
-    """State of one run on a mesh, shared by the parts of the launcher.
-
-    resolved: the current scenario; an interception replaces it
     record:   run.json so far; an engine sets `endpoint` and `deployment` in it
-    show:     prints a permanent line, with Rich markup
     secure:   one of `security.levels.LEVELS`
-    signals:  stop signals received so far
     detours:  by node, another endpoint at which it reaches the router; set these before the run starts
     viewer:   whether a viewer may join the mesh; on a secure mesh it gets its own credentials
 
     The launcher sets these during the run:
 
-    frame:    the newest frame that has begun; -1 before the first
     first_frame_s: when the first frame began, s on the monotonic clock
     mesh:     None before it is joined
     signatures: signs control messages, with the run's keys once the mesh is joined
     invalid:  counts the control messages that the launcher has refused
-    stop:     the request to stop, and the error
     """
 
-    resolved: Resolved
     folder: Path
     record: dict[str, Any]
-    show: Callable[[str], None]
     secure: str = "open"
-    signals: list[int] = field(default_factory=list)
     detours: dict[str, str] = field(default_factory=dict)
     viewer: bool = False
-    frame: int = field(default=-1, init=False)
     first_frame_s: float | None = field(default=None, init=False)
     mesh: Mesh | None = field(default=None, init=False)
     signatures: Signatures = field(init=False)
     invalid: InvalidMessages = field(init=False)
-    stop: Stop = field(default_factory=Stop, init=False)
     _refusals: queue.SimpleQueue[str] = field(default_factory=queue.SimpleQueue, init=False)  # from Zenoh's threads
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.signatures = Signatures(self.run_id)
         self.invalid = InvalidMessages(self._refusals.put)
 

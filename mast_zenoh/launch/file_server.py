@@ -40,8 +40,7 @@ Request = files.Join | files.Clock | files.Piece | files.Written
 class FileServer:
     """Serves the files of all nodes of one run, in its own thread, until it is closed.
 
-    resolved: returns the current scenario
-    without:  returns the nodes for which a node does not wait
+    resolved: returns the scenario with which a node begins now
     mismatch: called when a node of another version has been refused
     invalid: counts refused requests
     started: whether a node is to run now; one that asks before gets no files, and asks again
@@ -53,8 +52,7 @@ class FileServer:
         session: zenoh.Session,
         run: str,
         folder: Path,
-        resolved: Callable[[], Resolved],
-        without: Callable[[str], list[str]],
+        resolved: Callable[[str], Resolved],
         mismatch: Callable[[VersionMismatch], None],
         invalid: InvalidMessages,
         started: Callable[[str], bool] = lambda node: True,
@@ -62,7 +60,6 @@ class FileServer:
         self.last_received_s = float("-inf")
         self._folder = folder
         self._resolved = resolved
-        self._without = without
         self._started = started
         self._mismatch = mismatch
         self._invalid = invalid
@@ -101,7 +98,7 @@ class FileServer:
         """Queue a request, in Zenoh's thread; refuse a malformed one."""
         (kind, node), received_ns = _kind_and_node(query), time.time_ns()
         try:
-            if node not in self._resolved().nodes:
+            if node not in self._resolved(node).nodes:
                 raise MessageError(f"there is no node {node!r:.80} in this run")
             payload = query.payload.to_bytes() if query.payload else b""
             request = files.decode_file(payload) if kind == "file" else files.decode_fetch(payload)
@@ -134,7 +131,7 @@ class FileServer:
     def _refuse(self, query: zenoh.Query, kind: str, node: str, error: Exception) -> None:
         """Answer with an error; count it, unless the node is of another version."""
         if not isinstance(error, VersionMismatch):
-            self._invalid.note(f"{kind}/{node if node in self._resolved().nodes else '*'}", described(error))
+            self._invalid.note(f"{kind}/{node if node in self._resolved(node).nodes else '*'}", described(error))
         refusal = error if isinstance(error, MastError) else MessageError(described(error))
         with suppress(Exception):  # the node may have gone
             query.reply_err(files.encode_refusal(refusal))
@@ -163,19 +160,19 @@ class FileServer:
             self._mismatch(error)
             raise error
         if not self._started(node):
-            return {"files": {}, "without": [], "written": []}
-        resolved = self._resolved()
+            return {"files": {}, "written": []}
+        resolved = self._resolved(node)
         self._contents[node] = contents = dict(files_for_node(resolved, node, self._folder))
         sizes = {
             path: len(content) if isinstance(content, bytes) else content.stat().st_size
             for path, content in contents.items()
         }
         written = [path for path in files_written_by(resolved, node) if (self._folder / path).exists()]
-        return {"files": sizes, "without": self._without(node), "written": written}
+        return {"files": sizes, "written": written}
 
     def _receive(self, node: str, written: files.Written) -> dict[str, Any]:
         path, offset, piece = written
-        if path not in files_written_by(self._resolved(), node):
+        if path not in files_written_by(self._resolved(node), node):
             raise MessageError(f"{node} has no file {path!r:.80} to send")
         target = self._folder / path
         with target.open("r+b" if target.exists() else "xb") as file:

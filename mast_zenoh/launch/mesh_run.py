@@ -8,7 +8,7 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.control import control_prefix, flow, prefix
+from mast_zenoh.control import control_prefix, prefix
 from mast_zenoh.errors import BackendError
 from mast_zenoh.launch import description, local_mesh, mesh_conclusion
 from mast_zenoh.launch import folder as run_folder
@@ -16,13 +16,16 @@ from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.file_server import FileServer
-from mast_zenoh.launch.interception.server import Interceptions
+from mast_zenoh.launch.interception.server import InterceptionServer
+from mast_zenoh.launch.mesh_actions import MeshActions
 from mast_zenoh.launch.netns.hosts import Hosts
+from mast_zenoh.launch.protocol.interception import Interceptions
+from mast_zenoh.launch.protocol.steps import Steps
 from mast_zenoh.launch.reports import Reports
-from mast_zenoh.launch.steps import StepRequests, Steps
+from mast_zenoh.launch.steps import StepRequests
 from mast_zenoh.launch.watch import Watch
-from mast_zenoh.runtime.lockstep.timetable import Timetable
-from mast_zenoh.runtime.mesh.stamp import stamp_of
+from mast_zenoh.runtime.protocol.stamp import stamp_of
+from mast_zenoh.runtime.protocol.timetable import Timetable
 
 _END_GRACE_S = 1.0  # after closing inputs, and after SIGTERM
 
@@ -41,13 +44,10 @@ def run(context: RunContext, display: Display, endpoint: str | None, listen: str
         context.attach(mesh)
         session, supervisor = mesh.session, mesh.supervisor
         control = control_prefix(context.run_id)
-
-        def leave(name: str) -> None:
-            session.put(f"{control}/leave/{name}", context.signatures.sign(f"leave/{name}", flow.LEAVE.encode()))
-
+        actions = MeshActions(context, session, supervisor)
         resolved = context.resolved
         absent = Timetable(resolved, lockstep=lockstep).absent
-        steps = Steps(supervisor, resolved.nodes, absent, leave, resolved.steps)
+        steps = Steps(supervisor, resolved.nodes, absent, actions, resolved.steps)
         requests = StepRequests(steps, context.signatures, context.invalid)
         reports = Reports(session, control, supervisor.children, context.invalid)
         declared = [*_declare(context, session, requests, hosts), description.declare(context, session)]
@@ -55,12 +55,14 @@ def run(context: RunContext, display: Display, endpoint: str | None, listen: str
         if engine is not None:
             file_server = _serve_files(context, mesh, stack)
             declared.append(session.liveliness().declare_token(f"{control}/launcher"))
-        interceptions = Interceptions(context, session, supervisor)
+        interceptions = Interceptions(context, supervisor, actions, lambda: context.signatures)
+        requested = InterceptionServer(context, session, interceptions, actions)
         watch = Watch(
             context,
             mesh,
             display,
             steps=steps,
+            actions=actions,
             requests=requests,
             reports=reports,
             interceptions=interceptions,
@@ -75,7 +77,7 @@ def run(context: RunContext, display: Display, endpoint: str | None, listen: str
             watch.run()
         finally:
             supervisor.end(_END_GRACE_S)
-            interceptions.close()
+            requested.close()
             watch.take_reports()
             reports.close()
             for entity in declared:
@@ -128,8 +130,7 @@ def _serve_files(context: RunContext, mesh: Mesh, stack: ExitStack) -> FileServe
         mesh.session,
         context.run_id,
         context.folder,
-        lambda: context.resolved,
-        lambda node: mesh.supervisor.without.get(node, []),
+        context.resolved_for,
         context.stop.note,
         context.invalid,
         mesh.supervisor.is_started,

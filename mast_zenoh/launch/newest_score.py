@@ -23,8 +23,8 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.record import PICTURE_RECEIVED, Snapshot
-from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.mesh.stamp import stamp_of
+from mast_zenoh.runtime.host import Outgoing
+from mast_zenoh.runtime.protocol.stamp import stamp_of
 from mast_zenoh.wiring.model import TAP, Wiring
 
 _TRUTHS = 16  # frames by which a picture may be late and still be scored

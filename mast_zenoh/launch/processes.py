@@ -66,8 +66,7 @@ class Processes(Supervisor[Process]):
         self._server: ForkServer | None = None
         self.zids: set[str] = set()
 
-    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        self.without[name] = sorted(without)
+    def start(self, name: str, spec: NodeSpec) -> None:
         log = (self.folder / "logs" / f"{name}.log").open("ab", buffering=0)
         self.children[name] = Process(name, spec, log, self._spawn(name, spec, log))
 
@@ -76,13 +75,10 @@ class Processes(Supervisor[Process]):
         command = [*self.inside(name), *_NODE, spec.file, "--run-folder", str(self.folder), "--name", name]
         zid = "1" + secrets.token_hex(15)
         self.zids.add(zid)
-        command += ["--endpoint", self.endpoint, "--run", self.run, "--zid", zid, *self.extra_arguments(name)]
-        without = ",".join(self.without[name])
-        return [*command, "--without", without] if without else command
+        return [*command, "--endpoint", self.endpoint, "--run", self.run, "--zid", zid, *self.extra_arguments(name)]
 
-    def _restart(self, child: Process, without: Iterable[str]) -> None:
+    def _restart(self, child: Process) -> None:
         _close(child.process)
-        self.without[child.name] = sorted(without)
         child.process = self._spawn(child.name, child.spec, child.log)
 
     def end_now(self, child: Process) -> None:

@@ -127,7 +127,15 @@ def run(
                 if runtime == "inproc":
                     _run_inproc(resolved, folder, record, display, received)
                 else:
-                    context = RunContext(resolved, folder, record, display.say, secure, received)
+                    context = RunContext(
+                        resolved,
+                        display.say,
+                        time.monotonic,
+                        received,
+                        folder=folder,
+                        record=record,
+                        secure=secure,
+                    )
                     prepare(context)
                     mesh_run.run(context, display, endpoint, listen, engine)
         except BaseException as raised:  # whatever it is, the run folder says how the run ended

@@ -61,24 +61,21 @@ class Supervisor(ABC, Generic[C]):
     """The nodes of a run, by name; ends only nodes that it has started.
 
     A subclass knows how to reach them: as processes, in containers, on other hosts.
-
-    without: by node, the nodes that were not up when it was last started, so it does not wait for them
     """
 
     def __init__(self) -> None:
         self.children: dict[str, C] = {}
-        self.without: dict[str, list[str]] = {}
 
     @abstractmethod
-    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        """Start a node; `without`: the nodes that are not up, for which it does not wait."""
+    def start(self, name: str, spec: NodeSpec) -> None:
+        """Start a node."""
 
-    def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
+    def start_all(self, specs: Mapping[str, NodeSpec]) -> None:
         """Start several nodes."""
         for name, spec in specs.items():
-            self.start(name, spec, without)
+            self.start(name, spec)
 
-    def restart(self, child: C, without: Iterable[str] = ()) -> bool:
+    def restart(self, child: C) -> bool:
         """Restart a node that has ended; False if it has been restarted too often.
 
         The limit does not apply to restarts by the scenario.
@@ -88,11 +85,11 @@ class Supervisor(ABC, Generic[C]):
         child.notes.append(how_ended(child.exit))
         child.restarts += 1
         child.exit_handled = child.exit_expected = child.paused = child.handed_in = False
-        self._restart(child, without)
+        self._restart(child)
         return True
 
     @abstractmethod
-    def _restart(self, child: C, without: Iterable[str]) -> None:
+    def _restart(self, child: C) -> None:
         """Start a node that has ended."""
 
     @abstractmethod

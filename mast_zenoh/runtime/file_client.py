@@ -3,7 +3,7 @@
 A node fetches its files under @control/fetch/{node}, and hands in the files that it writes, while they grow, under
 @control/file/{node}; both are queries of MessagePack maps:
 
-    fetch  {do: "join", version, versions}   → {files: {path: bytes}, without: [nodes], written: [paths]}, or an error
+    fetch  {do: "join", version, versions}   → {files: {path: bytes}, written: [paths]}, or an error
     fetch  {do: "clock"}                     → {now_ns}
     fetch  {do: "piece", path, offset}       → {piece: bytes}
     file   {path, offset, piece}             → {}
@@ -50,11 +50,8 @@ class FileClient:
         self._name = name
         self.clock: dict[str, float] = {}
 
-    def fetch(self, folder: Path, patience_s: float) -> list[str]:
-        """Fetch this node's files into a folder; returns the nodes that are not running.
-
-        Raises the error with which the launcher refuses.
-        """
+    def fetch(self, folder: Path, patience_s: float) -> None:
+        """Fetch this node's files into a folder; raises the error with which the launcher refuses."""
         request: dict[str, Any] = {"do": "join", "version": version.version_string(), "versions": version.versions()}
         while not (node_files := self.ask("fetch", request, patience_s, files.decode_node_files)).files:
             threading.Event().wait(_TURN_S)  # the scenario starts this node later
@@ -71,7 +68,6 @@ class FileClient:
         for path in node_files.written:
             _below(folder, path).touch()  # a restarted node must not begin such a file again
         self._measure_clock_offset(patience_s)
-        return node_files.without
 
     def hand_in(self, path: str, offset: int, piece: bytes, seconds: float) -> None:
         """Append to a file of the run folder."""

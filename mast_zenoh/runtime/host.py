@@ -1,37 +1,77 @@
 """Hosts one node, without I/O: messages in, messages out. Both runtimes use this.
 
 The host decodes and checks received messages, holds each until it has received the clock of the step in which the
-message was sent, calls the node's handlers, and numbers the node's messages. It counts messages sent and handled by
-key (lock-step waits until these balance), and rejected ones.
+message was sent, calls the node's handlers, and numbers, delays and sends the node's messages. It counts messages sent
+and handled by key (lock-step waits until these balance), and rejected ones.
 """
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from mast_zenoh.control import results
 from mast_zenoh.control.failures import Failure
-from mast_zenoh.errors import MessageError
+from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import codec, row_limits
-from mast_zenoh.messages.schemas import Header, Message
+from mast_zenoh.messages.row_limits import NO_LIMITS
+from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
-from mast_zenoh.runtime.context import NodeContext, Outgoing
+from mast_zenoh.runtime.delayed import Delayed
 from mast_zenoh.runtime.held import Held, HeldMessages
-from mast_zenoh.runtime.limits import HELD
+from mast_zenoh.runtime.limits import DELAYED, HELD, Room
+from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, NO_WIRING, Input, Ports, Wiring
 
+MAX_DELAY_S = 3600.0  #: longest delay of a message
+_FOREVER = 1 << 62  # ns, or steps
+_MAX_REASON = 200  # characters kept of the reason of a rejection
 
-class Host(NodeContext):
-    """One node with its ports connected; `NodeContext` documents the other parameters.
 
+class Outgoing(NamedTuple):
+    """An outgoing message: its key, its content, and the step in which it is sent.
+
+    payload: bytes on a mesh; in one process the message itself
+    flaw: why a receiver would reject it; empty: it is valid
+    """
+
+    key: str
+    payload: bytes | Message
+    step: int
+    flaw: str = ""
+
+
+class _DelayedMessage(NamedTuple):
+    """A message to send later, and the room it takes up, bytes, for a source."""
+
+    out: Outgoing
+    source: str
+    size: int
+
+
+class Host:
+    """One node with its ports connected; also the node's `Context`.
+
+    encode: whether messages are passed on as bytes, as on a mesh
+    emit: called immediately with every message that the node publishes
+    period_ns: interval of the scene's frames, ns: the unit of delays in lock-step
+    now:  a monotonic clock, ns, for real time; None: time advances with frames, as in lock-step
+    wiring: of the whole run, for nodes that observe wires
     timespan: valid frames and times of messages; None: any
+
+    limits: of the run on the rows of messages; the runtime sets them
     observe: called with the key and header of every valid message
     on_failure: called with every failure of a handler, after it has been counted
-    handled: number of messages by key; failures: by handler
+    frame, time_ns: of the newest clock
+    sent, handled: number of messages by key; failures: by handler
+    rejected: number of rejected messages by (key, kind)
+    first_rejected: frame and reason of the first rejection, by key
     """
 
     def __init__(
@@ -48,20 +88,122 @@ class Host(NodeContext):
         wiring: Wiring = NO_WIRING,
         timespan: Timespan | None = None,
     ) -> None:
-        super().__init__(name, node, ports, seed, encode=encode, emit=emit, period_ns=period_ns, now=now, wiring=wiring)
+        self.name = name
+        self.node = node
+        self.seed = seed
+        self.wiring = wiring
+        self.limits = NO_LIMITS
+        self.observe: Callable[[str, Header], None] | None = None
+        self.on_failure: Callable[[Failure], None] = lambda failure: None
+        self.frame = -1
+        self.time_ns = 0
+        self.log = logging.getLogger(f"mast.{name}")
+        self.sent: Counter[str] = Counter()
         self.handled: Counter[str] = Counter()
         self.failures: dict[str, Failure] = {}
-        self.on_failure: Callable[[Failure], None] = lambda failure: None
-        self.observe: Callable[[str, Header], None] | None = None
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.first_rejected: dict[str, tuple[int, str]] = {}
+        self._publishers: dict[str, str] | None = None  # by key; built on first use
+        self._inputs = dict(ports.inputs)
+        self.subscriptions: Mapping[str, Input] = self._inputs
+        self._emit = emit
+        self._encode = encode
+        self._outputs = ports.outputs
+        self._keys_of_port: dict[str, list[str]] = {}
+        for (port, _), key in ports.outputs.items():
+            self._keys_of_port.setdefault(port, []).append(key)
+        self._seq: Counter[str] = Counter()
+        self._ignored: frozenset[str] = frozenset()
+        self._clocked = any(each.message == "clock" for each in ports.inputs.values())
+        self._period_ns = period_ns
+        self._now = now
+        self._step = -1  # of messages sent now
+        self._started_ns: int | None = None  # when the first clock was received
+        self._handler_time_ns = 0  # when the running handler was called; constant within it, to keep messages in order
+        self._delayed: Delayed[_DelayedMessage] = Delayed()
+        self._delayed_room = Room(DELAYED)
         self._held = HeldMessages()
+        self._handling = ""  # key of the message being handled
         self._timespan = timespan
-        self._end = 1 << 62 if timespan is None else timespan.frames - 1
+        self._end = _FOREVER if timespan is None else timespan.frames - 1
         self._last_step = self._end  # the latest step in which a message can have been sent
         self._awaited = timespan is not None and now is None and bool(ports.outputs) and _direct_clock(wiring)
         self._overhears = ANY in node.inputs.values()
         self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
         if self._overhears:
             self._handlers = {port: self._rejecting(handler) for port, handler in self._handlers.items()}
+
+    # -- documented in node.Context ------------------------------------------------------------------------------
+
+    def publish(
+        self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
+    ) -> None:
+        schema = self._output(port)
+        key = self._key(port, subject)
+        header_frame = self.frame if frame is None else frame
+        header_time = self.time_ns if time_ns is None else time_ns
+        if schema == "clock":
+            self.frame, self.time_ns, self._step = header_frame, header_time, header_frame
+        if key is None:
+            return
+        if frame is None and header_frame < 0:
+            problem = f"{self.name}: {port}: published before the first clock"
+            raise ConfigurationError(f"{problem}; a node that publishes needs an input of type clock")
+        header = Header(schema, self.name, header_frame, header_time, self._seq[key])
+        message = codec.conform(header, body)
+        self._seq[key] += 1
+        self._send_message(key, message)
+
+    @property
+    def now_ns(self) -> int:
+        if self._now is None:
+            return self.time_ns
+        return 0 if self._started_ns is None else self._handler_time_ns - self._started_ns
+
+    def relay(
+        self,
+        port: str,
+        received: Received,
+        body: Body | None = None,
+        *,
+        payload: bytes | None = None,
+        time_ns: int | None = None,
+        after_s: float = 0.0,
+    ) -> None:
+        schema = self._output(port)
+        if schema != received.schema:
+            raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {received.schema!r}")
+        if payload is not None and (body is not None or time_ns is not None):
+            raise ConfigurationError(
+                f"{self.name}: port {port!r}: a payload is sent unchanged: expected no body or time_ns"
+            )
+        key = self._outputs.get((port, received.subject))
+        if key is None:
+            return
+        if payload is not None:
+            self._send_payload(key, payload, after_s=after_s)
+        elif body is not None or time_ns is not None:
+            header = received.message.header
+            header = header if time_ns is None else header._replace(time_ns=time_ns)
+            message = Message(header, received.body) if body is None else codec.conform(header, body)
+            self._send_message(key, message, after_s)
+        else:
+            self._send_payload(
+                key, received.encoded if self._encode else received.payload or received.message, after_s=after_s
+            )
+
+    def ignore(self, keys: Collection[str]) -> None:
+        self._ignored = frozenset(keys)
+
+    def reject(self, reason: str) -> None:
+        self._count_rejected(self._handling, reason)
+
+    def connected(self, port: str, subject: str | None = None) -> bool:
+        self._output(port)
+        return bool(self._keys_of_port.get(port)) if subject is None else self._key(port, subject) is not None
+
+    def rng(self, *purpose: str | int) -> np.random.Generator:
+        return stream(self.seed, self.name, *purpose)
 
     # -- called by the runtime -----------------------------------------------------------------------------------
 
@@ -183,8 +325,105 @@ class Host(NodeContext):
         """Restart the counts at zero, at a frame boundary: a node has died or joined."""
         self.sent.clear()
         self.handled.clear()
+        self._held.discount()
 
-    # -- internal ------------------------------------------------------------------------------------------------
+    def release(self) -> float | None:
+        """Send messages that are due; returns the seconds until the next, None for none.
+
+        For real time: in lock-step the clock sends them.
+        """
+        if self._now is None or not self._delayed:
+            return None
+        self._send_due(self._now())
+        due = self._delayed.due
+        return None if due is None else max(0.0, (due - self._now()) * 1e-9)
+
+    def publisher(self, key: str) -> str:
+        """The node that publishes on a key; behind an interposer, the interposer."""
+        if self._publishers is None:
+            self._publishers = {leg.key: leg.publisher.node for _, leg in self.wiring.legs()}
+        return self._publishers.get(key) or (self._inputs[key].source if key in self._inputs else key)
+
+    def flush(self) -> None:
+        """Send all delayed messages immediately, in the order in which they are due."""
+        if self._delayed:
+            self._send_due(_FOREVER)
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _output(self, port: str) -> str:
+        if port not in self.node.outputs:
+            raise ConfigurationError(f"{self.name}: no output port {port!r}{nearest(port, self.node.outputs)}")
+        message: str = self.node.outputs[port]
+        return message
+
+    def _key(self, port: str, subject: str | None) -> str | None:
+        if subject is not None:
+            return self._outputs.get((port, subject))
+        keys = self._keys_of_port.get(port, [])
+        if len(keys) > 1:
+            raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: choose one with subject=…")
+        return keys[0] if keys else None
+
+    def _send_message(self, key: str, message: Message, after_s: float = 0.0) -> None:
+        if self._encode:
+            self._send_payload(key, codec.encode(message), after_s=after_s)
+            return
+        flaw = ""
+        try:
+            codec.check_values(message, self.limits)
+        except MessageError as error:
+            flaw = str(error)
+        self._send_payload(key, message, flaw, after_s)
+
+    def _send_payload(self, key: str, payload: bytes | Message, flaw: str = "", after_s: float = 0.0) -> None:
+        """Send a payload, or keep it until it is due."""
+        out = Outgoing(key, payload, self._step, flaw)
+        if after_s == 0.0 and (self._now is None or not self._delayed):
+            self._emit(out)
+            self.sent[key] += 1
+            return
+        if not 0.0 <= after_s <= MAX_DELAY_S:
+            raise ConfigurationError(f"{self.name}: after_s: found {after_s}, expected 0 to {MAX_DELAY_S:.0f}")
+        if not self._clocked:
+            raise ConfigurationError(
+                f"{self.name}: after_s: a node that does not receive the clock cannot delay a message"
+            )
+        delay_ns = round(after_s * 1e9)
+        if self._now is not None:
+            due = self._handler_time_ns + delay_ns
+            self._delay(due, due, out)
+            self._send_due(self._handler_time_ns)  # earlier messages leave first
+        elif delay_ns < self._period_ns:
+            self._emit(out)
+            self.sent[key] += 1
+        else:
+            self._delay(self._step + delay_ns // self._period_ns, self.time_ns + delay_ns, out)
+
+    def _delay(self, due: int, rank: int, out: Outgoing) -> None:
+        """Keep a message until it is due, in the room of the handled message's source."""
+        source_key, payload = self._handling or out.key, out.payload
+        source = self.publisher(source_key)
+        # The encoded size also in one process, so that both drop the same messages.
+        size = len(payload if isinstance(payload, bytes) else codec.encode(payload))
+        if self._delayed_room.take(source, size):
+            self._delayed.push(due, rank, _DelayedMessage(out, source, size))
+        else:
+            self._count_rejected(source_key, f"delayed: more than {self._delayed_room.limit} of {source} are delayed")
+
+    def _send_due(self, now: int) -> None:
+        """Send messages due at `now`, a step in lock-step, else ns; in the current step."""
+        for out, source, size in self._delayed.pop(now):
+            self._delayed_room.free(source, size)
+            self._emit(out._replace(step=self._step))
+            self.sent[out.key] += 1
+
+    def _count_rejected(self, key: str, reason: str, count: int = 1) -> None:
+        """Count rejected messages by key and kind, the reason's part before the colon."""
+        if key not in self.first_rejected:
+            self.first_rejected[key] = self.frame, " ".join(reason.split())[:_MAX_REASON]
+            self.log.warning("rejected a message on %s: %s (more on this key will only be counted)", key, reason)
+        self.rejected[key, reason.split(":", 1)[0]] += count
 
     def _clock(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         if received.frame <= self.frame:

@@ -20,9 +20,8 @@ from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.node import Source
-from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.host import Host
-from mast_zenoh.runtime.lockstep.timetable import LEAVING, Timetable
+from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.protocol.timetable import LEAVING, Timetable
 from mast_zenoh.wiring.model import Wiring
 
 

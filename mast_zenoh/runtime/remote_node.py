@@ -95,28 +95,28 @@ def _host(arguments: argparse.Namespace) -> None:
         arrival_s = max(JOIN_S, arguments.patience) if arguments.again else arguments.patience
         with LauncherWatch(session, run, arguments.patience, lambda: leave[0](), arrival_s=arrival_s):
             folder, client = Path(own), FileClient(session, run, name)
-            without = client.fetch(folder, arrival_s)
+            client.fetch(folder, arrival_s)
             os.chdir(folder)
             resolved = Resolved.read(folder, OWN_RUN)
             if resolved.mode == "lockstep":
                 hosting.use_batch_scheduling()
             instance = hosting.build(resolved, name)
             signatures = hosting.signatures(run, credentials)
-            mesh_node = hosting.host(resolved, run, name, instance, session, without, signatures)
-            mesh_node.host_facts = {"versions": version.versions(), "clock": client.clock}
+            process = hosting.host(resolved, run, name, instance, session, signatures)
+            process.protocol.host_facts = {"versions": version.versions(), "clock": client.clock}
 
             def orphaned() -> None:
-                mesh_node.inbox.put(("stop", "orphaned"))
+                process.stop("orphaned")
                 threading.Event().wait(_GRACE_S)
                 os._exit(3)
 
             leave[0] = orphaned
             if arguments.again:
-                mesh_node.on_kill = _start_over
+                process.protocol.on_kill = _start_over
             try:
                 with HandIn(client, folder, files_written_by(resolved, name, instance)) as written:
-                    mesh_node.hand_in_files = written.finish
-                    mesh_node.run_until_stopped()
+                    process.hand_in_files = written.finish
+                    process.run()
             except Exception:
                 if not arguments.again:
                     raise
@@ -124,7 +124,7 @@ def _host(arguments: argparse.Namespace) -> None:
                 _start_over()
             if not arguments.again:
                 return
-            if mesh_node.stop_reason == LEAVE:
+            if process.protocol.stop_reason == LEAVE:
                 _start_over()
             gone = threading.Event()
             leave[0] = gone.set

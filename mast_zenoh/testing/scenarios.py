@@ -18,7 +18,7 @@ from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.node import Node, handler_names
-from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.testing.comparison import expect
 from mast_zenoh.wiring.model import ANY

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,25 +10,22 @@ from unittest.mock import MagicMock
 
 import msgpack
 import pytest
-import zenoh
+from hosted import Hosted
 
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control import CONTROLS, flow
 from mast_zenoh.control.files import encode
 from mast_zenoh.control.invalid import MAX_KEYS, OTHERS, InvalidMessages
-from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.control.stop_reasons import StopKind, StopReason, encode_reason
 from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer
+from mast_zenoh.launch.protocol.steps import Steps
 from mast_zenoh.launch.reports import Reports
-from mast_zenoh.launch.steps import StepRequests, Steps
+from mast_zenoh.launch.steps import StepRequests
 from mast_zenoh.launch.watch import Watch
 from mast_zenoh.node import Node, Source
-from mast_zenoh.runtime.lockstep.timetable import Timetable
-from mast_zenoh.runtime.mesh.driver import Driver
-from mast_zenoh.runtime.mesh.node import MeshNode
+from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.security.access import rights
 from mast_zenoh.security.credentials import LAUNCHER
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
@@ -118,106 +114,102 @@ def sample(key: str, payload: bytes) -> Any:
 
 
 @pytest.fixture
-def ego() -> MeshNode:
-    return MeshNode("x", "ego", Ego(), WIRING, 1, MagicMock(), signatures=Signatures("x"), period_ns=1, lockstep=True)
+def ego() -> Hosted:
+    return Hosted("ego", Ego(), WIRING)
 
 
 @pytest.fixture
-def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
-    new_driver = Driver(
-        *("x", "sim", Sim(), WIRING, 1, MagicMock()),
-        signatures=Signatures("x"),
-        expected=dict(ROLES),
-        period_ns=1,
-        lockstep=True,
-        rate=1.0,
-        timetable=Timetable(RESOLVED, lockstep=True),
-        stall_timeout_s=2.0,
-    )
-    monkeypatch.setattr("mast_zenoh.runtime.mesh.driver.SUSPECT_S", 0.01)
-    new_driver.membership.alive |= {"ego", "watch"}
-    new_driver._begin_epoch()
-    new_driver.pacer.heard |= {"ego", "watch"}  # both have taken part
-    return new_driver
+def driver() -> Hosted:
+    """A driver that has begun an epoch with all nodes, none of which has reported in it."""
+    timetable = Timetable(RESOLVED, lockstep=True)
+    driver = Hosted("sim", Sim(), WIRING, expected=dict(ROLES), rate=1.0, timetable=timetable, stall_timeout_s=5.0)
+    driver.protocol.start()
+    for name in ("ego", "watch"):
+        driver.protocol.receive_presence(name, True)
+    driver.handle_all()
+    assert driver.protocol.epoch == 1
+    driver.protocol.pacer.heard |= {"ego", "watch"}  # both have taken part
+    return driver
 
 
-def test_a_token_that_goes_before_its_node_was_heard_is_no_loss(driver: Driver) -> None:
-    driver.pacer.heard.discard("ego")
-    presence(driver, False, True)
-    assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" not in driver.membership.alive
-    assert driver.membership.churn == []
+def counts(driver: Hosted, node: str, sent: dict[str, int], handled: dict[str, int]) -> None:
+    """Report a node's counts to the driver."""
+    driver.protocol.receive_counts(node, flow.encode_counts(1, sent, handled))
+    driver.handle_all()
+
+
+def test_a_token_that_goes_before_its_node_was_heard_is_no_loss(driver: Hosted) -> None:
+    driver.protocol.pacer.heard.discard("ego")
+    presence(driver, False)
+    driver.handle_all()
+    assert "ego" not in driver.protocol.membership.alive
+    assert driver.protocol.membership.churn == []
 
 
 @pytest.fixture
 def context(tmp_path: Path) -> RunContext:
-    return RunContext(RESOLVED, tmp_path, {"id": "x"}, lambda line: None)
+    return RunContext(RESOLVED, lambda line: None, time.monotonic, folder=tmp_path, record={"id": "x"})
 
 
 # -- nodes -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("payload", RUBBISH)
-def test_a_malformed_epoch_costs_a_node_one_message(ego: MeshNode, payload: bytes) -> None:
-    ego._on_control("epoch", sample("epoch", payload))
-    assert (ego.epoch, ego.invalid.counts) == (0, {"epoch": 1})
-    with pytest.raises(queue.Empty):
-        ego.inbox.get_nowait()
-    ego._on_control("epoch", sample("epoch", flow.encode_epoch(1, {"ego": "agent"}, None)))
-    ego.handle(ego.inbox.get_nowait())
-    assert (ego.epoch, ego.stop_reason) == (1, None)
+def test_a_malformed_epoch_costs_a_node_one_message(ego: Hosted, payload: bytes) -> None:
+    ego.protocol.receive_epoch(payload)
+    assert (ego.protocol.epoch, ego.protocol.invalid.counts) == (0, {"epoch": 1})
+    assert not ego.items
+    ego.protocol.receive_epoch(flow.encode_epoch(1, {"ego": "agent"}, None))
+    ego.handle_all()
+    assert (ego.protocol.epoch, ego.protocol.stop_reason) == (1, None)
 
 
 @pytest.mark.parametrize("key", ["stop", "leave/ego"])
-def test_a_stop_that_is_not_text_costs_a_node_one_message(ego: MeshNode, key: str) -> None:
-    ego._on_control(key, sample(key, b"\xff\xfe"))
-    assert (ego.stop_reason, ego.invalid.counts) == (None, {key: 1})
-    with pytest.raises(queue.Empty):
-        ego.inbox.get_nowait()
-    ego._on_control(key, sample(key, b"end"))
-    ego.handle(ego.inbox.get_nowait())
-    assert ego.stop_reason == "end"
+def test_a_stop_that_is_not_text_costs_a_node_one_message(ego: Hosted, key: str) -> None:
+    ego.protocol.receive_stop(key, b"\xff\xfe")
+    assert (ego.protocol.stop_reason, ego.protocol.invalid.counts) == (None, {key: 1})
+    assert not ego.items
+    ego.protocol.receive_stop(key, b"end")
+    ego.handle_all()
+    assert ego.protocol.stop_reason == "end"
 
 
 TAP = "agent/ego/status/@tap/0"
 
 
 @pytest.fixture
-def eve() -> MeshNode:
+def eve() -> Hosted:
     """A node on the wire of ego's status."""
     legs = (Leg(TAP, Endpoint("ego", "status"), (Endpoint("eve", "heard"),)),)
     legs += (Leg("agent/ego/status", Endpoint("eve", "status"), (Endpoint("watch", "status"),)),)
-    wiring = Wiring((WIRING.wires[0], Wire("agent/ego/status", "ego", "status", legs)))
-    more: Any = {"signatures": Signatures("x"), "period_ns": 1, "lockstep": True}
-    return MeshNode("x", "eve", Eve(), wiring, 1, MagicMock(), **more)
+    return Hosted("eve", Eve(), Wiring((WIRING.wires[0], Wire("agent/ego/status", "ego", "status", legs))))
 
 
-def begin_removal(node: MeshNode) -> None:
+def begin_removal(hosted: Hosted) -> None:
     """Begin a wiring change that removes the node."""
-    update = flow.WiringUpdate(WIRING, False, (node.name,))
-    node._on_control("epoch", sample("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update)))
-    node.handle(node.inbox.get_nowait())
+    name = hosted.protocol.name
+    update = flow.WiringUpdate(WIRING, False, (name,))
+    hosted.protocol.receive_epoch(flow.encode_epoch(1, {name: "adversary"}, update))
+    hosted.handle_all()
 
 
 @pytest.mark.parametrize("payload", [b"\xff\xfe", b"", b"a//b", b"**", b"agent/other/status", b"x" * 5000, b"clock"])
-def test_a_drain_for_a_foreign_key_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
+def test_a_drain_for_a_foreign_key_is_refused_at_once(eve: Hosted, payload: bytes) -> None:
     begin_removal(eve)
-    query = Query("drain/eve", payload)
-    eve.drains.take(query)  # type: ignore[arg-type]
-    assert query.dropped
-    assert query.answers == []
-    assert not eve.drains.waiting
-    assert eve.invalid.counts == {"drain/eve": 1}
+    eve.protocol.receive_drain("query", payload)
+    eve.actions.answer.assert_called_once_with("query", None)
+    assert not eve.items
+    assert eve.protocol.invalid.counts == {"drain/eve": 1}
 
 
-def test_only_a_departing_node_answers_a_drain(eve: MeshNode) -> None:
-    early, due = Query("drain/eve", TAP.encode()), Query("drain/eve", TAP.encode())
-    eve.drains.take(early)  # type: ignore[arg-type]
-    assert (early.answers, early.dropped, eve.invalid.counts) == ([], True, {"drain/eve": 1})
+def test_only_a_departing_node_answers_a_drain(eve: Hosted) -> None:
+    eve.protocol.receive_drain("early", TAP.encode())
+    eve.actions.answer.assert_called_once_with("early", None)
+    assert eve.protocol.invalid.counts == {"drain/eve": 1}
     begin_removal(eve)
-    eve.drains.take(due)  # type: ignore[arg-type]
-    eve.handle(eve.inbox.get_nowait())
-    assert due.answers == [("ok", b"")]
+    eve.protocol.receive_drain("due", TAP.encode())
+    eve.handle_all()
+    eve.actions.answer.assert_called_with("due", b"")
 
 
 # -- the driver ------------------------------------------------------------------------------------------------------
@@ -225,107 +217,99 @@ def test_only_a_departing_node_answers_a_drain(eve: MeshNode) -> None:
 
 @pytest.mark.parametrize("payload", RUBBISH)
 @pytest.mark.parametrize(("node", "key"), [("ego", "counts/ego"), ("nobody", "counts/*")])
-def test_malformed_counts_cost_the_driver_one_message(driver: Driver, node: str, key: str, payload: bytes) -> None:
-    driver._on_counts(sample(f"counts/{node}", payload))
-    assert driver.invalid.counts == {key: 1}
-    assert not driver._wait(time.monotonic())
-    assert driver.stop_reason is None
+def test_malformed_counts_cost_the_driver_one_message(driver: Hosted, node: str, key: str, payload: bytes) -> None:
+    driver.protocol.receive_counts(node, payload)
+    assert driver.protocol.invalid.counts == {key: 1}
+    assert not driver.items
+    assert driver.protocol.stop_reason is None
 
 
 @pytest.mark.parametrize("payload", [*RUBBISH, msgpack.packb({"wiring": {"wires": [[]]}, "join": {}, "leave": []})])
-def test_a_malformed_wiring_change_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
-    query = Query("rewire", payload)
-    driver._on_rewire(query)  # type: ignore[arg-type]
-    assert query.dropped
-    assert driver.invalid.counts == {"rewire": 1}
+def test_a_malformed_wiring_change_costs_the_driver_one_message(driver: Hosted, payload: bytes) -> None:
+    driver.protocol.receive_rewire("query", payload)
+    driver.actions.answer.assert_called_once_with("query", None)
+    assert driver.protocol.invalid.counts == {"rewire": 1}
 
 
-def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_by_name(driver: Driver) -> None:
-    driver.scene.sent["clock"] = 3
-    driver.report()
-    driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
-    driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": 10**9})))
-    begun = time.monotonic()
-    reason = driver._await_quiet(include_listeners=True)
-    assert reason is not None
+def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_by_name(driver: Hosted) -> None:
+    driver.protocol.scene.sent["clock"] = 3
+    driver.protocol.report()
+    counts(driver, "watch", {}, {})
+    counts(driver, "ego", {}, {"clock": 10**9})
+    driver.wait()
     assert (
-        encode_reason(reason)
+        driver.protocol.stop_reason
         == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
     )
-    assert time.monotonic() - begun < driver.stall_timeout_s, "at once, not only when the stall timeout expires"
+    assert driver.now_ns < driver.protocol.stall_timeout_s * 1e9, "at once, not only when the stall timeout expires"
 
 
-def test_a_node_that_reports_a_foreign_key_ends_the_run_by_name(driver: Driver) -> None:
-    driver._on_counts(sample("counts/watch", flow.encode_counts(1, {"clock": 1}, {})))
-    reason = driver._await_quiet(include_listeners=True)
-    assert reason is not None
-    assert encode_reason(reason) == "implausible: watch reports messages sent on 'clock', which it does not publish on"
+def test_a_node_that_reports_a_foreign_key_ends_the_run_by_name(driver: Hosted) -> None:
+    counts(driver, "watch", {"clock": 1}, {})
+    driver.wait()
+    reason = "implausible: watch reports messages sent on 'clock', which it does not publish on"
+    assert driver.protocol.stop_reason == reason
 
 
-def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Driver) -> None:
-    driver.stall_timeout_s = 0.05
-    driver.scene.sent["clock"] = 3
-    driver.report()
+def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Hosted) -> None:
+    driver.protocol.scene.sent["clock"] = 3
+    driver.protocol.report()
     for name in ("ego", "watch"):
-        driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
-    expected = StopReason(StopKind.STALL, "ego has handled 0 of 3 messages of sim on clock")
-    assert driver._await_quiet(include_listeners=True) == expected
+        counts(driver, name, {}, {})
+    while driver.protocol.stop_reason is None:
+        driver.wait()
+    assert driver.protocol.stop_reason == "stall: ego has handled 0 of 3 messages of sim on clock"
+    assert driver.now_ns == 5 * 10**9
 
 
-def test_the_driver_believes_nobody_about_what_it_has_sent_itself(driver: Driver) -> None:
-    driver.scene.sent["clock"] = 1
-    driver.report()
+def test_the_driver_believes_nobody_about_what_it_has_sent_itself(driver: Hosted) -> None:
+    driver.protocol.scene.sent["clock"] = 1
+    driver.protocol.report()
     for name in ("ego", "watch", "sim"):
-        driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
-    while driver._wait(time.monotonic()):
-        pass
-    assert not driver.pacer.quiet(), "nobody has handled the clock"
-    assert driver.invalid.counts == {"counts/sim": 1}
+        counts(driver, name, {}, {})
+    assert not driver.protocol.pacer.quiet(), "nobody has handled the clock"
+    assert driver.protocol.invalid.counts == {"counts/sim": 1}
 
 
-def test_the_driver_sends_no_counts_that_return_after_later_ones(driver: Driver) -> None:
-    driver._counts = MagicMock()
-    driver.coordinator.update = flow.WiringUpdate(WIRING, True)
-    driver._begin_epoch()
-    driver._counts.put.assert_not_called()
-    assert driver.pacer._reports["sim"] == ({}, {})
+def test_the_driver_sends_no_counts_that_return_after_later_ones(driver: Hosted) -> None:
+    driver.protocol.rewiring.update = flow.WiringUpdate(WIRING, True)
+    presence(driver, False, True)
+    driver.handle_all()
+    assert driver.controls("counts/sim") == []
+    assert driver.protocol.pacer._reports["sim"] == ({}, {})
 
 
-def test_a_node_is_counted_as_returned_only_after_a_loss(driver: Driver) -> None:
-    def note(there: bool) -> None:
-        driver.membership.note("ego", there, 0, driver.members)
-
-    note(False)
-    note(True)
-    driver.membership.leaving.add("ego")  # the scenario kills it, and starts it again
-    note(False)
-    note(True)
-    assert [each["what"] for each in driver.membership.churn] == ["lost", "back"]
+def test_a_node_is_counted_as_returned_only_after_a_loss(driver: Hosted) -> None:
+    presence(driver, False, True)
+    driver.handle_all()
+    driver.protocol.membership.leaving.add("ego")  # the scenario kills it, and starts it again
+    presence(driver, False, True)
+    driver.handle_all()
+    assert [each["what"] for each in driver.protocol.membership.churn] == ["lost", "back"]
 
 
-def presence(driver: Driver, *there: bool) -> None:
+def presence(driver: Hosted, *there: bool) -> None:
     """Report a sequence of presence changes of ego's token to the driver."""
     for each in there:
-        kind = zenoh.SampleKind.PUT if each else zenoh.SampleKind.DELETE
-        driver.membership.on_token(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
+        driver.protocol.receive_presence("ego", each)
 
 
-def test_repeated_losses_queue_only_the_loss_and_the_latest_state(driver: Driver) -> None:
+def test_repeated_losses_queue_only_one_event(driver: Hosted) -> None:
     presence(driver, *[False, True] * 1000)
-    assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" not in driver.membership.alive, "the departure comes first, so a new epoch begins"
-    assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" in driver.membership.alive
-    assert [each["what"] for each in driver.membership.churn] == ["lost", "back"]
-    with pytest.raises(queue.Empty):
-        driver.inbox.get_nowait()
+    assert len(driver.items) == 1
+    driver.handle_all()
+    assert "ego" in driver.protocol.membership.alive
+    assert [each["what"] for each in driver.protocol.membership.churn] == ["lost", "back"]
 
 
-def test_a_node_that_repeatedly_leaves_and_returns_ends_the_run_by_name(driver: Driver) -> None:
-    for there in [False, True] * 60:
-        presence(driver, there)
-        driver._wait(time.monotonic() + 1.0)
-    assert driver._end_reason == StopReason(StopKind.IMPLAUSIBLE, "ego was lost and came back more than 50 times")
+def test_a_node_that_repeatedly_leaves_and_returns_ends_the_run_by_name(driver: Hosted) -> None:
+    for _ in range(60):
+        presence(driver, False, True)
+        driver.handle_all()
+        for name in ("watch", "ego", "watch"):  # in the epoch without ego, and in that with it
+            driver.protocol.receive_counts(name, flow.encode_counts(driver.protocol.epoch, {}, {}))
+            driver.handle_all()
+    assert driver.protocol.stop_reason == "implausible: ego was lost and came back more than 50 times"
 
 
 # -- the launcher ----------------------------------------------------------------------------------------------------
@@ -336,7 +320,7 @@ def requests_of(context: RunContext, steps: Steps) -> StepRequests:
 
 
 def no_steps() -> Steps:
-    return Steps(MagicMock(children={}), RESOLVED.nodes, frozenset(), lambda name: None, RESOLVED.steps)
+    return Steps(MagicMock(children={}), RESOLVED.nodes, frozenset(), MagicMock(), RESOLVED.steps)
 
 
 @pytest.mark.parametrize(
@@ -381,7 +365,7 @@ def test_a_request_of_the_driver_is_ignored_when_the_run_is_stopping(context: Ru
 
 def watch_of(context: RunContext, **parts: Any) -> Watch:
     """The launcher's loop with only these parts real."""
-    parts = dict.fromkeys(("steps", "requests", "reports", "interceptions"), MagicMock()) | parts
+    parts = dict.fromkeys(("steps", "actions", "requests", "reports", "interceptions"), MagicMock()) | parts
     return Watch(context, Mesh(MagicMock(), MagicMock()), MagicMock(), **parts)
 
 
@@ -414,9 +398,7 @@ def test_a_run_stopped_by_the_launcher_keeps_its_own_error(context: RunContext) 
 @pytest.fixture
 def file_server(tmp_path: Path, context: RunContext) -> Any:
     (tmp_path / "scenario.json").write_text("{}")
-    server = FileServer(
-        MagicMock(), "x", tmp_path, lambda: RESOLVED, lambda node: [], lambda error: None, context.invalid
-    )
+    server = FileServer(MagicMock(), "x", tmp_path, lambda node: RESOLVED, lambda error: None, context.invalid)
     server._contents["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
     yield server
     server.close()
@@ -526,18 +508,15 @@ def test_the_routers_rules_grant_no_more_than_the_table(name: str) -> None:
     assert bool(sending(LAUNCHER)) == ("launcher" in control.senders)
 
 
-def test_the_driver_queues_only_the_newest_counts_of_each_node(driver: Driver) -> None:
+def test_the_driver_queues_only_the_newest_counts_of_each_node(driver: Hosted) -> None:
     for count in range(1000):
-        driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": count})))
-        driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {"agent/ego/status": 1})))
-    driver._on_counts(sample("counts/ego", b"rubbish"))
-    waiting = [driver.inbox.get_nowait() for _ in range(2)]
-    assert waiting == [("counts", "ego"), ("counts", "watch")]
-    with pytest.raises(queue.Empty):
-        driver.inbox.get_nowait()
-    driver._take_counts("ego")
-    assert driver.pacer._reports["ego"] == ({}, {"clock": 999})
-    assert driver.invalid.counts == {"counts/ego": 1}, "malformed messages count for nothing"
+        driver.protocol.receive_counts("ego", flow.encode_counts(1, {}, {"clock": count}))
+        driver.protocol.receive_counts("watch", flow.encode_counts(1, {}, {"agent/ego/status": 1}))
+    driver.protocol.receive_counts("ego", b"rubbish")
+    assert [event for event, _, _ in driver.items] == [("counts", "ego"), ("counts", "watch")]
+    driver.handle_all()
+    assert driver.protocol.pacer._reports["ego"] == ({}, {"clock": 999})
+    assert driver.protocol.invalid.counts == {"counts/ego": 1}, "malformed messages count for nothing"
 
 
 @pytest.mark.parametrize("what", ["fetch", "file"])

@@ -14,7 +14,8 @@ from mast_zenoh.control import flow
 from mast_zenoh.control.files import encode
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.file_server import FileServer
-from mast_zenoh.launch.interception.server import Interceptions, seal
+from mast_zenoh.launch.interception.server import InterceptionServer, seal
+from mast_zenoh.launch.mesh_actions import MeshActions
 from mast_zenoh.launch.steps import StepRequests
 
 context, file_server = findings.context, findings.file_server  # fixtures
@@ -31,15 +32,16 @@ def test_malformed_steps_leave_room_for_valid_ones(context: RunContext) -> None:
 
 
 def test_malformed_requests_leave_room_for_valid_ones(context: RunContext) -> None:
-    interceptions = Interceptions(context, MagicMock(), MagicMock(children={}))
-    sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, interceptions._secret))
+    interceptions, actions = MagicMock(), MeshActions(context, MagicMock(), MagicMock())
+    server = InterceptionServer(context, MagicMock(), interceptions, actions)
+    sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, server._secret))
     forged = [Query("intercept", payload) for payload in [*RUBBISH * 20, seal({"do": "release"}, b"guessed")]]
     for query in [*forged, sound]:
-        interceptions._on_query(query)  # type: ignore[arg-type]
+        server._on_query(query)  # type: ignore[arg-type]
     assert context.invalid.counts == {"intercept": len(forged)}
     assert all(query.answers[0][0] == "error" and query.dropped for query in forged)
-    assert interceptions._requests.get_nowait()[0] is sound
-    assert interceptions._requests.empty()
+    (added,) = interceptions.add.call_args_list
+    assert added.args[0] is sound
 
 
 def test_malformed_queries_leave_room_for_valid_ones(

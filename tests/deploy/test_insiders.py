@@ -21,7 +21,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import flow, results
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
 from mast_zenoh.study.rogue.falsehoods import false_results, falsehoods
 from mast_zenoh.study.rogue.forgeries import Forgery, all_forgeries
 from mast_zenoh.study.rogue.malformed import pack

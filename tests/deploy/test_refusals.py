@@ -245,7 +245,7 @@ class Launcher(FileClient):
         self.path = path
 
     def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], Any]) -> Any:
-        return time.time_ns() if request["do"] == "clock" else files.NodeFiles({self.path: 0}, [], [])
+        return time.time_ns() if request["do"] == "clock" else files.NodeFiles({self.path: 0}, [])
 
 
 @settings(deadline=None)

@@ -15,7 +15,7 @@ from mast_zenoh.launch import display, observation, run
 from mast_zenoh.launch.activity import Activities, Activity, watched_keys
 from mast_zenoh.launch.display import Display, Status
 from mast_zenoh.launch.newest_score import NewestScore
-from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
 from mast_zenoh.wiring.model import Wiring
 
 DASH = "\u2013"

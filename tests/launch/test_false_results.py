@@ -61,11 +61,11 @@ def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dic
     folder = run_folder.create(out, "false")
     resolved().write(folder)
     record: dict[str, Any] = {"id": "x", "message": "", "timings": {}, "churn": [], "nodes": {}}
-    context = RunContext(resolved(), folder, record, lambda line: None, secure)
+    context = RunContext(resolved(), lambda line: None, time.monotonic, folder=folder, record=record, secure=secure)
     supervisor = MagicMock(children={name: Ended(name, spec) for name, spec in resolved().nodes.items()})
     supervisor.to_json = functools.partial(Supervisor.to_json, supervisor)
     reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, context.invalid)
-    parts = dict.fromkeys(("steps", "requests", "interceptions"), MagicMock())
+    parts = dict.fromkeys(("steps", "actions", "requests", "interceptions"), MagicMock())
     watch = Watch(context, Mesh(MagicMock(), supervisor), MagicMock(), reports=reports, **parts)
     query = MagicMock(to_bytes=lambda: payload)
     reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=query))

@@ -8,7 +8,6 @@ OUT.frames holds the number of frames that may begin; between frames the run wai
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 from launched_apart import Beside
@@ -16,7 +15,7 @@ from launched_apart import Beside
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
-from mast_zenoh.runtime.mesh.driver import Driver
+from mast_zenoh.runtime.protocol.driver import DriverProtocol, Phase
 
 _LOOK_EVERY_S = 0.02
 
@@ -35,14 +34,14 @@ def allow(out: Path, frames: int) -> None:
 
 def hold_back(file: str) -> None:
     """Make this process's driver begin frames only as the file allows."""
-    carry_out = Driver._carry_out
+    carry_out = DriverProtocol._carry_out
 
-    def when_allowed(self: Driver) -> str:
+    def when_allowed(self: DriverProtocol) -> Phase:
         while self.frames >= int(Path(file).read_text()) and not self._end_reason:
-            self._wait(time.monotonic() + _LOOK_EVERY_S)
-        return carry_out(self)
+            yield from self._wait(self._now_s + _LOOK_EVERY_S)
+        return (yield from carry_out(self))
 
-    Driver._carry_out = when_allowed  # type: ignore[method-assign]
+    DriverProtocol._carry_out = when_allowed  # type: ignore[method-assign]
 
 
 def resolved(file: str) -> Resolved:

@@ -19,8 +19,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.links import FATES, WIRES, Rule
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
-from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.wiring.model import Wiring
 
 TRACKS, STATUS, PICTURE = (

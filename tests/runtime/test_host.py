@@ -14,8 +14,7 @@ from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message, text
 from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
-from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.limits import Limit
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, Input, Ports

@@ -1,31 +1,24 @@
 """Waiting messages are limited by source; legitimate runs stay far below."""
 
 import logging
-import queue
-from collections.abc import Callable
-from contextlib import suppress
-from types import SimpleNamespace
-from typing import Any
+from collections import deque
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
-import zenoh
+from hosted import Hosted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import tracks
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.limits import DELAYED, EARLY, HELD, INBOX, Limit, Room
-from mast_zenoh.runtime.lockstep.pacer import SETTLE_EVERY
-from mast_zenoh.runtime.mesh.inbox import Inbox
-from mast_zenoh.runtime.mesh.node import MeshNode
-from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.inbox import Inbox, Item
+from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 MIB = 1 << 20
@@ -116,7 +109,7 @@ def test_a_flood_through_a_delaying_link_loses_only_its_own_messages(
     encode: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = len(codec.encode(tracks_of("b", n=10)))
-    monkeypatch.setattr("mast_zenoh.runtime.context.DELAYED", Limit(100, 3 * one))
+    monkeypatch.setattr("mast_zenoh.runtime.host.DELAYED", Limit(100, 3 * one))
     host, outbox = hosting(Relay(after_s=0.1), encode=encode)
     host.deliver("clock", clock(0), 0)
     for seq in range(5):
@@ -149,40 +142,21 @@ def test_each_source_has_exactly_its_room(steps: list[tuple[str, int, bool]]) ->
 
 
 def test_the_inbox_drops_and_counts_excess_messages_of_a_source() -> None:
-    inbox = Inbox(Limit(3, 1000))
+    items: deque[Item] = deque()
+    inbox = Inbox(items.append, nullcontext(), Limit(3, 1000))
     for number in range(5):
-        assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), number), 7) == (number < 2)
-    assert inbox.put_sample("a", ("sample", "good", b"x", None), 7)
+        assert inbox.put_message("mallory", ("message", "bad", bytes(400), number), 7) == (number < 2)
+    assert inbox.put_message("a", ("message", "good", b"x", None), 7)
     inbox.put(("stop", "end"))
-    assert [inbox.get()[0] for _ in range(5)] == ["sample", "sample", "dropped", "sample", "stop"]
+    assert [inbox.take(item)[0] for item in items] == ["message", "message", "dropped", "message", "stop"]
     assert inbox.take_dropped() == {("bad", 7): 3}
-    assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), None), 7), "there is space again"
+    assert inbox.put_message("mallory", ("message", "bad", bytes(400), None), 7), "there is space again"
 
 
-class Session:
-    """A session without a mesh: declarations have no effect."""
-
-    def __getattr__(self, name: str) -> Callable[..., Any]:
-        return lambda *arguments, **more: SimpleNamespace(put=lambda *a, **k: None)
-
-
-def on_no_mesh(node: Node) -> MeshNode:
-    more = {"signatures": Signatures("run"), "period_ns": 10**8, "lockstep": True}
-    mesh = MeshNode("run", "relay", node, WIRING, 0, Session(), **more)
-    mesh._enter_epoch(1, {"relay": "link", "a": "agent"})
-    return mesh
-
-
-def arrives(mesh: MeshNode, key: str, payload: bytes, epoch: int, step: int = -1) -> None:
-    """Deliver a sample like Zenoh does."""
-    stamp = zenoh.ZBytes(ATTACHMENT.pack(MARK, epoch, step))
-    mesh.intake.callback(key)(SimpleNamespace(payload=zenoh.ZBytes(payload), attachment=stamp))
-
-
-def handle_all(mesh: MeshNode) -> None:
-    with suppress(queue.Empty):
-        while True:
-            mesh.handle(mesh.inbox.get_nowait())
+def on_no_mesh(node: Node) -> Hosted:
+    hosted = Hosted("relay", node, WIRING, period_ns=10**8)
+    hosted.protocol.handle(("epoch", 1, {"relay": "link", "a": "agent"}, None))
+    return hosted
 
 
 def test_messages_of_a_later_epoch_are_bounded_by_source(caplog: pytest.LogCaptureFixture) -> None:
@@ -190,29 +164,29 @@ def test_messages_of_a_later_epoch_are_bounded_by_source(caplog: pytest.LogCaptu
     big = codec.encode(tracks_of("b", n=20_000))
     with caplog.at_level(logging.WARNING):
         for epoch in (2, 2, 2, 2, 9, 2**32 - 1):
-            arrives(mesh, KEY_B, big, epoch)
-            handle_all(mesh)
-    arrives(mesh, KEY_A, codec.encode(tracks_of("a")), 2)
-    handle_all(mesh)
-    assert mesh.host.rejected == {(KEY_B, "early"): 4}
+            mesh.protocol.receive_message(KEY_B, big, epoch, -1)
+            mesh.handle_all()
+    mesh.protocol.receive_message(KEY_A, codec.encode(tracks_of("a")), 2, -1)
+    mesh.handle_all()
+    assert mesh.protocol.host.rejected == {(KEY_B, "early"): 4}
     assert len(caplog.records) == 1
-    mesh._enter_epoch(2, {"relay": "link", "a": "agent"})
-    assert mesh.host.node.got == [("b", 0), ("b", 0), ("a", 0)]
-    assert mesh.host.handled[KEY_B] == 4, "the driver does not wait for messages dropped in this epoch"
+    mesh.protocol.handle(("epoch", 2, {"relay": "link", "a": "agent"}, None))
+    assert mesh.protocol.host.node.got == [("b", 0), ("b", 0), ("a", 0)]
+    assert mesh.protocol.host.handled[KEY_B] == 4, "the driver does not wait for messages dropped in this epoch"
 
 
 def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_of_its_source() -> None:
     mesh = on_no_mesh(Relay())
     big = codec.encode(tracks_of("b", n=20_000))
     for _ in range(30):
-        arrives(mesh, KEY_B, big, 1)
-    arrives(mesh, KEY_A, codec.encode(tracks_of("a")), 1)
-    handle_all(mesh)
+        mesh.protocol.receive_message(KEY_B, big, 1, -1)
+    mesh.protocol.receive_message(KEY_A, codec.encode(tracks_of("a")), 1, -1)
+    mesh.handle_all()
     fits = INBOX.bytes // len(big)
     assert fits < 10
-    assert mesh.host.node.got == [("b", 0)] * fits + [("a", 0)]
-    assert mesh.host.rejected == {(KEY_B, "queued"): 30 - fits}
-    assert mesh.host.handled[KEY_B] == 30
+    assert mesh.protocol.host.node.got == [("b", 0)] * fits + [("a", 0)]
+    assert mesh.protocol.host.rejected == {(KEY_B, "queued"): 30 - fits}
+    assert mesh.protocol.host.handled[KEY_B] == 30
 
 
 def test_forty_agents_in_a_large_scene_stay_far_below_every_limit() -> None:

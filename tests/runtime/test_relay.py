@@ -14,9 +14,8 @@ from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime import context as context_module
-from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime import host as host_module
+from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.limits import Limit
 from mast_zenoh.wiring.model import Input, Ports
 
@@ -329,7 +328,7 @@ def test_a_node_without_a_clock_cannot_delay_messages() -> None:
 
 
 def test_the_number_of_delayed_messages_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(context_module, "DELAYED", Limit(3, 10**6))
+    monkeypatch.setattr(host_module, "DELAYED", Limit(3, 10**6))
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)
     for seq in range(5):

@@ -15,7 +15,7 @@ from mast_zenoh.launch import notices
 from mast_zenoh.messages import codec, row_limits
 from mast_zenoh.messages.row_limits import OVERHEARD, RowLimits
 from mast_zenoh.messages.schemas import Header, Message
-from mast_zenoh.runtime.context import NodeContext
+from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.wiring.model import Input
 from mast_zenoh.wiring.received import Overheard
@@ -151,16 +151,16 @@ def test_the_limit_comes_from_what_the_sensors_detect_or_from_the_scenario(basel
 def run_flooded(baseline, monkeypatch: pytest.MonkeyPatch, extra: int) -> tuple[list[int], dict[tuple[str, str], int]]:
     """Rows of each message that a handler of the broker, the command centre or the ego got; rejections."""
     sizes: list[int] = []
-    publish = NodeContext.publish
+    publish = Host.publish
 
-    def publish_more(self: NodeContext, port: str, body: Any, **options: Any) -> None:
+    def publish_more(self: Host, port: str, body: Any, **options: Any) -> None:
         if extra and self.name == "infra_1" and port == "tracks":
             body = flood(extra) | {name: body[name] for name in ("origin", "rotation")}
         if port in ("collated", "picture"):
             sizes.append(len(body["id"]))
         publish(self, port, body, **options)
 
-    monkeypatch.setattr(NodeContext, "publish", publish_more)
+    monkeypatch.setattr(Host, "publish", publish_more)
     process = InProcess(baseline)
     process.run()
     assert process.failures() == {}

@@ -77,7 +77,7 @@ CODECS: dict[str, tuple[Callable[[bytes], Any], bytes]] = {
     "file": (files.decode_file, packed({"path": "messages.mcap", "offset": 0, "piece": b"abc"})),
     "belongings": (
         files.decode_node_files,
-        packed({"files": {"scenario.json": 17}, "without": ["eve"], "written": ["messages.mcap"]}),
+        packed({"files": {"scenario.json": 17}, "written": ["messages.mcap"]}),
     ),
     "clock's answer": (files.decode_clock, packed({"now_ns": 1_700_000_000_000_000_000})),
     "piece's answer": (files.decode_piece, packed({"piece": b"abc"})),

@@ -16,8 +16,7 @@ from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control import results
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
-from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.scenes import Recording, Scene, SceneAgent
 from mast_zenoh.scenes.recording import truth_states

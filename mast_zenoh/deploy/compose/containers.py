@@ -67,15 +67,14 @@ class Containers(Supervisor[Container]):
         for child in self.children.values():
             self.dispose(child)
 
-    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
+    def start(self, name: str, spec: NodeSpec) -> None:
         """Start a node; raises EngineError for a node without a container."""
-        self.start_all({name: spec}, without)
+        self.start_all({name: spec})
 
-    def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
+    def start_all(self, specs: Mapping[str, NodeSpec]) -> None:
         """Start nodes, several at a time."""
         children = []
         for name, spec in specs.items():
-            self.without[name] = sorted(without)
             child = Container(name, spec, self._container(name))
             self._by_container[child.container] = child
             self.children[name] = child
@@ -83,8 +82,7 @@ class Containers(Supervisor[Container]):
         with ThreadPoolExecutor(_AT_A_TIME) as pool:
             list(pool.map(self._run, children))
 
-    def _restart(self, child: Container, without: Iterable[str]) -> None:
-        self.without[child.name] = sorted(without)
+    def _restart(self, child: Container) -> None:
         self._await_log(child)
         self.connect([child])
         child.code = None

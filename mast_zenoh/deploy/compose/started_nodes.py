@@ -91,13 +91,11 @@ class StartedNodes(Supervisor[StartedNode]):
         child = self.children.get(name)
         return child is not None and child.code is None and not child.handed_in
 
-    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        self.without[name] = sorted(without)
+    def start(self, name: str, spec: NodeSpec) -> None:
         (self._logs / f"{name}.log").touch()
         self.children[name] = StartedNode(name, spec, self._container(name), self._changed)
 
-    def _restart(self, child: StartedNode, without: Iterable[str]) -> None:
-        self.without[child.name] = sorted(without)
+    def _restart(self, child: StartedNode) -> None:
         child.reset()
 
     def end_now(self, child: StartedNode) -> None:

@@ -67,23 +67,22 @@ class RemoteNodes(Supervisor[RemoteNode]):
         self._command = command
         self._changed = changed
 
-    def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
+    def start_all(self, specs: Mapping[str, NodeSpec]) -> None:
         """Start nodes, and wait until the hosts have started them."""
-        super().start_all(specs, without)
+        super().start_all(specs)
         deadline = time.monotonic() + _ANSWER_S
         for name in specs:
             child = self.children[name]
             child.attachment.answer(child.start, max(0.0, deadline - time.monotonic()))
 
-    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
+    def start(self, name: str, spec: NodeSpec) -> None:
         """Start a node without waiting for the host."""
         child = RemoteNode(name, spec, self._attachments[self._placed.get(name, next(iter(self._attachments)))])
         self.children[name] = child
         (self._logs / f"{name}.log").touch()
-        self._restart(child, without)
+        self._restart(child)
 
-    def _restart(self, child: RemoteNode, without: Iterable[str]) -> None:
-        self.without[child.name] = sorted(without)
+    def _restart(self, child: RemoteNode) -> None:
         argv, env = self._command(child.name, child.attachment.host.name)
         child.start = child.attachment.tell("start", name=child.name, argv=list(argv), env=env)
 

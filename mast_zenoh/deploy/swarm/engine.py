@@ -27,7 +27,7 @@ from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.runtime.lockstep.timetable import Timetable
+from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.security import levels
 
 _ROUTER_S = 90.0  # for the router to come up

@@ -88,27 +88,25 @@ class Services(Supervisor[Service]):
         self._kept: set[str] = set()
         self._looked = float("-inf")  # when Docker answered last
 
-    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
+    def start(self, name: str, spec: NodeSpec) -> None:
         """Start a node; raises EngineError for a node that is not in the stack."""
-        child = self._child(name, spec, without)
+        child = self._child(name, spec)
         if not docker("service", "inspect", "--format", "{{.ID}}", child.service, check=False).strip():
             del self.children[name]
             raise EngineError(f"{name}: the stack {self._stack} has no such service, and gets none while it runs")
         self._scale(child, 1)
 
-    def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
+    def start_all(self, specs: Mapping[str, NodeSpec]) -> None:
         """Adopt nodes, which were started with the stack and wait for the launcher."""
         for name, spec in specs.items():
-            self._child(name, spec, without)
+            self._child(name, spec)
 
-    def _child(self, name: str, spec: NodeSpec, without: Iterable[str]) -> Service:
-        self.without[name] = sorted(without)
+    def _child(self, name: str, spec: NodeSpec) -> Service:
         self.children[name] = child = Service(name, spec, self._service(name))
         (self._logs / f"{name}.log").touch()
         return child
 
-    def _restart(self, child: Service, without: Iterable[str]) -> None:
-        self.without[child.name] = sorted(without)
+    def _restart(self, child: Service) -> None:
         task = child.task
         self._keep_logs([child])
         if task is not None and task.exit and child.spec.on_exit == "restart" and child.scaled:

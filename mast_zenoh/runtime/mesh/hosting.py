@@ -6,7 +6,6 @@ import contextlib
 import gc
 import os
 import signal
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,9 @@ from mast_zenoh.errors import CredentialsError
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.node import Node, Source
-from mast_zenoh.runtime.lockstep.timetable import Timetable
-from mast_zenoh.runtime.mesh.driver import Driver
-from mast_zenoh.runtime.mesh.node import MeshNode
 from mast_zenoh.runtime.mesh.session import open_client, open_observer
+from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
+from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.security import explain
 from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import CONTROL, Credentials
@@ -85,34 +83,25 @@ def use_batch_scheduling() -> None:
 
 
 def host(
-    resolved: Resolved,
-    run: str,
-    name: str,
-    instance: Any,
-    session: zenoh.Session,
-    without: Collection[str],
-    signatures: Signatures,
-) -> MeshNode:
+    resolved: Resolved, run: str, name: str, instance: Any, session: zenoh.Session, signatures: Signatures
+) -> ZenohProcess:
     """Put a built node on the mesh, not yet running; from now on SIGTERM stops it."""
     wiring = Wiring.from_json(resolved.wiring)
     lockstep = resolved.mode == "lockstep"
-    common = (run, name, instance, wiring, resolved.seed, session)
     options: dict[str, Any] = {"signatures": signatures, "period_ns": resolved.period_ns, "lockstep": lockstep}
-    options |= {"without": without, "timespan": resolved.timespan}
+    options |= {"timespan": resolved.timespan}
     if isinstance(instance, Source):
         roles = {other: spec.role for other, spec in resolved.nodes.items()}
-        timetable = Timetable(resolved, lockstep=lockstep)
-        mesh_node: MeshNode = Driver(*common, **options, expected=roles, rate=resolved.rate, timetable=timetable)
-    else:
-        mesh_node = MeshNode(*common, **options)
-    mesh_node.host.limits = RowLimits(resolved.max_rows)
+        options |= {"expected": roles, "rate": resolved.rate, "timetable": Timetable(resolved, lockstep=lockstep)}
+    process = ZenohProcess(run, name, instance, wiring, resolved.seed, session, **options)
+    process.protocol.host.limits = RowLimits(resolved.max_rows)
     if not lockstep:
-        mesh_node.note_arrivals()
+        process.protocol.note_arrivals()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
-    signal.signal(signal.SIGTERM, lambda *_: mesh_node.inbox.put(("stop", "terminated")))
+    signal.signal(signal.SIGTERM, lambda *_: process.stop("terminated"))
     if not wiring.ports(name).outputs:
         os.nice(LISTENER_NICENESS)
     gc.freeze()  # existing objects stay: the garbage collector need not scan them again
     gc.set_threshold(50_000, 20, 20)
     gc.enable()
-    return mesh_node
+    return process

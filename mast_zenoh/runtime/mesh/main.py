@@ -28,7 +28,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MastError
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh import hosting
-from mast_zenoh.runtime.mesh.node import MeshNode
+from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
 
 ORPHAN_GRACE_S = 2.0
 PR_SET_PDEATHSIG = 1  #: of prctl(2): the signal that a process gets when its parent dies
@@ -50,7 +50,6 @@ def main(node: type[Node] | None = None) -> None:
     parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")
     parser.add_argument("--zid", help="Zenoh id of this process")
     parser.add_argument("--credentials", type=Path, help="folder of credentials: a secure mesh")
-    parser.add_argument("--without", default="", help="names of nodes that are not up now, separated by commas")
     parser.add_argument("--stay", action="store_true", help="do not leave when standard input closes")
     arguments = parser.parse_args()
     if node is None:
@@ -65,20 +64,19 @@ def main(node: type[Node] | None = None) -> None:
 
 def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     """Build the node from its run folder and host it until it is told to stop."""
-    mesh_nodes: list[MeshNode] = []
+    processes: list[ZenohProcess] = []
     if not arguments.stay:  # first of all: the launcher may be killed while this process is starting
-        threading.Thread(target=_leave_with_launcher, args=(mesh_nodes, arguments.credentials), daemon=True).start()
+        threading.Thread(target=_leave_with_launcher, args=(processes, arguments.credentials), daemon=True).start()
     os.chdir(arguments.run_folder)
-    resolved = Resolved.read(Path(), OWN_RUN)
+    resolved = Resolved.read(Path(), OWN_RUN, arguments.name)
     instance = hosting.build(resolved, arguments.name, f"{arguments.run_folder}/scenario.json", node)
     if resolved.mode == "lockstep":
         hosting.use_batch_scheduling()  # before there is a session, so that Zenoh's threads do so too
     where = arguments.endpoint, arguments.credentials
     with hosting.join(*where, patient=resolved.patient, zid=arguments.zid) as session:
-        without = [name for name in arguments.without.split(",") if name]
         signatures = hosting.signatures(arguments.run, arguments.credentials)
-        mesh_nodes.append(hosting.host(resolved, arguments.run, arguments.name, instance, session, without, signatures))
-        mesh_nodes[0].run_until_stopped()
+        processes.append(hosting.host(resolved, arguments.run, arguments.name, instance, session, signatures))
+        processes[0].run()
 
 
 def wake_when_orphaned() -> None:
@@ -87,7 +85,7 @@ def wake_when_orphaned() -> None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
 
 
-def _leave_with_launcher(mesh_nodes: list[MeshNode], credentials: Path | None) -> None:
+def _leave_with_launcher(processes: list[ZenohProcess], credentials: Path | None) -> None:
     """Wait for the end of standard input, then delete the credentials and leave."""
     while os.read(0, 4096):
         pass
@@ -95,7 +93,7 @@ def _leave_with_launcher(mesh_nodes: list[MeshNode], credentials: Path | None) -
         shutil.rmtree(credentials, ignore_errors=True)
         with contextlib.suppress(OSError):
             credentials.parent.rmdir()  # succeeds in the last process
-    for node in mesh_nodes:
-        node.inbox.put(("stop", "orphaned"))
+    for process in processes:
+        process.stop("orphaned")
         threading.Event().wait(ORPHAN_GRACE_S)
     os._exit(3)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable
 
 from mast_zenoh.node import Context, Source
-from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.mesh.arrivals import MAX_FRAMES
+from mast_zenoh.runtime.host import Outgoing
+from mast_zenoh.runtime.protocol.node import MAX_FRAMES
 
 
 class SceneFrames:
@@ -16,17 +15,20 @@ class SceneFrames:
 
     Until it is sent, a frame is only bytes in this process: no node can act on it too early.
 
-    send:    sends a message
+    send:    sends a message;  wall_ns: the wall clock
     sent:    messages of the current epoch, by key
     sent_ns: times when the newest frames were sent, ns on the wall clock
     """
 
-    def __init__(self, source: Source, context: Context, send: Callable[[Outgoing], None]) -> None:
+    def __init__(
+        self, source: Source, context: Context, send: Callable[[Outgoing], None], wall_ns: Callable[[], int]
+    ) -> None:
         self.sent: Counter[str] = Counter()
         self.sent_ns: dict[int, int] = {}
         self._source = source
         self._context = context
         self._send = send
+        self._wall_ns = wall_ns
         self._ready: list[Outgoing] | None = None
 
     def keep(self, message: Outgoing) -> None:
@@ -45,7 +47,7 @@ class SceneFrames:
             self.prepare()
         if not self._ready:
             return False
-        self.sent_ns[number] = time.time_ns()
+        self.sent_ns[number] = self._wall_ns()
         self.sent_ns.pop(number - MAX_FRAMES, None)
         for message in self._ready:
             self._send(message)

@@ -7,14 +7,23 @@ so it does not reveal them.
 from __future__ import annotations
 
 import struct
-
-import zenoh
+from typing import Protocol
 
 ATTACHMENT = struct.Struct("<4sIq")
 MARK = b"MAST"
 
 
-def stamp_of(attachment: zenoh.ZBytes | None) -> tuple[int, int]:
+class Attachment(Protocol):
+    """An attachment as Zenoh passes it."""
+
+    def __len__(self) -> int: ...
+
+    def to_bytes(self) -> bytes:
+        """Its content."""
+        ...
+
+
+def stamp_of(attachment: Attachment | None) -> tuple[int, int]:
     """Epoch and step of an attachment; (-1, -1) for one that is not from this testbed."""
     if attachment is None or len(attachment) != ATTACHMENT.size:
         return -1, -1

@@ -2,7 +2,7 @@
 
 import itertools
 
-from mast_zenoh.runtime.lockstep.pacer import Pacer
+from mast_zenoh.runtime.protocol.pacer import Pacer
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 

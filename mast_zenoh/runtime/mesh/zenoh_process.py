@@ -1,0 +1,287 @@
+"""Connects a node's protocol to a Zenoh session: carries out its actions, and brings it what arrives.
+
+Zenoh's threads only put events into the inbox; the main thread takes them out and runs the protocol. In real time, a
+node that is `prompt` handles a message immediately in Zenoh's thread, if no other waits: switching threads takes longer
+than relaying a message.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Collection
+from functools import partial
+from typing import Any, TypeVar
+
+import zenoh
+
+from mast_zenoh.control import files, prefix
+from mast_zenoh.messages.schemas import SCHEMAS
+from mast_zenoh.node import Node, Source
+from mast_zenoh.runtime.protocol.actions import Actions, Clocks
+from mast_zenoh.runtime.protocol.driver import DriverProtocol
+from mast_zenoh.runtime.protocol.inbox import Inbox, Item
+from mast_zenoh.runtime.protocol.node import NodeProtocol
+from mast_zenoh.runtime.protocol.stamp import stamp_of
+from mast_zenoh.wiring.model import Wiring
+
+_DOZE_S = 0.004  # of a node that only listens
+_DRAIN_TIMEOUT_S = 2.0  # for the answer to a drain query
+_HAND_IN_TIMEOUT_S = 5.0  # for the launcher to answer one offer of results
+
+T = TypeVar("T")
+
+_thread = threading.local()
+
+
+def keeping_state(callback: Callable[[T], None]) -> Callable[[T], None]:
+    """The callback, for threads that Python has not started.
+
+    Python makes a state for such a thread at each call, and deletes it afterwards: mapping and unmapping its 16 KiB
+    costs more than taking a sample. A thread that has called this keeps its state.
+    """
+
+    def call(argument: T) -> None:
+        if not hasattr(_thread, "state"):
+            _thread.state = ctypes.pythonapi.PyGILState_Ensure()  # never released
+        callback(argument)
+
+    return call
+
+
+class ZenohProcess(Actions):
+    """One node's process on the mesh.
+
+    protocol: of the node;  inbox: what has arrived for it
+    hand_in_files: sends the rest of the files that the node has written
+
+    options: of NodeProtocol or, for a Source, DriverProtocol
+    """
+
+    def __init__(
+        self, run: str, name: str, node: Node, wiring: Wiring, seed: int, session: zenoh.Session, **options: Any
+    ) -> None:
+        self.session = session
+        self.hand_in_files: Callable[[], None] = lambda: None
+        self.prefix = prefix(run)
+        self._declared: list[Any] = []  # subscribers and queryables, which end when nothing refers to them
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._control_publishers: dict[str, zenoh.Publisher] = {}
+        self._listeners: dict[str, Any] = {}  # of publishers without a subscriber, by key
+        self._token: Any = None
+        lockstep = options["lockstep"]
+        self._congestion = zenoh.CongestionControl.BLOCK if lockstep else zenoh.CongestionControl.DROP
+        self._prompt = node.prompt and not lockstep
+        self._lock = threading.RLock()  # held by the thread that runs the protocol
+        self._n_queued = 0  # messages put into the inbox, counted by Zenoh's thread
+        self._n_handled = 0  # of them, those that the main thread has handled; counted after it released the lock
+        self._queue: queue.SimpleQueue[Item] = queue.SimpleQueue()
+        self.inbox = Inbox(self._queue.put, threading.Lock())
+        clocks = Clocks(time.monotonic_ns, time.time_ns, time.process_time)
+        common: Any = (name, node, wiring, seed, self, self.inbox, clocks)
+        options["process"] = os.urandom(8).hex()
+        protocol = DriverProtocol if isinstance(node, Source) else NodeProtocol
+        self.protocol: NodeProtocol = protocol(*common, **options)
+        self._receive_control()
+
+    def run(self) -> None:
+        """Join the mesh, take part until the run stops, hand in the results."""
+        protocol, inbox = self.protocol, self.inbox
+        protocol.start()
+        while not protocol.ended:
+            try:
+                item: Item | None = self._queue.get_nowait()
+            except queue.Empty:
+                item = self._wait()
+            with self._lock:
+                protocol.handle(None if item is None else inbox.take(item))
+            if item is not None and item[1]:
+                self._n_handled += 1
+        self._token.undeclare()
+
+    def stop(self, reason: str) -> None:
+        """Have the node hand in its results and end; from any thread, or a signal handler."""
+        self.inbox.put(("stop", reason))
+
+    def _wait(self) -> Item | None:
+        """The next item; None if the protocol is due first."""
+        if self.protocol.dozes:
+            time.sleep(_DOZE_S)
+        with self._lock:
+            wait_s = self.protocol.idle()
+        try:
+            return self._queue.get(timeout=wait_s)
+        except queue.Empty:
+            return None
+
+    # -- what arrives, in Zenoh's threads --------------------------------------------------------------------------
+
+    def _receive_control(self) -> None:
+        """Subscribe to the control messages of the protocol."""
+        protocol, name = self.protocol, self.protocol.name
+        self._subscribe("@control/epoch", lambda sample: protocol.receive_epoch(sample.payload.to_bytes()))
+        for key in ("stop", f"leave/{name}"):
+            self._subscribe(f"@control/{key}", partial(self._on_stop, key))
+        self._answer(f"drain/{name}", protocol.receive_drain)
+        if isinstance(protocol, DriverProtocol):
+            driver = protocol
+            self._subscribe(
+                "@control/counts/*", lambda sample: driver.receive_counts(_node(sample), sample.payload.to_bytes())
+            )
+            self._answer("rewire", driver.receive_rewire)
+
+            def on_token(token: zenoh.Sample) -> None:
+                driver.receive_presence(_node(token), token.kind == zenoh.SampleKind.PUT)
+
+            presence: Any = zenoh.handlers.Callback(on_token, indirect=False)
+            tokens = self.session.liveliness()
+            self._declared.append(tokens.declare_subscriber(f"{self.prefix}/alive/*", presence, history=True))
+
+    def _subscribe(self, key: str, callback: Callable[[zenoh.Sample], None]) -> None:
+        """Subscribe to a key; the callback runs in Zenoh's thread and must return quickly."""
+        direct: Any = zenoh.handlers.Callback(keeping_state(callback), indirect=False)
+        self._declared.append(self.session.declare_subscriber(f"{self.prefix}/{key}", direct))
+
+    def _answer(self, key: str, receive: Callable[[zenoh.Query, bytes], None]) -> None:
+        """Receive the queries on a control key."""
+
+        def on_query(query: zenoh.Query) -> None:
+            receive(query, query.payload.to_bytes() if query.payload else b"")
+
+        direct: Any = zenoh.handlers.Callback(on_query, indirect=False)
+        self._declared.append(self.session.declare_queryable(f"{self.prefix}/@control/{key}", direct))
+
+    def _on_stop(self, key: str, sample: zenoh.Sample) -> None:
+        self.protocol.receive_stop(key, sample.payload.to_bytes())
+
+    def _on_message(self, key: str) -> Callable[[zenoh.Sample], None]:
+        """The callback for the messages of a wire on a key."""
+        receive = self.protocol.receive_message
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            epoch, step = stamp_of(sample.attachment)
+            payload = sample.payload.to_bytes()
+            if self._prompt and self._handle_promptly(key, payload, epoch, step):
+                return
+            if receive(key, payload, epoch, step):
+                self._n_queued += 1
+
+        return on_sample
+
+    def _handle_promptly(self, key: str, payload: bytes, epoch: int, step: int) -> bool:
+        """Handle a message in the receiving thread; False if others wait or it is busy."""
+        if self._n_queued != self._n_handled or not self._lock.acquire(blocking=False):
+            return False
+        try:
+            if not self.protocol.epoch:
+                return False
+            self.protocol.handle(("message", key, payload, epoch, step))
+            due_s = self.protocol.host.release()
+        finally:
+            self._lock.release()
+        if due_s is not None:
+            self.inbox.put(("due",))  # for the main thread
+        return True
+
+    # -- actions ---------------------------------------------------------------------------------------------------
+
+    def subscribe(self, key: str) -> None:
+        """See Actions."""
+        self._subscribe(key, self._on_message(key))
+
+    def declare(self, key: str, message: str) -> None:
+        """See Actions; all legs of a wire have equal settings."""
+        schema = SCHEMAS[message]
+        self._publishers[key] = self.session.declare_publisher(
+            f"{self.prefix}/{key}",
+            encoding=f"application/msgpack;schema={schema.name}.{schema.version}",
+            congestion_control=self._congestion,
+            express=True,
+        )
+
+    def undeclare(self, key: str) -> None:
+        """See Actions."""
+        self._listeners.pop(key, None)
+        self._publishers.pop(key).undeclare()
+
+    def unmatched(self, keys: Collection[str]) -> set[str]:
+        """See Actions."""
+        unmatched = {key for key in keys if not self._matching(key)}
+        for key in unmatched - self._listeners.keys():
+            self._listeners[key] = self._publishers[key].declare_matching_listener(self._on_matching(key))
+        return {key for key in unmatched if not self._matching(key)}
+
+    def _matching(self, key: str) -> bool:
+        status: Any = self._publishers[key].matching_status  # an object, not the bool that zenoh's stub says
+        return bool(status.matching)
+
+    def _on_matching(self, key: str) -> Any:
+        def on_status(status: zenoh.MatchingStatus) -> None:
+            if status.matching:
+                self.inbox.put(("matched", key))
+
+        return zenoh.handlers.Callback(on_status, indirect=False)
+
+    def publish(self, key: str, payload: bytes, attachment: bytes) -> None:
+        """See Actions."""
+        self._publishers[key].put(payload, attachment=attachment)
+
+    def control(self, key: str, payload: bytes) -> None:
+        """See Actions; the queue of control messages overtakes blocked data."""
+        if key not in self._control_publishers:
+            self._control_publishers[key] = self.session.declare_publisher(
+                f"{self.prefix}/@control/{key}",
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+            )
+        self._control_publishers[key].put(payload)
+
+    def ask_drained(self, node: str, key: str) -> None:
+        """See Actions."""
+        self._query(
+            f"drain/{node}",
+            key.encode(),
+            lambda replies: ("drained", key, any(reply.ok for reply in replies)),
+            timeout=_DRAIN_TIMEOUT_S,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.DATA,
+            express=True,
+        )
+
+    def answer(self, query: zenoh.Query, payload: bytes | None) -> None:
+        """See Actions."""
+        if payload is not None:
+            query.reply(query.key_expr, payload)
+        query.drop()
+
+    def appear(self) -> None:
+        """See Actions."""
+        self._token = self.session.liveliness().declare_token(f"{self.prefix}/alive/{self.protocol.name}")
+
+    def hand_in(self, results: bytes) -> None:
+        """See Actions; files first: the launcher need not wait for a node with results."""
+        self.hand_in_files()
+        self._query(f"result/{self.protocol.name}", results, _handed_in, timeout=_HAND_IN_TIMEOUT_S)
+
+    def _query(self, key: str, payload: bytes, event: Callable[[list[zenoh.Reply]], Any], **options: Any) -> None:
+        """Send a query on a control key; once it has ended, put the event of its replies into the inbox."""
+        replies = list[zenoh.Reply]()
+        handler: Any = zenoh.handlers.Callback(replies.append, lambda: self.inbox.put(event(replies)), indirect=False)
+        self.session.get(f"{self.prefix}/@control/{key}", handler, payload=payload, **options)
+
+
+def _handed_in(replies: list[zenoh.Reply]) -> tuple[str, str | None]:
+    """The event of the launcher's replies to results."""
+    if any(reply.ok is not None for reply in replies):
+        return "handed_in", ""
+    refusals = [files.decode_refusal(reply.err.payload.to_bytes()) for reply in replies if reply.err is not None]
+    return "handed_in", next((str(refusal) for refusal in refusals if refusal), None)
+
+
+def _node(sample: zenoh.Sample) -> str:
+    """The node in the key of a control message or token: its last chunk."""
+    return str(sample.key_expr).rpartition("/")[2]

@@ -1,0 +1,71 @@
+"""What a protocol asks for: its actions, carried out by the Zenoh adapter or by the simulated mesh."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection
+from typing import Any, NamedTuple
+
+#: A query that waits for an answer: of Zenoh, or of the simulated mesh.
+Query = Any
+
+
+class Clocks(NamedTuple):
+    """The clocks of a process: monotonic and wall clock, ns, and its processor time, s."""
+
+    monotonic_ns: Callable[[], int]
+    wall_ns: Callable[[], int]
+    cpu_s: Callable[[], float]
+
+
+class Actions(ABC):
+    """The actions of one process. Keys are below the run's prefix."""
+
+    @abstractmethod
+    def subscribe(self, key: str) -> None:
+        """Receive the messages of a wire on a key."""
+
+    @abstractmethod
+    def declare(self, key: str, message: str) -> None:
+        """Declare a publisher of messages of this type on a key of a wire."""
+
+    @abstractmethod
+    def undeclare(self, key: str) -> None:
+        """Withdraw the publisher of a key."""
+
+    @abstractmethod
+    def unmatched(self, keys: Collection[str]) -> set[str]:
+        """Those of these keys whose publisher has no subscriber; an event tells when one has.
+
+        The event is ("matched", key).
+        """
+
+    @abstractmethod
+    def publish(self, key: str, payload: bytes, attachment: bytes) -> None:
+        """Publish a message on a key with a publisher."""
+
+    @abstractmethod
+    def control(self, key: str, payload: bytes) -> None:
+        """Publish a control message; key: below @control/."""
+
+    @abstractmethod
+    def ask_drained(self, node: str, key: str) -> None:
+        """Ask a node whether it has forwarded all messages sent to it on a key.
+
+        The question follows the messages. The event ("drained", key, whether it has answered in time) is the answer.
+        """
+
+    @abstractmethod
+    def answer(self, query: Query, payload: bytes | None) -> None:
+        """Answer a query; None: refuse to."""
+
+    @abstractmethod
+    def appear(self) -> None:
+        """Declare the liveliness token of the node."""
+
+    @abstractmethod
+    def hand_in(self, results: bytes) -> None:
+        """Offer the results to the launcher; the event ("handed_in", refusal) follows.
+
+        refusal: "" if it accepted them, None if it has not answered, else why it refuses them
+        """

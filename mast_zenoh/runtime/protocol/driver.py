@@ -1,0 +1,342 @@
+"""The driver as a state machine: the process of the scene's node, which begins each frame.
+
+In lock-step, when the mesh is quiet; in real time, when the frame is due, whether nodes are ready or not. In both modes
+a node that dies is dropped immediately, and one that joins or returns takes part from the next frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from enum import Enum
+from typing import Any
+
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.control import flow
+from mast_zenoh.control.stop_reasons import END, MAX_TEXT, StopKind, StopReason, decode_reason, encode_reason
+from mast_zenoh.errors import MessageError
+from mast_zenoh.node import Source
+from mast_zenoh.runtime.host import Outgoing
+from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
+from mast_zenoh.runtime.protocol.inbox import Event, Inbox
+from mast_zenoh.runtime.protocol.membership import Membership, Presence
+from mast_zenoh.runtime.protocol.node import NodeProtocol
+from mast_zenoh.runtime.protocol.pacer import Pacer, waits_for_listeners
+from mast_zenoh.runtime.protocol.rewiring import Rewiring
+from mast_zenoh.runtime.protocol.scene_frames import SceneFrames
+from mast_zenoh.runtime.protocol.timetable import LEAVING, Timetable
+from mast_zenoh.wiring.model import Wiring
+
+#: How long the driver of a real-time run waits for the last messages before it stops all nodes.
+REALTIME_GRACE_S = 0.5
+
+#: Time without a report in lock-step, s, after which the driver checks whether the reports are plausible.
+SUSPECT_S = 3.0
+
+#: A phase of the run. It yields the time until which it waits for an event, s, and gets whether there was one.
+Phase = Generator[float, bool, StopReason | None]
+#: The same, for a wait that tells whether there was an event.
+Wait = Generator[float, bool, bool]
+
+
+class DriverState(Enum):
+    """What the driver waits for."""
+
+    GATHERING = "gathering"  # all nodes that are present from the beginning
+    SETTLING = "settling"  # in lock-step, a quiet mesh
+    ACTING = "acting"  # the launcher, which carries out process steps
+    PACING = "pacing"  # in real time, the time of the next frame
+    FINISHED = "finished"  # the launcher, which takes the results
+
+
+class DriverProtocol(NodeProtocol):
+    """A NodeProtocol whose node is a Source: it has no inputs and publishes in `advance`.
+
+    expected: name to role of all nodes
+    timetable: the process steps; nodes that start later are not waited for at the beginning
+    start_timeout_s, stall_timeout_s: how long to wait for nodes to start, and for the mesh to become quiet
+    options: of NodeProtocol
+    """
+
+    def __init__(
+        self,
+        name: str,
+        node: Source,
+        wiring: Wiring,
+        seed: int,
+        actions: Actions,
+        inbox: Inbox,
+        clocks: Clocks,
+        *,
+        expected: dict[str, str],
+        rate: float,
+        timetable: Timetable,
+        start_timeout_s: float = 60.0,
+        stall_timeout_s: float = 30.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(name, node, wiring, seed, actions, inbox, clocks, **options)
+        self.scene = SceneFrames(node, self.host, super()._emit, clocks.wall_ns)
+        self.pacer = Pacer(wiring)
+        self.membership = Membership(name, expected)
+        self.timetable = timetable
+        self.period_s = options["period_ns"] * 1e-9 / rate
+        self.start_timeout_s = start_timeout_s
+        self.stall_timeout_s = stall_timeout_s
+        self.frames = 0
+        self.wall_s = 0.0
+        self.fatal_problem = ""  # why the run must end, such as implausible counters of a node
+        self.rewiring = Rewiring(
+            *(self.membership, self.pacer, self.follower, actions, self.host.log),
+            now_ns=clocks.monotonic_ns,
+            frame=lambda: self.frames,
+            begin_epoch=self._begin_epoch,
+        )
+        self.driver_state = DriverState.GATHERING
+        self._phases = self._run()
+        self._deadline_s = 0.0
+        self._announcement = b""
+
+    # -- what arrives, in any thread -------------------------------------------------------------------------------
+
+    def receive_counts(self, node: str, payload: bytes) -> None:
+        """Receive and decode a node's counters.
+
+        Decoding here keeps the main thread free. Messages that this thread does not read in time fill the router's
+        queue, until the router closes the link.
+        """
+        try:
+            counts = flow.decode_counts(payload)
+            if node == self.name:
+                raise MessageError(f"counts: of {node}, the driver, which counts its messages itself")
+        except MessageError as error:
+            self.invalid.note(f"counts/{node if node in self.membership.expected else '*'}", error)
+        else:
+            self.inbox.put_newest("counts", node, counts)
+
+    def receive_presence(self, node: str, present: bool) -> None:
+        """Receive a change of a node's liveliness token."""
+        self.inbox.put_newest("alive", node, Presence(not present, present), Presence.followed_by)
+
+    def receive_rewire(self, query: Query, payload: bytes) -> None:
+        """Receive a request to change the wiring; refuse malformed ones."""
+        accepted = False
+        with self._refusing("rewire"):
+            self.rewiring.add(self.signatures.open("rewire", payload, flow.decode_rewire), query)
+            accepted = True
+        if accepted:
+            self.inbox.put(("rewire",))
+        else:
+            self.actions.answer(query, None)
+
+    # -- running ---------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Join the mesh, and begin to wait for the nodes."""
+        super().start()
+        self._deadline_s = next(self._phases)
+
+    def idle(self) -> float | None:
+        """The time after which `handle` must be called, s."""
+        if self._results is not None:
+            return super().idle()
+        return max(0.0, self._deadline_s - self._now_s)
+
+    def handle(self, event: Event | None) -> None:
+        """Handle an event from the inbox, and go on with the run; None: the time that `idle` returned has passed."""
+        if self._results is not None:
+            super().handle(event)
+            return
+        if event is None:
+            self._give_up_matching()
+            self.report()
+        elif event[0] == "counts":
+            counts = self.inbox.take_newest(*event)
+            self.fatal_problem = self.fatal_problem or self.pacer.report(event[1], *counts)
+        elif event[0] == "alive":
+            participants = self.members.keys() & self.pacer.heard
+            problem = self.membership.note(event[1], self.inbox.take_newest(*event), self.frames, participants)
+            self.fatal_problem = self.fatal_problem or problem
+            self.pacer.drop(self.pacer.members.keys() - self.membership.present.keys())
+        elif event[0] == "stop":
+            self.stop_reason = event[1]
+        else:
+            super().handle(event)
+            self.report()
+        try:
+            self._deadline_s = self._phases.send(event is not None)
+        except StopIteration:
+            self._finish()
+
+    def report(self) -> None:
+        """Take the driver's own counts, without the mesh: they would return after later ones."""
+        if self._unmatched:
+            return
+        self.pacer.report(self.name, self.epoch, self.outlets.counted(self.scene.sent), dict(self.host.handled))
+
+    # -- phases: each returns a reason to stop, or None-------------------------------------------------------------
+
+    def _run(self) -> Generator[float, bool, None]:
+        reason = (yield from self._gather()) or (yield from self._play())
+        self.driver_state = DriverState.FINISHED
+        if self.stop_reason is None:
+            self.stop_reason = encode_reason(reason)[:MAX_TEXT] if reason else ""
+            self.actions.control("stop", self.signatures.sign("stop", self.stop_reason.encode()))
+
+    def _finish(self) -> None:
+        assert self.stop_reason is not None
+        self._stop(self.stop_reason)
+
+    def _gather(self) -> Phase:
+        """Wait until all initial nodes are alive and have entered an epoch: a token alone may be a foreign client's."""
+        deadline = self._now_s + self.start_timeout_s
+        nodes = self.membership
+        while missing := nodes.expected.keys() - self.timetable.absent - (nodes.present.keys() & self.pacer.members):
+            if missing <= nodes.alive:
+                self._begin_epoch()
+                if reason := (yield from self._await_quiet(include_listeners=True)):
+                    return reason
+            elif not (yield from self._wait(deadline)):
+                problem = f"not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}"
+                return self._end_reason or StopReason(StopKind.START, problem)
+        return None
+
+    def _play(self) -> Phase:
+        started = self._now_s
+        reason = yield from self._play_frames(started)
+        self.wall_s = self._now_s - started
+        if reason == END and self.lockstep:
+            reason = (yield from self._await_quiet(include_listeners=True)) or reason
+        if reason == END and not self.lockstep:
+            grace = self._now_s + REALTIME_GRACE_S
+            while (yield from self._wait(grace)):
+                pass
+        return reason
+
+    def _play_frames(self, started: float) -> Phase:
+        while True:
+            while self.membership.differs(self.members):
+                self._begin_epoch()
+                if self.lockstep and self.members.keys() == {self.name} and not self.membership.differs(self.members):
+                    return self._stalled(f"no other node is on the mesh before frame {self.frames}")
+                if self.lockstep and (reason := (yield from self._await_quiet())):
+                    return reason
+            if self.lockstep and (reason := (yield from self._rewire())):
+                return reason
+            if not self.lockstep:
+                yield from self._await_due(started + self.frames * self.period_s)
+            if reason := self._end_reason or (yield from self._carry_out()):
+                return reason
+            if not self._send_frame():
+                return END
+            self.frames += 1
+            if self.lockstep and (
+                reason := (yield from self._await_quiet(include_listeners=waits_for_listeners(self.frames)))
+            ):
+                return reason
+
+    def _await_due(self, due: float) -> Generator[float, bool, None]:
+        """In real time, wait until a frame is due; nodes join and leave meanwhile, and the wiring changes."""
+        self.driver_state = DriverState.PACING
+        while (yield from self._wait(due)):
+            while self.membership.differs(self.members):
+                self._begin_epoch()
+            self.rewiring.advance()
+
+    def _rewire(self) -> Phase:
+        """Carry out requested changes of the wiring, between two frames."""
+        while self.rewiring.advance():
+            if reason := (yield from self._await_quiet(include_listeners=True)):
+                return reason
+        return None
+
+    def _carry_out(self) -> Phase:
+        """Have the launcher carry out the process steps before the next frame.
+
+        In lock-step the mesh must be quiet first, and each group of steps is followed by a new epoch.
+        """
+        alive = self.membership.alive
+        has_steps = self.lockstep and any(self.timetable.before(self.frames, alive))
+        if has_steps and (reason := (yield from self._await_quiet(include_listeners=True))):
+            return reason
+        for group in self.timetable.before(self.frames, alive if self.lockstep else None):
+            self.membership.leaving |= {step.node for step in group if step.action in LEAVING}
+            act = flow.encode_act(self.frames, [(step.action, step.node) for step in group])
+            self.actions.control("act", self.signatures.sign("act", act))
+            if self.lockstep and (reason := (yield from self._await_done(group))):
+                return reason
+        return None
+
+    def _await_done(self, group: list[ProcessStep]) -> Phase:
+        """Wait until the nodes of a group have ended or started, and all others know it."""
+        self.driver_state = DriverState.ACTING
+        deadline, alive = self._now_s + self.start_timeout_s, self.membership.alive
+        while pending_steps := [step for step in group if (step.node in alive) != (step.action == "start")]:
+            if not (yield from self._wait(deadline)):
+                names = ", ".join(f"{step.action} {step.node}" for step in pending_steps)
+                return self._stalled(f"not done before frame {self.frames}: {names}")
+        while self.membership.differs(self.members):
+            self._begin_epoch()
+            if reason := (yield from self._await_quiet(include_listeners=True)):
+                return reason
+        return None
+
+    def _await_quiet(self, *, include_listeners: bool = False) -> Phase:
+        """In lock-step, wait until no message is in transit."""
+        self.driver_state = DriverState.SETTLING
+        deadline = self._now_s + self.stall_timeout_s
+        while not self.pacer.quiet(include_listeners=include_listeners):
+            if not (yield from self._wait(min(deadline, self._now_s + SUSPECT_S))):
+                if self.pacer.silent:  # a node whose token was claimed before it was there has missed the epoch
+                    self.actions.control("epoch", self._announcement)
+                self.fatal_problem = self.fatal_problem or self.pacer.implausible()
+                if self._end_reason or self._now_s >= deadline:
+                    return self._stalled("; ".join(list(self.pacer.unsettled())[:5]))
+        return None
+
+    def _wait(self, deadline: float) -> Wait:
+        """Wait for one event; False if the deadline, s, has passed or the run ends."""
+        return not self._end_reason and (yield deadline)
+
+    # -- inside ----------------------------------------------------------------------------------------------------
+
+    @property
+    def _now_s(self) -> float:
+        return self.clocks.monotonic_ns() * 1e-9
+
+    @property
+    def _end_reason(self) -> StopReason | None:
+        """Why the run ends now; None if it continues."""
+        if self.stop_reason:
+            return decode_reason(self.stop_reason)
+        return StopReason(StopKind.IMPLAUSIBLE, self.fatal_problem) if self.fatal_problem else None
+
+    def _stalled(self, detail: str) -> StopReason:
+        return self._end_reason or StopReason(StopKind.STALL, detail)
+
+    def _send_frame(self) -> bool:
+        """Send a frame, and prepare the next one; False if the scene has ended."""
+        if not self.scene.send(self.frames):
+            return False
+        self.report()
+        self.scene.prepare()
+        return True
+
+    def _emit(self, message: Outgoing) -> None:
+        self.scene.keep(message)
+
+    def _begin_epoch(self) -> None:
+        members, update = self.membership.begin_epoch(), self.rewiring.update
+        left, joined = self.members.keys() - members.keys(), members.keys() - self.members.keys()
+        if self.frames:
+            self.host.log.info("frame %d: left: %s; joined: %s", self.frames, sorted(left), sorted(joined))
+        epoch = self.pacer.begin_epoch(members)
+        self.scene.sent.clear()
+        self._announcement = self.signatures.sign("epoch", flow.encode_epoch(epoch, members, update))
+        self.actions.control("epoch", self._announcement)
+        self._enter_epoch(epoch, members, update)
+        self.report()
+
+    def _outcome(self) -> dict[str, Any]:
+        """Also the duration of the run, when each frame was sent, and which nodes were lost."""
+        facts = {"frames": self.frames, "wall_s": self.wall_s, "stop_reason": self.stop_reason}
+        return super()._outcome() | facts | {"sent_ns": self.scene.sent_ns, "churn": self.membership.churn}
