@@ -44,11 +44,6 @@ class HeldMessages:
                 self._room.free(source, size)
                 yield message
 
-    def discount(self) -> None:
-        """Have lock-step wait for none of the held messages: a new epoch counts from zero."""
-        for messages in self._by_step.values():
-            messages[:] = [(message._replace(counted=False), source, size) for message, source, size in messages]
-
 
 def _size(received: Received) -> int:
     """Size of a message, bytes: its payload, or its columns if it was never encoded."""

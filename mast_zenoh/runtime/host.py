@@ -325,7 +325,6 @@ class Host:
         """Restart the counts at zero, at a frame boundary: a node has died or joined."""
         self.sent.clear()
         self.handled.clear()
-        self._held.discount()
 
     def release(self) -> float | None:
         """Send messages that are due; returns the seconds until the next, None for none.

@@ -121,4 +121,9 @@ class Endings:
         self._supervisor.connect(self._supervisor.running())
         # A disconnected node needs the longer grace period to reconnect.
         grace = INTERRUPT_GRACE_S if self._interrupts and not self._steps.cut else LEAVE_GRACE_S
-        return self._state.now_s() - max(since, self._last_received_s()) > grace
+        if self._state.now_s() - max(since, self._last_received_s()) <= grace:
+            return False
+        for child in self._supervisor.running():
+            if child.spec.on_exit == "fail" and not child.exit_expected:
+                self._stop.note(NodeDied(f"{child.name} has not finished within {grace:.0f} s; it is killed"))
+        return True

@@ -147,7 +147,6 @@ class DriverProtocol(NodeProtocol):
             super().handle(event)
             return
         if event is None:
-            self._give_up_matching()
             self.report()
         elif event[0] == "counts":
             counts = self.inbox.take_newest(*event)
@@ -169,7 +168,7 @@ class DriverProtocol(NodeProtocol):
 
     def report(self) -> None:
         """Take the driver's own counts, without the mesh: they would return after later ones."""
-        if self._unmatched:
+        if not self._matched:
             return
         self.pacer.report(self.name, self.epoch, self.outlets.counted(self.scene.sent), dict(self.host.handled))
 
@@ -214,14 +213,11 @@ class DriverProtocol(NodeProtocol):
 
     def _play_frames(self, started: float) -> Phase:
         while True:
-            while self.membership.differs(self.members):
-                self._begin_epoch()
-                if self.lockstep and self.members.keys() == {self.name} and not self.membership.differs(self.members):
-                    return self._stalled(f"no other node is on the mesh before frame {self.frames}")
-                if self.lockstep and (reason := (yield from self._await_quiet())):
+            while self.lockstep and (self.membership.differs(self.members) or self.rewiring.due):
+                if reason := (yield from self._update_members()) or (yield from self._rewire()):
                     return reason
-            if self.lockstep and (reason := (yield from self._rewire())):
-                return reason
+                if self.members.keys() == {self.name} and not self.membership.differs(self.members):
+                    return self._stalled(f"no other node is on the mesh before frame {self.frames}")
             if not self.lockstep:
                 yield from self._await_due(started + self.frames * self.period_s)
             if reason := self._end_reason or (yield from self._carry_out()):
@@ -242,11 +238,26 @@ class DriverProtocol(NodeProtocol):
                 self._begin_epoch()
             self.rewiring.advance()
 
-    def _rewire(self) -> Phase:
-        """Carry out requested changes of the wiring, between two frames."""
-        while self.rewiring.advance():
+    def _update_members(self) -> Phase:
+        """In lock-step, begin an epoch between two frames whenever nodes have come or gone."""
+        while self.membership.differs(self.members):
             if reason := (yield from self._await_quiet(include_listeners=True)):
                 return reason
+            self._begin_epoch()
+            if reason := (yield from self._await_quiet(include_listeners=True)):
+                return reason
+        return None
+
+    def _rewire(self) -> Phase:
+        """Carry out requested changes of the wiring, between two frames.
+
+        Listeners are waited for, too: what is on the way to them counts for nothing in the next epoch.
+        """
+        under_way = self.rewiring.due
+        while under_way:
+            if reason := (yield from self._await_quiet(include_listeners=True)):
+                return reason
+            under_way = self.rewiring.advance() or bool(self.pacer.silent)  # also after one that was cancelled
         return None
 
     def _carry_out(self) -> Phase:
@@ -274,11 +285,7 @@ class DriverProtocol(NodeProtocol):
             if not (yield from self._wait(deadline)):
                 names = ", ".join(f"{step.action} {step.node}" for step in pending_steps)
                 return self._stalled(f"not done before frame {self.frames}: {names}")
-        while self.membership.differs(self.members):
-            self._begin_epoch()
-            if reason := (yield from self._await_quiet(include_listeners=True)):
-                return reason
-        return None
+        return (yield from self._update_members())
 
     def _await_quiet(self, *, include_listeners: bool = False) -> Phase:
         """In lock-step, wait until no message is in transit."""

@@ -29,6 +29,10 @@ from mast_zenoh.runtime.protocol.receiving import Receiving
 from mast_zenoh.runtime.protocol.wiring_follower import WiringFollower
 from mast_zenoh.wiring.model import Wiring
 
+#: Source of clocks in the inbox, where other messages of their publisher take none of their room: without its clock, a
+#: frame's messages would be held forever.
+CLOCK = "clock"
+
 MAX_FRAMES = 4096  #: number of frames, by key, whose times are kept: the newest
 MATCH_TIMEOUT_S = 10.0  #: for a publisher to find its subscribers
 HAND_IN_TIMEOUT_S = 20.0  #: for the launcher to accept the results
@@ -93,6 +97,7 @@ class NodeProtocol:
         self._results: bytes | None = None  # when it hands them in
         self._hand_in_deadline_ns = 0
         self._offered = False  # whether it waits for the launcher's answer to them
+        self._next_offer_ns = 0  # otherwise: when it offers them again
         self._cpu_start_s = 0.0
         ports = wiring.ports(name)
         self.outlets = Outlets(wiring, name, actions)
@@ -145,7 +150,10 @@ class NodeProtocol:
     def receive_message(self, key: str, payload: bytes, epoch: int, step: int) -> bool:
         """Receive a message of a wire; epoch, step: of its stamp. False if there is no room for it."""
         counted = self.receiving.counted_epoch(epoch)
-        return self.inbox.put_message(self.host.publisher(key), ("message", key, payload, epoch, step), counted)
+        port_input = self.host.subscriptions.get(key)
+        is_clock = port_input is not None and port_input.message == "clock"
+        source = CLOCK if is_clock else self.host.publisher(key)
+        return self.inbox.put_message(source, ("message", key, payload, epoch, step), counted)
 
     def receive_epoch(self, payload: bytes) -> None:
         """Receive an epoch of the driver."""
@@ -185,7 +193,7 @@ class NodeProtocol:
         them costs less than an unnecessary report costs the driver.
         """
         if self._results is not None:
-            return self._seconds_until(self._hand_in_deadline_ns) if self._offered else _HAND_IN_EVERY_S
+            return self._seconds_until(self._hand_in_deadline_ns if self._offered else self._next_offer_ns)
         due_s = self.host.release()
         if not self._lingered and due_s is None and (self.dozes or self.receiving.expects_more):
             self._lingered = True
@@ -199,8 +207,12 @@ class NodeProtocol:
 
     def handle(self, event: Event | None) -> None:
         """Handle an event from the inbox; None: the time that `idle` returned has passed."""
+        if self._results is not None and not (self._offered or self._seconds_until(self._next_offer_ns)):
+            self._offer(self._results)  # also between two of the launcher's requests to stop
         if event is None:
-            self._handle_timeout()
+            if self._results is not None and not self._seconds_until(self._hand_in_deadline_ns):
+                self.host.log.error("the launcher has not acknowledged the results within %.0f s", HAND_IN_TIMEOUT_S)
+                self._ended = True
             return
         self._lingered = False
         if not self.lockstep:
@@ -228,7 +240,7 @@ class NodeProtocol:
 
     def report(self) -> None:
         """Tell the driver what has been sent and handled."""
-        if self.epoch and not self.follower.busy and not self._unmatched and self._results is None:
+        if self.epoch and self._matched and not self.follower.busy and self._results is None:
             sent = self.outlets.counted(self.host.sent)
             self._send_counts(flow.encode_counts(self.epoch, sent, self.host.handled))
 
@@ -256,22 +268,14 @@ class NodeProtocol:
         except MessageError as error:
             self.invalid.note(key, error)
 
-    def _handle_timeout(self) -> None:
-        if self._results is not None:
-            if not self._seconds_until(self._hand_in_deadline_ns):
-                self.host.log.error("the launcher has not acknowledged the results within %.0f s", HAND_IN_TIMEOUT_S)
-                self._ended = True
-            elif not self._offered:
-                self._offer(self._results)
-        else:
-            self._give_up_matching()
-
-    def _give_up_matching(self) -> None:
-        """Continue without the subscribers that are missing after a while."""
+    @property
+    def _matched(self) -> bool:
+        """Whether all publishers have subscribers; after a while it goes on without those that are missing."""
         if self._unmatched and not self._seconds_until(self._match_deadline_ns):
             names = ", ".join(sorted(self._unmatched))
             self.host.log.warning("no subscriber for %s after %.0f s; continuing", names, MATCH_TIMEOUT_S)
             self._unmatched.clear()
+        return not self._unmatched
 
     def _enter_epoch(self, epoch: int, members: dict[str, str], update: WiringUpdate | None = None) -> None:
         if epoch <= self.epoch or self.name not in members or self._results is not None:
@@ -337,6 +341,7 @@ class NodeProtocol:
         if refusal:
             self.host.log.error("the launcher refuses the results: %s", refusal)
         self._ended, self._offered = refusal is not None, False
+        self._next_offer_ns = self._after_ns(_HAND_IN_EVERY_S)
 
     def _after_ns(self, seconds: float) -> int:
         return self.clocks.monotonic_ns() + round(seconds * 1e9)

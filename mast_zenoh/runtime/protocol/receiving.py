@@ -78,11 +78,17 @@ class Receiving:
                 self._dropped_early[key] += count
 
     def enter_epoch(self, epoch: int) -> None:
-        """Count from zero, except for messages of this epoch that were dropped already."""
-        self.epoch = epoch
+        """Count from zero, except for messages of this epoch that were dropped already.
+
+        Messages of epochs before a node's first one were not for this process: it has not seen what came before them.
+        """
         self._host.reset_counts()
-        self._host.handled.update(self._dropped_early)
+        if epoch == self.epoch + 1:
+            self._host.handled.update(self._dropped_early)
         self._dropped_early.clear()
+        if not self.started:
+            self._early = [message for message in self._early if message.epoch >= epoch]
+        self.epoch = epoch
 
     def deliver_early(self) -> None:
         """Deliver the messages that have waited for this epoch."""

@@ -87,6 +87,11 @@ class Rewiring:
             raise MessageError(f"rewire: more than {MAX_WAITING} changes wait")
         self._waiting.append(Change(*request, query, self._now_ns()))
 
+    @property
+    def due(self) -> bool:
+        """Whether a change can begin or must be refused: its nodes have joined the mesh, or take too long."""
+        return bool(self._waiting) and (self._joined(self._waiting[0]) or self._is_late(self._waiting[0]))
+
     def advance(self) -> bool:
         """Advance the change as far as possible; returns whether it waits for reports."""
         change = self._change
@@ -94,7 +99,7 @@ class Rewiring:
             return self._begin()
         assert self.update is not None
         timed_out = self._now_ns() - self._epoch_began_ns > CHANGE_TIMEOUT_NS
-        if not self.update.active and not change.join.keys() <= self._membership.alive:
+        if not self.update.active and not self._joined(change):
             return self._cancel(change, f"{', '.join(change.join)} ended before it took part")
         if self._pacer.silent or self._follower.busy:
             if timed_out and not self.update.active:
@@ -114,13 +119,19 @@ class Rewiring:
         self._reply(change, frame=change.frame, took_ms=took_ms)
         return self._begin()
 
+    def _joined(self, change: Change) -> bool:
+        return change.join.keys() <= self._membership.alive
+
+    def _is_late(self, change: Change) -> bool:
+        return self._now_ns() - change.requested_ns > CHANGE_TIMEOUT_NS
+
     def _begin(self) -> bool:
         """Begin the next change once the joining nodes are alive; returns as `advance`."""
         if not self._waiting:
             return False
         change = self._waiting[0]
-        if not change.join.keys() <= self._membership.alive:
-            if self._now_ns() - change.requested_ns > CHANGE_TIMEOUT_NS:
+        if not self._joined(change):
+            if self._is_late(change):
                 self._reply(self._waiting.popleft(), error=f"{', '.join(change.join)} has not joined")
             return False
         self._change = self._waiting.popleft()

@@ -1,0 +1,28 @@
+"""A mesh without processes: plays whole runs in one thread and in virtual time, and looks for broken promises.
+
+world       what is simulated: `World.of(resolved)`, or a small one
+schedule    what disturbs a run: `random_schedule(seed, world)`
+simulation  `play(world, schedule)`: the run with the protocols of the nodes, the driver and the launcher
+            network: messages, tokens, declarations;  processes: of nodes;  launcher
+promises    `check`: what must hold of every run;  `explore`: many seeds;  `simplest`: shrinks a schedule
+"""
+
+from mast_zenoh.testing.simulation.promises import check, explore, find, simplest
+from mast_zenoh.testing.simulation.schedule import Disturbance, Schedule, random_schedule
+from mast_zenoh.testing.simulation.simulation import Outcome, play
+from mast_zenoh.testing.simulation.world import World, small_world, small_worlds
+
+__all__ = [
+    "Disturbance",
+    "Outcome",
+    "Schedule",
+    "World",
+    "check",
+    "explore",
+    "find",
+    "play",
+    "random_schedule",
+    "simplest",
+    "small_world",
+    "small_worlds",
+]

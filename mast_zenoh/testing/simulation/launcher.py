@@ -1,0 +1,204 @@
+"""The simulated launcher: the launcher's own protocol, looked at every 10 ms of virtual time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
+from mast_zenoh.control import flow, reports
+from mast_zenoh.control.interception import Intercept, Release
+from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.launch.protocol.actions import LauncherActions
+from mast_zenoh.launch.protocol.endings import Endings
+from mast_zenoh.launch.protocol.interception import Interceptions
+from mast_zenoh.launch.protocol.state import RunState
+from mast_zenoh.launch.protocol.steps import Steps
+from mast_zenoh.runtime.protocol.driver import DriverProtocol
+from mast_zenoh.runtime.protocol.timetable import Timetable
+from mast_zenoh.testing.simulation.processes import SimulatedProcess, SimulatedSupervisor
+
+if TYPE_CHECKING:
+    from mast_zenoh.testing.simulation.simulation import Simulation
+
+_POLL_S = 0.01
+_DRIVER_TIMEOUT_S = 60.0
+
+
+class SimulatedLauncher(LauncherActions):
+    """Starts the nodes, watches them to the end, and takes their results.
+
+    alive: whether it has not been killed;  over: whether the run is over
+    outcomes: what each node has handed in;  notes: what it showed
+    changes:  changes of the wiring;  refused: requests for them that were refused, with the reason
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        resolved = simulation.world.resolved
+        self._simulation = simulation
+        self._events = simulation.events
+        self.alive = True
+        self.over = False
+        self.outcomes: dict[str, dict[str, Any]] = {}
+        self.notes: list[str] = []
+        self.changes: list[dict[str, Any]] = []
+        self.refused: list[str] = []
+        self.state = RunState(resolved, self.notes.append, lambda: simulation.events.now_ns * 1e-9)
+        self.supervisor = SimulatedSupervisor(simulation)
+        absent = Timetable(resolved, lockstep=resolved.mode == "lockstep").absent
+        self.steps = Steps(self.supervisor, resolved.nodes, absent, self, resolved.steps)
+        self.interceptions = Interceptions(self.state, self.supervisor, self, lambda: Signatures(simulation.run))
+        self.endings = Endings(self.state, self.supervisor, self.steps, self, take_reports=self._take_reports)
+        self._reports: deque[tuple[SimulatedProcess, bytes | None, bytes]] = deque()  # failures, results
+        self._acts: deque[flow.Act] = deque()
+        self._arrived: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()  # while it is suspended
+        self._suspended = False
+        self._requests = 0
+
+    def begin(self) -> None:
+        """Start the nodes that are present from the beginning."""
+        self.steps.start_all()
+        self._events.after(_POLL_S, self._look)
+
+    def _look(self) -> None:
+        """One iteration of the launcher's loop."""
+        if not self.alive or self.over or self._suspended:
+            return
+        if self._acts:
+            act = self._acts.popleft()
+            if not self.state.stop.requested:
+                self.steps.carry_out(*act)
+        over = self.endings.advance()
+        self.interceptions.advance()
+        if over:
+            self._conclude()
+        else:
+            self._events.after(0.0 if self._acts else _POLL_S, self._look)
+
+    def _conclude(self) -> None:
+        self.over = True
+        self.supervisor.end(1.0)
+        self.interceptions.finish()
+        self._take_reports()
+
+    def _take_reports(self) -> None:
+        while self._reports:
+            process, failure, results = self._reports.popleft()
+            if failure is not None:
+                _, entry = reports.decode_failure(failure)
+                self.endings.handler_failed(process.name, entry)
+                continue
+            child = self.supervisor.children.get(process.name)
+            if child is None or child.process is not process or child.handed_in:
+                continue
+            drives = child.spec.role == DRIVER_ROLE
+            self.outcomes[process.name] = outcome = reports.decode_result(results, process.name, drives=drives)
+            child.handed_in = True
+            self.endings.handed_in(process.name, outcome.get("stop_reason"))
+
+    # -- what arrives ------------------------------------------------------------------------------------------------
+
+    def _take_in(self, receive: Callable[..., object], *arguments: Any) -> None:
+        if self._suspended:
+            self._arrived.append((receive, arguments))
+        elif self.alive and not self.over:
+            receive(*arguments)
+
+    def arrive_control(self, source: SimulatedProcess, key: str, payload: bytes) -> None:
+        """Let a control message of a node arrive."""
+        if self._events.now_ns <= source.lost_after_ns:
+            if key == "act":
+                self._take_in(self._acts.append, flow.decode_act(payload))
+            else:
+                self._take_in(self._reports.append, (source, payload, b""))
+
+    def arrive_result(self, source: SimulatedProcess, results: bytes, answer: Callable[[str | None], None]) -> None:
+        """Let results of a node arrive, and answer."""
+
+        def take() -> None:
+            self._reports.append((source, None, results))
+            self._simulation.network.send((self, source, "result"), "", source.name, answer, "")
+
+        if self._events.now_ns <= source.lost_after_ns:
+            self._take_in(take)
+
+    def arrive_clock(self, frame: int) -> None:
+        """Let the clock of a frame arrive."""
+        self._take_in(setattr, self.state, "frame", frame)
+
+    def arrive_token(self, node: str, present: bool) -> None:
+        """Let a change of a node's token arrive."""
+        self._take_in(self.interceptions.note_presence, node, present)
+
+    # -- what happens to it ------------------------------------------------------------------------------------------
+
+    def suspend(self, seconds: float) -> None:
+        """Suspend it for some seconds."""
+        self._suspended = True
+        self._events.after(seconds, self._resume)
+
+    def _resume(self) -> None:
+        self._suspended = False
+        while self._arrived:
+            receive, arguments = self._arrived.popleft()
+            self._take_in(receive, *arguments)
+        self._look()
+
+    def kill(self) -> None:
+        """Kill it: its nodes notice."""
+        self.alive = False
+        for child in self.supervisor.running():
+            if child.process is not None:
+                child.process.orphan()
+
+    def request(self, action: Intercept | Release) -> None:
+        """Ask it for a change of the wiring, as `mast intercept` does."""
+        self._requests += 1
+        self.interceptions.add(action, str(self._requests), action)
+
+    # -- actions -----------------------------------------------------------------------------------------------------
+
+    def stop(self, reason: str) -> None:
+        """See LauncherActions."""
+        self._simulation.network.broadcast(None, "stop", reason.encode())
+
+    def leave(self, node: str, reason: str) -> None:
+        """See LauncherActions."""
+        self._simulation.network.broadcast(None, f"leave/{node}", reason.encode())
+
+    def rewire(self, payload: bytes, answered: Callable[[bytes | None], None]) -> None:
+        """See LauncherActions."""
+        answers: list[bytes | None] = []
+
+        def finish(answer: bytes | None) -> None:
+            if not answers:
+                answers.append(answer)
+                self._take_in(answered, answer)
+
+        driver = self._simulation.driver
+        self._events.after(_DRIVER_TIMEOUT_S, finish, None)
+        if isinstance(driver.protocol, DriverProtocol) and driver.alive:
+            receive = driver.protocol.receive_rewire
+            self._simulation.network.send(
+                *((self, "rewire"), "", driver.name, driver.take_in, receive, finish, payload)
+            )
+
+    def answer(self, query: Any, payload: bytes) -> None:
+        """See LauncherActions."""
+
+    def refuse(self, query: Any, error: Exception) -> None:
+        """See LauncherActions."""
+        self.refused.append(f"{type(error).__name__}: {error}")
+
+    def adopt(self, resolved: Resolved, joining: tuple[str, Resolved] | None) -> None:
+        """See LauncherActions: processes read the state."""
+
+    def record(self, change: dict[str, Any]) -> None:
+        """See LauncherActions."""
+        self.changes.append(change)
+
+    def last_log_line(self, node: str) -> str:
+        """See LauncherActions."""
+        process = self.supervisor.children[node].process
+        return process.log[-1] if process and process.log else ""

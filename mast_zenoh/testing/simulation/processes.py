@@ -1,0 +1,427 @@
+"""Simulated processes of nodes, and the supervisor that starts and ends them."""
+
+from __future__ import annotations
+
+import traceback
+from collections import deque
+from collections.abc import Callable, Collection, Iterable
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any
+
+from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.messages.row_limits import RowLimits
+from mast_zenoh.node import Source
+from mast_zenoh.runtime.limits import Limit, Room
+from mast_zenoh.runtime.protocol.actions import Actions, Clocks
+from mast_zenoh.runtime.protocol.driver import DriverProtocol
+from mast_zenoh.runtime.protocol.inbox import Event, Inbox, Item
+from mast_zenoh.runtime.protocol.node import CLOCK, NodeProtocol
+from mast_zenoh.runtime.protocol.stamp import ATTACHMENT
+from mast_zenoh.runtime.protocol.timetable import Timetable
+from mast_zenoh.wiring.model import Wiring
+
+if TYPE_CHECKING:
+    from mast_zenoh.testing.simulation.simulation import Simulation
+
+_FOREVER = 1 << 62
+_DOZE_S = 0.004  # as the processes of a mesh
+_DRAIN_TIMEOUT_S = 2.0
+_HAND_IN_TIMEOUT_S = 5.0
+_ORPHAN_GRACE_S = 2.0
+_FULL = Limit(6, 1 << 20)  # of an inbox that is filled
+
+KILLED, ORPHANED, CRASHED = -9, 3, 1  #: exit codes
+
+
+class _NearlyFull(Room):
+    """Has no room left but for a few messages of each source, and for clocks."""
+
+    def take(self, source: str, size: int) -> bool:
+        """See Room."""
+        return super().take(source, size) or source == CLOCK
+
+    def free(self, source: str, size: int) -> None:
+        """See Room; what came before it was filled took no room here."""
+        if self._messages[source]:
+            super().free(source, size)
+
+
+class DrainQuery:
+    """A drain query on its way; answered: whether its end has been told."""
+
+    def __init__(self, asker: SimulatedProcess, key: str) -> None:
+        self.asker = asker
+        self.key = key
+        self.answered = False
+
+    def finish(self, ok: bool) -> None:
+        """Tell the asker, once."""
+        if not self.answered:
+            self.answered = True
+            self.asker.arrive_event(("drained", self.key, ok))
+
+
+class SimulatedProcess(Actions):
+    """One process of a node.
+
+    alive: whether it runs;  lost_after_ns: what it has sent and arrives later is lost, because it was killed
+    joined_frame: the newest frame that had begun when it joined; -1: none
+    declared_ns: when the publisher of each key begins to know its subscribers
+    subscribed_ns: from when on all its subscriptions hold
+    """
+
+    def __init__(self, simulation: Simulation, name: str, resolved: Resolved, number: int) -> None:
+        self.name = name
+        self.alive = True
+        self.exit: int | None = None
+        self.log: list[str] = []
+        self.joined_frame = -1
+        self.lost_after_ns = _FOREVER
+        self.declared_ns: dict[str, int] = {}
+        self._simulation = simulation
+        self._events = simulation.events
+        self._network = simulation.network
+        self._items: deque[Item] = deque()
+        self._arrived: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()  # while it is suspended
+        self._suspended = False
+        self._turn_due = False  # whether it is about to handle an event
+        self._timer = 0
+        self.subscribed_ns = 0
+        self._offers = 0
+        world, events = simulation.world, simulation.events
+        self.inbox = Inbox(self._put, nullcontext())
+        clock: Callable[[], int] = lambda: events.now_ns  # noqa: E731
+        node = world.build(name, resolved.nodes[name])
+        lockstep = resolved.mode == "lockstep"
+        common: Any = (name, node, Wiring.from_json(resolved.wiring), resolved.seed, self, self.inbox)
+        common += (Clocks(clock, clock, lambda: 0.0),)
+        options: dict[str, Any] = {
+            "process": f"{name} {number}",
+            "signatures": Signatures(simulation.run),
+            "period_ns": resolved.period_ns,
+            "lockstep": lockstep,
+            "timespan": resolved.timespan,
+        }
+        self.protocol: NodeProtocol
+        if isinstance(node, Source):
+            roles = {other: spec.role for other, spec in resolved.nodes.items()}
+            timetable = Timetable(resolved, lockstep=lockstep)
+            self.protocol = DriverProtocol(*common, expected=roles, rate=resolved.rate, timetable=timetable, **options)
+        else:
+            self.protocol = NodeProtocol(*common, **options)
+        self.protocol.host.limits = RowLimits(resolved.max_rows)
+        self.protocol.host.log = simulation.quiet
+        self.publishes = bool(self.protocol.outlets)
+        self._network.processes.append(self)
+        self._guarded(self.protocol.start)
+        self._turn()
+
+    # -- running ---------------------------------------------------------------------------------------------------
+
+    def _put(self, item: Item) -> None:
+        self._items.append(item)
+        if not (self._turn_due or self._suspended) and self.alive:
+            self._turn_due = True
+            self._events.at(self._events.now_ns + self._events.delay_ns(), self._turn)
+
+    def _turn(self) -> None:
+        """Handle an event, if any; prepare to wait if there is no other."""
+        self._turn_due = False
+        if not self.alive or self._suspended:
+            return
+        if self._items:
+            item = self._items.popleft()
+            event = self.inbox.take(item)
+            self._guarded(self._simulation.handle, self, event)
+            if event[0] == "message":
+                self._network.in_transit[self, event[3]] -= 1
+        self._go_on()
+
+    def _go_on(self) -> None:
+        if not self.alive:
+            return
+        if self.protocol.ended:
+            self.end(0)
+        elif self._items:
+            self._put_off()
+        elif self.protocol.dozes:
+            self._turn_due = True  # what arrives does not wake it
+            self._events.after(_DOZE_S, self._doze_off)
+        else:
+            self._guarded(self._wait)
+
+    def _doze_off(self) -> None:
+        self._turn_due = False
+        if not self.alive or self._suspended:
+            return
+        if self._items:
+            self._put_off()
+        else:
+            self._guarded(self._wait)
+
+    def _put_off(self) -> None:
+        if not self._turn_due:
+            self._turn_due = True
+            self._events.at(self._events.now_ns + self._events.delay_ns(), self._turn)
+
+    def _wait(self) -> None:
+        self._timer += 1
+        wait_s = self.protocol.idle()
+        if wait_s is not None:
+            self._events.after(wait_s, self._time_out, self._timer)
+
+    def _time_out(self, timer: int) -> None:
+        if timer == self._timer and self.alive and not self._suspended and not self._turn_due:
+            self._guarded(self._simulation.handle, self, None)
+            self._go_on()
+
+    def _guarded(self, call: Callable[..., object], *arguments: Any) -> None:
+        """Call the protocol; an exception ends the process, as it would end a real one."""
+        try:
+            call(*arguments)
+        except Exception as error:
+            self.log += traceback.format_exc().splitlines()
+            if "start" not in self.protocol.host.failures:
+                self._simulation.violate(f"{self.name} crashed: {type(error).__name__}: {error}")
+            self.end(CRASHED)
+
+    def take_in(self, receive: Callable[..., object], *arguments: Any) -> None:
+        """Receive something now, or when the process is resumed."""
+        if self._suspended:
+            self._arrived.append((receive, arguments))
+        elif self.alive:
+            receive(*arguments)
+
+    def receive_message(self, key: str, payload: bytes, epoch: int, step: int) -> None:
+        """Receive a message of a wire."""
+        if not self.protocol.receive_message(key, payload, epoch, step):
+            self._network.in_transit[self, epoch] -= 1
+
+    def arrive_event(self, event: Event) -> None:
+        """Let an event arrive."""
+        self.take_in(self.inbox.put, event)
+
+    def arrive_control(self, source: SimulatedProcess | None, key: str, payload: bytes) -> None:
+        """Let a control message arrive."""
+        if source is None or self._events.now_ns <= source.lost_after_ns:
+            self.take_in(self._receive_control, key, payload)
+
+    def _receive_control(self, key: str, payload: bytes) -> None:
+        kind, _, node = key.partition("/")
+        if kind == "epoch":
+            self.protocol.receive_epoch(payload)
+        elif kind in ("stop", "leave") and node in ("", self.name):
+            if self.name in self._simulation.doomed:
+                self._events.after(self._simulation.doomed.pop(self.name), self.kill)
+            self.protocol.receive_stop(key, payload)
+        elif kind == "counts" and isinstance(self.protocol, DriverProtocol):
+            self.protocol.receive_counts(node, payload)
+
+    # -- what happens to it ------------------------------------------------------------------------------------------
+
+    def suspend(self) -> None:
+        """Suspend it, with all its threads."""
+        self._suspended = True
+
+    def resume(self) -> None:
+        """Let it go on."""
+        if self._suspended:
+            self._suspended = False
+            for receive, arguments in list(self._arrived):
+                self.take_in(receive, *arguments)
+            self._arrived.clear()
+            self._put_off()
+
+    def fill(self) -> None:
+        """Leave room for a few messages of each source only."""
+        self.inbox.room = _NearlyFull(_FULL)
+
+    def terminate(self) -> None:
+        """Have it finish, as SIGTERM does."""
+        self.arrive_event(("stop", "terminated"))
+
+    def orphan(self) -> None:
+        """Close its standard input: the launcher is gone."""
+        self.arrive_event(("stop", "orphaned"))
+        self._events.after(_ORPHAN_GRACE_S, self._leave)
+
+    def _leave(self) -> None:
+        if self.alive:
+            self.end(ORPHANED)
+
+    def kill(self) -> None:
+        """Kill it: what it has just sent may be lost, from some message on."""
+        if self.alive:
+            self.lost_after_ns = self._events.now_ns + self._events.delay_ns()
+            self.end(KILLED)
+
+    def end(self, code: int) -> None:
+        """End it, with an exit code."""
+        self.alive = False
+        self.exit = code
+        self.lost_after_ns = min(self.lost_after_ns, _FOREVER if code != KILLED else self.lost_after_ns)
+        self._simulation.token(self, False)
+
+    # -- actions -----------------------------------------------------------------------------------------------------
+
+    def subscribe(self, key: str) -> None:
+        """See Actions."""
+        self.subscribed_ns = max(self.subscribed_ns, self._network.subscribe(self, key))
+
+    def declare(self, key: str, message: str) -> None:
+        """See Actions."""
+        self.declared_ns[key] = self._events.now_ns + self._events.delay_ns()
+
+    def undeclare(self, key: str) -> None:
+        """See Actions."""
+        del self.declared_ns[key]
+
+    def unmatched(self, keys: Collection[str]) -> set[str]:
+        """See Actions."""
+        unmatched = {key for key in keys if not self._network.matched(self, key)}
+        for key in sorted(unmatched):
+            self._network.tell_matched(self, key)
+        return unmatched
+
+    def publish(self, key: str, payload: bytes, attachment: bytes) -> None:
+        """See Actions."""
+        if key not in self.declared_ns:
+            raise LookupError(f"{self.name} publishes on {key} without a publisher")
+        _, epoch, step = ATTACHMENT.unpack(attachment)
+        self._simulation.note_published(self, key, payload, step)
+        self._network.publish(self, key, payload, epoch, step)
+
+    def control(self, key: str, payload: bytes) -> None:
+        """See Actions."""
+        kind = key.partition("/")[0]
+        if kind in ("act", "failed"):
+            self._network.send(
+                *((self, key), self.name, "", self._simulation.launcher.arrive_control, self, key, payload)
+            )
+        elif kind == "counts":
+            driver = self._simulation.driver
+            self._network.send((self, key, driver), self.name, driver.name, driver.arrive_control, self, key, payload)
+        else:
+            if kind == "stop":
+                self._simulation.note_stop(self, payload.decode())
+            self._network.broadcast(self, key, payload)
+
+    def ask_drained(self, node: str, key: str) -> None:
+        """See Actions: the question is in the stream of the messages of its key."""
+        query = DrainQuery(self, key)
+        self._events.after(_DRAIN_TIMEOUT_S, query.finish, False)
+        target = self._simulation.current(node)
+        if target is not None:
+            receive = target.protocol.receive_drain
+            self._network.send(*((self, key, target), self.name, node, target.take_in, receive, query, key.encode()))
+
+    def answer(self, query: Any, payload: bytes | None) -> None:
+        """See Actions."""
+        if isinstance(query, DrainQuery):
+            self._network.send(*((self, query), self.name, query.asker.name, query.finish, payload is not None))
+        else:
+            self._network.send((self, query), self.name, "", query, payload)
+
+    def appear(self) -> None:
+        """See Actions: the token follows the declarations."""
+        self._simulation.token(self, True)
+
+    def hand_in(self, results: bytes) -> None:
+        """See Actions."""
+        self._offers += 1
+        offer = self._offers
+        answered: list[str | None] = []
+
+        def finish(refusal: str | None) -> None:
+            if not answered:
+                answered.append(refusal)
+                self.arrive_event(("handed_in", refusal))
+
+        launcher = self._simulation.launcher
+        self._network.send((self, "result"), self.name, "", launcher.arrive_result, self, results, finish)
+        self._events.after(_HAND_IN_TIMEOUT_S if launcher.alive else 0.01, finish, None)
+        assert offer == self._offers
+
+
+class SimulatedChild(Child):
+    """A node of the supervisor, with its current process; None while it is starting."""
+
+    def __init__(self, name: str, spec: NodeSpec) -> None:
+        super().__init__(name, spec)
+        self.process: SimulatedProcess | None = None
+        self.starts = 0
+        self.killed = False  # before its process has begun
+
+    @property
+    def exit(self) -> int | None:
+        """See Child."""
+        if self.killed:
+            return KILLED
+        return self.process.exit if self.process else None
+
+    def where(self) -> dict[str, Any]:
+        """See Child."""
+        return {}
+
+
+class SimulatedSupervisor(Supervisor[SimulatedChild]):
+    """Starts simulated processes, each a moment after it was asked to."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        super().__init__()
+        self._simulation = simulation
+
+    def start(self, name: str, spec: NodeSpec) -> None:
+        """See Supervisor."""
+        self.children[name] = SimulatedChild(name, spec)
+        self._begin(self.children[name])
+
+    def _restart(self, child: SimulatedChild) -> None:
+        self._begin(child)
+
+    def _begin(self, child: SimulatedChild) -> None:
+        child.process, child.killed = None, False
+        child.starts += 1
+        number, simulation = child.starts, self._simulation
+        events, start_s = simulation.events, simulation.world.start_s
+
+        def begin() -> None:
+            if child.starts == number and not child.killed and simulation.launcher.alive:
+                # A process reads the scenario when it starts, not when it was asked to.
+                resolved = simulation.launcher.state.resolved_for(child.name)
+                if child.name not in resolved.nodes:  # its insertion has been given up
+                    child.killed = True
+                    return
+                child.process = SimulatedProcess(simulation, child.name, resolved, number)
+
+        events.after(start_s * (1.0 + events.random.random()), begin)
+
+    def end_now(self, child: SimulatedChild) -> None:
+        """See Supervisor."""
+        if child.process is None:
+            child.killed = True
+        else:
+            child.process.kill()
+
+    def _suspend(self, child: SimulatedChild) -> None:
+        if child.process is not None:
+            child.process.suspend()
+
+    def _resume(self, children: Iterable[SimulatedChild]) -> None:
+        for child in children:
+            if child.process is not None:
+                child.process.resume()
+
+    def wait(self, child: SimulatedChild, seconds: float) -> bool:
+        """See Supervisor; time does not pass, so a node that has not ended is killed."""
+        return child.exit is not None
+
+    def dispose(self, child: SimulatedChild) -> None:
+        """See Supervisor."""
+
+    def end(self, grace_s: float) -> None:
+        """See Supervisor."""
+        for child in self.running():
+            self.end_now(child)

@@ -1,0 +1,125 @@
+"""What disturbs a simulated run: a seed for all delays, and disturbances at given times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from random import Random
+from typing import NamedTuple
+
+from mast_zenoh.testing.simulation.world import World
+
+#: Kinds of disturbances, with what they do. Of those in `HARMLESS`, an exact run must not even take notice.
+KINDS = {
+    "stop": "suspends a process for some seconds",
+    "freeze": "suspends a process for longer than the driver waits",
+    "stop launcher": "suspends the launcher for some seconds",
+    "cut": "cuts a node's link for some seconds",
+    "intercept": "asks the launcher to insert a node into a wire",
+    "release": "asks the launcher to release it",
+    "kill": "kills a process",
+    "kill at stop": "kills a process some time after it was told to finish",
+    "fill": "lets a process keep only a few messages in its inbox from then on",
+    "interrupt": "sends the launcher a stop signal",
+    "lose launcher": "kills the launcher",
+}
+HARMLESS = frozenset({"stop", "stop launcher", "cut", "intercept", "release"})
+
+_LONGEST_STOP_S = 8.0  # three of them are shorter than the time after which the driver gives up
+_FREEZE_S = 45.0
+# How often each kind is drawn. In real time, only insertions leave a run so sound that losses can be seen.
+_LOCKSTEP, _REALTIME = (3, 1, 2, 2, 4, 3, 6, 4, 3, 1, 1), (2, 1, 1, 1, 3, 12, 2, 1, 1, 1, 1)
+
+
+class Disturbance(NamedTuple):
+    """One disturbance; at_s: virtual time since the launcher started; lasts_s: for some kinds."""
+
+    at_s: float
+    kind: str
+    node: str = ""
+    lasts_s: float = 0.0
+
+    def __str__(self) -> str:
+        lasts = f" for {self.lasts_s:g} s" if self.lasts_s else ""
+        return f"{self.at_s:.4f} s: {self.kind}{f' {self.node}' if self.node else ''}{lasts}"
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """All that decides how a world is played.
+
+    seed:  of all delays;  calm: whether all of them are equal
+    loss:  share of lost messages of wires, and of duplicated ones; only in real time
+    """
+
+    seed: int
+    disturbances: tuple[Disturbance, ...] = ()
+    calm: bool = False
+    loss: float = 0.0
+
+    @property
+    def harmless(self) -> bool:
+        """Whether a run in lock-step must be as if nothing had happened."""
+        return all(disturbance.kind in HARMLESS for disturbance in self.disturbances)
+
+    @property
+    def freezes(self) -> bool:
+        """Whether a process is suspended for longer than the driver waits."""
+        return any(disturbance.kind == "freeze" for disturbance in self.disturbances)
+
+    def simpler(self) -> list[Schedule]:
+        """Schedules with less, to find out what matters."""
+        disturbances = self.disturbances
+        fewer = [replace(self, disturbances=disturbances[:i] + disturbances[i + 1 :]) for i in range(len(disturbances))]
+        return [
+            *fewer,
+            *([] if self.calm else [replace(self, calm=True)]),
+            *([replace(self, loss=0.0)] * (self.loss > 0)),
+        ]
+
+    def __str__(self) -> str:
+        delays = "equal delays" if self.calm else f"delays of seed {self.seed}"
+        lost = f", {self.loss:.0%} of messages lost" if self.loss else ""
+        return "\n".join([delays + lost, *map(str, self.disturbances)])
+
+
+def random_schedule(seed: int, world: World) -> Schedule:
+    """A schedule for a world: none or some disturbances, most of them while frames are played."""
+    random = Random(seed)
+    names = list(world.resolved.nodes)
+    restarted = [name for name, spec in world.resolved.nodes.items() if spec.on_exit == "restart"]
+    realtime = world.resolved.mode == "realtime"
+    disturbances = []
+    for _ in range(random.choice((0, 1, 1, 2, 3))):
+        kind = random.choices(list(KINDS), _REALTIME if realtime else _LOCKSTEP)[0]
+        # Most runs take some tenths of a second of virtual time; the first of them are worth more attempts.
+        at_s = random.choice(
+            (random.uniform(0.0, 0.15), random.expovariate(4.0), 2 * world.start_s + 0.05 * random.random())
+        )
+        if kind in ("intercept", "release"):
+            if world.requests:
+                name = random.choice([request.name for request in world.requests])
+                disturbances.append(Disturbance(at_s, "intercept", name))
+                if kind == "release":
+                    disturbances.append(Disturbance(at_s + random.uniform(0.02, 0.25), "release", name))
+                if random.random() < (0.1 if realtime else 0.5):  # another process starts or ends beside it
+                    node = random.choice([*names, name, *restarted, *restarted])
+                    disturbances.append(Disturbance(max(0.0, at_s + random.uniform(-0.03, 0.05)), "kill", node))
+        elif kind == "cut":
+            disturbances.append(Disturbance(at_s, kind, random.choice(names), round(random.uniform(0.05, 4.0), 3)))
+        elif kind == "freeze":
+            disturbances.append(Disturbance(at_s, kind, random.choice(names), _FREEZE_S))
+        elif kind in ("stop", "stop launcher"):
+            long = kind == "stop launcher" or random.random() < 0.2
+            lasts_s = round(random.uniform(0.05, _LONGEST_STOP_S if long else 1.0), 3)
+            disturbances.append(Disturbance(at_s, kind, random.choice(names) if kind == "stop" else "", lasts_s))
+        elif kind == "kill at stop":
+            disturbances.append(Disturbance(0.0, kind, random.choice(names), round(random.expovariate(500.0), 5)))
+        elif kind == "fill":
+            node = random.choice(names)
+            disturbances.append(Disturbance(at_s, kind, node))
+            if random.random() < 0.7:  # it falls behind
+                disturbances.append(Disturbance(at_s, "stop", node, 0.5))
+        else:
+            disturbances.append(Disturbance(at_s, kind, random.choice(names) if kind == "kill" else ""))
+    loss = random.choice((0.0, 0.0, 0.0, 0.05)) if realtime else 0.0
+    return Schedule(seed, tuple(sorted(disturbances)), calm=realtime and random.random() < 0.5, loss=loss)

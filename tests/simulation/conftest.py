@@ -1,0 +1,17 @@
+"""The small worlds, and their undisturbed outcomes, once for all tests."""
+
+from __future__ import annotations
+
+import pytest
+
+from mast_zenoh.testing.simulation import World, small_worlds
+from mast_zenoh.testing.simulation.promises import undisturbed
+
+
+@pytest.fixture(scope="session")
+def worlds() -> dict[str, World]:
+    """By name; each has been played undisturbed."""
+    worlds = small_worlds()
+    for world in worlds.values():
+        assert undisturbed(world).ended
+    return worlds

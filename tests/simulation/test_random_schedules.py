@@ -1,0 +1,109 @@
+"""Every run keeps its promises, whatever its schedule."""
+
+from __future__ import annotations
+
+import pytest
+
+from mast_zenoh.testing.simulation import Disturbance, Schedule, World, check, explore, play, random_schedule
+from mast_zenoh.testing.simulation.promises import undisturbed
+from mast_zenoh.testing.simulation.schedule import KINDS
+from mast_zenoh.testing.simulation.world import small_world
+
+SEEDS = 1000  # among all worlds
+
+
+@pytest.mark.parametrize(("number", "name"), list(enumerate(["lockstep", "steps", "late", "realtime"])))
+def test_runs_with_random_schedules_keep_every_promise(worlds: dict[str, World], number: int, name: str) -> None:
+    explore(worlds[name], range(number, SEEDS, len(worlds)))
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("name", ["lockstep", "steps", "late", "realtime"])
+def test_runs_with_more_random_schedules_keep_every_promise(worlds: dict[str, World], name: str) -> None:
+    explore(worlds[name], range(SEEDS, 4 * SEEDS))
+
+
+def test_a_schedule_decides_everything(worlds: dict[str, World]) -> None:
+    for seed in range(20):
+        schedule = random_schedule(seed, worlds["lockstep"])
+        assert play(worlds["lockstep"], schedule) == play(worlds["lockstep"], schedule)
+
+
+def test_random_schedules_contain_every_kind_of_disturbance(worlds: dict[str, World]) -> None:
+    schedules = [random_schedule(seed, worlds["lockstep"]) for seed in range(300)]
+    assert {disturbance.kind for schedule in schedules for disturbance in schedule.disturbances} == KINDS.keys()
+
+
+def test_an_undisturbed_run_plays_every_frame_and_hands_in_every_result(worlds: dict[str, World]) -> None:
+    for world in worlds.values():
+        outcome = undisturbed(world)
+        assert (outcome.ended, outcome.error, outcome.frames) == (True, "", 20)
+        assert outcome.results.keys() == world.resolved.nodes.keys()
+        assert outcome.claims_to_be_exact
+
+
+# -- what a disturbance does: each is seen in the outcome ------------------------------------------------------------
+
+
+def disturbed(world: World, kind: str, node: str = "", *, at_s: float = 0.04, lasts_s: float = 0.0):
+    """The outcome of a run with one disturbance, after its promises have been checked."""
+    schedule = Schedule(3, (Disturbance(at_s, kind, node, lasts_s),), calm=True)
+    assert check(world, schedule) == []
+    return play(world, schedule)
+
+
+def test_a_node_that_is_killed_and_restarted_is_told_as_lost_and_back(worlds: dict[str, World]) -> None:
+    outcome = disturbed(worlds["lockstep"], "kill", "a")
+    assert [event["what"] for event in outcome.churn] == ["lost", "back"]
+    assert "restarted" in outcome.notes[0]
+
+
+def test_a_run_fails_without_a_node_that_it_needs(worlds: dict[str, World]) -> None:
+    assert disturbed(worlds["lockstep"], "kill", "hub").error.startswith("NodeDied: hub killed by signal 9")
+
+
+def test_a_run_continues_without_a_node_that_may_end(worlds: dict[str, World]) -> None:
+    outcome = disturbed(worlds["lockstep"], "kill", "b")
+    assert (outcome.error, outcome.frames, list(outcome.lost)) == ("", 20, ["b"])
+
+
+def test_a_suspended_node_changes_nothing_in_lockstep(worlds: dict[str, World]) -> None:
+    outcome = disturbed(worlds["lockstep"], "stop", "a", lasts_s=10.0)
+    assert outcome.results == undisturbed(worlds["lockstep"]).results
+    assert outcome.seconds > 10.0
+
+
+def test_a_node_that_is_suspended_for_too_long_stalls_the_run(worlds: dict[str, World]) -> None:
+    assert disturbed(worlds["lockstep"], "freeze", "a", lasts_s=45.0).error.startswith("StallError")
+
+
+def test_a_node_that_has_not_finished_when_the_run_is_over_fails_it(worlds: dict[str, World]) -> None:
+    outcome = disturbed(worlds["realtime"], "freeze", "hub", at_s=0.4, lasts_s=45.0)
+    assert outcome.error == "NodeDied: hub has not finished within 20 s; it is killed"
+
+
+def test_an_inserted_node_changes_no_result_in_lockstep() -> None:
+    world = small_world(frames=60)
+    outcome = disturbed(world, "intercept", "relay")
+    assert [change["action"] for change in outcome.changes] == ["intercept"]
+    results = dict(outcome.results)
+    results.pop("relay")
+    assert results == undisturbed(world).results
+
+
+def test_a_stop_signal_ends_a_run_with_its_results(worlds: dict[str, World]) -> None:
+    outcome = disturbed(worlds["lockstep"], "interrupt")
+    assert outcome.error.startswith("Interrupted")
+    assert outcome.results.keys() == worlds["lockstep"].resolved.nodes.keys()
+
+
+def test_nodes_end_without_their_launcher(worlds: dict[str, World]) -> None:
+    outcome = disturbed(worlds["lockstep"], "lose launcher")
+    assert (outcome.ended, outcome.launcher_lost) == (True, True)
+
+
+def test_a_full_inbox_drops_messages_and_says_so(worlds: dict[str, World]) -> None:
+    schedule = Schedule(3, (Disturbance(0.07, "fill", "listener"), Disturbance(0.07, "stop", "listener", 2.0)))
+    outcome = play(worlds["lockstep"], schedule)
+    assert check(worlds["lockstep"], schedule) == []
+    assert any(reason.endswith("queued") for reason in outcome.rejected["listener"])
