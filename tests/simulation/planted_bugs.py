@@ -1,4 +1,4 @@
-"""Bugs of the kinds that earlier versions had, planted into the protocols one at a time.
+"""Bugs that earlier versions had, or of their kinds, planted into the protocols one at a time.
 
 Each is a function that changes the protocols through a MonkeyPatch. Its docstring says what is wrong then.
 """
@@ -290,6 +290,62 @@ def an_end_is_believed_of_any_reason(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(endings, "decode_reason", lambda text: END)
 
 
+def a_cancelled_change_is_not_awaited(patch: pytest.MonkeyPatch) -> None:
+    """After a wiring change that was cancelled, the next frame begins before all nodes know it."""
+
+    def at_once(self: driver.DriverProtocol) -> Any:
+        under_way = self.rewiring.due
+        while under_way:
+            if reason := (yield from self._await_quiet(include_listeners=True)):
+                return reason
+            under_way = self.rewiring.advance()
+        return None
+
+    patch.setattr(driver.DriverProtocol, "_rewire", at_once)
+
+
+def a_change_hides_who_has_come(patch: pytest.MonkeyPatch) -> None:
+    """After a wiring change a frame begins without nodes that have returned meanwhile."""
+    rewire, send = driver.DriverProtocol._rewire, driver.DriverProtocol._send_frame
+
+    def look_away(self: driver.DriverProtocol) -> Any:
+        due = self.rewiring.due
+        reason = yield from rewire(self)
+        if due:
+            self.membership.differs = lambda members: False  # type: ignore[method-assign]
+        return reason
+
+    def look_again(self: driver.DriverProtocol) -> bool:
+        vars(self.membership).pop("differs", None)
+        return send(self)
+
+    patch.setattr(driver.DriverProtocol, "_rewire", look_away)
+    patch.setattr(driver.DriverProtocol, "_send_frame", look_again)
+
+
+def a_full_inbox_drops_the_clock(patch: pytest.MonkeyPatch) -> None:
+    """Clocks take the same room as other messages of the driver; without its clock a frame's messages are held."""
+
+    def receive(self: node.NodeProtocol, key: str, payload: bytes, epoch: int, step: int) -> bool:
+        counted = self.receiving.counted_epoch(epoch)
+        return self.inbox.put_message(self.host.publisher(key), ("message", key, payload, epoch, step), counted)
+
+    patch.setattr(node.NodeProtocol, "receive_message", receive)
+
+
+def a_node_that_does_not_finish_is_forgotten(patch: pytest.MonkeyPatch) -> None:
+    """A run ends well although a node that it needs has not handed in its results within the grace period."""
+    original = endings.Endings._ask_to_stop
+
+    def forget(self: endings.Endings, since: float) -> bool:
+        problem = self._stop.problem
+        over = original(self, since)
+        self._stop.problem = problem
+        return over
+
+    patch.setattr(endings.Endings, "_ask_to_stop", forget)
+
+
 #: The plants, with the worlds of `small_worlds` in which each is looked for.
 PLANTS: dict[Plant, tuple[str, ...]] = {
     counts_go_on_at_a_join: ("steps",),
@@ -321,4 +377,5 @@ PLANTS: dict[Plant, tuple[str, ...]] = {
     losses_are_not_told: ("lockstep",),
     steps_do_not_wait_for_a_quiet_mesh: ("steps",),
     an_end_is_believed_of_any_reason: ("lockstep",),
+    a_full_inbox_drops_the_clock: ("lockstep",),
 }

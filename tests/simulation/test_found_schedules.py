@@ -1,0 +1,53 @@
+"""Schedules with which runs of earlier versions broke a promise. Most of these bugs were found by the simulation."""
+
+from __future__ import annotations
+
+import planted_bugs as bugs
+import pytest
+from planted_bugs import Plant
+
+from mast_zenoh.testing.simulation import Disturbance, Schedule, World, check
+
+
+def schedule(seed: int, *disturbances: tuple[float, str, str, float], calm: bool = False) -> Schedule:
+    """A schedule; disturbances: time in s, kind, node, how long it lasts in s."""
+    return Schedule(seed, tuple(Disturbance(*disturbance) for disturbance in disturbances), calm)
+
+
+#: Each bug, the name of a world, and a schedule with which that world shows the bug.
+FOUND: list[tuple[Plant, str, Schedule]] = [
+    (bugs.publishers_do_not_wait_for_subscribers, "lockstep", schedule(33)),
+    (bugs.a_node_that_returns_at_once_is_not_noticed, "lockstep", schedule(5, (0.07, "kill", "a", 0.0))),
+    (
+        bugs.all_nodes_begin_with_the_planned_wiring,
+        "lockstep",
+        schedule(13, (0.041, "intercept", "relay", 0.0), (0.082, "kill", "a", 0.0)),
+    ),
+    (bugs.listeners_are_not_waited_for_before_a_change, "lockstep", schedule(73, (0.042, "intercept", "relay", 0.0))),
+    (bugs.a_new_process_handles_what_was_sent_before_it_joined, "lockstep", schedule(5, (0.07, "kill", "a", 0.0))),
+    (
+        bugs.a_cancelled_change_is_not_awaited,
+        "lockstep",
+        schedule(0, (0.088, "intercept", "relay", 0.0), (0.11, "kill", "a", 0.0), (0.149, "kill", "relay", 0.0)),
+    ),
+    (
+        bugs.a_change_hides_who_has_come,
+        "lockstep",
+        schedule(103, (0.098, "intercept", "relay", 0.0), (0.125, "kill", "a", 0.0)),
+    ),
+    (
+        bugs.a_full_inbox_drops_the_clock,
+        "lockstep",
+        schedule(259, (0.023, "fill", "listener", 0.0), (0.023, "stop", "listener", 0.5)),
+    ),
+    (bugs.a_node_that_does_not_finish_is_forgotten, "realtime", schedule(0, (0.553, "freeze", "hub", 45.0), calm=True)),
+]
+
+
+@pytest.mark.parametrize(("plant", "name", "schedule"), FOUND, ids=lambda value: getattr(value, "__name__", ""))
+def test_a_schedule_that_once_broke_a_promise_breaks_none(
+    plant: Plant, name: str, schedule: Schedule, worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert check(worlds[name], schedule) == []
+    plant(monkeypatch)
+    assert check(worlds[name], schedule), f"this schedule no longer shows the bug: {plant.__doc__}"
