@@ -1,4 +1,4 @@
-"""Starts nodes through a fork server, which has imported what they need (`runtime.fork_server`)."""
+"""Starts nodes through a fork server, which has imported what they need (`launch.fork_server`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from mast_zenoh.errors import StartError
-from mast_zenoh.runtime.fork_server import ROOM
+from mast_zenoh.launch.fork_server import ROOM
 
 #: s, for the server to import everything and to answer, and for it to leave.
 _START_S, _END_S = 30.0, 5.0
@@ -46,7 +46,7 @@ class ForkServer:
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         with server_end:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "mast_zenoh.runtime.fork_server", ROOM],
+                [sys.executable, "-P", "-m", "mast_zenoh.launch.fork_server", ROOM],
                 stdin=server_end.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=None if sys.__stderr__ else subprocess.DEVNULL,  # nodes need one, even if this process has none

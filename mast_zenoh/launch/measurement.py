@@ -15,10 +15,10 @@ from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import notices
+from mast_zenoh.launch.recorded_results import results_of
 from mast_zenoh.messagelog import reader
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.run_files import read_object
-from mast_zenoh.runtime.recorded_results import results_of
 
 METRICS = "metrics.json"
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from mast_zenoh.deploy import remote_node
 from mast_zenoh.deploy.compose import engine
 from mast_zenoh.deploy.image import USER
 from mast_zenoh.deploy.ssh import onhost
-from mast_zenoh.runtime import remote_node
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 

@@ -30,7 +30,7 @@ class Refuse:
             raise ModuleNotFoundError(f"a node needs {{name}}")
 sys.meta_path.insert(0, Refuse())
 from mast_zenoh.config import loading
-from mast_zenoh.runtime import remote_node
+from mast_zenoh.deploy import remote_node
 for file in sorted(pathlib.Path({nodes!r}).glob("*.py")):
     loading.module(file)
 import filterpy.kalman, mcap.writer, mast_zenoh.security.diagnosis, mast_zenoh.tracking.filterpy_tracker
@@ -61,7 +61,7 @@ def test_the_wheel_always_has_the_same_sources_and_entry_points(tmp_path: Path) 
     with zipfile.ZipFile(first) as archive:
         names = archive.namelist()
         info = next(name.split("/")[0] for name in names if ".dist-info/" in name)
-        assert "mast-node = mast_zenoh.runtime.remote_node:main" in archive.read(f"{info}/entry_points.txt").decode()
+        assert "mast-node = mast_zenoh.deploy.remote_node:main" in archive.read(f"{info}/entry_points.txt").decode()
         recorded = {line.split(",")[0] for line in archive.read(f"{info}/RECORD").decode().splitlines()}
     assert recorded == set(names)
     assert {"mast_zenoh/bundled/deploy/Dockerfile", "mast_zenoh/bundled/nodes/agent.py"} <= recorded

@@ -89,7 +89,7 @@ def test_nodes_import_nothing_after_they_are_forked(tmp_path: Path) -> None:
     path, loaded = scenario.load("baseline", [])
     scenario.resolve(path, loaded, frames=20).write(tmp_path)
     code = (
-        "import argparse, sys, pathlib; from mast_zenoh.runtime import fork_server; fork_server.preload();"
+        "import argparse, sys, pathlib; from mast_zenoh.launch import fork_server; fork_server.preload();"
         "from mast_zenoh.config.resolved import Resolved; from mast_zenoh.runtime.inproc import InProcess;"
         "before = set(sys.modules); argparse.ArgumentParser().parse_args([]);"
         "InProcess(Resolved.read(pathlib.Path())).run();"

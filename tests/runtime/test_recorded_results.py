@@ -15,11 +15,11 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import measurement
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.recorded_results import results_of
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.events import REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.report import html, terminal
-from mast_zenoh.runtime.recorded_results import results_of
 
 pytestmark = pytest.mark.heavy
 

@@ -25,7 +25,7 @@ class BesideProcesses(Processes):
         self.patience_s = patience_s
 
     def command(self, name: str, spec: NodeSpec) -> list[str]:
-        code = f"from mast_zenoh.runtime import remote_node\n{self.code}\nremote_node.main()"
+        code = f"from mast_zenoh.deploy import remote_node\n{self.code}\nremote_node.main()"
         words = ["--name", name, "--run", self.run, "--endpoint", self.endpoint, "--patience", str(self.patience_s)]
         return [sys.executable, "-c", code, *words, *self.extra_arguments(name), *self.inside(name)]
 

@@ -253,7 +253,7 @@ class Startup:
 
     def _mast_node(self, name: str) -> list[str]:
         patience = ["--patience", str(self.hosts_file.patience_s)]
-        return [self.installed[name].python, "-m", "mast_zenoh.runtime.remote_node", "--run", self.run_id, *patience]
+        return [self.installed[name].python, "-m", "mast_zenoh.deploy.remote_node", "--run", self.run_id, *patience]
 
     def _environment(self, name: str) -> dict[str, str]:
         return {"PYTHONPATH": self.installed[name].release, **ENVIRONMENT, **numeric_environment.environment()}

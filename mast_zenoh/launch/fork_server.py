@@ -1,6 +1,6 @@
 """Forks the nodes of a run from one process that has imported what they need.
 
-    python -P -m mast_zenoh.runtime.fork_server ROOM < SOCKET
+    python -P -m mast_zenoh.launch.fork_server ROOM < SOCKET
 
 A launcher sends a request for each node on the socket, with the descriptors of the node's standard input and log:
 
