@@ -15,6 +15,7 @@ from mast_zenoh.launch.protocol import endings, state
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.protocol import driver, membership, node, outlets, pacer, receiving, wiring_follower
 from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
+from mast_zenoh.testing.simulation import simulation
 
 Plant = Callable[[pytest.MonkeyPatch], None]
 
@@ -323,6 +324,25 @@ def a_change_hides_who_has_come(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(driver.DriverProtocol, "_send_frame", look_again)
 
 
+def a_node_that_comes_or_goes_before_steps_is_not_noticed(patch: pytest.MonkeyPatch) -> None:
+    """A frame begins without a node that has returned before it, if the node of the frame's only step has died."""
+    original = driver.DriverProtocol._carry_out
+
+    def look_once(self: driver.DriverProtocol) -> Any:
+        due = self.lockstep and any(self.timetable.before(self.frames, self.membership.alive))
+        if due and (reason := (yield from self._await_quiet(include_listeners=True))):
+            return reason
+        left = any(self.timetable.before(self.frames, self.membership.alive))
+        return (yield from original(self)) if left else None
+
+    patch.setattr(driver.DriverProtocol, "_carry_out", look_once)
+
+
+def a_loss_after_the_end_is_not_told(patch: pytest.MonkeyPatch) -> None:
+    """A node dies when the driver has ended the run; what its new process hands in are taken for its results."""
+    patch.setattr(simulation, "losses_unseen_by_driver", lambda *arguments: [])
+
+
 def a_full_inbox_drops_the_clock(patch: pytest.MonkeyPatch) -> None:
     """Clocks take the same room as other messages of the driver; without its clock a frame's messages are held."""
 
@@ -346,7 +366,8 @@ def a_node_that_does_not_finish_is_forgotten(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(endings.Endings, "_ask_to_stop", forget)
 
 
-#: The plants, with the worlds of `small_worlds` in which each is looked for.
+#: The plants that are found soon, with the worlds of `small_worlds` in which each is looked for. The others need a rare
+#: schedule; one for each is in test_found_schedules.
 PLANTS: dict[Plant, tuple[str, ...]] = {
     counts_go_on_at_a_join: ("steps",),
     early_messages_are_delivered_twice: ("realtime",),

@@ -36,6 +36,12 @@ FOUND: list[tuple[Plant, str, Schedule]] = [
         schedule(103, (0.098, "intercept", "relay", 0.0), (0.125, "kill", "a", 0.0)),
     ),
     (
+        bugs.a_node_that_comes_or_goes_before_steps_is_not_noticed,
+        "steps",
+        schedule(0, (0.034, "cut", "listener", 1.014), (0.089, "kill", "b", 0.0), (0.267, "kill", "a", 0.0), calm=True),
+    ),
+    (bugs.a_loss_after_the_end_is_not_told, "steps", schedule(19709, (0.0, "kill at stop", "a", 0.00939))),
+    (
         bugs.a_full_inbox_drops_the_clock,
         "lockstep",
         schedule(259, (0.023, "fill", "listener", 0.0), (0.023, "stop", "listener", 0.5)),

@@ -97,6 +97,13 @@ def test_a_stop_signal_ends_a_run_with_its_results(worlds: dict[str, World]) -> 
     assert outcome.results.keys() == worlds["lockstep"].resolved.nodes.keys()
 
 
+def test_a_node_that_dies_after_its_results_were_taken_is_not_started_again(worlds: dict[str, World]) -> None:
+    outcome = disturbed(worlds["lockstep"], "kill at stop", "a", lasts_s=0.00025)
+    assert outcome.results == undisturbed(worlds["lockstep"]).results
+    assert (outcome.churn, outcome.rejected["a"]) == ([], {})
+    assert outcome.notes[0].endswith("at frame 19; its results had been taken")
+
+
 def test_nodes_end_without_their_launcher(worlds: dict[str, World]) -> None:
     outcome = disturbed(worlds["lockstep"], "lose launcher")
     assert (outcome.ended, outcome.launcher_lost) == (True, True)

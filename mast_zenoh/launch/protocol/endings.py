@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from rich.markup import escape
@@ -16,9 +16,24 @@ from mast_zenoh.launch.protocol.actions import LauncherActions
 from mast_zenoh.launch.protocol.state import RunState
 from mast_zenoh.launch.protocol.steps import Steps
 from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.messagelog import churn
 
 LEAVE_GRACE_S = 20.0  #: from the end of the scene to the last node's results
 INTERRUPT_GRACE_S = 5.0  #: the same after a stop signal
+
+
+def losses_unseen_by_driver(
+    outcomes: Mapping[str, Mapping[str, Any]], restarted: Iterable[str], frames: int
+) -> list[dict[str, Any]]:
+    """Losses, as in run.json, of nodes that died when the driver had ended the run, and were restarted.
+
+    Their new processes have taken part in nothing, so what they handed in are no results of the run.
+
+    outcomes:  what each node has handed in;  restarted: nodes that the launcher has restarted
+    frames:    number of frames of the run
+    """
+    unused = [name for name in sorted(restarted) if name in outcomes and outcomes[name]["last_frame"] < 0]
+    return [{"frame": frames, "node": name, "what": churn.LOST} for name in unused]
 
 
 class Endings:
@@ -100,6 +115,8 @@ class Endings:
             self._stop.fail(StartError(text), "a node did not start")
         elif child.spec.on_exit == "continue":
             self._state.show(f"[yellow]{event}; continuing without it")
+        elif child.spec.on_exit == "restart" and child.handed_in:  # a new process would hand in others
+            self._state.show(f"[yellow]{event}; its results had been taken")
         elif child.spec.on_exit == "restart" and not self._stop.requested:
             restarted = self._steps.restart(child)
             consequence = "restarted" if restarted else "restarted too often, continuing without it"

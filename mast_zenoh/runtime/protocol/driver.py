@@ -263,12 +263,14 @@ class DriverProtocol(NodeProtocol):
     def _carry_out(self) -> Phase:
         """Have the launcher carry out the process steps before the next frame.
 
-        In lock-step the mesh must be quiet first, and each group of steps is followed by a new epoch.
+        In lock-step the mesh must be quiet first, and each group of steps is followed by a new epoch. So is a node that
+        comes or goes meanwhile: perhaps no step is left then.
         """
         alive = self.membership.alive
-        has_steps = self.lockstep and any(self.timetable.before(self.frames, alive))
-        if has_steps and (reason := (yield from self._await_quiet(include_listeners=True))):
-            return reason
+        if self.lockstep and any(self.timetable.before(self.frames, alive)):
+            quiet = yield from self._await_quiet(include_listeners=True)
+            if reason := quiet or (yield from self._update_members()):
+                return reason
         for group in self.timetable.before(self.frames, alive if self.lockstep else None):
             self.membership.leaving |= {step.node for step in group if step.action in LEAVING}
             act = flow.encode_act(self.frames, [(step.action, step.node) for step in group])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.control import flow, reports
@@ -17,10 +17,7 @@ from mast_zenoh.launch.protocol.state import RunState
 from mast_zenoh.launch.protocol.steps import Steps
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
 from mast_zenoh.runtime.protocol.timetable import Timetable
-from mast_zenoh.testing.simulation.processes import SimulatedProcess, SimulatedSupervisor
-
-if TYPE_CHECKING:
-    from mast_zenoh.testing.simulation.simulation import Simulation
+from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess, SimulatedSupervisor
 
 _POLL_S = 0.01
 _DRIVER_TIMEOUT_S = 60.0
@@ -34,21 +31,21 @@ class SimulatedLauncher(LauncherActions):
     changes:  changes of the wiring;  refused: requests for them that were refused, with the reason
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        resolved = simulation.world.resolved
-        self._simulation = simulation
-        self._events = simulation.events
+    def __init__(self, mesh: SimulatedMesh) -> None:
+        resolved = mesh.world.resolved
+        self._mesh = mesh
+        self._events = mesh.events
         self.alive = True
         self.over = False
         self.outcomes: dict[str, dict[str, Any]] = {}
         self.notes: list[str] = []
         self.changes: list[dict[str, Any]] = []
         self.refused: list[str] = []
-        self.state = RunState(resolved, self.notes.append, lambda: simulation.events.now_ns * 1e-9)
-        self.supervisor = SimulatedSupervisor(simulation)
+        self.state = RunState(resolved, self.notes.append, lambda: mesh.events.now_ns * 1e-9)
+        self.supervisor = SimulatedSupervisor(mesh)
         absent = Timetable(resolved, lockstep=resolved.mode == "lockstep").absent
         self.steps = Steps(self.supervisor, resolved.nodes, absent, self, resolved.steps)
-        self.interceptions = Interceptions(self.state, self.supervisor, self, lambda: Signatures(simulation.run))
+        self.interceptions = Interceptions(self.state, self.supervisor, self, lambda: Signatures(mesh.run))
         self.endings = Endings(self.state, self.supervisor, self.steps, self, take_reports=self._take_reports)
         self._reports: deque[tuple[SimulatedProcess, bytes | None, bytes]] = deque()  # failures, results
         self._acts: deque[flow.Act] = deque()
@@ -118,7 +115,7 @@ class SimulatedLauncher(LauncherActions):
 
         def take() -> None:
             self._reports.append((source, None, results))
-            self._simulation.network.send((self, source, "result"), "", source.name, answer, "")
+            self._mesh.network.send((self, source, "result"), "", source.name, answer, "")
 
         if self._events.now_ns <= source.lost_after_ns:
             self._take_in(take)
@@ -161,11 +158,11 @@ class SimulatedLauncher(LauncherActions):
 
     def stop(self, reason: str) -> None:
         """See LauncherActions."""
-        self._simulation.network.broadcast(None, "stop", reason.encode())
+        self._mesh.network.broadcast(None, "stop", reason.encode())
 
     def leave(self, node: str, reason: str) -> None:
         """See LauncherActions."""
-        self._simulation.network.broadcast(None, f"leave/{node}", reason.encode())
+        self._mesh.network.broadcast(None, f"leave/{node}", reason.encode())
 
     def rewire(self, payload: bytes, answered: Callable[[bytes | None], None]) -> None:
         """See LauncherActions."""
@@ -176,13 +173,11 @@ class SimulatedLauncher(LauncherActions):
                 answers.append(answer)
                 self._take_in(answered, answer)
 
-        driver = self._simulation.driver
+        driver = self._mesh.driver
         self._events.after(_DRIVER_TIMEOUT_S, finish, None)
         if isinstance(driver.protocol, DriverProtocol) and driver.alive:
             receive = driver.protocol.receive_rewire
-            self._simulation.network.send(
-                *((self, "rewire"), "", driver.name, driver.take_in, receive, finish, payload)
-            )
+            self._mesh.network.send(*((self, "rewire"), "", driver.name, driver.take_in, receive, finish, payload))
 
     def answer(self, query: Any, payload: bytes) -> None:
         """See LauncherActions."""

@@ -11,12 +11,10 @@ import heapq
 from collections import Counter
 from collections.abc import Callable, Hashable
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import Any, Generic, Protocol, TypeVar
 
+from mast_zenoh.runtime.protocol.inbox import Event
 from mast_zenoh.testing.simulation.schedule import Schedule
-
-if TYPE_CHECKING:
-    from mast_zenoh.testing.simulation.processes import SimulatedProcess
 
 S = 1_000_000_000  #: ns in a second
 LEASE_NS = 2 * S  #: after which the token of a node whose link is cut disappears, where nodes are not waited for
@@ -64,7 +62,31 @@ class Events:
         return over()
 
 
-class Network:
+class Connected(Protocol):
+    """A process, as far as the network knows it; see processes.SimulatedProcess."""
+
+    name: str
+    alive: bool
+    lost_after_ns: int
+    declared_ns: dict[str, int]
+
+    def take_in(self, receive: Callable[..., object], *arguments: Any) -> None:
+        """Receive something now, or when the process is resumed."""
+
+    def receive_message(self, key: str, payload: bytes, epoch: int, step: int) -> None:
+        """Receive a message of a wire."""
+
+    def arrive_event(self, event: Event) -> None:
+        """Let an event arrive."""
+
+    def arrive_control(self, source: Any, key: str, payload: bytes) -> None:
+        """Let a control message arrive."""
+
+
+P = TypeVar("P", bound=Connected)
+
+
+class Network(Generic[P]):
     """Delivers messages between the processes of a run.
 
     patient: whether a node whose link is cut is waited for, as in lock-step on one machine
@@ -74,14 +96,14 @@ class Network:
 
     def __init__(self, events: Events, schedule: Schedule, *, patient: bool, lossy: bool) -> None:
         self.events = events
-        self.processes: list[SimulatedProcess] = []
-        self.in_transit: Counter[tuple[SimulatedProcess, int]] = Counter()
+        self.processes: list[P] = []
+        self.in_transit: Counter[tuple[P, int]] = Counter()
         self._patient = patient
         self._loss = schedule.loss if lossy else 0.0
         self._newest_ns: dict[Hashable, int] = {}  # when the last message of a stream arrives
         self._cut_ns: dict[str, tuple[int, int]] = {}  # by node, from when until when its link is cut
-        self._subscribed: dict[str, dict[SimulatedProcess, int]] = {}  # by key, from when on
-        self._matching: dict[str, set[SimulatedProcess]] = {}  # publishers that wait for a subscriber
+        self._subscribed: dict[str, dict[P, int]] = {}  # by key, from when on
+        self._matching: dict[str, set[P]] = {}  # publishers that wait for a subscriber
 
     # -- messages --------------------------------------------------------------------------------------------------
 
@@ -107,7 +129,7 @@ class Network:
         self._newest_ns[stream] = arrival_ns
         self.events.at(arrival_ns, call, *arguments)
 
-    def publish(self, source: SimulatedProcess, key: str, payload: bytes, epoch: int, step: int) -> None:
+    def publish(self, source: P, key: str, payload: bytes, epoch: int, step: int) -> None:
         """Send a message of a wire to the subscribers of its key, as far as the publisher knows of any."""
         if not self.matched(source, key):
             return
@@ -122,7 +144,7 @@ class Network:
                     *(source, target, (key, payload, epoch, step)),
                 )
 
-    def _copies(self, source: SimulatedProcess, target: SimulatedProcess, random: Random) -> int:
+    def _copies(self, source: P, target: P, random: Random) -> int:
         """How often a message arrives: once, unless it may be lost."""
         if not self._patient and (self.is_cut(source.name) or self.is_cut(target.name)):
             return 0
@@ -130,13 +152,13 @@ class Network:
             return 0 if draw < self._loss else 2
         return 1
 
-    def _arrive(self, source: SimulatedProcess, target: SimulatedProcess, message: tuple[str, bytes, int, int]) -> None:
+    def _arrive(self, source: P, target: P, message: tuple[str, bytes, int, int]) -> None:
         if target.alive and self.events.now_ns <= source.lost_after_ns:
             target.take_in(target.receive_message, *message)
         else:
             self.in_transit[target, message[2]] -= 1
 
-    def broadcast(self, source: SimulatedProcess | None, key: str, payload: bytes) -> None:
+    def broadcast(self, source: P | None, key: str, payload: bytes) -> None:
         """Send a control message to all processes that receive its key: the driver's, or the launcher's."""
         for target in self.processes:
             if target.alive:
@@ -147,7 +169,7 @@ class Network:
 
     # -- subscriptions ---------------------------------------------------------------------------------------------
 
-    def subscribe(self, process: SimulatedProcess, key: str) -> int:
+    def subscribe(self, process: P, key: str) -> int:
         """Subscribe a process to a key; returns from when on."""
         from_ns = self.events.now_ns + self.events.delay_ns()
         self._subscribed.setdefault(key, {})[process] = from_ns
@@ -156,7 +178,7 @@ class Network:
                 self._tell(publisher, key)
         return from_ns
 
-    def matched(self, publisher: SimulatedProcess, key: str) -> bool:
+    def matched(self, publisher: P, key: str) -> bool:
         """Whether a publisher knows of a subscriber of its key."""
         return any(
             self._known(publisher, key, subscriber) <= self.events.now_ns
@@ -164,20 +186,20 @@ class Network:
             if subscriber.alive
         )
 
-    def tell_matched(self, publisher: SimulatedProcess, key: str) -> None:
+    def tell_matched(self, publisher: P, key: str) -> None:
         """Tell a publisher when it knows of a subscriber."""
         if any(subscriber.alive for subscriber in self._subscribed.get(key, ())):
             self._tell(publisher, key)
         else:
             self._matching.setdefault(key, set()).add(publisher)
 
-    def _tell(self, publisher: SimulatedProcess, key: str) -> None:
+    def _tell(self, publisher: P, key: str) -> None:
         known_ns = min(
             self._known(publisher, key, subscriber) for subscriber in self._subscribed[key] if subscriber.alive
         )
         self.events.at(known_ns, publisher.arrive_event, ("matched", key))
 
-    def _known(self, publisher: SimulatedProcess, key: str, subscriber: SimulatedProcess) -> int:
+    def _known(self, publisher: P, key: str, subscriber: P) -> int:
         """When a publisher knows of a subscriber.
 
         A new publisher has to ask for its subscribers. Later ones are announced to it before their tokens.

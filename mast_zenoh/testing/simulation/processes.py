@@ -1,15 +1,18 @@
-"""Simulated processes of nodes, and the supervisor that starts and ends them."""
+"""Simulated processes of nodes, the supervisor that starts and ends them, and what they find around them."""
 
 from __future__ import annotations
 
+import logging
 import traceback
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.launch.protocol.state import RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.node import Source
@@ -20,10 +23,9 @@ from mast_zenoh.runtime.protocol.inbox import Event, Inbox, Item
 from mast_zenoh.runtime.protocol.node import CLOCK, NodeProtocol
 from mast_zenoh.runtime.protocol.stamp import ATTACHMENT
 from mast_zenoh.runtime.protocol.timetable import Timetable
+from mast_zenoh.testing.simulation.network import Events, Network
+from mast_zenoh.testing.simulation.world import World
 from mast_zenoh.wiring.model import Wiring
-
-if TYPE_CHECKING:
-    from mast_zenoh.testing.simulation.simulation import Simulation
 
 _FOREVER = 1 << 62
 _DOZE_S = 0.004  # as the processes of a mesh
@@ -33,6 +35,60 @@ _ORPHAN_GRACE_S = 2.0
 _FULL = Limit(6, 1 << 20)  # of an inbox that is filled
 
 KILLED, ORPHANED, CRASHED = -9, 3, 1  #: exit codes
+
+
+class LauncherEnd(Protocol):
+    """The launcher, as far as processes know it; see launcher.SimulatedLauncher."""
+
+    alive: bool
+    state: RunState
+
+    def arrive_control(self, source: SimulatedProcess, key: str, payload: bytes) -> None:
+        """Let a control message of a node arrive."""
+
+    def arrive_result(self, source: SimulatedProcess, results: bytes, answer: Callable[[str | None], None]) -> None:
+        """Let results of a node arrive, and answer."""
+
+
+class SimulatedMesh(ABC):
+    """What processes and launcher find around them: virtual time, the network, each other, and a watch on promises.
+
+    run:    its id;  quiet: a logger that writes nothing
+    driver: the newest process of the driver;  doomed: nodes that are killed some time after a stop reaches them, s
+    """
+
+    world: World
+    run: str
+    quiet: logging.Logger
+    events: Events
+    network: Network[SimulatedProcess]
+    driver: SimulatedProcess
+    launcher: LauncherEnd
+    doomed: dict[str, float]
+
+    @abstractmethod
+    def current(self, node: str) -> SimulatedProcess | None:
+        """The running process of a node."""
+
+    @abstractmethod
+    def handle(self, process: SimulatedProcess, event: Event | None) -> None:
+        """Have a process handle an event."""
+
+    @abstractmethod
+    def token(self, process: SimulatedProcess, present: bool) -> None:
+        """Have a process's token appear, after its declarations, or go: for the driver and for the launcher."""
+
+    @abstractmethod
+    def note_published(self, process: SimulatedProcess, key: str, payload: bytes, step: int) -> None:
+        """Check what must hold when a message is published, and when a frame begins."""
+
+    @abstractmethod
+    def note_stop(self, process: SimulatedProcess, reason: str) -> None:
+        """Check what must hold when the driver ends a run in lock-step."""
+
+    @abstractmethod
+    def violate(self, sentence: str) -> None:
+        """Note a broken promise."""
 
 
 class _NearlyFull(Room):
@@ -72,7 +128,7 @@ class SimulatedProcess(Actions):
     subscribed_ns: from when on all its subscriptions hold
     """
 
-    def __init__(self, simulation: Simulation, name: str, resolved: Resolved, number: int) -> None:
+    def __init__(self, mesh: SimulatedMesh, name: str, resolved: Resolved, number: int) -> None:
         self.name = name
         self.alive = True
         self.exit: int | None = None
@@ -80,9 +136,9 @@ class SimulatedProcess(Actions):
         self.joined_frame = -1
         self.lost_after_ns = _FOREVER
         self.declared_ns: dict[str, int] = {}
-        self._simulation = simulation
-        self._events = simulation.events
-        self._network = simulation.network
+        self._mesh = mesh
+        self._events = mesh.events
+        self._network = mesh.network
         self._items: deque[Item] = deque()
         self._arrived: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()  # while it is suspended
         self._suspended = False
@@ -90,7 +146,7 @@ class SimulatedProcess(Actions):
         self._timer = 0
         self.subscribed_ns = 0
         self._offers = 0
-        world, events = simulation.world, simulation.events
+        world, events = mesh.world, mesh.events
         self.inbox = Inbox(self._put, nullcontext())
         clock: Callable[[], int] = lambda: events.now_ns  # noqa: E731
         node = world.build(name, resolved.nodes[name])
@@ -99,7 +155,7 @@ class SimulatedProcess(Actions):
         common += (Clocks(clock, clock, lambda: 0.0),)
         options: dict[str, Any] = {
             "process": f"{name} {number}",
-            "signatures": Signatures(simulation.run),
+            "signatures": Signatures(mesh.run),
             "period_ns": resolved.period_ns,
             "lockstep": lockstep,
             "timespan": resolved.timespan,
@@ -112,7 +168,7 @@ class SimulatedProcess(Actions):
         else:
             self.protocol = NodeProtocol(*common, **options)
         self.protocol.host.limits = RowLimits(resolved.max_rows)
-        self.protocol.host.log = simulation.quiet
+        self.protocol.host.log = mesh.quiet
         self.publishes = bool(self.protocol.outlets)
         self._network.processes.append(self)
         self._guarded(self.protocol.start)
@@ -134,7 +190,7 @@ class SimulatedProcess(Actions):
         if self._items:
             item = self._items.popleft()
             event = self.inbox.take(item)
-            self._guarded(self._simulation.handle, self, event)
+            self._guarded(self._mesh.handle, self, event)
             if event[0] == "message":
                 self._network.in_transit[self, event[3]] -= 1
         self._go_on()
@@ -174,7 +230,7 @@ class SimulatedProcess(Actions):
 
     def _time_out(self, timer: int) -> None:
         if timer == self._timer and self.alive and not self._suspended and not self._turn_due:
-            self._guarded(self._simulation.handle, self, None)
+            self._guarded(self._mesh.handle, self, None)
             self._go_on()
 
     def _guarded(self, call: Callable[..., object], *arguments: Any) -> None:
@@ -184,7 +240,7 @@ class SimulatedProcess(Actions):
         except Exception as error:
             self.log += traceback.format_exc().splitlines()
             if "start" not in self.protocol.host.failures:
-                self._simulation.violate(f"{self.name} crashed: {type(error).__name__}: {error}")
+                self._mesh.violate(f"{self.name} crashed: {type(error).__name__}: {error}")
             self.end(CRASHED)
 
     def take_in(self, receive: Callable[..., object], *arguments: Any) -> None:
@@ -213,8 +269,8 @@ class SimulatedProcess(Actions):
         if kind == "epoch":
             self.protocol.receive_epoch(payload)
         elif kind in ("stop", "leave") and node in ("", self.name):
-            if self.name in self._simulation.doomed:
-                self._events.after(self._simulation.doomed.pop(self.name), self.kill)
+            if self.name in self._mesh.doomed:
+                self._events.after(self._mesh.doomed.pop(self.name), self.kill)
             self.protocol.receive_stop(key, payload)
         elif kind == "counts" and isinstance(self.protocol, DriverProtocol):
             self.protocol.receive_counts(node, payload)
@@ -262,7 +318,7 @@ class SimulatedProcess(Actions):
         self.alive = False
         self.exit = code
         self.lost_after_ns = min(self.lost_after_ns, _FOREVER if code != KILLED else self.lost_after_ns)
-        self._simulation.token(self, False)
+        self._mesh.token(self, False)
 
     # -- actions -----------------------------------------------------------------------------------------------------
 
@@ -290,29 +346,27 @@ class SimulatedProcess(Actions):
         if key not in self.declared_ns:
             raise LookupError(f"{self.name} publishes on {key} without a publisher")
         _, epoch, step = ATTACHMENT.unpack(attachment)
-        self._simulation.note_published(self, key, payload, step)
+        self._mesh.note_published(self, key, payload, step)
         self._network.publish(self, key, payload, epoch, step)
 
     def control(self, key: str, payload: bytes) -> None:
         """See Actions."""
         kind = key.partition("/")[0]
         if kind in ("act", "failed"):
-            self._network.send(
-                *((self, key), self.name, "", self._simulation.launcher.arrive_control, self, key, payload)
-            )
+            self._network.send(*((self, key), self.name, "", self._mesh.launcher.arrive_control, self, key, payload))
         elif kind == "counts":
-            driver = self._simulation.driver
+            driver = self._mesh.driver
             self._network.send((self, key, driver), self.name, driver.name, driver.arrive_control, self, key, payload)
         else:
             if kind == "stop":
-                self._simulation.note_stop(self, payload.decode())
+                self._mesh.note_stop(self, payload.decode())
             self._network.broadcast(self, key, payload)
 
     def ask_drained(self, node: str, key: str) -> None:
         """See Actions: the question is in the stream of the messages of its key."""
         query = DrainQuery(self, key)
         self._events.after(_DRAIN_TIMEOUT_S, query.finish, False)
-        target = self._simulation.current(node)
+        target = self._mesh.current(node)
         if target is not None:
             receive = target.protocol.receive_drain
             self._network.send(*((self, key, target), self.name, node, target.take_in, receive, query, key.encode()))
@@ -326,7 +380,7 @@ class SimulatedProcess(Actions):
 
     def appear(self) -> None:
         """See Actions: the token follows the declarations."""
-        self._simulation.token(self, True)
+        self._mesh.token(self, True)
 
     def hand_in(self, results: bytes) -> None:
         """See Actions."""
@@ -339,7 +393,7 @@ class SimulatedProcess(Actions):
                 answered.append(refusal)
                 self.arrive_event(("handed_in", refusal))
 
-        launcher = self._simulation.launcher
+        launcher = self._mesh.launcher
         self._network.send((self, "result"), self.name, "", launcher.arrive_result, self, results, finish)
         self._events.after(_HAND_IN_TIMEOUT_S if launcher.alive else 0.01, finish, None)
         assert offer == self._offers
@@ -369,9 +423,9 @@ class SimulatedChild(Child):
 class SimulatedSupervisor(Supervisor[SimulatedChild]):
     """Starts simulated processes, each a moment after it was asked to."""
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, mesh: SimulatedMesh) -> None:
         super().__init__()
-        self._simulation = simulation
+        self._mesh = mesh
 
     def start(self, name: str, spec: NodeSpec) -> None:
         """See Supervisor."""
@@ -384,17 +438,17 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
     def _begin(self, child: SimulatedChild) -> None:
         child.process, child.killed = None, False
         child.starts += 1
-        number, simulation = child.starts, self._simulation
-        events, start_s = simulation.events, simulation.world.start_s
+        number, mesh = child.starts, self._mesh
+        events, start_s = mesh.events, mesh.world.start_s
 
         def begin() -> None:
-            if child.starts == number and not child.killed and simulation.launcher.alive:
+            if child.starts == number and not child.killed and mesh.launcher.alive:
                 # A process reads the scenario when it starts, not when it was asked to.
-                resolved = simulation.launcher.state.resolved_for(child.name)
+                resolved = mesh.launcher.state.resolved_for(child.name)
                 if child.name not in resolved.nodes:  # its insertion has been given up
                     child.killed = True
                     return
-                child.process = SimulatedProcess(simulation, child.name, resolved, number)
+                child.process = SimulatedProcess(mesh, child.name, resolved, number)
 
         events.after(start_s * (1.0 + events.random.random()), begin)
 

@@ -9,12 +9,13 @@ from typing import Any
 
 from mast_zenoh.control.interception import Release
 from mast_zenoh.control.stop_reasons import StopKind
+from mast_zenoh.launch.protocol.endings import losses_unseen_by_driver
 from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
 from mast_zenoh.runtime.protocol.inbox import Event
 from mast_zenoh.testing.simulation.launcher import SimulatedLauncher
 from mast_zenoh.testing.simulation.network import LEASE_NS, Events, Network, S
-from mast_zenoh.testing.simulation.processes import SimulatedProcess
+from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess
 from mast_zenoh.testing.simulation.schedule import Disturbance, Schedule
 from mast_zenoh.testing.simulation.world import World
 
@@ -59,8 +60,10 @@ class Outcome:
         return complete and not (self.churn or self.lost or any(self.rejected.values()))
 
 
-class Simulation:
+class Simulation(SimulatedMesh):
     """One run of a world with a schedule."""
+
+    launcher: SimulatedLauncher
 
     def __init__(self, world: World, schedule: Schedule) -> None:
         resolved = world.resolved
@@ -69,7 +72,7 @@ class Simulation:
         self.quiet = logging.Logger("simulated", logging.CRITICAL + 1)
         self.lockstep = resolved.mode == "lockstep"
         self.events = Events(schedule)
-        self.network = Network(self.events, schedule, patient=self.lockstep, lossy=not self.lockstep)
+        self.network = Network[SimulatedProcess](self.events, schedule, patient=self.lockstep, lossy=not self.lockstep)
         self.violations: list[str] = []
         self.trace: list[str] | None = None
         self.driver: SimulatedProcess
@@ -78,9 +81,7 @@ class Simulation:
         self._tokens: dict[str, SimulatedProcess] = {}
         self._known: dict[str, SimulatedProcess] = {}  # by node, the process whose token the driver has noted
         self._token_arrived: dict[str, SimulatedProcess | None] = {}  # the same for tokens that it has received
-        self.doomed: dict[
-            str, float
-        ] = {}  # nodes whose processes are killed some time after they are told to finish, s
+        self.doomed: dict[str, float] = {}
         self._unheard: Counter[str] = Counter()  # frames in a row that began without a node that is there
         for disturbance in schedule.disturbances:
             self.events.after(disturbance.at_s, self._disturb, disturbance)
@@ -96,13 +97,15 @@ class Simulation:
         driver = next((each for each in launcher.outcomes.values() if "sent_ns" in each), {})
         problem = launcher.state.stop.problem
         children = launcher.supervisor.children.values()
+        frames = driver.get("frames", 0)
+        restarted = [child.name for child in children if child.restarts]
         return Outcome(
             ended=ended,
             launcher_lost=not launcher.alive,
             error=f"{type(problem).__name__}: {problem}" if problem else "",
             results={name: outcome["results"] for name, outcome in launcher.outcomes.items()},
-            frames=driver.get("frames", 0),
-            churn=driver.get("churn", []),
+            frames=frames,
+            churn=driver.get("churn", []) + losses_unseen_by_driver(launcher.outcomes, restarted, frames),
             lost={child.name: child.ended for child in children if not child.handed_in and not child.exit_expected},
             rejected={name: outcome["rejected"] for name, outcome in launcher.outcomes.items()},
             changes=launcher.changes,
@@ -121,17 +124,17 @@ class Simulation:
         return [process for process in self.network.processes if process.alive]
 
     def current(self, node: str) -> SimulatedProcess | None:
-        """The running process of a node."""
+        """See SimulatedMesh."""
         return next((process for process in self.network.processes if process.name == node and process.alive), None)
 
     def violate(self, sentence: str) -> None:
-        """Note a broken promise."""
+        """See SimulatedMesh."""
         self.violations.append(f"{self.events.now_ns * 1e-9:.4f} s: {sentence}")
 
     # -- what the processes do ---------------------------------------------------------------------------------------
 
     def handle(self, process: SimulatedProcess, event: Event | None) -> None:
-        """Have a process handle an event."""
+        """See SimulatedMesh."""
         if self.trace is not None:
             self.trace.append(f"{self.events.now_ns * 1e-9:.4f} {process.name}: {_described(event)}")
         if event is not None and event[0] == "alive":
@@ -144,7 +147,7 @@ class Simulation:
         process.protocol.handle(event)
 
     def token(self, process: SimulatedProcess, present: bool) -> None:
-        """Have a process's token appear, after its declarations, or go: for the driver and for the launcher."""
+        """See SimulatedMesh."""
         name, least_ns = process.name, process.subscribed_ns
         if present:
             self._tokens[name] = process
@@ -171,7 +174,7 @@ class Simulation:
         self.network.send(stream, name, driver.name, lambda: driver.take_in(arrive), least_ns=least_ns)
 
     def note_published(self, process: SimulatedProcess, key: str, payload: bytes, step: int) -> None:
-        """Check what must hold when a message is published, and when a frame begins."""
+        """See SimulatedMesh."""
         if key == "clock" and isinstance(process.protocol, DriverProtocol):
             self.frame = step
             self.network.send((process, "clock", "launcher"), process.name, "", self.launcher.arrive_clock, step)
@@ -196,7 +199,7 @@ class Simulation:
                 self.violate(f"frame {frame} begins, the {_UNHEARD}rd one without {name}, which is there")
 
     def note_stop(self, process: SimulatedProcess, reason: str) -> None:
-        """Check what must hold when the driver ends a run in lock-step."""
+        """See SimulatedMesh."""
         if self.lockstep and reason == StopKind.END.value and isinstance(process.protocol, DriverProtocol):
             for name in self._outside(process.protocol):
                 if self._unheard[name]:
