@@ -34,9 +34,6 @@ from mast_zenoh.runtime.mesh.main import main, wake_when_orphaned  # noqa: E402
 _MAX_REQUEST = 1 << 16
 #: What argparse, numpy.unique and zipfile import at their first call.
 _LATER = "locale", "numpy.ma", "encodings.cp437"
-#: An argument as long as any node's command, which is written in place of the server's.
-ROOM = " " * (1 << 14)
-
 #: Descriptors that come with a request: standard input and log.
 _N_DESCRIPTORS = 2
 

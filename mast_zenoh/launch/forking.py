@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import IO
 
 from mast_zenoh.errors import StartError
-from mast_zenoh.launch.fork_server import ROOM
 
 #: s, for the server to import everything and to answer, and for it to leave.
 _START_S, _END_S = 30.0, 5.0
+#: An argument of the server, as long as any node's command, which a node writes in its place.
+_ROOM = " " * (1 << 14)
 _PR_SET_CHILD_SUBREAPER = 36  # of prctl(2): orphans among the descendants of this process become its children
 
 
@@ -46,7 +47,7 @@ class ForkServer:
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         with server_end:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "mast_zenoh.launch.fork_server", ROOM],
+                [sys.executable, "-P", "-m", "mast_zenoh.launch.fork_server", _ROOM],
                 stdin=server_end.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=None if sys.__stderr__ else subprocess.DEVNULL,  # nodes need one, even if this process has none
