@@ -128,3 +128,28 @@ def test_nodes_and_algorithms_use_no_socket_clock_or_global_generator() -> None:
         modules = {name.split(".")[0] for name in imported(path)} & FORBIDDEN
         used += [(str(path), name) for name in (*modules, *(word for word in words if word in text))]
     assert not used
+
+
+#: What the processes of a run decide; the host runs a node, and the simulation plays them all.
+PROTOCOL = [
+    *PACKAGE.glob("*/protocol/*.py"),
+    *(PACKAGE / "testing" / "simulation").glob("*.py"),
+    *(PACKAGE / "runtime" / name for name in ("host.py", "held.py", "delayed.py", "limits.py")),
+    *(PACKAGE / "launch" / name for name in ("supervisor.py", "ending.py")),
+]
+#: The simulation draws its delays, from a seed.
+SEEDED = {"random"}
+
+
+def test_protocol_and_simulation_use_no_network_thread_clock_or_file() -> None:
+    assert len(PROTOCOL) > 25
+    used = []
+    for path in PROTOCOL:
+        seeded = SEEDED if "simulation" in path.parts else set()
+        modules = {name.split(".")[0] for name in imported(path)} & (
+            FORBIDDEN - seeded | {"pathlib", "queue", "select"}
+        )
+        used += [
+            (str(path), name) for name in (*modules, *(word for word in ("open(",) if f" {word}" in path.read_text()))
+        ]
+    assert not used

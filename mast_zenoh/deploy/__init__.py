@@ -6,6 +6,7 @@ swarm/     containers of many machines
 ssh/       processes on other hosts
 wheel      this package and what nodes need, for other hosts
 image      the same as a container image
+remote_node  the process of a node on a host without the run folder
 joining    the launcher's session on a mesh whose router is not its own
 addresses  addresses and ports of this machine
 doctor     checks of this machine's capabilities

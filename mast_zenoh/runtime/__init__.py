@@ -3,8 +3,7 @@
 host         one node, without I/O: checks, holds, counts, numbers and delays its messages
              held: messages that wait for their clock;  delayed: messages sent later;  limits: their number and size
 inproc       all nodes in one process;  played: nodes that send what was recorded
-recorded_results  the results of one node, computed from a recording
 protocol/    what the processes of a run do, as state machines without I/O
 mesh/        one node as a process on a Zenoh mesh
-remote_node  a node on a host without the run folder;  file_client: transfers its files
+file_client  transfers the files of a node on a host without the run folder
 """

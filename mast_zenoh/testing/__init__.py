@@ -12,6 +12,7 @@ attacks     check_attack
 measures    check_metric
 network     check_link_rule, check_fault
 scenarios   check_node, check_scenario
+simulation  a mesh without processes, in virtual time: whole runs, disturbed at random
 fixtures    for pytest: play
 """
 

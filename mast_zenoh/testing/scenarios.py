@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from collections import defaultdict
 from pathlib import Path
@@ -20,6 +21,7 @@ from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.node import Node, handler_names
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.testing import simulation
 from mast_zenoh.testing.comparison import expect
 from mast_zenoh.wiring.model import ANY
 
@@ -44,13 +46,15 @@ def check_node(node: type[Node], *message_types: Schema) -> None:
 
 
 def check_scenario(
-    scenario: Scenario, *, frames: int = 20, seed: int = 0, mesh: bool = False, **parameters: Any
+    scenario: Scenario, *, frames: int = 20, seed: int = 0, mesh: bool = False, schedules: int = 0, **parameters: Any
 ) -> None:
     """Check that neither the order of delivery nor the runtime affects a scenario.
 
     scenario, parameters: as for `mast_zenoh.run`
     frames, seed:         number of frames, and the seed of all random draws
     mesh:                 also run it with a process for each node, which takes a few seconds
+    schedules:            number of simulated runs in which processes are suspended and killed, links cut and messages
+                          delayed, each time at other moments, see `testing.simulation`
 
     Messages and results must be the same whether nodes share messages or get copies, and for any order of delivery.
     This detects nodes that change their inputs or depend on the order of messages.
@@ -62,6 +66,8 @@ def check_scenario(
     _expect_equal(first, _played(resolved, encode=False), "when nodes share arrays: does one change its inputs?")
     for order in range(_ORDERS):
         _expect_equal(first, _played(resolved, encode=True, shuffle=order), f"in another order of delivery ({order})")
+    if schedules:
+        _check_simulated(resolved, first, schedules)
     if mesh:
         recorded = scenarios.resolve(path, content, frames=frames, seed=seed, mode="lockstep", record=True)
         _check_mesh(recorded)
@@ -89,6 +95,15 @@ def _expect_equal(first: _Played, second: _Played, when: str) -> None:
     for key in sorted(first[0].keys() | second[0].keys()):
         expect(first[0].get(key) == second[0].get(key), f"{key}: messages differ {when}")
     expect(first[1] == second[1], f"results of nodes differ {when}")
+
+
+def _check_simulated(resolved: Resolved, first: _Played, schedules: int) -> None:
+    world = simulation.World.of(resolved)
+    streams = simulation.undisturbed(world).streams
+    for key, messages in first[0].items():
+        equal = streams.get(key) == hashlib.sha256(b"".join(messages)).digest()
+        expect(equal, f"{key}: messages differ on the simulated mesh")
+    simulation.explore(world, range(schedules))
 
 
 def _check_mesh(resolved: Resolved) -> None:

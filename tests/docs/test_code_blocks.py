@@ -198,6 +198,13 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
     assert len(names["picture"]) == len(names["support"])
 
 
+def simulated_run(block: Block, folder: Path) -> None:
+    printed: list[Any] = []
+    executed(block, print=printed.append)
+    for events, comment in zip(printed, re.findall(r"^print\(.*?\)  # (.*)$", block.content, flags=re.M), strict=True):
+        assert events == ast.literal_eval(comment)
+
+
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "exports.md": [None],  # test_export_labels.py
@@ -211,6 +218,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "scenarios.md": [whole_scenario, results_of_a_node],
     "security.md": [expired_credentials],
     "sensors.md": [None] * 3,  # test_sensors_page.py
+    "simulation.md": [simulated_run, simulated_run],
     "studies.md": [study_of_ones_own],
     "tracking.md": [tracking_by_hand],
 }

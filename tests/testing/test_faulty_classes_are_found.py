@@ -201,8 +201,15 @@ def test_faults_of_a_node_are_found_by_playing_its_scenario(tmp_path: Path, does
         testing.check_scenario(watched(tmp_path, does), frames=5)
 
 
+def test_a_node_that_fails_when_another_is_lost_is_found_on_the_simulated_mesh(tmp_path: Path) -> None:
+    scenario = watched(tmp_path, "pass\n\n    def left(self, node, role, context):\n        self.agents.remove(node)")
+    testing.check_scenario(scenario, frames=5)
+    with pytest.raises(AssertionError, match=r"watcher\.left failed .*'agents'(.|\n)*kill \w+"):
+        testing.check_scenario(scenario, frames=5, schedules=100)
+
+
 def test_a_listen_only_node_passes(tmp_path: Path) -> None:
-    testing.check_scenario(watched(tmp_path, "self.order.append(1)"), frames=5)
+    testing.check_scenario(watched(tmp_path, "self.order.append(1)"), frames=5, schedules=10)
 
 
 def test_the_fixture_runs_a_scenario_in_a_folder_of_the_test(play: Callable[..., Run], tmp_path: Path) -> None:  # noqa: F811

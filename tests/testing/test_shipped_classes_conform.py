@@ -173,6 +173,11 @@ def test_a_shipped_scenario_is_the_same_in_every_delivery_order(name: str) -> No
     testing.check_scenario(name, frames=15, n_infrastructure=2)
 
 
+@pytest.mark.parametrize("name", ["coordinated", "defended", "realistic_network", "passthrough", "rates"])
+def test_a_shipped_scenario_keeps_every_promise_on_the_simulated_mesh(name: str) -> None:
+    testing.check_scenario(name, frames=10, schedules=20)
+
+
 @pytest.mark.mesh
 def test_a_shipped_scenario_is_the_same_on_the_mesh() -> None:
     testing.check_scenario("coordinated", frames=10, mesh=True, n_infrastructure=2)

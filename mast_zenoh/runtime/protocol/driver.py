@@ -42,7 +42,7 @@ class DriverState(Enum):
     """What the driver waits for."""
 
     GATHERING = "gathering"  # all nodes that are present from the beginning
-    SETTLING = "settling"  # in lock-step, a quiet mesh
+    SETTLING = "settling"  # a quiet mesh; in real time at the end, the last messages
     ACTING = "acting"  # the launcher, which carries out process steps
     PACING = "pacing"  # in real time, the time of the next frame
     FINISHED = "finished"  # the launcher, which takes the results
@@ -194,7 +194,7 @@ class DriverProtocol(NodeProtocol):
                 self._begin_epoch()
                 if reason := (yield from self._await_quiet(include_listeners=True)):
                     return reason
-            elif not (yield from self._wait(deadline)):
+            elif not (yield from self._wait(DriverState.GATHERING, deadline)):
                 problem = f"not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}"
                 return self._end_reason or StopReason(StopKind.START, problem)
         return None
@@ -207,7 +207,7 @@ class DriverProtocol(NodeProtocol):
             reason = (yield from self._await_quiet(include_listeners=True)) or reason
         if reason == END and not self.lockstep:
             grace = self._now_s + REALTIME_GRACE_S
-            while (yield from self._wait(grace)):
+            while (yield from self._wait(DriverState.SETTLING, grace)):
                 pass
         return reason
 
@@ -232,8 +232,7 @@ class DriverProtocol(NodeProtocol):
 
     def _await_due(self, due: float) -> Generator[float, bool, None]:
         """In real time, wait until a frame is due; nodes join and leave meanwhile, and the wiring changes."""
-        self.driver_state = DriverState.PACING
-        while (yield from self._wait(due)):
+        while (yield from self._wait(DriverState.PACING, due)):
             while self.membership.differs(self.members):
                 self._begin_epoch()
             self.rewiring.advance()
@@ -281,20 +280,18 @@ class DriverProtocol(NodeProtocol):
 
     def _await_done(self, group: list[ProcessStep]) -> Phase:
         """Wait until the nodes of a group have ended or started, and all others know it."""
-        self.driver_state = DriverState.ACTING
         deadline, alive = self._now_s + self.start_timeout_s, self.membership.alive
         while pending_steps := [step for step in group if (step.node in alive) != (step.action == "start")]:
-            if not (yield from self._wait(deadline)):
+            if not (yield from self._wait(DriverState.ACTING, deadline)):
                 names = ", ".join(f"{step.action} {step.node}" for step in pending_steps)
                 return self._stalled(f"not done before frame {self.frames}: {names}")
         return (yield from self._update_members())
 
     def _await_quiet(self, *, include_listeners: bool = False) -> Phase:
         """In lock-step, wait until no message is in transit."""
-        self.driver_state = DriverState.SETTLING
         deadline = self._now_s + self.stall_timeout_s
         while not self.pacer.quiet(include_listeners=include_listeners):
-            if not (yield from self._wait(min(deadline, self._now_s + SUSPECT_S))):
+            if not (yield from self._wait(DriverState.SETTLING, min(deadline, self._now_s + SUSPECT_S))):
                 if self.pacer.silent:  # a node whose token was claimed before it was there has missed the epoch
                     self.actions.control("epoch", self._announcement)
                 self.fatal_problem = self.fatal_problem or self.pacer.implausible()
@@ -302,8 +299,9 @@ class DriverProtocol(NodeProtocol):
                     return self._stalled("; ".join(list(self.pacer.unsettled())[:5]))
         return None
 
-    def _wait(self, deadline: float) -> Wait:
+    def _wait(self, state: DriverState, deadline: float) -> Wait:
         """Wait for one event; False if the deadline, s, has passed or the run ends."""
+        self.driver_state = state
         return not self._end_reason and (yield deadline)
 
     # -- inside ----------------------------------------------------------------------------------------------------

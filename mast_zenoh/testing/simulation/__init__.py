@@ -4,10 +4,11 @@ world       what is simulated: `World.of(resolved)`, or a small one
 schedule    what disturbs a run: `random_schedule(seed, world)`
 simulation  `play(world, schedule)`: the run with the protocols of the nodes, the driver and the launcher
             network: messages, tokens, declarations;  processes: of nodes;  launcher
-promises    `check`: what must hold of every run;  `explore`: many seeds;  `simplest`: shrinks a schedule
+promises    `check`: what must hold of every run;  `explore`: many seeds;  `simplest`: shrinks a schedule;
+            `undisturbed`: the run with which others are compared
 """
 
-from mast_zenoh.testing.simulation.promises import check, explore, find, simplest
+from mast_zenoh.testing.simulation.promises import check, explore, find, simplest, undisturbed
 from mast_zenoh.testing.simulation.schedule import Disturbance, Schedule, random_schedule
 from mast_zenoh.testing.simulation.simulation import Outcome, play
 from mast_zenoh.testing.simulation.world import World, small_world, small_worlds
@@ -25,4 +26,5 @@ __all__ = [
     "simplest",
     "small_world",
     "small_worlds",
+    "undisturbed",
 ]

@@ -145,7 +145,6 @@ class SimulatedProcess(Actions):
         self._turn_due = False  # whether it is about to handle an event
         self._timer = 0
         self.subscribed_ns = 0
-        self._offers = 0
         world, events = mesh.world, mesh.events
         self.inbox = Inbox(self._put, nullcontext())
         clock: Callable[[], int] = lambda: events.now_ns  # noqa: E731
@@ -317,7 +316,6 @@ class SimulatedProcess(Actions):
         """End it, with an exit code."""
         self.alive = False
         self.exit = code
-        self.lost_after_ns = min(self.lost_after_ns, _FOREVER if code != KILLED else self.lost_after_ns)
         self._mesh.token(self, False)
 
     # -- actions -----------------------------------------------------------------------------------------------------
@@ -384,8 +382,6 @@ class SimulatedProcess(Actions):
 
     def hand_in(self, results: bytes) -> None:
         """See Actions."""
-        self._offers += 1
-        offer = self._offers
         answered: list[str | None] = []
 
         def finish(refusal: str | None) -> None:
@@ -396,7 +392,6 @@ class SimulatedProcess(Actions):
         launcher = self._mesh.launcher
         self._network.send((self, "result"), self.name, "", launcher.arrive_result, self, results, finish)
         self._events.after(_HAND_IN_TIMEOUT_S if launcher.alive else 0.01, finish, None)
-        assert offer == self._offers
 
 
 class SimulatedChild(Child):

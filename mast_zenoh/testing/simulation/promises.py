@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 from typing import NamedTuple
 
+from mast_zenoh.control import failures, results
 from mast_zenoh.testing.simulation.schedule import Schedule, random_schedule
 from mast_zenoh.testing.simulation.simulation import Outcome, play
 from mast_zenoh.testing.simulation.world import World
@@ -42,9 +43,10 @@ def check(world: World, schedule: Schedule) -> list[str]:
         nodes = world.resolved.nodes
         needed = [name for name in outcome.lost if name in nodes and nodes[name].on_exit == "fail"]
         broken += [f"{name} {outcome.lost[name]}, and the run ended without an error" for name in needed]
+    reference = undisturbed(world)
+    broken += _failures(outcome, reference)
     if world.resolved.mode != "lockstep":
         return broken + _broken_in_real_time(schedule, outcome)
-    reference = undisturbed(world)
     if outcome.claims_to_be_exact:
         broken += _differences(outcome, reference)
     elif schedule.harmless:
@@ -58,15 +60,30 @@ def check(world: World, schedule: Schedule) -> list[str]:
     return broken
 
 
+def _failures(outcome: Outcome, reference: Outcome) -> list[str]:
+    """The handlers that fail in this run alone."""
+    known = {(name, entry["handler"]) for name, entries in reference.failures.items() for entry in entries}
+    return failures.lines(
+        {
+            name: [entry for entry in entries if (name, entry["handler"]) not in known]
+            for name, entries in outcome.failures.items()
+        }
+    )
+
+
 def _differences(outcome: Outcome, reference: Outcome) -> list[str]:
     if outcome.frames != reference.frames:
         return [f"it played {outcome.frames} frames, not {reference.frames}, and does not say so"]
-    missing = reference.results.keys() - outcome.results.keys()
-    different = [name for name, results in reference.results.items() if outcome.results.get(name, results) != results]
-    lines = [f"it has no results of {name}, and does not say so" for name in sorted(missing)]
-    for name in different:
-        found, expected = outcome.results[name], reference.results[name]
-        lines.append(f"it differs from the undisturbed run, and does not say so: {name} has {found}, not {expected}")
+    lines = []
+    for name, expected in sorted(reference.results.items()):
+        if name not in outcome.results:
+            lines.append(f"it has no results of {name}, and does not say so")
+        elif results.pack(outcome.results[name]) != results.pack(expected):
+            actual = str(outcome.results[name])
+            lines.append(f"it does not say that the results of {name} differ: {actual:.400}, not {expected!s:.400}")
+    for key, stream in sorted(reference.streams.items()):
+        if outcome.streams.get(key) != stream:
+            lines.append(f"it does not say that the messages on {key} differ from those of the undisturbed run")
     return lines
 
 

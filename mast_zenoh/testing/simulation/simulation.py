@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
+from mast_zenoh.control.failures import Entry
 from mast_zenoh.control.interception import Release
 from mast_zenoh.control.stop_reasons import StopKind
 from mast_zenoh.launch.protocol.endings import losses_unseen_by_driver
@@ -32,7 +34,9 @@ class Outcome:
     results: of each node's `finish`; frames: number played;  churn: lost and returned nodes
     lost:    nodes that ended without results, with how; not those that the scenario or an interception ended
     rejected: numbers of rejected messages, by node
+    failures: of handlers, by node, see control.failures
     changes, refused: changes of the wiring, and requests that were refused
+    streams: digest of all messages sent on each key, in their order
     on_the_way: number of messages that had not arrived when the run ended
     violations: broken promises that were seen while it was played
     """
@@ -45,11 +49,13 @@ class Outcome:
     churn: list[dict[str, Any]]
     lost: dict[str, str]
     rejected: dict[str, dict[str, int]]
+    failures: dict[str, list[Entry]]
     changes: list[dict[str, Any]]
     refused: list[str]
     notes: list[str]
     seconds: float
     events: int
+    streams: dict[str, bytes]
     on_the_way: int
     violations: list[str] = field(default_factory=list)
 
@@ -82,6 +88,7 @@ class Simulation(SimulatedMesh):
         self._known: dict[str, SimulatedProcess] = {}  # by node, the process whose token the driver has noted
         self._token_arrived: dict[str, SimulatedProcess | None] = {}  # the same for tokens that it has received
         self.doomed: dict[str, float] = {}
+        self._streams = defaultdict[str, Any](hashlib.sha256)
         self._unheard: Counter[str] = Counter()  # frames in a row that began without a node that is there
         for disturbance in schedule.disturbances:
             self.events.after(disturbance.at_s, self._disturb, disturbance)
@@ -108,11 +115,13 @@ class Simulation(SimulatedMesh):
             churn=driver.get("churn", []) + losses_unseen_by_driver(launcher.outcomes, restarted, frames),
             lost={child.name: child.ended for child in children if not child.handed_in and not child.exit_expected},
             rejected={name: outcome["rejected"] for name, outcome in launcher.outcomes.items()},
+            failures={name: outcome["failures"] for name, outcome in launcher.outcomes.items() if outcome["failures"]},
             changes=launcher.changes,
             refused=launcher.refused,
             notes=launcher.notes,
             seconds=self.events.now_ns * 1e-9,
             events=self.events.played,
+            streams={key: stream.digest() for key, stream in self._streams.items()},
             on_the_way=sum(self.network.in_transit.values()),
             violations=self.violations,
         )
@@ -175,6 +184,7 @@ class Simulation(SimulatedMesh):
 
     def note_published(self, process: SimulatedProcess, key: str, payload: bytes, step: int) -> None:
         """See SimulatedMesh."""
+        self._streams[key].update(payload)
         if key == "clock" and isinstance(process.protocol, DriverProtocol):
             self.frame = step
             self.network.send((process, "clock", "launcher"), process.name, "", self.launcher.arrive_clock, step)

@@ -1,0 +1,116 @@
+"""docs/protocol.md describes the states, events and transitions that the code has."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import planted_bugs
+import pytest
+
+from mast_zenoh.launch.protocol import endings, interception, steps
+from mast_zenoh.runtime import host
+from mast_zenoh.runtime.protocol import driver, membership, node, pacer, receiving, rewiring, wiring_follower
+from mast_zenoh.testing.simulation import World, play, random_schedule
+from mast_zenoh.testing.simulation.processes import SimulatedProcess
+from mast_zenoh.testing.simulation.simulation import Simulation
+
+PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+MODULES = (endings, interception, steps, host, driver, membership, node, pacer, receiving, rewiring, wiring_follower)
+
+
+def section(title: str) -> str:
+    return PAGE.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def column(text: str, title: str) -> set[str]:
+    """The first column of the table with this title."""
+    table = text.split(f"| {title} |")[1].split("\n\n")[0]
+    return {line.split("|")[1].strip(" `") for line in table.splitlines()[2:]}
+
+
+Edges = set[tuple[str, str]]
+
+
+def edges(title: str) -> Edges:
+    """The transitions between different states in the diagram of a section."""
+    diagram = section(title).split("```mermaid")[1].split("```")[0]
+    return {(before, after) for before, after in re.findall(r"(\w+) --> (\w+)", diagram) if before != after}
+
+
+def transitions(worlds: dict[str, World], seeds: Iterable[int], monkeypatch: pytest.MonkeyPatch) -> list[Edges]:
+    """The transitions of nodes, and of drivers, in simulated runs."""
+    of_nodes, of_drivers = set[tuple[str, str]](), set[tuple[str, str]]()
+    handle = Simulation.handle
+
+    def observed(self: Simulation, process: SimulatedProcess, event: Any) -> None:
+        protocol = process.protocol
+        states = (protocol.state, getattr(protocol, "driver_state", None))
+        handle(self, process, event)
+        after = (protocol.state, getattr(protocol, "driver_state", None))
+        for edges, before, now in zip((of_nodes, of_drivers), states, after, strict=True):
+            if before is not now:
+                edges.add((before.value.replace(" ", "_"), now.value.replace(" ", "_")))
+
+    monkeypatch.setattr(Simulation, "handle", observed)
+    for world in worlds.values():
+        for seed in seeds:
+            play(world, random_schedule(seed, world))
+    return [of_nodes, of_drivers]
+
+
+def handled(function: object) -> set[str]:
+    """The kinds of events with which a function compares."""
+    return set(re.findall(r'(?:kind|event\[0\]) == "(\w+)"', inspect.getsource(function)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("title", "states"), [("A node's process", node.State), ("The driver", driver.DriverState)])
+def test_the_page_has_every_state_and_no_other(title: str, states: type[node.State]) -> None:
+    names = {state.value.replace(" ", "_") for state in states}
+    assert column(section(title), "state") == {name for edge in edges(title) for name in edge} == names
+
+
+DIAGRAMS = ("A node's process", "The driver")
+
+
+def test_the_diagrams_have_every_transition_of_simulated_runs(
+    worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for title, seen in zip(DIAGRAMS, transitions(worlds, range(40), monkeypatch), strict=True):
+        assert len(seen) > 6
+        assert seen <= edges(title)
+
+
+@pytest.mark.heavy
+def test_the_diagrams_have_no_transition_that_many_simulated_runs_never_make(
+    worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for title, seen in zip(DIAGRAMS, transitions(worlds, range(500), monkeypatch), strict=True):
+        assert seen == edges(title)
+
+
+def test_the_page_has_every_event_of_a_node_and_no_other() -> None:
+    assert column(section("A node's process"), "event") - {"(time)"} == handled(node.NodeProtocol.handle)
+
+
+def test_the_page_has_every_event_of_the_driver_that_a_node_does_not_have() -> None:
+    events = handled(driver.DriverProtocol.handle) | {"rewire"}  # which only wakes it
+    assert column(section("The driver"), "event") == events - handled(node.NodeProtocol.handle)
+
+
+def test_every_transition_that_keeps_a_promise_exists() -> None:
+    named = re.findall(r"`(\w+)\.(\w+)`", section("What keeps each promise"))
+    assert len(named) > 15
+    for owner, member in named:
+        owners = [getattr(module, owner) for module in MODULES if hasattr(module, owner)]
+        assert any(hasattr(found, member) for found in owners), f"{owner}.{member}"
+
+
+def test_every_bug_that_breaks_a_promise_is_planted() -> None:
+    rows = [line for line in section("What keeps each promise").splitlines() if line.startswith("| ")]
+    bugs = {bug for row in rows for bug in re.findall(r"`(\w+)`", row.split("|")[3])}
+    assert len(bugs) > 20
+    assert not [bug for bug in bugs if not hasattr(planted_bugs, bug)]
