@@ -21,11 +21,15 @@ from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED,
 from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.wiring.model import ANY, Wiring
 from mast_zenoh.wiring.subjects import agent_of
 
-#: How many recent messages of a wire are kept, to recognise one that is forwarded unchanged.
-REMEMBERED = 32
+#: Number of steps within which a message that is forwarded unchanged is recognised.
+RECOGNISED = 32
+#: Number of messages of a wire that are kept for that. The keys of a wire may arrive one after the other, each with all
+#: messages of as many frames as a listen-only node may lag behind.
+REMEMBERED = RECOGNISED + SETTLE_EVERY + 2
 
 
 class Route(NamedTuple):
@@ -174,7 +178,7 @@ class Evaluator(Node):
             if len(recent) > REMEMBERED:
                 del recent[next(iter(recent))]
             for other, kept in candidates:
-                if other.same_bytes(message):
+                if abs(message.step - other.step) <= RECOGNISED and other.same_bytes(message):
                     objects = kept
                     break
         if objects is None:

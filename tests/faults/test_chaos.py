@@ -58,8 +58,8 @@ def test_200_random_schedules_in_one_process_pass_all_checks(block: int, tmp_pat
 
 
 @pytest.mark.mesh
-@pytest.mark.parametrize("seed", TWENTY)
-def test_20_random_schedules_on_the_mesh_equal_those_in_one_process(seed: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("seed", [1, 5])  # with a node that leaves, and with one that is killed
+def test_random_schedules_on_the_mesh_equal_those_in_one_process(seed: int, tmp_path: Path) -> None:
     folder = played(tmp_path / "mesh", seed, "mesh", *SMALL)
     assert {check["name"] for check in check_results(folder) if check["values"]["checked"]} >= {
         "processes",

@@ -15,7 +15,7 @@ from launched_apart import Beside
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
-from mast_zenoh.runtime.protocol.driver import DriverProtocol, Phase
+from mast_zenoh.runtime.protocol.driver import DriverProtocol, DriverState, Phase
 
 _LOOK_EVERY_S = 0.02
 
@@ -38,7 +38,7 @@ def hold_back(file: str) -> None:
 
     def when_allowed(self: DriverProtocol) -> Phase:
         while self.frames >= int(Path(file).read_text()) and not self._end_reason:
-            yield from self._wait(self._now_s + _LOOK_EVERY_S)
+            yield from self._wait(DriverState.PACING, self._now_s + _LOOK_EVERY_S)
         return (yield from carry_out(self))
 
     DriverProtocol._carry_out = when_allowed  # type: ignore[method-assign]

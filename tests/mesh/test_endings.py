@@ -20,7 +20,6 @@ from launched import MAST, Launched, Observer, alive, eventually
 
 from mast_zenoh.launch.liveness import current_record
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.messages import codec
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
@@ -42,9 +41,8 @@ def at_frame(run: Launched, frame: int) -> dict:
     return record
 
 
-@pytest.mark.parametrize("mode", [PACED, ("--frames", "150", "--allow-churn")], ids=["real time", "lock-step"])
-def test_a_killed_agent_does_not_end_the_run(launch, mode: tuple[str, ...]) -> None:
-    run: Launched = launch(*BASELINE, *mode)
+def test_a_killed_agent_does_not_end_the_run(launch) -> None:
+    run: Launched = launch(*BASELINE, *PACED)
     record = at_frame(run, 15)
     os.kill(record["nodes"]["infra_2"]["pid"], signal.SIGKILL)
     code, output = run.end()
@@ -58,71 +56,10 @@ def test_a_killed_agent_does_not_end_the_run(launch, mode: tuple[str, ...]) -> N
     assert json.loads((run.out / "metrics.json").read_text())["frames"] == record["frames"]
 
 
-def test_an_agent_with_policy_restart_returns_at_the_current_frame(launch, tmp_path: Path) -> None:
-    (tmp_path / "phoenix.py").write_text(
-        "from mast_zenoh.config import loading\n"
-        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
-        "def scenario():\n"
-        "    made = baseline(n_infrastructure=2)\n"
-        "    return made | dict(agents=made['agents'] | dict(infra_2=made['agents']['*'] | dict(on_exit='restart')))\n"
-    )
-    run: Launched = launch(str(tmp_path / "phoenix.py"), "--mode", "realtime", "--rate", "5", "--frames", "300")
-    record = at_frame(run, 15)
-    observer = Observer(record, "agent/infra_2/tracks")
-    try:
-        eventually(lambda: observer.samples, "infra_2 publishes")
-        os.kill(record["nodes"]["infra_2"]["pid"], signal.SIGKILL)
-        code, output = run.end()
-    finally:
-        observer.close()
-    assert code == 0, output
-    node = run.record()["nodes"]["infra_2"]
-    assert node["restarts"] == 1
-    assert node["pid"] != record["nodes"]["infra_2"]["pid"]
-    assert node["last_frame"] == 299, "it took part until the end"
-    frames = [codec.decode(sample.payload.to_bytes(), "tracks").header.frame for _, sample in observer.samples]
-    assert frames == sorted(frames)
-    assert frames[-1] == 299
-    assert len(frames) < 300 - frames[0], "frames passed while it was away"
-
-
-def test_a_dead_command_centre_fails_the_run_with_its_own_exit_code(launch) -> None:
-    run: Launched = launch(*BASELINE, *PACED)
-    record = at_frame(run, 10)
-    os.kill(record["nodes"]["command_center"]["pid"], signal.SIGKILL)
-    code, output = run.end()
-    assert code == 22, output
-    assert "command_center killed by signal 9" in output
-    record = run.record()
-    assert record["status"] == "failed"
-    assert (run.out / "metrics.json").is_file(), "earlier results are kept"
-
-
-def test_a_driver_left_alone_does_not_continue_the_scene(launch, tmp_path: Path) -> None:
-    (tmp_path / "alone.py").write_text(
-        "from mast_zenoh.config import loading\n"
-        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
-        "def scenario():\n"
-        "    roles = ('broker', 'command_center', 'evaluator')\n"
-        "    made = baseline(n_infrastructure=2)\n"
-        "    made |= {role: made[role] | dict(on_exit='continue') for role in roles}\n"
-        "    return made | dict(run=dict(record=False))\n"
-    )
-    run: Launched = launch(str(tmp_path / "alone.py"))
-    record = at_frame(run, 5)
-    for name, node in record["nodes"].items():
-        if name != "simulator":
-            os.kill(node["pid"], signal.SIGKILL)
-    code, output = run.end()
-    assert code == 23, output
-    assert "no other node is on the mesh" in output
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_stopped_run_keeps_the_results_obtained_so_far(launch, number: signal.Signals) -> None:
+def test_a_stopped_run_keeps_the_results_obtained_so_far(launch) -> None:
     run: Launched = launch(*BASELINE, *PACED)
     at_frame(run, 20)
-    run.process.send_signal(number)
+    run.process.send_signal(signal.SIGTERM)
     code, output = run.end()
     record = run.record()
     assert (record["status"], code) == ending("signal while the scene is played"), output
@@ -159,11 +96,10 @@ def suspend(run: Launched, seconds: float) -> None:
     run.process.send_signal(signal.SIGCONT)
 
 
-@pytest.mark.parametrize("seconds", [0.5, 5.0])
-def test_a_suspended_launcher_resumes_a_lock_step_run_without_effect(launch, seconds: float) -> None:
+def test_a_suspended_launcher_resumes_a_lock_step_run_without_effect(launch) -> None:
     run: Launched = launch(*BASELINE, "--frames", "150")
     at_frame(run, 15)
-    suspend(run, seconds)
+    suspend(run, 5.0)
     code, output = run.end()
     assert (run.record()["status"], code) == ending("launcher suspended and resumed, lock-step (Ctrl-Z, SIGSTOP)")
     assert "Traceback" not in output
@@ -198,8 +134,8 @@ def test_a_launcher_suspended_too_long_fails_a_run_with_remote_nodes(
     list(read(run.out))
 
 
-@pytest.mark.parametrize("stage", ["starting", "playing", "collecting"])
-def test_a_launcher_killed_at_any_stage_leaves_no_nodes_running(
+@pytest.mark.parametrize("stage", ["starting", "collecting"])
+def test_a_launcher_killed_at_either_end_of_a_run_leaves_no_nodes_running(
     start: Callable[..., Launched], stage: str, tmp_path: Path
 ) -> None:
     mast = (sys.executable, str(Path(__file__).parents[1] / "support" / "at_stage.py"), stage, "SIGKILL", "--")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import tarfile
@@ -40,10 +39,10 @@ def on_mesh(launch, name: str, *settings: str) -> Path:
     return run.out
 
 
-def assert_equal(a: Path, b: Path, *, taps: bool = True) -> None:
-    difference = compare(a, b, taps=taps)
+def assert_equal(a: Path, b: Path) -> None:
+    difference = compare(a, b, taps=True)
     assert difference.first is None, "\n".join(explain(difference))
-    assert difference.equal == sum(taps or not message.tap for message in read(a)) > 0
+    assert difference.equal == len(list(read(a))) > 0
 
 
 def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path: Path) -> None:
@@ -54,84 +53,6 @@ def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path:
     assert_equal(first, in_process(tmp_path / "inproc", *what))
 
 
-def test_interposers_that_change_nothing_leave_no_trace_in_the_recording(launch, tmp_path: Path) -> None:
-    tapped = on_mesh(launch, "passthrough", "n_infrastructure=2")
-    assert_equal(in_process(tmp_path / "plain", "baseline", "n_infrastructure=2"), tapped, taps=False)
-    assert_equal(in_process(tmp_path / "tapped", "passthrough", "n_infrastructure=2"), tapped)
-
-
-OWN_PIPELINE = """
-import numpy as np
-
-from mast_zenoh.config import loading
-from mast_zenoh.pipelines import Pipeline
-
-_, baseline = loading.function("scenarios", "baseline", "scenario")
-
-
-class EveryTrack(Pipeline):
-    def step(self, time_ns, states, agent, agents, weights=None):
-        order = np.lexsort((states.id, np.array(agents)[agent]))
-        return states.select(order).with_(id=np.arange(len(states))), np.ones(len(states), np.int64)
-
-    def reset(self):
-        pass
-
-
-def scenario():
-    made = baseline(n_infrastructure=1)
-    del made["command_center"]
-    return made | dict(commandcenter=dict(pipeline=dict(type="EveryTrack")))
-"""
-
-
-def test_a_user_defined_pipeline_gives_the_same_pictures_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(OWN_PIPELINE)
-    run = on_mesh(launch, str(tmp_path / "mine.py"))
-    assert not any(node.get("failures") for node in json.loads((run / "run.json").read_text())["nodes"].values())
-    assert_equal(run, in_process(tmp_path / "inproc", str(tmp_path / "mine.py")))
-    assert sum(message.wire == "cc/picture" for message in read(run)) == FRAMES
-
-
-LISTENING = """
-from mast_zenoh.config import loading
-
-_, baseline = loading.function("scenarios", "baseline", "scenario")
-
-
-def scenario(folder=""):
-    every = dict(wire="agent/*/tracks", role="defence", input="tracks")
-    guard = dict(role="defence", file=folder + "/guard.py")
-    return baseline(n_infrastructure=2) | dict(
-        adversaries=dict(
-            shadow=dict(file=folder + "/shadow.py", agent="infra_1", heard=["ego", "infra_1", "infra_2"]),
-            eve=dict(agent="infra_2", attack=dict(type="UncoordinatedAttack", start_s=0.2)),
-        ),
-        nodes=dict(guard=guard, source_guard=guard),
-        keyexpr=dict(
-            rewrites=[
-                "on_detections.toml",
-                {"listen": [dict(wire="agent/*/pose", role="adversary", input="poses", node="shadow")]},
-                {"listen": [every | dict(node="guard"), every | dict(node="source_guard", leg="source")]},
-            ]
-        ),
-    )
-"""
-
-
-def test_listeners_receive_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(LISTENING)
-    what = (str(tmp_path / "mine.py"), f"folder={Path(__file__).parents[1] / 'support'}")
-    run = on_mesh(launch, *what)
-    assert not any(node.get("failures") for node in json.loads((run / "run.json").read_text())["nodes"].values())
-    assert_equal(run, in_process(tmp_path / "inproc", *what))
-    before, after = (
-        [m.payload for m in read(run) if m.key == f"agent/infra_1/detections{leg}"] for leg in ("/@tap/0", "")
-    )
-    assert len(before) == len(after) == FRAMES
-    assert not set(before) & set(after), "every pose was received, so every message was changed"
-
-
 def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
     archive = DATA / "scene_a.tar.gz"
     if not archive.exists():
@@ -139,14 +60,6 @@ def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, 
     with tarfile.open(archive) as tar:
         tar.extractall(tmp_path, filter="data")
     what = ("uncoordinated", f"scene=avstack:{tmp_path / 'scene_a'}", "attack_start_s=0.2")
-    assert_equal(on_mesh(launch, *what), in_process(tmp_path / "inproc", *what))
-
-
-def test_a_real_log_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
-    logs = sorted((DATA / "av2_logs").glob("*/city_SE3_egovehicle.feather"))
-    if not logs:
-        pytest.skip(f"no reference data: no log in {DATA / 'av2_logs'} (set MAST_DATA)")
-    what = ("uncoordinated", f"scene=av2:{logs[0].parent}", "n_infrastructure=1", "n_adversaries=1")
     assert_equal(on_mesh(launch, *what), in_process(tmp_path / "inproc", *what))
 
 

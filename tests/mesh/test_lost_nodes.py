@@ -15,7 +15,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.reader import read
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 FRAMES = ("--frames", "100")  # the recorder writes 25 at a time
 
@@ -113,6 +113,9 @@ def test_a_recording_that_lost_its_recorder_is_marked_incomplete(launch, undistu
     os.kill(at_frame(run, 15)["nodes"]["recorder"]["pid"], signal.SIGKILL)
     code, output = run.end()
     assert code == 22, output
+    assert run.record()["status"] == "failed"
+    assert "recorder killed by signal 9" in output
+    assert (run.out / "metrics.json").is_file(), "the results of the other nodes are kept"
     from_frame = run.record()["recording"]["from_frame"]
     assert run.record()["recording"] == {"complete": False, "from_frame": from_frame}
     assert f"the recording is incomplete from frame {from_frame} on" in output.replace("\n", " ")

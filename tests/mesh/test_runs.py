@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from launched import Launched, Observer, eventually
+from launched import Launched, Observer
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
@@ -29,7 +29,7 @@ def in_process(out: Path, name: str, *settings: str, frames: int = FRAMES, seed:
     return outcome.folder
 
 
-def test_every_role_runs_in_its_own_process(launch) -> None:
+def test_every_role_runs_in_its_own_process_and_the_output_is_plain_lines_without_a_terminal(launch) -> None:
     run: Launched = launch("uncoordinated", "--set", "n_adversaries=2", *SHORT)
     code, output = run.end()
     assert code == 0, output
@@ -52,14 +52,16 @@ def test_every_role_runs_in_its_own_process(launch) -> None:
         "messages.mcap",
     } <= {path.name for path in run.out.iterdir()}
     assert (run.out / "logs" / "ego.log").is_file()
+    assert "\x1b[" not in output
+    assert "FN" in output
+    assert str(run.out) in output.replace("\n", "")
 
 
-@pytest.mark.parametrize("name", ["baseline", "uncoordinated", "coordinated"])
-def test_metrics_on_the_mesh_equal_those_in_one_process_exactly(launch, tmp_path: Path, name: str) -> None:
-    run: Launched = launch(name, "--frames", "60", "--seed", "3")
+def test_metrics_on_the_mesh_equal_those_in_one_process_exactly(launch, tmp_path: Path) -> None:
+    run: Launched = launch("coordinated", "--frames", "60", "--seed", "3")
     code, output = run.end()
     assert code == 0, output
-    assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", name, frames=60, seed=3))
+    assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", "coordinated", frames=60, seed=3))
 
 
 def test_interposers_that_change_nothing_leave_no_trace(launch, tmp_path: Path) -> None:
@@ -209,13 +211,3 @@ def test_a_node_that_dies_beyond_the_last_recorded_frame_is_named_with_its_frame
     assert int(died[1]) >= 25
     frames = [int(frame) for frame in re.findall(r"frame (\d+) of 10", output)]
     assert max(frames) <= 10, "beyond the recording the length is unknown"
-
-
-def test_the_terminal_display_is_plain_lines_without_a_terminal(launch) -> None:
-    run: Launched = launch("baseline", *SHORT)
-    code, output = run.end()
-    assert code == 0
-    assert "\x1b[" not in output
-    assert "FN" in output
-    assert str(run.out) in output.replace("\n", "")
-    eventually(lambda: run.process.poll() is not None, "the run has ended")

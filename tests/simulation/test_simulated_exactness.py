@@ -1,0 +1,150 @@
+"""Scenarios give the same messages and results on a simulated mesh and in one process, whatever the interleaving."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from simulated_runs import (
+    assert_equals_one_process,
+    assert_same_messages,
+    harmless_schedules,
+    in_one_process,
+    on_simulated_mesh,
+    resolve,
+    schedule,
+)
+
+DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
+#: Numbers of fault schedules; all after the first four are heavy.
+TWENTY = [seed if seed < 4 else pytest.param(seed, marks=pytest.mark.heavy) for seed in range(20)]
+SUPPORT = Path(__file__).parents[1] / "support"
+
+OWN_PIPELINE = """
+import numpy as np
+
+from mast_zenoh.config import loading
+from mast_zenoh.pipelines import Pipeline
+
+_, baseline = loading.function("scenarios", "baseline", "scenario")
+
+
+class EveryTrack(Pipeline):
+    def step(self, time_ns, states, agent, agents, weights=None):
+        order = np.lexsort((states.id, np.array(agents)[agent]))
+        return states.select(order).with_(id=np.arange(len(states))), np.ones(len(states), np.int64)
+
+    def reset(self):
+        pass
+
+
+def scenario():
+    made = baseline(n_infrastructure=1)
+    del made["command_center"]
+    return made | dict(commandcenter=dict(pipeline=dict(type="EveryTrack")))
+"""
+
+LISTENING = """
+from mast_zenoh.config import loading
+
+_, baseline = loading.function("scenarios", "baseline", "scenario")
+
+
+def scenario(folder=""):
+    every = dict(wire="agent/*/tracks", role="defence", input="tracks")
+    guard = dict(role="defence", file=folder + "/guard.py")
+    return baseline(n_infrastructure=2) | dict(
+        adversaries=dict(
+            shadow=dict(file=folder + "/shadow.py", agent="infra_1", heard=["ego", "infra_1", "infra_2"]),
+            eve=dict(agent="infra_2", attack=dict(type="UncoordinatedAttack", start_s=0.2)),
+        ),
+        nodes=dict(guard=guard, source_guard=guard),
+        keyexpr=dict(
+            rewrites=[
+                "on_detections.toml",
+                {"listen": [dict(wire="agent/*/pose", role="adversary", input="poses", node="shadow")]},
+                {"listen": [every | dict(node="guard"), every | dict(node="source_guard", leg="source")]},
+            ]
+        ),
+    )
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "frames"),
+    [
+        ("baseline", ("n_infrastructure=1",), 52),  # the driver has waited for listeners
+        ("uncoordinated", ("n_infrastructure=2", "attack_start_s=0.2"), 12),
+        ("coordinated", ("n_infrastructure=5", "n_adversaries=2", "attack_start_s=0.2"), 8),
+        ("passthrough", ("n_infrastructure=2",), 12),
+        ("rates", ("n_infrastructure=2",), 12),
+        ("delayed", ("n_infrastructure=2",), 12),
+    ],
+    ids=["baseline", "uncoordinated", "coordinated", "passthrough", "rates", "delayed"],
+)
+def test_a_scenario_gives_the_same_messages_and_results_as_in_one_process(
+    name: str, settings: tuple[str, ...], frames: int
+) -> None:
+    resolved = resolve(name, *settings, frames=frames, seed=3)
+    expected = in_one_process(resolved)
+    if name == "rates":
+        assert expected.frames("agent/infra_1/detections/narrow") == list(range(frames)), "it measures in every frame"
+    for each in harmless_schedules(resolved, 2):
+        assert_equals_one_process(resolved, each, expected)
+
+
+def test_interposers_that_change_nothing_change_no_message_that_a_subscriber_receives() -> None:
+    plain = in_one_process(resolve("baseline", "n_infrastructure=2", frames=12))
+    tapped = resolve("passthrough", "n_infrastructure=2", frames=12)
+    for each in harmless_schedules(tapped, 2):
+        played, _ = on_simulated_mesh(tapped, each)
+        assert_same_messages(played.without_taps(), plain.without_taps(), str(each))
+        assert len(played.messages) > len(plain.messages), "the interposers were there"
+
+
+def test_a_user_defined_pipeline_gives_the_same_pictures_as_in_one_process(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN_PIPELINE)
+    resolved = resolve(str(tmp_path / "mine.py"), frames=12)
+    expected = in_one_process(resolved)
+    assert expected.frames("cc/picture") == list(range(12))
+    for each in harmless_schedules(resolved, 2):
+        assert_equals_one_process(resolved, each, expected)
+
+
+def test_listeners_receive_the_same_messages_as_in_one_process(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(LISTENING)
+    resolved = resolve(str(tmp_path / "mine.py"), f"folder={SUPPORT}", frames=12)
+    expected = in_one_process(resolved)
+    before, after = (
+        {message.payload for message in expected.messages if message.key == f"agent/infra_1/detections{leg}"}
+        for leg in ("/@tap/0", "")
+    )
+    assert len(before) == len(after) == 12
+    assert not before & after, "every pose was received, so every message was changed"
+    for each in harmless_schedules(resolved, 2):
+        assert_equals_one_process(resolved, each, expected)
+
+
+def test_a_real_log_gives_the_same_messages_as_in_one_process() -> None:
+    logs = sorted((DATA / "av2_logs").glob("*/city_SE3_egovehicle.feather"))
+    if not logs:
+        pytest.skip(f"no reference data: no log in {DATA / 'av2_logs'} (set MAST_DATA)")
+    settings = (f"scene=av2:{logs[0].parent}", "n_infrastructure=1", "n_adversaries=1")
+    resolved = resolve("uncoordinated", *settings, frames=8)
+    expected = in_one_process(resolved)
+    for each in harmless_schedules(resolved, 2):
+        assert_equals_one_process(resolved, each, expected)
+
+
+@pytest.mark.parametrize("seed", TWENTY)
+def test_a_random_schedule_of_faults_gives_the_same_messages_as_in_one_process(seed: int) -> None:
+    resolved = resolve("chaos", f"chaos_seed={seed}", "n_infrastructure=1")
+    expected = in_one_process(resolved)
+    for each in list(harmless_schedules(resolved, 5 if seed >= 4 else 2))[1:]:
+        assert_equals_one_process(resolved, each, expected)
+
+
+def test_an_evaluator_that_gets_the_keys_of_many_frames_one_after_the_other_gives_the_same_results() -> None:
+    resolved = resolve("chaos", "chaos_seed=8", "n_infrastructure=1")
+    assert_equals_one_process(resolved, schedule(22, (0.055, "cut", "evaluator", 3.181)), in_one_process(resolved))
