@@ -13,6 +13,7 @@ from mast_zenoh.api.execution import Scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
 from mast_zenoh.control.failures import lines
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
@@ -60,6 +61,8 @@ def check_scenario(
     This detects nodes that change their inputs or depend on the order of messages.
     Raises AssertionError if they differ, and MastError for a scenario that cannot run.
     """
+    if not isinstance(schedules, int) or schedules < 0:
+        raise ConfigurationError(f"schedules: found {schedules!r}, expected a whole number from 0 on")
     path, content = scenarios.load_values(scenario, parameters)
     resolved = scenarios.resolve(path, content, frames=frames, seed=seed, mode="lockstep")
     first = _played(resolved, encode=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from random import Random
 from typing import NamedTuple
 
+from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.testing.simulation.world import World
 
 #: Kinds of disturbances, with what they do. Of those in `HARMLESS`, an exact run must not even take notice.
@@ -23,8 +25,11 @@ KINDS = {
     "lose launcher": "kills the launcher",
 }
 HARMLESS = frozenset({"stop", "stop launcher", "cut", "intercept", "release"})
+_OF_LAUNCHER = frozenset({"stop launcher", "interrupt", "lose launcher"})
+_WAITS = frozenset({"stop", "stop launcher", "cut"})
 
-_LONGEST_STOP_S = 8.0  # three of them are shorter than the time after which the driver gives up
+_LONGEST_STOP_S = 8.0
+_PATIENCE_S = 3 * _LONGEST_STOP_S  # shorter than the time after which the driver gives up
 _FREEZE_S = 45.0
 # How often each kind is drawn. In real time, only insertions leave a run so sound that losses can be seen.
 _LOCKSTEP, _REALTIME = (3, 1, 2, 2, 4, 3, 6, 4, 3, 1, 1), (2, 1, 1, 1, 3, 12, 2, 1, 1, 1, 1)
@@ -49,6 +54,8 @@ class Schedule:
 
     seed:  of all delays;  calm: whether all of them are equal
     loss:  share of lost messages of wires, and of duplicated ones; only in real time
+
+    Raises ConfigurationError for a kind that does not exist, and a time or share that is not possible.
     """
 
     seed: int
@@ -56,15 +63,37 @@ class Schedule:
     calm: bool = False
     loss: float = 0.0
 
+    def __post_init__(self) -> None:
+        for number, (at_s, kind, _, lasts_s) in enumerate(self.disturbances):
+            place = f"schedule: disturbances[{number}]"
+            if kind not in KINDS:
+                raise ConfigurationError(f"{place}: unknown kind {kind!r}{nearest(str(kind), KINDS)}")
+            if not (0.0 <= at_s < math.inf and 0.0 <= lasts_s < math.inf):
+                raise ConfigurationError(f"{place}: found {at_s} s for {lasts_s} s, expected finite times from 0 on")
+        if not 0.0 <= self.loss <= 0.5:
+            raise ConfigurationError(f"schedule: loss: found {self.loss}, expected 0 to 0.5")
+
+    def check(self, world: World) -> None:
+        """Raise ConfigurationError for a node that a world does not have."""
+        for number, (_, kind, node, _) in enumerate(self.disturbances):
+            inserted = [request.name for request in world.requests]
+            known = inserted if kind in ("intercept", "release") else [*world.resolved.nodes, *inserted]
+            place = f"schedule: disturbances[{number}]: {kind}"
+            if kind in _OF_LAUNCHER and node:
+                raise ConfigurationError(f"{place}: found the node {node!r}, expected none")
+            if kind not in _OF_LAUNCHER and node not in known:
+                raise ConfigurationError(f"{place}: unknown node {node!r}{nearest(str(node), known)}")
+
     @property
     def harmless(self) -> bool:
         """Whether a run in lock-step must be as if nothing had happened."""
-        return all(disturbance.kind in HARMLESS for disturbance in self.disturbances)
+        return not self.freezes and all(disturbance.kind in HARMLESS for disturbance in self.disturbances)
 
     @property
     def freezes(self) -> bool:
-        """Whether a process is suspended for longer than the driver waits."""
-        return any(disturbance.kind == "freeze" for disturbance in self.disturbances)
+        """Whether processes may be suspended, or cut off, for longer than the driver waits."""
+        waits_s = sum(disturbance.lasts_s for disturbance in self.disturbances if disturbance.kind in _WAITS)
+        return waits_s > _PATIENCE_S or any(disturbance.kind == "freeze" for disturbance in self.disturbances)
 
     def simpler(self) -> list[Schedule]:
         """Schedules with less, to find out what matters."""

@@ -273,5 +273,6 @@ def _described(event: Event | None) -> str:
 
 
 def play(world: World, schedule: Schedule) -> Outcome:
-    """Play a world with a schedule."""
+    """Play a world with a schedule; raises ConfigurationError for one with a node that the world does not have."""
+    schedule.check(world)
     return Simulation(world, schedule).play()
