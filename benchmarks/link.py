@@ -35,6 +35,7 @@ import zenoh
 from mast_zenoh import links
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import bundle, loading, registry
+from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control import flow, prefix
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.links import Chain, Passage, Rule
@@ -129,8 +130,9 @@ def link(endpoint: str, path: str) -> None:
     with open_client(endpoint) as session:
         built_rules = tuple(registry.build(rule, Rule, path) for rule in rules(path))
         node = link_class()("ego", built_rules)
-        options = {"signatures": Signatures(path), "period_ns": PERIOD_NS, "lockstep": False}
-        process = ZenohProcess(path, "link_ego", node, wiring(), 0, session, **options)
+        nodes = {"link_ego": NodeSpec("link", "link.py", "", {}, "fail")}
+        resolved = Resolved("link", 0, "realtime", 1.0, 1, PERIOD_NS, nodes, wiring().to_json(), {})
+        process = ZenohProcess(path, resolved, "link_ego", node, session, Signatures(path))
         process.protocol.note_arrivals()
         gc.freeze()  # as runtime/mesh/main.py does
         gc.set_threshold(50_000, 20, 20)

@@ -169,7 +169,7 @@ class Broker(Node):
     def finish(self, context: Context) -> dict[str, object]:
         """Numbers of complete and overdue batches, of late messages, and of rejected ones."""
         rejected = {"overflowed": self.buffer.dropped, "absurd": self.absurd}
-        return {"collation": {**self.batches, "late": self.buffer.late, **rejected}}
+        return {"collation": {**self.batches, "late": dict(sorted(self.buffer.late.items())), **rejected}}
 
 
 def plausible_rows(states: ObjectStates) -> np.ndarray:

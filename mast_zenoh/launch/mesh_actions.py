@@ -14,10 +14,8 @@ from mast_zenoh.control.failures import described
 from mast_zenoh.errors import MastError, MessageError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import RunContext
-from mast_zenoh.launch.protocol.actions import LauncherActions
+from mast_zenoh.launch.protocol.actions import DRIVER_TIMEOUT_S, LauncherActions
 from mast_zenoh.launch.supervisor import Supervisor
-
-_DRIVER_TIMEOUT_S = 60.0
 
 
 class MeshActions(LauncherActions):
@@ -33,33 +31,28 @@ class MeshActions(LauncherActions):
         self._joining: str | None = None
 
     def stop(self, reason: str) -> None:
-        """See LauncherActions."""
         self._put("stop", reason)
 
     def leave(self, node: str, reason: str) -> None:
-        """See LauncherActions."""
         self._put(f"leave/{node}", reason)
 
     def _put(self, key: str, text: str) -> None:
         self._session.put(f"{self._control}/{key}", self._context.signatures.sign(key, text.encode()))
 
     def rewire(self, payload: bytes, answered: Callable[[bytes | None], None]) -> None:
-        """See LauncherActions."""
         replies: list[zenoh.Reply] = []
 
         def finish() -> None:
             answered(next((reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None), None))
 
         handler: Any = zenoh.handlers.Callback(replies.append, finish, indirect=False)
-        self._session.get(f"{self._control}/rewire", handler, payload=payload, timeout=_DRIVER_TIMEOUT_S)
+        self._session.get(f"{self._control}/rewire", handler, payload=payload, timeout=DRIVER_TIMEOUT_S)
 
     def answer(self, query: zenoh.Query, payload: bytes) -> None:
-        """See LauncherActions."""
         query.reply(query.key_expr, payload)
         query.drop()
 
     def refuse(self, query: zenoh.Query, error: Exception) -> None:
-        """See LauncherActions."""
         if not isinstance(error, MastError) or isinstance(error, MessageError):
             self._context.invalid.note("intercept", described(error))
         with suppress(zenoh.ZError):
@@ -67,7 +60,6 @@ class MeshActions(LauncherActions):
         query.drop()
 
     def adopt(self, resolved: Resolved, joining: tuple[str, Resolved] | None) -> None:
-        """See LauncherActions."""
         if joining is not None:
             self._joining = joining[0]
             self._write(joining[1], *joining_files(joining[0]))
@@ -83,13 +75,11 @@ class MeshActions(LauncherActions):
         run_folder.write_json(self._context.folder / scenario, resolved.to_json())
 
     def record(self, change: dict[str, Any]) -> None:
-        """See LauncherActions."""
         self._changes.append(change)
         self._context.record["nodes"] = self._supervisor.to_json({})
         run_folder.write_json(self._context.folder / "run.json", self._context.record)
 
     def last_log_line(self, node: str) -> str:
-        """See LauncherActions."""
         log = self._context.folder / "logs" / f"{node}.log"
         lines = log.read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else ""

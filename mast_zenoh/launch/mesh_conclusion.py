@@ -10,7 +10,7 @@ from mast_zenoh.errors import RunError, StallError
 from mast_zenoh.launch import conclusion, ending, latency
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import RunContext
-from mast_zenoh.launch.protocol.endings import losses_unseen_by_driver
+from mast_zenoh.launch.protocol.endings import churn_of
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.wiring.model import Wiring
@@ -29,7 +29,7 @@ def conclude(context: RunContext, supervisor: Supervisor[Any], reports: Reports,
     if driver:
         record["timings"] |= run_folder.rates(driver["frames"], driver["wall_s"])
         restarted = [name for name, child in supervisor.children.items() if child.restarts]
-        record["churn"] = driver["churn"] + losses_unseen_by_driver(outcomes, restarted, driver["frames"])
+        record["churn"] = churn_of(outcomes, restarted)
     lost = [child for child in supervisor.children.values() if not child.handed_in and not child.exit_expected]
     record["message"] = "; ".join(f"{child.name} {child.ended}" for child in lost)
     record["invalid_control"] = context.invalid.entry()

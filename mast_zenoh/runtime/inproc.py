@@ -147,7 +147,7 @@ class InProcess:
         return {peer: self._roles[peer] for peer in self.hosts if peer != name}
 
     def _carry_out(self, frame: int) -> None:
-        """Carry out the process steps before a frame, as `Driver` does on a mesh."""
+        """Carry out the process steps before a frame, as the driver does on a mesh."""
         for group in self.timetable.before(frame, self.hosts):
             new_hosts = {step.node: self._build_host(step.node) for step in group if step.action not in LEAVING}
             for step in group:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
+
+from mast_zenoh.control import results
 
 
 def expect(holds: object, text: str) -> None:
@@ -27,6 +29,30 @@ def arrays_of(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     elif isinstance(value, (tuple, list)):
         for index, item in enumerate(value):
             yield from arrays_of(item, f"{path}[{index}]")
+
+
+def first_difference(actual: Any, expected: Any, path: str = "") -> str:
+    """Where nested results of nodes differ first, and how: `evaluator.metrics.frames: 3, expected 4`; "" if nowhere."""
+    if isinstance(actual, Mapping) and isinstance(expected, Mapping):
+        for key in sorted(actual.keys() | expected.keys(), key=str):
+            place = f"{path}.{key}" if path else str(key)
+            if key not in actual or key not in expected:
+                return f"{place}: {'missing' if key in expected else 'found, expected nothing'}"
+            if difference := first_difference(actual[key], expected[key], place):
+                return difference
+        if list(actual) != list(expected):
+            return f"{path}: the order of its keys: {_text(list(actual))}, expected {_text(list(expected))}"
+        return ""
+    if isinstance(actual, (list, tuple)) and isinstance(expected, (list, tuple)) and len(actual) == len(expected):
+        pairs = enumerate(zip(actual, expected, strict=True))
+        return next(filter(None, (first_difference(*pair, f"{path}[{index}]") for index, pair in pairs)), "")
+    if results.pack(actual) == results.pack(expected):
+        return ""
+    return f"{path}: {_text(actual)}, expected {_text(expected)}"
+
+
+def _text(value: Any) -> str:
+    return " ".join(str(value).split())[:100]
 
 
 @contextmanager

@@ -200,7 +200,9 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
 
 def simulated_run(block: Block, folder: Path) -> None:
     printed: list[Any] = []
-    executed(block, print=printed.append)
+    names = executed(block, print=printed.append)
+    for test in [value for name, value in names.items() if name.startswith("test_")]:
+        test()
     for events, comment in zip(printed, re.findall(r"^print\(.*?\)  # (.*)$", block.content, flags=re.M), strict=True):
         assert events == ast.literal_eval(comment)
 
@@ -218,7 +220,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "scenarios.md": [whole_scenario, results_of_a_node],
     "security.md": [expired_credentials],
     "sensors.md": [None] * 3,  # test_sensors_page.py
-    "simulation.md": [simulated_run, simulated_run],
+    "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own],
     "tracking.md": [tracking_by_hand],
 }

@@ -44,7 +44,7 @@ FOUND: list[tuple[Plant, str, Schedule]] = [
     (
         bugs.a_full_inbox_drops_the_clock,
         "lockstep",
-        schedule(259, (0.023, "fill", "listener", 0.0), (0.023, "stop", "listener", 0.5)),
+        schedule(259, (0.023, "fill", "listener", 0.0), (0.023, "suspend", "listener", 0.5)),
     ),
     (bugs.a_node_that_does_not_finish_is_forgotten, "realtime", schedule(0, (0.553, "freeze", "hub", 45.0), calm=True)),
 ]

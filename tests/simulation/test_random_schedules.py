@@ -39,7 +39,7 @@ def test_an_undisturbed_run_plays_every_frame_and_hands_in_every_result(worlds: 
         outcome = undisturbed(world)
         assert (outcome.ended, outcome.error, outcome.frames) == (True, "", 20)
         assert outcome.results.keys() == world.resolved.nodes.keys()
-        assert outcome.claims_to_be_exact
+        assert outcome.claims_to_be_exact()
 
 
 # -- what a disturbance does: each is seen in the outcome ------------------------------------------------------------
@@ -68,7 +68,7 @@ def test_a_run_continues_without_a_node_that_may_end(worlds: dict[str, World]) -
 
 
 def test_a_suspended_node_changes_nothing_in_lockstep(worlds: dict[str, World]) -> None:
-    outcome = disturbed(worlds["lockstep"], "stop", "a", lasts_s=10.0)
+    outcome = disturbed(worlds["lockstep"], "suspend", "a", lasts_s=10.0)
     assert outcome.results == undisturbed(worlds["lockstep"]).results
     assert outcome.seconds > 10.0
 
@@ -91,6 +91,30 @@ def test_an_inserted_node_changes_no_result_in_lockstep() -> None:
     assert results == undisturbed(world).results
 
 
+def test_in_real_time_a_node_behind_a_cut_link_is_lost_until_the_link_is_back(worlds: dict[str, World]) -> None:
+    world = small_world(frames=400, mode="realtime")
+    outcome = disturbed(world, "cut", "a", at_s=1.0, lasts_s=4.0)
+    lost, back = outcome.churn
+    assert ((lost["what"], back["what"]), outcome.error) == (("lost", "back"), "")
+    assert abs(lost["frame"] - 150) < 5, "after its lease, 2 s"
+    assert abs(back["frame"] - 250) < 5
+
+
+def test_a_process_that_is_replaced_behind_a_cut_link_does_not_take_its_successors_token_along() -> None:
+    world = small_world(frames=400, mode="realtime")
+    schedule = Schedule(3, (Disturbance(1.0, "cut", "a", 4.0), Disturbance(1.2, "kill", "a")), calm=True)
+    assert check(world, schedule) == []
+    outcome = play(world, schedule)
+    assert [event["what"] for event in outcome.churn] == ["lost", "back"]
+    assert outcome.results["a"]["handled"] > 200
+
+
+def test_disturbances_that_met_nothing_are_told(worlds: dict[str, World]) -> None:
+    late, absent = Disturbance(80.0, "kill", "b"), Disturbance(0.05, "kill", "relay")
+    used = Disturbance(0.05, "suspend", "a", 0.1)
+    assert play(worlds["lockstep"], Schedule(0, (absent, used, late))).missed == [absent, late]
+
+
 def test_a_stop_signal_ends_a_run_with_its_results(worlds: dict[str, World]) -> None:
     outcome = disturbed(worlds["lockstep"], "interrupt")
     assert outcome.error.startswith("Interrupted")
@@ -110,7 +134,7 @@ def test_nodes_end_without_their_launcher(worlds: dict[str, World]) -> None:
 
 
 def test_a_full_inbox_drops_messages_and_says_so(worlds: dict[str, World]) -> None:
-    schedule = Schedule(3, (Disturbance(0.07, "fill", "listener"), Disturbance(0.07, "stop", "listener", 2.0)))
+    schedule = Schedule(3, (Disturbance(0.07, "fill", "listener"), Disturbance(0.07, "suspend", "listener", 2.0)))
     outcome = play(worlds["lockstep"], schedule)
     assert check(worlds["lockstep"], schedule) == []
     assert any(reason.endswith("queued") for reason in outcome.rejected["listener"])

@@ -18,7 +18,7 @@ from mast_zenoh.testing.simulation import Disturbance, Schedule, World, play, ra
     [
         (Disturbance(0.1, "kil", "a"), r"disturbances\[0\]: unknown kind 'kil'; did you mean 'kill'\?"),
         (Disturbance(-0.1, "kill", "a"), r"disturbances\[0\]: found -0.1 s .*expected finite times"),
-        (Disturbance(0.1, "stop", "a", math.nan), r"disturbances\[0\]: .*nan s, expected finite times"),
+        (Disturbance(0.1, "suspend", "a", math.nan), r"disturbances\[0\]: .*nan s, expected finite times"),
         (Disturbance(0.1, "kill", "aa"), r"disturbances\[0\]: kill: unknown node 'aa'; did you mean 'a'\?"),
         (Disturbance(0.1, "kill"), r"disturbances\[0\]: kill: unknown node ''; known: a, b, hub"),
         (Disturbance(0.1, "intercept", "a"), r"disturbances\[0\]: intercept: unknown node 'a'; known: relay"),
@@ -52,5 +52,5 @@ def test_a_random_schedule_fits_its_world_and_its_text_is_python(seed: int, name
 
 
 def test_processes_that_stop_for_longer_than_the_driver_waits_may_stall_a_run() -> None:
-    short, long = (Schedule(0, (Disturbance(0.1, "stop", "a", lasts_s),)) for lasts_s in (8.0, 40.0))
+    short, long = (Schedule(0, (Disturbance(0.1, "suspend", "a", lasts_s),)) for lasts_s in (8.0, 40.0))
     assert (short.harmless, long.harmless) == (True, False)

@@ -74,7 +74,7 @@ def test_a_second_signal_ends_nodes_at_once() -> None:
     world = small_world(frames=60)
     for seed in SEEDS:
         at_s = 0.06 + 0.004 * seed
-        outcome = play(world, schedule(seed, (at_s, "stop", "hub", 30.0), (at_s, "interrupt"), (at_s, "interrupt")))
+        outcome = play(world, schedule(seed, (at_s, "suspend", "hub", 30.0), (at_s, "interrupt"), (at_s, "interrupt")))
         assert outcome.error.startswith("Interrupted"), seed
         assert outcome.seconds < at_s + 0.03, "nothing is waited for"
         assert "hub" in outcome.lost, seed
@@ -94,10 +94,10 @@ def test_a_node_that_does_not_finish_after_a_signal_is_killed() -> None:
 def test_a_suspended_launcher_has_no_effect_on_a_run_in_lock_step(seconds: float) -> None:
     world = small_world()
     for seed in SEEDS:
-        disturbed = schedule(seed, (0.012 * seed, "stop launcher", "", seconds))
+        disturbed = schedule(seed, (0.012 * seed, "suspend launcher", "", seconds))
         assert check(world, disturbed) == []
         outcome = play(world, disturbed)
-        assert outcome.claims_to_be_exact, disturbed
+        assert outcome.claims_to_be_exact(), disturbed
         assert outcome.frames == 20, disturbed
 
 

@@ -137,7 +137,7 @@ def test_in_lock_step_the_stream_equals_that_of_an_undisturbed_run() -> None:
             *((0.3 + 0.02 * seed, "release", name) for name in ("mallory", "eve")),
         ]
         played, outcome = on_simulated_mesh(resolved, schedule(seed, *steps), requests)
-        assert outcome.claims_to_be_exact, seed
+        assert outcome.claims_to_be_exact(), seed
         assert [change["action"] for change in outcome.changes] == ["intercept"] * 3 + ["release"] * 2, seed
         assert all(message.step == message.frame for message in played.messages), "an inserted node delays nothing"
         assert_same_messages(played.without_taps(), expected, str(seed))
@@ -236,7 +236,7 @@ def test_impossible_requests_are_refused_with_the_reason_and_change_nothing() ->
         assert unknown.startswith("WiringError: no wire 'agent/c/out'")
         assert absent.startswith("WiringError: no node 'nobody' is on a wire")
         assert outcome.changes == []
-        assert outcome.claims_to_be_exact, seed
+        assert outcome.claims_to_be_exact(), seed
         assert outcome.results == undisturbed.results, seed
 
 

@@ -144,7 +144,9 @@ def schedule(seed: int, *disturbances: tuple[Any, ...], calm: bool = False) -> S
 def assert_equals_one_process(resolved: Resolved, schedule: Schedule, expected: Played) -> None:
     """Play a scenario; assert that it ends well, and that every message and result is the same."""
     played, outcome = on_simulated_mesh(resolved, schedule)
-    assert outcome.claims_to_be_exact, f"{outcome.error} {outcome.lost} {outcome.churn} {outcome.rejected}\n{schedule}"
+    assert outcome.claims_to_be_exact(), (
+        f"{outcome.error} {outcome.lost} {outcome.churn} {outcome.rejected}\n{schedule}"
+    )
     assert outcome.violations == []
     assert_same_messages(played.messages, expected.messages, str(schedule))
     different = [name for name, packed in expected.results.items() if played.results.get(name) != packed]

@@ -20,9 +20,23 @@ import sumo_writer
 import tumtraf_writer
 import urbaning_writer
 
-from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, testing, tracking
+from mast_zenoh import (
+    attacks,
+    faults,
+    fusion,
+    integrity,
+    links,
+    metrics,
+    pipelines,
+    scenario,
+    scenes,
+    sensing,
+    testing,
+    tracking,
+)
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.testing import samples
+from mast_zenoh.testing.simulation import World, explore
 
 pytestmark = pytest.mark.heavy
 
@@ -173,9 +187,21 @@ def test_a_shipped_scenario_is_the_same_in_every_delivery_order(name: str) -> No
     testing.check_scenario(name, frames=15, n_infrastructure=2)
 
 
-@pytest.mark.parametrize("name", ["coordinated", "defended", "realistic_network", "passthrough", "rates"])
+REALTIME = {"rogue", "sybil", "two_hosts"}
+LOCKSTEP = sorted({file.stem for file in (bundle.ROOT / "scenarios").glob("*.py")} - REALTIME)
+
+
+@pytest.mark.parametrize("name", LOCKSTEP)
 def test_a_shipped_scenario_keeps_every_promise_on_the_simulated_mesh(name: str) -> None:
-    testing.check_scenario(name, frames=10, schedules=20)
+    testing.check_scenario(name, frames=10, schedules=10)
+
+
+@pytest.mark.parametrize("name", ["rogue", "sybil"])
+def test_a_shipped_scenario_of_real_time_keeps_every_promise_on_the_simulated_mesh(name: str) -> None:
+    path, content = scenario.load(name, [])
+    world = World.of(scenario.resolve(path, content, frames=10))
+    assert world.resolved.mode == "realtime"
+    explore(world, range(10))
 
 
 @pytest.mark.mesh

@@ -8,6 +8,8 @@ from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
 
+DRIVER_TIMEOUT_S = 60.0  #: for the driver to answer `rewire`
+
 #: A query that waits for an answer: of Zenoh, or of the simulated mesh.
 Query = Any
 

@@ -22,18 +22,17 @@ LEAVE_GRACE_S = 20.0  #: from the end of the scene to the last node's results
 INTERRUPT_GRACE_S = 5.0  #: the same after a stop signal
 
 
-def losses_unseen_by_driver(
-    outcomes: Mapping[str, Mapping[str, Any]], restarted: Iterable[str], frames: int
-) -> list[dict[str, Any]]:
-    """Losses, as in run.json, of nodes that died when the driver had ended the run, and were restarted.
+def churn_of(outcomes: Mapping[str, Mapping[str, Any]], restarted: Iterable[str]) -> list[dict[str, Any]]:
+    """Losses and returns of nodes, as in run.json: those that the driver has noted, and later ones.
 
-    Their new processes have taken part in nothing, so what they handed in are no results of the run.
+    A node may die when the driver has ended the run, and be restarted. Its new process takes part in nothing, so what
+    it hands in are no results of the run.
 
-    outcomes:  what each node has handed in;  restarted: nodes that the launcher has restarted
-    frames:    number of frames of the run
+    outcomes: what each node has handed in, the driver among them;  restarted: nodes that the launcher has restarted
     """
+    driver = next(outcome for outcome in outcomes.values() if "sent_ns" in outcome)
     unused = [name for name in sorted(restarted) if name in outcomes and outcomes[name]["last_frame"] < 0]
-    return [{"frame": frames, "node": name, "what": churn.LOST} for name in unused]
+    return [*driver["churn"], *({"frame": driver["frames"], "node": name, "what": churn.LOST} for name in unused)]
 
 
 class Endings:
@@ -118,7 +117,7 @@ class Endings:
         elif child.spec.on_exit == "restart" and child.handed_in:  # a new process would hand in others
             self._state.show(f"[yellow]{event}; its results had been taken")
         elif child.spec.on_exit == "restart" and not self._stop.requested:
-            restarted = self._steps.restart(child)
+            restarted = self._supervisor.restart(child)
             consequence = "restarted" if restarted else "restarted too often, continuing without it"
             self._state.show(f"[yellow]{event}; {consequence}")
         elif self._stop.problem is None:

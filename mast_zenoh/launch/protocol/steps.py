@@ -59,10 +59,6 @@ class Steps:
             if self._do(action, node):
                 self.done.append({"frame": frame, "action": action, "node": node})
 
-    def restart(self, child: Child) -> bool:
-        """Restart a node that has ended by itself; False if it was restarted too often."""
-        return self._supervisor.restart(child)
-
     def _do(self, action: str, node: str) -> bool:
         child = self._supervisor.children.get(node)
         if action == "start":

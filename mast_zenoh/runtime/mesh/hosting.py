@@ -15,15 +15,12 @@ from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError
 from mast_zenoh.messages import user_types
-from mast_zenoh.messages.row_limits import RowLimits
-from mast_zenoh.node import Node, Source
+from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh.session import open_client, open_observer
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
-from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.security import explain
 from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import CONTROL, Credentials
-from mast_zenoh.wiring.model import Wiring
 
 #: Niceness of a node that publishes nothing: no frame waits for it, so other nodes have priority.
 LISTENER_NICENESS = 10
@@ -86,20 +83,12 @@ def host(
     resolved: Resolved, run: str, name: str, instance: Any, session: zenoh.Session, signatures: Signatures
 ) -> ZenohProcess:
     """Put a built node on the mesh, not yet running; from now on SIGTERM stops it."""
-    wiring = Wiring.from_json(resolved.wiring)
-    lockstep = resolved.mode == "lockstep"
-    options: dict[str, Any] = {"signatures": signatures, "period_ns": resolved.period_ns, "lockstep": lockstep}
-    options |= {"timespan": resolved.timespan}
-    if isinstance(instance, Source):
-        roles = {other: spec.role for other, spec in resolved.nodes.items()}
-        options |= {"expected": roles, "rate": resolved.rate, "timetable": Timetable(resolved, lockstep=lockstep)}
-    process = ZenohProcess(run, name, instance, wiring, resolved.seed, session, **options)
-    process.protocol.host.limits = RowLimits(resolved.max_rows)
-    if not lockstep:
+    process = ZenohProcess(run, resolved, name, instance, session, signatures)
+    if resolved.mode != "lockstep":
         process.protocol.note_arrivals()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
     signal.signal(signal.SIGTERM, lambda *_: process.stop("terminated"))
-    if not wiring.ports(name).outputs:
+    if not process.protocol.outlets:
         os.nice(LISTENER_NICENESS)
     gc.freeze()  # existing objects stay: the garbage collector need not scan them again
     gc.set_threshold(50_000, 20, 20)

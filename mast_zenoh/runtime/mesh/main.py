@@ -29,8 +29,8 @@ from mast_zenoh.errors import MastError
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh import hosting
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
+from mast_zenoh.runtime.protocol.actions import ORPHAN_GRACE_S
 
-ORPHAN_GRACE_S = 2.0
 PR_SET_PDEATHSIG = 1  #: of prctl(2): the signal that a process gets when its parent dies
 
 

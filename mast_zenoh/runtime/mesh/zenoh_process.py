@@ -1,6 +1,7 @@
 """Connects a node's protocol to a Zenoh session: carries out its actions, and brings it what arrives.
 
-Zenoh's threads only put events into the inbox; the main thread takes them out and runs the protocol. In real time, a
+Zenoh's threads call the protocol's `receive_…` methods, which check what arrives and put it into the inbox; the main
+thread takes it out and runs the protocol. In real time, a
 node that is `prompt` handles a message immediately in Zenoh's thread, if no other waits: switching threads takes longer
 than relaying a message.
 """
@@ -18,19 +19,15 @@ from typing import Any, TypeVar
 
 import zenoh
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import files, prefix
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.messages.schemas import SCHEMAS
-from mast_zenoh.node import Node, Source
-from mast_zenoh.runtime.protocol.actions import Actions, Clocks
-from mast_zenoh.runtime.protocol.driver import DriverProtocol
+from mast_zenoh.node import Node
+from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
+from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
 from mast_zenoh.runtime.protocol.inbox import Inbox, Item
-from mast_zenoh.runtime.protocol.node import NodeProtocol
 from mast_zenoh.runtime.protocol.stamp import stamp_of
-from mast_zenoh.wiring.model import Wiring
-
-_DOZE_S = 0.004  # of a node that only listens
-_DRAIN_TIMEOUT_S = 2.0  # for the answer to a drain query
-_HAND_IN_TIMEOUT_S = 5.0  # for the launcher to answer one offer of results
 
 T = TypeVar("T")
 
@@ -55,14 +52,13 @@ def keeping_state(callback: Callable[[T], None]) -> Callable[[T], None]:
 class ZenohProcess(Actions):
     """One node's process on the mesh.
 
+    run: its id;  resolved: the scenario with the node `name`;  signatures: of control messages
     protocol: of the node;  inbox: what has arrived for it
     hand_in_files: sends the rest of the files that the node has written
-
-    options: of NodeProtocol or, for a Source, DriverProtocol
     """
 
     def __init__(
-        self, run: str, name: str, node: Node, wiring: Wiring, seed: int, session: zenoh.Session, **options: Any
+        self, run: str, resolved: Resolved, name: str, node: Node, session: zenoh.Session, signatures: Signatures
     ) -> None:
         self.session = session
         self.hand_in_files: Callable[[], None] = lambda: None
@@ -72,7 +68,7 @@ class ZenohProcess(Actions):
         self._control_publishers: dict[str, zenoh.Publisher] = {}
         self._listeners: dict[str, Any] = {}  # of publishers without a subscriber, by key
         self._token: Any = None
-        lockstep = options["lockstep"]
+        lockstep = resolved.mode == "lockstep"
         self._congestion = zenoh.CongestionControl.BLOCK if lockstep else zenoh.CongestionControl.DROP
         self._prompt = node.prompt and not lockstep
         self._lock = threading.RLock()  # held by the thread that runs the protocol
@@ -81,10 +77,10 @@ class ZenohProcess(Actions):
         self._queue: queue.SimpleQueue[Item] = queue.SimpleQueue()
         self.inbox = Inbox(self._queue.put, threading.Lock())
         clocks = Clocks(time.monotonic_ns, time.time_ns, time.process_time)
-        common: Any = (name, node, wiring, seed, self, self.inbox, clocks)
-        options["process"] = os.urandom(8).hex()
-        protocol = DriverProtocol if isinstance(node, Source) else NodeProtocol
-        self.protocol: NodeProtocol = protocol(*common, **options)
+        process = os.urandom(8).hex()
+        self.protocol = protocol_of(
+            resolved, name, node, self, self.inbox, clocks, process=process, signatures=signatures
+        )
         self._receive_control()
 
     def run(self) -> None:
@@ -109,7 +105,7 @@ class ZenohProcess(Actions):
     def _wait(self) -> Item | None:
         """The next item; None if the protocol is due first."""
         if self.protocol.dozes:
-            time.sleep(_DOZE_S)
+            time.sleep(DOZE_S)
         with self._lock:
             wait_s = self.protocol.idle()
         try:
@@ -189,11 +185,10 @@ class ZenohProcess(Actions):
     # -- actions ---------------------------------------------------------------------------------------------------
 
     def subscribe(self, key: str) -> None:
-        """See Actions."""
         self._subscribe(key, self._on_message(key))
 
     def declare(self, key: str, message: str) -> None:
-        """See Actions; all legs of a wire have equal settings."""
+        """All legs of a wire have equal settings."""
         schema = SCHEMAS[message]
         self._publishers[key] = self.session.declare_publisher(
             f"{self.prefix}/{key}",
@@ -203,12 +198,10 @@ class ZenohProcess(Actions):
         )
 
     def undeclare(self, key: str) -> None:
-        """See Actions."""
         self._listeners.pop(key, None)
         self._publishers.pop(key).undeclare()
 
     def unmatched(self, keys: Collection[str]) -> set[str]:
-        """See Actions."""
         unmatched = {key for key in keys if not self._matching(key)}
         for key in unmatched - self._listeners.keys():
             self._listeners[key] = self._publishers[key].declare_matching_listener(self._on_matching(key))
@@ -226,11 +219,10 @@ class ZenohProcess(Actions):
         return zenoh.handlers.Callback(on_status, indirect=False)
 
     def publish(self, key: str, payload: bytes, attachment: bytes) -> None:
-        """See Actions."""
         self._publishers[key].put(payload, attachment=attachment)
 
     def control(self, key: str, payload: bytes) -> None:
-        """See Actions; the queue of control messages overtakes blocked data."""
+        """The queue of control messages overtakes blocked data."""
         if key not in self._control_publishers:
             self._control_publishers[key] = self.session.declare_publisher(
                 f"{self.prefix}/@control/{key}",
@@ -241,31 +233,28 @@ class ZenohProcess(Actions):
         self._control_publishers[key].put(payload)
 
     def ask_drained(self, node: str, key: str) -> None:
-        """See Actions."""
         self._query(
             f"drain/{node}",
             key.encode(),
             lambda replies: ("drained", key, any(reply.ok for reply in replies)),
-            timeout=_DRAIN_TIMEOUT_S,
+            timeout=DRAIN_TIMEOUT_S,
             congestion_control=zenoh.CongestionControl.BLOCK,
             priority=zenoh.Priority.DATA,
             express=True,
         )
 
     def answer(self, query: zenoh.Query, payload: bytes | None) -> None:
-        """See Actions."""
         if payload is not None:
             query.reply(query.key_expr, payload)
         query.drop()
 
     def appear(self) -> None:
-        """See Actions."""
         self._token = self.session.liveliness().declare_token(f"{self.prefix}/alive/{self.protocol.name}")
 
     def hand_in(self, results: bytes) -> None:
-        """See Actions; files first: the launcher need not wait for a node with results."""
+        """Files first: the launcher need not wait for a node with results."""
         self.hand_in_files()
-        self._query(f"result/{self.protocol.name}", results, _handed_in, timeout=_HAND_IN_TIMEOUT_S)
+        self._query(f"result/{self.protocol.name}", results, _handed_in, timeout=OFFER_TIMEOUT_S)
 
     def _query(self, key: str, payload: bytes, event: Callable[[list[zenoh.Reply]], Any], **options: Any) -> None:
         """Send a query on a control key; once it has ended, put the event of its replies into the inbox."""

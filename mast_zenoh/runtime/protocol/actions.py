@@ -6,6 +6,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
+DRAIN_TIMEOUT_S = 2.0  #: for the answer to `ask_drained`
+OFFER_TIMEOUT_S = 5.0  #: for the launcher to answer one `hand_in`
+DOZE_S = 0.004  #: how long a process waits that dozes, see `NodeProtocol.dozes`
+ORPHAN_GRACE_S = 2.0  #: for a process whose launcher is gone to finish
+
 #: A query that waits for an answer: of Zenoh, or of the simulated mesh.
 Query = Any
 

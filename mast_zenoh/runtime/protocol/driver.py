@@ -11,10 +11,13 @@ from enum import Enum
 from typing import Any
 
 from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import flow
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.control.stop_reasons import END, MAX_TEXT, StopKind, StopReason, decode_reason, encode_reason
 from mast_zenoh.errors import MessageError
-from mast_zenoh.node import Source
+from mast_zenoh.messages.row_limits import RowLimits
+from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
 from mast_zenoh.runtime.protocol.inbox import Event, Inbox
@@ -36,6 +39,38 @@ SUSPECT_S = 3.0
 Phase = Generator[float, bool, StopReason | None]
 #: The same, for a wait that tells whether there was an event.
 Wait = Generator[float, bool, bool]
+
+
+def protocol_of(
+    resolved: Resolved,
+    name: str,
+    node: Node,
+    actions: Actions,
+    inbox: Inbox,
+    clocks: Clocks,
+    *,
+    process: str,
+    signatures: Signatures,
+) -> NodeProtocol:
+    """The protocol of a node of a scenario; a Source drives its run."""
+    lockstep = resolved.mode == "lockstep"
+    options: dict[str, Any] = {
+        "process": process,
+        "signatures": signatures,
+        "period_ns": resolved.period_ns,
+        "lockstep": lockstep,
+        "timespan": resolved.timespan,
+    }
+    wiring, seed = Wiring.from_json(resolved.wiring), resolved.seed
+    protocol: NodeProtocol
+    if isinstance(node, Source):
+        expected = {other: spec.role for other, spec in resolved.nodes.items()}
+        options |= {"expected": expected, "rate": resolved.rate, "timetable": Timetable(resolved, lockstep=lockstep)}
+        protocol = DriverProtocol(name, node, wiring, seed, actions, inbox, clocks, **options)
+    else:
+        protocol = NodeProtocol(name, node, wiring, seed, actions, inbox, clocks, **options)
+    protocol.host.limits = RowLimits(resolved.max_rows)
+    return protocol
 
 
 class DriverState(Enum):
@@ -75,7 +110,7 @@ class DriverProtocol(NodeProtocol):
         **options: Any,
     ) -> None:
         super().__init__(name, node, wiring, seed, actions, inbox, clocks, **options)
-        self.scene = SceneFrames(node, self.host, super()._emit, clocks.wall_ns)
+        self.scene = SceneFrames(node, self.host, self.outlets.send, clocks.wall_ns)
         self.pacer = Pacer(wiring)
         self.membership = Membership(name, expected)
         self.timetable = timetable

@@ -79,9 +79,9 @@ class Membership:
         if self._was_lost(name):  # it was back too briefly for the driver to notice
             self.churn.append({"frame": frame, "node": name, "what": BACK})
         self.churn.append({"frame": frame, "node": name, "what": LOST})
-        lost_too_often = sum(each["node"] == name for each in self.churn) > 2 * MAX_LOSSES
+        lost_too_often = sum(event["node"] == name for event in self.churn) > 2 * MAX_LOSSES
         return f"{name} was lost and came back more than {MAX_LOSSES} times" if lost_too_often else ""
 
     def _was_lost(self, name: str) -> bool:
-        events = [each["what"] for each in self.churn if each["node"] == name]
+        events = [event["what"] for event in self.churn if event["node"] == name]
         return events[-1:] == [LOST]

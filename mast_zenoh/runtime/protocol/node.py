@@ -281,9 +281,9 @@ class NodeProtocol:
         if epoch <= self.epoch or self.name not in members or self._results is not None:
             return
         previous, self.members, self.epoch, self.outlets.epoch = self.members, members, epoch, epoch
+        first = not self.receiving.started
         self.receiving.enter_epoch(epoch)
-        if not self.receiving.started:
-            self.receiving.started = True
+        if first:
             self._cpu_start_s = self.clocks.cpu_s()
             self.host.start({name: role for name, role in members.items() if name != self.name})
         else:

@@ -21,14 +21,13 @@ class Arrived(NamedTuple):
 class Receiving:
     """Delivers messages of the current epoch and earlier ones; keeps those of later epochs until these begin.
 
-    started: whether the host has started;  leaving: whether the node takes part in no later epoch
+    leaving: whether the node takes part in no later epoch
     newest:  the last message received on each key
     foreign: number of messages from outside this run, by key
     """
 
     def __init__(self, host: Host) -> None:
         self.epoch = 0
-        self.started = False
         self.leaving = False
         self.newest: dict[str, bytes] = {}
         self.foreign: Counter[str] = Counter()
@@ -38,6 +37,11 @@ class Receiving:
         self._dropped_early: Counter[str] = Counter()  # messages of the next epoch, by key
         self._n_in_frame = 0  # messages received in this frame
         self._n_in_previous = (0, 0)  # and in the two before
+
+    @property
+    def started(self) -> bool:
+        """Whether the host has started: with the first epoch."""
+        return self.epoch > 0
 
     @property
     def expects_more(self) -> bool:

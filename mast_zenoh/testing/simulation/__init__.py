@@ -4,7 +4,7 @@ world       what is simulated: `World.of(resolved)`, or a small one
 schedule    what disturbs a run: `random_schedule(seed, world)`
 simulation  `play(world, schedule)`: the run with the protocols of the nodes, the driver and the launcher
             network: messages, tokens, declarations;  processes: of nodes;  launcher
-promises    `check`: what must hold of every run;  `explore`: many seeds;  `simplest`: shrinks a schedule;
+promises    `check`: what must hold of every run;  `explore`: many seeds;  `simplest`: fewer disturbances;
             `undisturbed`: the run with which others are compared
 """
 

@@ -10,7 +10,7 @@ from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.control import flow, reports
 from mast_zenoh.control.interception import Intercept, Release
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.launch.protocol.actions import LauncherActions
+from mast_zenoh.launch.protocol.actions import DRIVER_TIMEOUT_S, LauncherActions
 from mast_zenoh.launch.protocol.endings import Endings
 from mast_zenoh.launch.protocol.interception import Interceptions
 from mast_zenoh.launch.protocol.state import RunState
@@ -20,7 +20,6 @@ from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess, SimulatedSupervisor
 
 _POLL_S = 0.01
-_DRIVER_TIMEOUT_S = 60.0
 
 
 class SimulatedLauncher(LauncherActions):
@@ -34,14 +33,14 @@ class SimulatedLauncher(LauncherActions):
     def __init__(self, mesh: SimulatedMesh) -> None:
         resolved = mesh.world.resolved
         self._mesh = mesh
-        self._events = mesh.events
+        self._time = mesh.time
         self.alive = True
         self.over = False
         self.outcomes: dict[str, dict[str, Any]] = {}
         self.notes: list[str] = []
         self.changes: list[dict[str, Any]] = []
         self.refused: list[str] = []
-        self.state = RunState(resolved, self.notes.append, lambda: mesh.events.now_ns * 1e-9)
+        self.state = RunState(resolved, self.notes.append, lambda: mesh.time.now_ns * 1e-9)
         self.supervisor = SimulatedSupervisor(mesh)
         absent = Timetable(resolved, lockstep=resolved.mode == "lockstep").absent
         self.steps = Steps(self.supervisor, resolved.nodes, absent, self, resolved.steps)
@@ -56,7 +55,7 @@ class SimulatedLauncher(LauncherActions):
     def begin(self) -> None:
         """Start the nodes that are present from the beginning."""
         self.steps.start_all()
-        self._events.after(_POLL_S, self._look)
+        self._time.after(_POLL_S, self._look)
 
     def _look(self) -> None:
         """One iteration of the launcher's loop."""
@@ -71,7 +70,7 @@ class SimulatedLauncher(LauncherActions):
         if over:
             self._conclude()
         else:
-            self._events.after(0.0 if self._acts else _POLL_S, self._look)
+            self._time.after(0.0 if self._acts else _POLL_S, self._look)
 
     def _conclude(self) -> None:
         self.over = True
@@ -104,7 +103,7 @@ class SimulatedLauncher(LauncherActions):
 
     def arrive_control(self, source: SimulatedProcess, key: str, payload: bytes) -> None:
         """Let a control message of a node arrive."""
-        if self._events.now_ns <= source.lost_after_ns:
+        if self._time.now_ns <= source.lost_after_ns:
             if key == "act":
                 self._take_in(self._acts.append, flow.decode_act(payload))
             else:
@@ -117,7 +116,7 @@ class SimulatedLauncher(LauncherActions):
             self._reports.append((source, None, results))
             self._mesh.network.send((self, source, "result"), "", source.name, answer, "")
 
-        if self._events.now_ns <= source.lost_after_ns:
+        if self._time.now_ns <= source.lost_after_ns:
             self._take_in(take)
 
     def arrive_clock(self, frame: int) -> None:
@@ -133,7 +132,7 @@ class SimulatedLauncher(LauncherActions):
     def suspend(self, seconds: float) -> None:
         """Suspend it for some seconds."""
         self._suspended = True
-        self._events.after(seconds, self._resume)
+        self._time.after(seconds, self._resume)
 
     def _resume(self) -> None:
         self._suspended = False
@@ -157,15 +156,12 @@ class SimulatedLauncher(LauncherActions):
     # -- actions -----------------------------------------------------------------------------------------------------
 
     def stop(self, reason: str) -> None:
-        """See LauncherActions."""
         self._mesh.network.broadcast(None, "stop", reason.encode())
 
     def leave(self, node: str, reason: str) -> None:
-        """See LauncherActions."""
         self._mesh.network.broadcast(None, f"leave/{node}", reason.encode())
 
     def rewire(self, payload: bytes, answered: Callable[[bytes | None], None]) -> None:
-        """See LauncherActions."""
         answers: list[bytes | None] = []
 
         def finish(answer: bytes | None) -> None:
@@ -174,8 +170,8 @@ class SimulatedLauncher(LauncherActions):
                 self._take_in(answered, answer)
 
         driver = self._mesh.driver
-        self._events.after(_DRIVER_TIMEOUT_S, finish, None)
-        if isinstance(driver.protocol, DriverProtocol) and driver.alive:
+        self._time.after(DRIVER_TIMEOUT_S, finish, None)
+        if driver is not None and driver.alive and isinstance(driver.protocol, DriverProtocol):
             receive = driver.protocol.receive_rewire
             self._mesh.network.send(*((self, "rewire"), "", driver.name, driver.take_in, receive, finish, payload))
 
@@ -183,17 +179,14 @@ class SimulatedLauncher(LauncherActions):
         """See LauncherActions."""
 
     def refuse(self, query: Any, error: Exception) -> None:
-        """See LauncherActions."""
         self.refused.append(f"{type(error).__name__}: {error}")
 
     def adopt(self, resolved: Resolved, joining: tuple[str, Resolved] | None) -> None:
-        """See LauncherActions: processes read the state."""
+        """Processes read the state."""
 
     def record(self, change: dict[str, Any]) -> None:
-        """See LauncherActions."""
         self.changes.append(change)
 
     def last_log_line(self, node: str) -> str:
-        """See LauncherActions."""
         process = self.supervisor.children[node].process
         return process.log[-1] if process and process.log else ""

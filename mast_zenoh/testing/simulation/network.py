@@ -21,7 +21,7 @@ LEASE_NS = 2 * S  #: after which the token of a node whose link is cut disappear
 _CALM_NS = 100_000
 
 
-class Events:
+class VirtualTime:
     """Calls in virtual time; random: of all delays of a run."""
 
     def __init__(self, schedule: Schedule) -> None:
@@ -89,17 +89,16 @@ P = TypeVar("P", bound=Connected)
 class Network(Generic[P]):
     """Delivers messages between the processes of a run.
 
-    patient: whether a node whose link is cut is waited for, as in lock-step on one machine
-    lossy:   whether messages of wires may be lost, as in real time
+    realtime: whether messages of wires may be lost, and a node whose link is cut loses its token
     in_transit: messages of wires on the way to a process, or in its inbox, by process and epoch
     """
 
-    def __init__(self, events: Events, schedule: Schedule, *, patient: bool, lossy: bool) -> None:
-        self.events = events
+    def __init__(self, time: VirtualTime, schedule: Schedule, *, realtime: bool) -> None:
+        self.time = time
         self.processes: list[P] = []
         self.in_transit: Counter[tuple[P, int]] = Counter()
-        self._patient = patient
-        self._loss = schedule.loss if lossy else 0.0
+        self._realtime = realtime
+        self._loss = schedule.loss if realtime else 0.0
         self._newest_ns: dict[Hashable, int] = {}  # when the last message of a stream arrives
         self._cut_ns: dict[str, tuple[int, int]] = {}  # by node, from when until when its link is cut
         self._subscribed: dict[str, dict[P, int]] = {}  # by key, from when on
@@ -120,20 +119,20 @@ class Network(Generic[P]):
 
         source, target: the nodes whose links are on the way; "" for the launcher
         """
-        arrival_ns = max(self.events.now_ns + self.events.delay_ns(), least_ns)
+        arrival_ns = max(self.time.now_ns + self.time.delay_ns(), least_ns)
         for node in (source, target):
             begin, end = self._cut_ns.get(node, (0, 0))
             if begin <= arrival_ns < end:
-                arrival_ns = end + self.events.delay_ns()
+                arrival_ns = end + self.time.delay_ns()
         arrival_ns = max(arrival_ns, self._newest_ns.get(stream, 0) + 1)
         self._newest_ns[stream] = arrival_ns
-        self.events.at(arrival_ns, call, *arguments)
+        self.time.at(arrival_ns, call, *arguments)
 
     def publish(self, source: P, key: str, payload: bytes, epoch: int, step: int) -> None:
         """Send a message of a wire to the subscribers of its key, as far as the publisher knows of any."""
         if not self.matched(source, key):
             return
-        now_ns, random = self.events.now_ns, self.events.random
+        now_ns, random = self.time.now_ns, self.time.random
         for target, from_ns in self._subscribed.get(key, {}).items():
             if from_ns > now_ns or not target.alive:
                 continue
@@ -146,14 +145,14 @@ class Network(Generic[P]):
 
     def _copies(self, source: P, target: P, random: Random) -> int:
         """How often a message arrives: once, unless it may be lost."""
-        if not self._patient and (self.is_cut(source.name) or self.is_cut(target.name)):
+        if self._realtime and (self.is_cut(source.name) or self.is_cut(target.name)):
             return 0
         if self._loss and (draw := random.random()) < 2 * self._loss:
             return 0 if draw < self._loss else 2
         return 1
 
     def _arrive(self, source: P, target: P, message: tuple[str, bytes, int, int]) -> None:
-        if target.alive and self.events.now_ns <= source.lost_after_ns:
+        if target.alive and self.time.now_ns <= source.lost_after_ns:
             target.take_in(target.receive_message, *message)
         else:
             self.in_transit[target, message[2]] -= 1
@@ -171,7 +170,7 @@ class Network(Generic[P]):
 
     def subscribe(self, process: P, key: str) -> int:
         """Subscribe a process to a key; returns from when on."""
-        from_ns = self.events.now_ns + self.events.delay_ns()
+        from_ns = self.time.now_ns + self.time.delay_ns()
         self._subscribed.setdefault(key, {})[process] = from_ns
         for publisher in self._matching.pop(key, set()):
             if key in publisher.declared_ns:
@@ -181,7 +180,7 @@ class Network(Generic[P]):
     def matched(self, publisher: P, key: str) -> bool:
         """Whether a publisher knows of a subscriber of its key."""
         return any(
-            self._known(publisher, key, subscriber) <= self.events.now_ns
+            self._known(publisher, key, subscriber) <= self.time.now_ns
             for subscriber in self._subscribed.get(key, ())
             if subscriber.alive
         )
@@ -197,7 +196,7 @@ class Network(Generic[P]):
         known_ns = min(
             self._known(publisher, key, subscriber) for subscriber in self._subscribed[key] if subscriber.alive
         )
-        self.events.at(known_ns, publisher.arrive_event, ("matched", key))
+        self.time.at(known_ns, publisher.arrive_event, ("matched", key))
 
     def _known(self, publisher: P, key: str, subscriber: P) -> int:
         """When a publisher knows of a subscriber.
@@ -211,10 +210,17 @@ class Network(Generic[P]):
     def is_cut(self, node: str) -> bool:
         """Whether a node's link is cut now."""
         begin, end = self._cut_ns.get(node, (0, 0))
-        return begin <= self.events.now_ns < end
+        return begin <= self.time.now_ns < end
+
+    def noticed_ns(self, node: str) -> int:
+        """When the router notices that the processes of a node are gone: at once, unless its link is cut."""
+        begin, end = self._cut_ns.get(node, (0, 0))
+        if not self.is_cut(node):
+            return self.time.now_ns
+        return min(begin + LEASE_NS, end) if self._realtime else end
 
     def cut(self, node: str, seconds: float) -> bool:
         """Cut a node's link for some seconds; returns whether its token disappears meanwhile."""
-        begin_ns = self.events.now_ns
+        begin_ns = self.time.now_ns
         self._cut_ns[node] = begin_ns, begin_ns + round(seconds * S)
-        return not self._patient and seconds * S > LEASE_NS
+        return self._realtime and seconds * S > LEASE_NS

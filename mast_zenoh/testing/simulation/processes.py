@@ -14,24 +14,23 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.protocol.state import RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.messages.row_limits import RowLimits
-from mast_zenoh.node import Source
 from mast_zenoh.runtime.limits import Limit, Room
-from mast_zenoh.runtime.protocol.actions import Actions, Clocks
-from mast_zenoh.runtime.protocol.driver import DriverProtocol
+from mast_zenoh.runtime.protocol.actions import (
+    DOZE_S,
+    DRAIN_TIMEOUT_S,
+    OFFER_TIMEOUT_S,
+    ORPHAN_GRACE_S,
+    Actions,
+    Clocks,
+)
+from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
 from mast_zenoh.runtime.protocol.inbox import Event, Inbox, Item
-from mast_zenoh.runtime.protocol.node import CLOCK, NodeProtocol
+from mast_zenoh.runtime.protocol.node import CLOCK
 from mast_zenoh.runtime.protocol.stamp import ATTACHMENT
-from mast_zenoh.runtime.protocol.timetable import Timetable
-from mast_zenoh.testing.simulation.network import Events, Network
+from mast_zenoh.testing.simulation.network import Network, VirtualTime
 from mast_zenoh.testing.simulation.world import World
-from mast_zenoh.wiring.model import Wiring
 
 _FOREVER = 1 << 62
-_DOZE_S = 0.004  # as the processes of a mesh
-_DRAIN_TIMEOUT_S = 2.0
-_HAND_IN_TIMEOUT_S = 5.0
-_ORPHAN_GRACE_S = 2.0
 _FULL = Limit(6, 1 << 20)  # of an inbox that is filled
 
 KILLED, ORPHANED, CRASHED = -9, 3, 1  #: exit codes
@@ -53,16 +52,16 @@ class LauncherEnd(Protocol):
 class SimulatedMesh(ABC):
     """What processes and launcher find around them: virtual time, the network, each other, and a watch on promises.
 
-    run:    its id;  quiet: a logger that writes nothing
-    driver: the newest process of the driver;  doomed: nodes that are killed some time after a stop reaches them, s
+    run:    its id;  silent_log: a logger that writes nothing
+    driver: its process, once it has joined;  doomed: nodes that are killed some time after a stop reaches them, s
     """
 
     world: World
     run: str
-    quiet: logging.Logger
-    events: Events
+    silent_log: logging.Logger
+    time: VirtualTime
     network: Network[SimulatedProcess]
-    driver: SimulatedProcess
+    driver: SimulatedProcess | None
     launcher: LauncherEnd
     doomed: dict[str, float]
 
@@ -95,11 +94,10 @@ class _NearlyFull(Room):
     """Has no room left but for a few messages of each source, and for clocks."""
 
     def take(self, source: str, size: int) -> bool:
-        """See Room."""
         return super().take(source, size) or source == CLOCK
 
     def free(self, source: str, size: int) -> None:
-        """See Room; what came before it was filled took no room here."""
+        """What came before it was filled took no room here."""
         if self._messages[source]:
             super().free(source, size)
 
@@ -137,7 +135,7 @@ class SimulatedProcess(Actions):
         self.lost_after_ns = _FOREVER
         self.declared_ns: dict[str, int] = {}
         self._mesh = mesh
-        self._events = mesh.events
+        self._time = mesh.time
         self._network = mesh.network
         self._items: deque[Item] = deque()
         self._arrived: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()  # while it is suspended
@@ -145,29 +143,20 @@ class SimulatedProcess(Actions):
         self._turn_due = False  # whether it is about to handle an event
         self._timer = 0
         self.subscribed_ns = 0
-        world, events = mesh.world, mesh.events
+        world, time = mesh.world, mesh.time
         self.inbox = Inbox(self._put, nullcontext())
-        clock: Callable[[], int] = lambda: events.now_ns  # noqa: E731
-        node = world.build(name, resolved.nodes[name])
-        lockstep = resolved.mode == "lockstep"
-        common: Any = (name, node, Wiring.from_json(resolved.wiring), resolved.seed, self, self.inbox)
-        common += (Clocks(clock, clock, lambda: 0.0),)
-        options: dict[str, Any] = {
-            "process": f"{name} {number}",
-            "signatures": Signatures(mesh.run),
-            "period_ns": resolved.period_ns,
-            "lockstep": lockstep,
-            "timespan": resolved.timespan,
-        }
-        self.protocol: NodeProtocol
-        if isinstance(node, Source):
-            roles = {other: spec.role for other, spec in resolved.nodes.items()}
-            timetable = Timetable(resolved, lockstep=lockstep)
-            self.protocol = DriverProtocol(*common, expected=roles, rate=resolved.rate, timetable=timetable, **options)
-        else:
-            self.protocol = NodeProtocol(*common, **options)
-        self.protocol.host.limits = RowLimits(resolved.max_rows)
-        self.protocol.host.log = mesh.quiet
+        clock: Callable[[], int] = lambda: time.now_ns  # noqa: E731
+        self.protocol = protocol_of(
+            resolved,
+            name,
+            world.build(name, resolved.nodes[name]),
+            self,
+            self.inbox,
+            Clocks(clock, clock, lambda: 0.0),
+            process=f"{name} {number}",
+            signatures=Signatures(mesh.run),
+        )
+        self.protocol.host.log = mesh.silent_log
         self.publishes = bool(self.protocol.outlets)
         self._network.processes.append(self)
         self._guarded(self.protocol.start)
@@ -177,9 +166,8 @@ class SimulatedProcess(Actions):
 
     def _put(self, item: Item) -> None:
         self._items.append(item)
-        if not (self._turn_due or self._suspended) and self.alive:
-            self._turn_due = True
-            self._events.at(self._events.now_ns + self._events.delay_ns(), self._turn)
+        if self.alive and not self._suspended:
+            self._put_off()
 
     def _turn(self) -> None:
         """Handle an event, if any; prepare to wait if there is no other."""
@@ -203,11 +191,11 @@ class SimulatedProcess(Actions):
             self._put_off()
         elif self.protocol.dozes:
             self._turn_due = True  # what arrives does not wake it
-            self._events.after(_DOZE_S, self._doze_off)
+            self._time.after(DOZE_S, self._wake)
         else:
             self._guarded(self._wait)
 
-    def _doze_off(self) -> None:
+    def _wake(self) -> None:
         self._turn_due = False
         if not self.alive or self._suspended:
             return
@@ -219,13 +207,13 @@ class SimulatedProcess(Actions):
     def _put_off(self) -> None:
         if not self._turn_due:
             self._turn_due = True
-            self._events.at(self._events.now_ns + self._events.delay_ns(), self._turn)
+            self._time.at(self._time.now_ns + self._time.delay_ns(), self._turn)
 
     def _wait(self) -> None:
         self._timer += 1
         wait_s = self.protocol.idle()
         if wait_s is not None:
-            self._events.after(wait_s, self._time_out, self._timer)
+            self._time.after(wait_s, self._time_out, self._timer)
 
     def _time_out(self, timer: int) -> None:
         if timer == self._timer and self.alive and not self._suspended and not self._turn_due:
@@ -260,7 +248,7 @@ class SimulatedProcess(Actions):
 
     def arrive_control(self, source: SimulatedProcess | None, key: str, payload: bytes) -> None:
         """Let a control message arrive."""
-        if source is None or self._events.now_ns <= source.lost_after_ns:
+        if source is None or self._time.now_ns <= source.lost_after_ns:
             self.take_in(self._receive_control, key, payload)
 
     def _receive_control(self, key: str, payload: bytes) -> None:
@@ -269,7 +257,7 @@ class SimulatedProcess(Actions):
             self.protocol.receive_epoch(payload)
         elif kind in ("stop", "leave") and node in ("", self.name):
             if self.name in self._mesh.doomed:
-                self._events.after(self._mesh.doomed.pop(self.name), self.kill)
+                self._time.after(self._mesh.doomed.pop(self.name), self.kill)
             self.protocol.receive_stop(key, payload)
         elif kind == "counts" and isinstance(self.protocol, DriverProtocol):
             self.protocol.receive_counts(node, payload)
@@ -300,7 +288,7 @@ class SimulatedProcess(Actions):
     def orphan(self) -> None:
         """Close its standard input: the launcher is gone."""
         self.arrive_event(("stop", "orphaned"))
-        self._events.after(_ORPHAN_GRACE_S, self._leave)
+        self._time.after(ORPHAN_GRACE_S, self._leave)
 
     def _leave(self) -> None:
         if self.alive:
@@ -309,7 +297,7 @@ class SimulatedProcess(Actions):
     def kill(self) -> None:
         """Kill it: what it has just sent may be lost, from some message on."""
         if self.alive:
-            self.lost_after_ns = self._events.now_ns + self._events.delay_ns()
+            self.lost_after_ns = self._time.now_ns + self._time.delay_ns()
             self.end(KILLED)
 
     def end(self, code: int) -> None:
@@ -321,26 +309,21 @@ class SimulatedProcess(Actions):
     # -- actions -----------------------------------------------------------------------------------------------------
 
     def subscribe(self, key: str) -> None:
-        """See Actions."""
         self.subscribed_ns = max(self.subscribed_ns, self._network.subscribe(self, key))
 
     def declare(self, key: str, message: str) -> None:
-        """See Actions."""
-        self.declared_ns[key] = self._events.now_ns + self._events.delay_ns()
+        self.declared_ns[key] = self._time.now_ns + self._time.delay_ns()
 
     def undeclare(self, key: str) -> None:
-        """See Actions."""
         del self.declared_ns[key]
 
     def unmatched(self, keys: Collection[str]) -> set[str]:
-        """See Actions."""
         unmatched = {key for key in keys if not self._network.matched(self, key)}
         for key in sorted(unmatched):
             self._network.tell_matched(self, key)
         return unmatched
 
     def publish(self, key: str, payload: bytes, attachment: bytes) -> None:
-        """See Actions."""
         if key not in self.declared_ns:
             raise LookupError(f"{self.name} publishes on {key} without a publisher")
         _, epoch, step = ATTACHMENT.unpack(attachment)
@@ -348,40 +331,38 @@ class SimulatedProcess(Actions):
         self._network.publish(self, key, payload, epoch, step)
 
     def control(self, key: str, payload: bytes) -> None:
-        """See Actions."""
         kind = key.partition("/")[0]
         if kind in ("act", "failed"):
             self._network.send(*((self, key), self.name, "", self._mesh.launcher.arrive_control, self, key, payload))
         elif kind == "counts":
-            driver = self._mesh.driver
-            self._network.send((self, key, driver), self.name, driver.name, driver.arrive_control, self, key, payload)
+            if (driver := self._mesh.driver) is not None:
+                stream = (self, key, driver)
+                self._network.send(stream, self.name, driver.name, driver.arrive_control, self, key, payload)
         else:
             if kind == "stop":
                 self._mesh.note_stop(self, payload.decode())
             self._network.broadcast(self, key, payload)
 
     def ask_drained(self, node: str, key: str) -> None:
-        """See Actions: the question is in the stream of the messages of its key."""
+        """The question is in the stream of the messages of its key."""
         query = DrainQuery(self, key)
-        self._events.after(_DRAIN_TIMEOUT_S, query.finish, False)
+        self._time.after(DRAIN_TIMEOUT_S, query.finish, False)
         target = self._mesh.current(node)
         if target is not None:
             receive = target.protocol.receive_drain
             self._network.send(*((self, key, target), self.name, node, target.take_in, receive, query, key.encode()))
 
     def answer(self, query: Any, payload: bytes | None) -> None:
-        """See Actions."""
         if isinstance(query, DrainQuery):
             self._network.send(*((self, query), self.name, query.asker.name, query.finish, payload is not None))
         else:
             self._network.send((self, query), self.name, "", query, payload)
 
     def appear(self) -> None:
-        """See Actions: the token follows the declarations."""
+        """The token follows the declarations."""
         self._mesh.token(self, True)
 
     def hand_in(self, results: bytes) -> None:
-        """See Actions."""
         answered: list[str | None] = []
 
         def finish(refusal: str | None) -> None:
@@ -391,7 +372,7 @@ class SimulatedProcess(Actions):
 
         launcher = self._mesh.launcher
         self._network.send((self, "result"), self.name, "", launcher.arrive_result, self, results, finish)
-        self._events.after(_HAND_IN_TIMEOUT_S if launcher.alive else 0.01, finish, None)
+        self._time.after(OFFER_TIMEOUT_S if launcher.alive else 0.01, finish, None)
 
 
 class SimulatedChild(Child):
@@ -405,13 +386,11 @@ class SimulatedChild(Child):
 
     @property
     def exit(self) -> int | None:
-        """See Child."""
         if self.killed:
             return KILLED
         return self.process.exit if self.process else None
 
     def where(self) -> dict[str, Any]:
-        """See Child."""
         return {}
 
 
@@ -423,7 +402,6 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
         self._mesh = mesh
 
     def start(self, name: str, spec: NodeSpec) -> None:
-        """See Supervisor."""
         self.children[name] = SimulatedChild(name, spec)
         self._begin(self.children[name])
 
@@ -434,7 +412,7 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
         child.process, child.killed = None, False
         child.starts += 1
         number, mesh = child.starts, self._mesh
-        events, start_s = mesh.events, mesh.world.start_s
+        time, start_s = mesh.time, mesh.world.start_s
 
         def begin() -> None:
             if child.starts == number and not child.killed and mesh.launcher.alive:
@@ -445,10 +423,9 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
                     return
                 child.process = SimulatedProcess(mesh, child.name, resolved, number)
 
-        events.after(start_s * (1.0 + events.random.random()), begin)
+        time.after(start_s * (1.0 + time.random.random()), begin)
 
     def end_now(self, child: SimulatedChild) -> None:
-        """See Supervisor."""
         if child.process is None:
             child.killed = True
         else:
@@ -464,13 +441,12 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
                 child.process.resume()
 
     def wait(self, child: SimulatedChild, seconds: float) -> bool:
-        """See Supervisor; time does not pass, so a node that has not ended is killed."""
+        """Time does not pass, so a node that has not ended is killed."""
         return child.exit is not None
 
     def dispose(self, child: SimulatedChild) -> None:
         """See Supervisor."""
 
     def end(self, grace_s: float) -> None:
-        """See Supervisor."""
         for child in self.running():
             self.end_now(child)

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Container, Iterable
 from functools import lru_cache
 from typing import NamedTuple
 
-from mast_zenoh.control import failures, results
+from mast_zenoh.control import failures
+from mast_zenoh.testing.comparison import first_difference
 from mast_zenoh.testing.simulation.schedule import Schedule, random_schedule
 from mast_zenoh.testing.simulation.simulation import Outcome, play
-from mast_zenoh.testing.simulation.world import World
+from mast_zenoh.testing.simulation.world import COUNTS, World
+from mast_zenoh.wiring.model import Wiring
 
 #: Errors with which a run may end; docs/endings.md and docs/exit_codes.md describe them.
 ENDINGS = frozenset({"StallError", "StartError", "NodeDied", "ImplausibleCounts", "Interrupted"})
 
+#: Returns how an outcome breaks a promise, in words; nothing if it keeps it.
+Promise = Callable[[Outcome], Iterable[str]]
+
 _NOT_DONE = "not done before frame"  # a node that was to start has been killed before it was there
 
 
-class Broken(NamedTuple):
+class Counterexample(NamedTuple):
     """A schedule with which promises are broken, and which."""
 
     schedule: Schedule
@@ -33,22 +38,25 @@ def undisturbed(world: World) -> Outcome:
     return play(world, Schedule(0, calm=True))
 
 
-def check(world: World, schedule: Schedule) -> list[str]:
-    """Play a world with a schedule; returns the broken promises, in words."""
-    outcome = play(world, schedule)
-    broken = list(outcome.violations)
+def check(world: World, schedule: Schedule, promise: Promise = lambda outcome: ()) -> list[str]:
+    """Play a world with a schedule; returns the broken promises, in words.
+
+    promise: one of your own: returns how an outcome breaks it
+    """
+    outcome, reference = play(world, schedule), undisturbed(world)
+    broken = [*outcome.violations, *promise(outcome)]
     if (error := outcome.error.partition(":")[0]) and error not in ENDINGS:
         broken.append(f"the run ended with {outcome.error}")
     if outcome.ended and not outcome.error and not outcome.launcher_lost:
         nodes = world.resolved.nodes
         needed = [name for name in outcome.lost if name in nodes and nodes[name].on_exit == "fail"]
         broken += [f"{name} {outcome.lost[name]}, and the run ended without an error" for name in needed]
-    reference = undisturbed(world)
     broken += _failures(outcome, reference)
     if world.resolved.mode != "lockstep":
         return broken + _broken_in_real_time(schedule, outcome)
-    if outcome.claims_to_be_exact:
-        broken += _differences(outcome, reference)
+    if outcome.claims_to_be_exact(reference):
+        overhearers = Wiring.from_json(world.resolved.wiring).overhearers if outcome.changes else ()
+        broken += _differences(outcome, reference, {end.node for end in overhearers})
     elif schedule.harmless:
         broken.append(f"nothing was to harm the run, which ended with {_complaints(outcome)}")
     elif (
@@ -71,19 +79,19 @@ def _failures(outcome: Outcome, reference: Outcome) -> list[str]:
     )
 
 
-def _differences(outcome: Outcome, reference: Outcome) -> list[str]:
+def _differences(outcome: Outcome, reference: Outcome, ignored: Container[str]) -> list[str]:
+    """How a run differs from the undisturbed one although its record does not say so; ignored: nodes."""
     if outcome.frames != reference.frames:
-        return [f"it played {outcome.frames} frames, not {reference.frames}, and does not say so"]
+        return [f"it played {outcome.frames} frames, not {reference.frames}, and its record does not say so"]
     lines = []
     for name, expected in sorted(reference.results.items()):
         if name not in outcome.results:
-            lines.append(f"it has no results of {name}, and does not say so")
-        elif results.pack(outcome.results[name]) != results.pack(expected):
-            actual = str(outcome.results[name])
-            lines.append(f"it does not say that the results of {name} differ: {actual:.400}, not {expected!s:.400}")
+            lines.append(f"it has no results of {name}, and its record does not say so")
+        elif name not in ignored and (difference := first_difference(outcome.results[name], expected, name)):
+            lines.append(f"results differ from the undisturbed run, and the record does not say so: {difference}")
     for key, stream in sorted(reference.streams.items()):
         if outcome.streams.get(key) != stream:
-            lines.append(f"it does not say that the messages on {key} differ from those of the undisturbed run")
+            lines.append(f"messages on {key} differ from the undisturbed run, and the record does not say so")
     return lines
 
 
@@ -96,9 +104,10 @@ def _broken_in_real_time(schedule: Schedule, outcome: Outcome) -> list[str]:
         wrong = {"twice"} | ({"missing"} if not outcome.on_the_way else set())
         wrong |= {"disordered"} if schedule.calm else set()  # else one way may be faster than another
         return [
-            f"{name} handled {each['handled']} messages: {', '.join(f'{each[kind]} {kind}' for kind in sorted(wrong))}"
-            for name, each in outcome.results.items()
-            if any(each.get(kind) for kind in wrong)
+            f"{name} handled {counts['handled']} messages: "
+            + ", ".join(f"{counts[kind]} {kind}" for kind in sorted(wrong))
+            for name, counts in outcome.results.items()
+            if counts.keys() >= COUNTS and any(counts[kind] for kind in wrong)
         ]
     return []
 
@@ -114,27 +123,37 @@ def _complaints(outcome: Outcome) -> str:
     return "; ".join(filter(None, parts)) or "no end"
 
 
-def find(world: World, seeds: Iterable[int]) -> Broken | None:
-    """The first of these seeds' schedules with which promises of a world are broken; None for none."""
+def find(world: World, seeds: Iterable[int], promise: Promise = lambda outcome: ()) -> Counterexample | None:
+    """The first of these seeds' schedules with which promises of a world are broken; None for none.
+
+    promise: see `check`
+    """
     for seed in seeds:
         schedule = random_schedule(seed, world)
-        if violations := check(world, schedule):
-            return Broken(schedule, tuple(violations))
+        if violations := check(world, schedule, promise):
+            return Counterexample(schedule, tuple(violations))
     return None
 
 
-def simplest(world: World, broken: Broken) -> Broken:
-    """A schedule with as little as possible with which promises are still broken."""
+def simplest(world: World, broken: Counterexample, promise: Promise = lambda outcome: ()) -> Counterexample:
+    """A schedule without the disturbances that are not needed to break promises; promise: see `check`."""
     while True:
         for schedule in broken.schedule.simpler():
-            if violations := check(world, schedule):
-                broken = Broken(schedule, tuple(violations))
+            if violations := check(world, schedule, promise):
+                broken = Counterexample(schedule, tuple(violations))
                 break
         else:
             return broken
 
 
-def explore(world: World, seeds: Iterable[int]) -> None:
-    """Raise AssertionError with the simplest schedule found if some seed's schedule breaks a promise."""
-    if (broken := find(world, seeds)) is not None:
-        raise AssertionError(str(simplest(world, broken)))
+def explore(world: World, seeds: Iterable[int], promise: Promise = lambda outcome: ()) -> None:
+    """Raise AssertionError if the schedule of some seed breaks a promise, with the simplest one found.
+
+    A world must keep its promises without any disturbance, too. promise: see `check`
+    """
+    reference = undisturbed(world)
+    problems = [reference.error, *reference.violations, *failures.lines(reference.failures)]
+    if any(problems):
+        raise AssertionError(f"without any disturbance: {'; '.join(filter(None, problems))}")
+    if (broken := find(world, seeds, promise)) is not None:
+        raise AssertionError(str(simplest(world, broken, promise)))

@@ -12,9 +12,9 @@ from mast_zenoh.testing.simulation.world import World
 
 #: Kinds of disturbances, with what they do. Of those in `HARMLESS`, an exact run must not even take notice.
 KINDS = {
-    "stop": "suspends a process for some seconds",
+    "suspend": "suspends a process for some seconds",
     "freeze": "suspends a process for longer than the driver waits",
-    "stop launcher": "suspends the launcher for some seconds",
+    "suspend launcher": "suspends the launcher for some seconds",
     "cut": "cuts a node's link for some seconds",
     "intercept": "asks the launcher to insert a node into a wire",
     "release": "asks the launcher to release it",
@@ -24,9 +24,9 @@ KINDS = {
     "interrupt": "sends the launcher a stop signal",
     "lose launcher": "kills the launcher",
 }
-HARMLESS = frozenset({"stop", "stop launcher", "cut", "intercept", "release"})
-_OF_LAUNCHER = frozenset({"stop launcher", "interrupt", "lose launcher"})
-_WAITS = frozenset({"stop", "stop launcher", "cut"})
+HARMLESS = frozenset({"suspend", "suspend launcher", "cut", "intercept", "release"})
+_OF_LAUNCHER = frozenset({"suspend launcher", "interrupt", "lose launcher"})
+_WAITS = frozenset({"suspend", "suspend launcher", "cut"})
 
 _LONGEST_STOP_S = 8.0
 _PATIENCE_S = 3 * _LONGEST_STOP_S  # shorter than the time after which the driver gives up
@@ -64,8 +64,11 @@ class Schedule:
     loss: float = 0.0
 
     def __post_init__(self) -> None:
-        for number, (at_s, kind, _, lasts_s) in enumerate(self.disturbances):
+        for number, disturbance in enumerate(self.disturbances):
             place = f"schedule: disturbances[{number}]"
+            if not isinstance(disturbance, Disturbance):
+                raise ConfigurationError(f"{place}: found {disturbance!r}, expected a Disturbance")
+            at_s, kind, _, lasts_s = disturbance
             if kind not in KINDS:
                 raise ConfigurationError(f"{place}: unknown kind {kind!r}{nearest(str(kind), KINDS)}")
             if not (0.0 <= at_s < math.inf and 0.0 <= lasts_s < math.inf):
@@ -74,14 +77,14 @@ class Schedule:
             raise ConfigurationError(f"schedule: loss: found {self.loss}, expected 0 to 0.5")
 
     def check(self, world: World) -> None:
-        """Raise ConfigurationError for a node that a world does not have."""
+        """Raise ConfigurationError for a node that a world does not have; a release may name any: it is refused."""
         for number, (_, kind, node, _) in enumerate(self.disturbances):
             inserted = [request.name for request in world.requests]
-            known = inserted if kind in ("intercept", "release") else [*world.resolved.nodes, *inserted]
+            known = inserted if kind == "intercept" else [*world.resolved.nodes, *inserted]
             place = f"schedule: disturbances[{number}]: {kind}"
             if kind in _OF_LAUNCHER and node:
                 raise ConfigurationError(f"{place}: found the node {node!r}, expected none")
-            if kind not in _OF_LAUNCHER and node not in known:
+            if kind not in {*_OF_LAUNCHER, "release"} and node not in known:
                 raise ConfigurationError(f"{place}: unknown node {node!r}{nearest(str(node), known)}")
 
     @property
@@ -137,17 +140,17 @@ def random_schedule(seed: int, world: World) -> Schedule:
             disturbances.append(Disturbance(at_s, kind, random.choice(names), round(random.uniform(0.05, 4.0), 3)))
         elif kind == "freeze":
             disturbances.append(Disturbance(at_s, kind, random.choice(names), _FREEZE_S))
-        elif kind in ("stop", "stop launcher"):
-            long = kind == "stop launcher" or random.random() < 0.2
+        elif kind in ("suspend", "suspend launcher"):
+            long = kind == "suspend launcher" or random.random() < 0.2
             lasts_s = round(random.uniform(0.05, _LONGEST_STOP_S if long else 1.0), 3)
-            disturbances.append(Disturbance(at_s, kind, random.choice(names) if kind == "stop" else "", lasts_s))
+            disturbances.append(Disturbance(at_s, kind, random.choice(names) if kind == "suspend" else "", lasts_s))
         elif kind == "kill at stop":
             disturbances.append(Disturbance(0.0, kind, random.choice(names), round(random.expovariate(500.0), 5)))
         elif kind == "fill":
             node = random.choice(names)
             disturbances.append(Disturbance(at_s, kind, node))
             if random.random() < 0.7:  # it falls behind
-                disturbances.append(Disturbance(at_s, "stop", node, 0.5))
+                disturbances.append(Disturbance(at_s, "suspend", node, 0.5))
         else:
             disturbances.append(Disturbance(at_s, kind, random.choice(names) if kind == "kill" else ""))
     loss = random.choice((0.0, 0.0, 0.0, 0.05)) if realtime else 0.0

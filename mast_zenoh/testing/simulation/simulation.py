@@ -11,12 +11,12 @@ from typing import Any
 from mast_zenoh.control.failures import Entry
 from mast_zenoh.control.interception import Release
 from mast_zenoh.control.stop_reasons import StopKind
-from mast_zenoh.launch.protocol.endings import losses_unseen_by_driver
+from mast_zenoh.launch.protocol.endings import churn_of
 from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
 from mast_zenoh.runtime.protocol.inbox import Event
 from mast_zenoh.testing.simulation.launcher import SimulatedLauncher
-from mast_zenoh.testing.simulation.network import LEASE_NS, Events, Network, S
+from mast_zenoh.testing.simulation.network import LEASE_NS, Network, S, VirtualTime
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess
 from mast_zenoh.testing.simulation.schedule import Disturbance, Schedule
 from mast_zenoh.testing.simulation.world import World
@@ -35,6 +35,8 @@ class Outcome:
     lost:    nodes that ended without results, with how; not those that the scenario or an interception ended
     rejected: numbers of rejected messages, by node
     failures: of handlers, by node, see control.failures
+    notes:   lines that the launcher showed;  seconds: of virtual time;  events: number of calls that were played
+    missed:  disturbances that met nothing: after the end, or when their process was not there
     changes, refused: changes of the wiring, and requests that were refused
     streams: digest of all messages sent on each key, in their order
     on_the_way: number of messages that had not arrived when the run ended
@@ -57,13 +59,15 @@ class Outcome:
     events: int
     streams: dict[str, bytes]
     on_the_way: int
+    missed: list[Disturbance]
     violations: list[str] = field(default_factory=list)
 
-    @property
-    def claims_to_be_exact(self) -> bool:
-        """Whether nothing in its record says that it differs from an undisturbed run."""
+    def claims_to_be_exact(self, undisturbed: Outcome | None = None) -> bool:
+        """Whether nothing in its record says that it differs from the undisturbed run; None: which rejects nothing."""
         complete = self.ended and not self.launcher_lost and not self.error
-        return complete and not (self.churn or self.lost or any(self.rejected.values()))
+        rejected = {name: counts for name, counts in self.rejected.items() if counts}
+        expected = {name: counts for name, counts in undisturbed.rejected.items() if counts} if undisturbed else {}
+        return complete and not self.churn and not self.lost and rejected == expected
 
 
 class Simulation(SimulatedMesh):
@@ -75,13 +79,12 @@ class Simulation(SimulatedMesh):
         resolved = world.resolved
         self.world = world
         self.run = "simulated"
-        self.quiet = logging.Logger("simulated", logging.CRITICAL + 1)
+        self.silent_log = logging.Logger("simulated", logging.CRITICAL + 1)
         self.lockstep = resolved.mode == "lockstep"
-        self.events = Events(schedule)
-        self.network = Network[SimulatedProcess](self.events, schedule, patient=self.lockstep, lossy=not self.lockstep)
+        self.time = VirtualTime(schedule)
+        self.network = Network[SimulatedProcess](self.time, schedule, realtime=not self.lockstep)
         self.violations: list[str] = []
-        self.trace: list[str] | None = None
-        self.driver: SimulatedProcess
+        self.driver: SimulatedProcess | None = None
         self.frame = -1  # the newest
         self.launcher = SimulatedLauncher(self)
         self._tokens: dict[str, SimulatedProcess] = {}
@@ -90,39 +93,41 @@ class Simulation(SimulatedMesh):
         self.doomed: dict[str, float] = {}
         self._streams = defaultdict[str, Any](hashlib.sha256)
         self._unheard: Counter[str] = Counter()  # frames in a row that began without a node that is there
-        for disturbance in schedule.disturbances:
-            self.events.after(disturbance.at_s, self._disturb, disturbance)
+        self._pending: list[Disturbance | None] = list(schedule.disturbances)
+        for number, disturbance in enumerate(schedule.disturbances):
+            self.time.after(disturbance.at_s, self._disturb, number)
 
     def play(self) -> Outcome:
         """Play the run to its end."""
         self.launcher.begin()
-        ended = self.events.run(round(LONGEST_S * S), self._is_over)
+        ended = self.time.run(round(LONGEST_S * S), self._is_over)
         if not ended:
             running = [f"{process.name} ({process.protocol.state.value})" for process in self._running()]
             self.violate(f"the run has not ended after {LONGEST_S:g} s: {', '.join(running)}")
         launcher = self.launcher
-        driver = next((each for each in launcher.outcomes.values() if "sent_ns" in each), {})
+        driver = next((outcome for outcome in launcher.outcomes.values() if "sent_ns" in outcome), {})
         problem = launcher.state.stop.problem
         children = launcher.supervisor.children.values()
-        frames = driver.get("frames", 0)
         restarted = [child.name for child in children if child.restarts]
         return Outcome(
             ended=ended,
             launcher_lost=not launcher.alive,
             error=f"{type(problem).__name__}: {problem}" if problem else "",
             results={name: outcome["results"] for name, outcome in launcher.outcomes.items()},
-            frames=frames,
-            churn=driver.get("churn", []) + losses_unseen_by_driver(launcher.outcomes, restarted, frames),
+            frames=driver.get("frames", 0),
+            churn=churn_of(launcher.outcomes, restarted) if driver else [],
             lost={child.name: child.ended for child in children if not child.handed_in and not child.exit_expected},
             rejected={name: outcome["rejected"] for name, outcome in launcher.outcomes.items()},
             failures={name: outcome["failures"] for name, outcome in launcher.outcomes.items() if outcome["failures"]},
             changes=launcher.changes,
             refused=launcher.refused,
             notes=launcher.notes,
-            seconds=self.events.now_ns * 1e-9,
-            events=self.events.played,
+            seconds=self.time.now_ns * 1e-9,
+            events=self.time.played,
             streams={key: stream.digest() for key, stream in self._streams.items()},
             on_the_way=sum(self.network.in_transit.values()),
+            missed=[disturbance for disturbance in self._pending if disturbance is not None]
+            + [Disturbance(0.0, "kill at stop", node, seconds) for node, seconds in self.doomed.items()],
             violations=self.violations,
         )
 
@@ -133,19 +138,14 @@ class Simulation(SimulatedMesh):
         return [process for process in self.network.processes if process.alive]
 
     def current(self, node: str) -> SimulatedProcess | None:
-        """See SimulatedMesh."""
         return next((process for process in self.network.processes if process.name == node and process.alive), None)
 
     def violate(self, sentence: str) -> None:
-        """See SimulatedMesh."""
-        self.violations.append(f"{self.events.now_ns * 1e-9:.4f} s: {sentence}")
+        self.violations.append(f"{self.time.now_ns * 1e-9:.4f} s: {sentence}")
 
     # -- what the processes do ---------------------------------------------------------------------------------------
 
     def handle(self, process: SimulatedProcess, event: Event | None) -> None:
-        """See SimulatedMesh."""
-        if self.trace is not None:
-            self.trace.append(f"{self.events.now_ns * 1e-9:.4f} {process.name}: {_described(event)}")
         if event is not None and event[0] == "alive":
             arrived = self._token_arrived.get(event[1])
             self._known.pop(event[1], None)
@@ -156,22 +156,23 @@ class Simulation(SimulatedMesh):
         process.protocol.handle(event)
 
     def token(self, process: SimulatedProcess, present: bool) -> None:
-        """See SimulatedMesh."""
-        name, least_ns = process.name, process.subscribed_ns
+        name = process.name
+        least_ns = process.subscribed_ns if present else self.network.noticed_ns(name)
         if present:
             self._tokens[name] = process
         else:
             self._tokens.pop(name, None)
         self.network.send(("alive", name), "", "", self.launcher.arrive_token, name, present, least_ns=least_ns)
-        if hasattr(self, "driver"):
-            self._tell_driver(process, present)
+        if self.driver is not None:
+            self._tell_driver(self.driver, process, present)
         elif isinstance(process.protocol, DriverProtocol):
             self.driver = process
             for there in self._tokens.values():
-                self._tell_driver(there, True)
+                self._tell_driver(process, there, True)
 
-    def _tell_driver(self, process: SimulatedProcess, present: bool) -> None:
-        name, driver = process.name, self.driver
+    def _tell_driver(self, driver: SimulatedProcess, process: SimulatedProcess, present: bool) -> None:
+        """Have a token appear or go; what goes is noticed by the router, whatever the link of its process does."""
+        name = process.name
 
         def arrive() -> None:
             self._token_arrived[name] = process if present else None
@@ -179,11 +180,10 @@ class Simulation(SimulatedMesh):
             driver.protocol.receive_presence(name, present)
 
         stream = ("alive", name, driver)
-        least_ns = process.subscribed_ns
-        self.network.send(stream, name, driver.name, lambda: driver.take_in(arrive), least_ns=least_ns)
+        source, least_ns = (name, process.subscribed_ns) if present else ("", self.network.noticed_ns(name))
+        self.network.send(stream, source, driver.name, lambda: driver.take_in(arrive), least_ns=least_ns)
 
     def note_published(self, process: SimulatedProcess, key: str, payload: bytes, step: int) -> None:
-        """See SimulatedMesh."""
         self._streams[key].update(payload)
         if key == "clock" and isinstance(process.protocol, DriverProtocol):
             self.frame = step
@@ -209,7 +209,6 @@ class Simulation(SimulatedMesh):
                 self.violate(f"frame {frame} begins, the {_UNHEARD}rd one without {name}, which is there")
 
     def note_stop(self, process: SimulatedProcess, reason: str) -> None:
-        """See SimulatedMesh."""
         if self.lockstep and reason == StopKind.END.value and isinstance(process.protocol, DriverProtocol):
             for name in self._outside(process.protocol):
                 if self._unheard[name]:
@@ -227,12 +226,15 @@ class Simulation(SimulatedMesh):
 
     # -- disturbances ------------------------------------------------------------------------------------------------
 
-    def _disturb(self, disturbance: Disturbance) -> None:
+    def _disturb(self, number: int) -> None:
+        disturbance = self._pending[number]
+        assert disturbance is not None
         _, kind, node, seconds = disturbance
         launcher = self.launcher
         if launcher.over:
             return
-        if kind == "stop launcher":
+        self._pending[number] = None
+        if kind == "suspend launcher":
             launcher.suspend(seconds)
         elif kind == "lose launcher":
             launcher.kill()
@@ -246,30 +248,28 @@ class Simulation(SimulatedMesh):
             launcher.request(Release(node, None))
         elif (process := self.current(node)) is not None:
             self._disturb_process(process, kind, seconds)
+        else:
+            self._pending[number] = disturbance
 
     def _disturb_process(self, process: SimulatedProcess, kind: str, seconds: float) -> None:
         if kind == "kill":
             process.kill()
         elif kind == "fill":
             process.fill()
-        elif kind in ("stop", "freeze"):
+        elif kind in ("suspend", "freeze"):
             process.suspend()
-            self.events.after(seconds, process.resume)
+            self.time.after(seconds, process.resume)
         elif kind == "cut" and self.network.cut(process.name, seconds):
-            self.events.after(LEASE_NS / S, self.token, process, False)
-            self.events.after(seconds, self._reconnect, process)
+            self.time.after(LEASE_NS / S, self._expire, process)
+            self.time.after(seconds, self._reconnect, process)
+
+    def _expire(self, process: SimulatedProcess) -> None:
+        if process.alive:
+            self.token(process, False)
 
     def _reconnect(self, process: SimulatedProcess) -> None:
         if process.alive:
             self.token(process, True)
-
-
-def _described(event: Event | None) -> str:
-    if event is None:
-        return "time"
-    if event[0] == "message":
-        return f"message {event[1]} epoch {event[3]} step {event[4]}"
-    return " ".join(map(str, event))[:200]
 
 
 def play(world: World, schedule: Schedule) -> Outcome:

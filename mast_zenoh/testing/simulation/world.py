@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,11 +13,13 @@ import numpy as np
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.control.interception import Intercept
+from mast_zenoh.launch.interception import client
 from mast_zenoh.messages import user_types
 from mast_zenoh.node import Context, Node, Received, Source
 from mast_zenoh.wiring.insertion import Place
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
+COUNTS = frozenset({"handled", "twice", "missing", "disordered"})  #: results of small nodes, see `_Small.finish`
 PERIOD_NS = 20_000_000  #: of the small worlds' scene, ns
 
 
@@ -36,11 +38,19 @@ class World:
     start_s: float = 0.01
 
     @classmethod
-    def of(cls, resolved: Resolved, requests: tuple[Intercept, ...] = ()) -> World:
-        """The world of a resolved scenario, with its own nodes."""
+    def of(cls, resolved: Resolved, requests: Iterable[Intercept | Mapping[str, Any]] = ()) -> World:
+        """The world of a resolved scenario, with its own nodes.
+
+        requests: nodes that a schedule may insert; as dicts with the parameters of `mast intercept`: wire, file, name,
+                  and perhaps input, output, settings. Raises what that raises
+        """
         user_types.use(resolved.messages)
         resolved.load_modules()
-        return cls(resolved, lambda name, spec: build_node(spec, name), requests)
+        planned = (
+            request if isinstance(request, Intercept) else Intercept(*client.plan(resolved, **request), ())
+            for request in requests
+        )
+        return cls(resolved, lambda name, spec: build_node(spec, name), tuple(planned))
 
 
 def _number(value: int) -> dict[str, np.ndarray]:
