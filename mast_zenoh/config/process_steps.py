@@ -8,6 +8,9 @@ from typing import NamedTuple
 #: pause, resume: stopped and continued by signals; disconnect, connect: from and to its networks.
 ACTIONS = ("kill", "leave", "start", "pause", "resume", "disconnect", "connect")
 
+#: Actions that end a node.
+LEAVING = ("kill", "leave")
+
 #: Actions only for real time: in lock-step, the run waits for every node.
 REALTIME = ("pause", "resume", "disconnect", "connect")
 

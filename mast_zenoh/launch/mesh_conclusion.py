@@ -28,8 +28,7 @@ def conclude(context: RunContext, supervisor: Supervisor[Any], reports: Reports,
         record["timings"]["start_s"] = round(context.first_frame_s - begun, 3)
     if driver:
         record["timings"] |= run_folder.rates(driver["frames"], driver["wall_s"])
-        restarted = [name for name, child in supervisor.children.items() if child.restarts]
-        record["churn"] = churn_of(outcomes, restarted)
+        record["churn"] = churn_of(outcomes, context)
     lost = [child for child in supervisor.children.values() if not child.handed_in and not child.exit_expected]
     record["message"] = "; ".join(f"{child.name} {child.ended}" for child in lost)
     record["invalid_control"] = context.invalid.entry()

@@ -47,7 +47,7 @@ def run(context: RunContext, display: Display, endpoint: str | None, listen: str
         actions = MeshActions(context, session, supervisor)
         resolved = context.resolved
         absent = Timetable(resolved, lockstep=lockstep).absent
-        steps = Steps(supervisor, resolved.nodes, absent, actions, resolved.steps)
+        steps = Steps(supervisor, resolved.nodes, absent, actions, resolved.steps, context.now_s)
         requests = StepRequests(steps, context.signatures, context.invalid)
         reports = Reports(session, control, supervisor.children, context.invalid)
         declared = [*_declare(context, session, requests, hosts), description.declare(context, session)]

@@ -131,10 +131,6 @@ class Supervisor(ABC, Generic[C]):
         assert not any(child.cut_off for child in children)
 
     @abstractmethod
-    def wait(self, child: C, seconds: float) -> bool:
-        """Wait until a node has ended; False after `seconds`."""
-
-    @abstractmethod
     def dispose(self, child: C) -> None:
         """Release the resources of a node that has ended for good; frees its name."""
 

@@ -320,7 +320,7 @@ def requests_of(context: RunContext, steps: Steps) -> StepRequests:
 
 
 def no_steps() -> Steps:
-    return Steps(MagicMock(children={}), RESOLVED.nodes, frozenset(), MagicMock(), RESOLVED.steps)
+    return Steps(MagicMock(children={}), RESOLVED.nodes, frozenset(), MagicMock(), RESOLVED.steps, lambda: 0.0)
 
 
 @pytest.mark.parametrize(

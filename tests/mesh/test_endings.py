@@ -96,15 +96,28 @@ def suspend(run: Launched, seconds: float) -> None:
     run.process.send_signal(signal.SIGCONT)
 
 
+SHORT = "launcher suspended for less than 20 s and resumed, lock-step (Ctrl-Z, SIGSTOP)"
+
+
 def test_a_suspended_launcher_resumes_a_lock_step_run_without_effect(launch) -> None:
     run: Launched = launch(*BASELINE, "--frames", "150")
     at_frame(run, 15)
     suspend(run, 5.0)
     code, output = run.end()
-    assert (run.record()["status"], code) == ending("launcher suspended and resumed, lock-step (Ctrl-Z, SIGSTOP)")
+    assert (run.record()["status"], code) == ending(SHORT)
     assert "Traceback" not in output
     assert run.record()["churn"] == []
     assert {message.frame for message in read(run.out)} == set(range(150))
+
+
+def test_a_launcher_suspended_for_longer_than_the_driver_waits_fails_a_lock_step_run(launch) -> None:
+    run: Launched = launch(*BASELINE, "--frames", "150")
+    at_frame(run, 15)
+    suspend(run, 34.0)
+    code, output = run.end()
+    what = "launcher suspended for more than 30 s and resumed, lock-step"
+    assert (run.record()["status"], code) == ending(what), output
+    list(read(run.out))
 
 
 def test_a_launcher_suspended_too_long_in_real_time_names_lost_nodes(launch) -> None:

@@ -6,12 +6,13 @@ Each is a function that changes the protocols through a MonkeyPatch. Its docstri
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from mast_zenoh.control.stop_reasons import END
-from mast_zenoh.launch.protocol import endings, state
+from mast_zenoh.launch.protocol import endings, state, steps
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.protocol import driver, membership, node, outlets, pacer, receiving, wiring_follower
 from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
@@ -156,7 +157,7 @@ def a_node_that_returns_at_once_is_not_noticed(patch: pytest.MonkeyPatch) -> Non
 
 def publishers_do_not_wait_for_subscribers(patch: pytest.MonkeyPatch) -> None:
     """A node reports although its publishers do not know their subscribers yet."""
-    patch.setattr(node.NodeProtocol, "_match", lambda self: None)
+    patch.setattr(node.NodeProtocol, "_match", lambda self, wiring: None)
 
 
 def a_wiring_change_reaches_one_side_only(patch: pytest.MonkeyPatch) -> None:
@@ -231,9 +232,45 @@ def a_node_reports_before_it_has_handled(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(node.NodeProtocol, "__init__", reporting)
 
 
-def results_are_offered_once(patch: pytest.MonkeyPatch) -> None:
-    """A node does not offer its results again when the launcher has not answered."""
-    patch.setattr(node, "_HAND_IN_EVERY_S", 1e6)
+def a_stop_signal_waits_for_no_results(patch: pytest.MonkeyPatch) -> None:
+    """A stop signal ends all nodes before they have handed in their results."""
+    patch.setattr(endings, "INTERRUPT_GRACE_S", 0.0)
+
+
+def a_node_that_may_end_ends_the_run(patch: pytest.MonkeyPatch) -> None:
+    """The launcher takes every node for one without which the run fails."""
+    original = endings.Endings._handle_exit
+
+    def needed(self: endings.Endings, child: Any) -> None:
+        child.spec = replace(child.spec, on_exit="fail")
+        original(self, child)
+
+    patch.setattr(endings.Endings, "_handle_exit", needed)
+
+
+def another_node_is_told_as_lost(patch: pytest.MonkeyPatch) -> None:
+    """The loss of a node is noted under the driver's name."""
+    original = membership.Membership._lose
+
+    def mistaken(self: membership.Membership, *arguments: Any) -> str:
+        known = len(self.churn)
+        problem = original(self, *arguments)
+        for event in self.churn[known:]:
+            event["node"] = self.own
+        return problem
+
+    patch.setattr(membership.Membership, "_lose", mistaken)
+
+
+def a_step_that_came_too_late_is_undone(patch: pytest.MonkeyPatch) -> None:
+    """A node that dies just before the scenario kills it is restarted, as if the scenario had not."""
+    original = steps.Steps._do
+
+    def not_the_dead(self: steps.Steps, frame: int, action: str, name: str) -> bool:
+        child = self._supervisor.children.get(name)
+        return not (child and child.exit is not None and action == "kill") and original(self, frame, action, name)
+
+    patch.setattr(steps.Steps, "_do", not_the_dead)
 
 
 def the_last_exit_is_not_handled(patch: pytest.MonkeyPatch) -> None:
@@ -335,7 +372,12 @@ def a_node_that_comes_or_goes_before_steps_is_not_noticed(patch: pytest.MonkeyPa
 def a_loss_after_the_end_is_not_told(patch: pytest.MonkeyPatch) -> None:
     """A node dies when the driver has ended the run; what its new process hands in are taken for its results."""
     original = endings.churn_of
-    patch.setattr(simulation, "churn_of", lambda outcomes, restarted: original(outcomes, ()))
+
+    def driver_only(outcomes: Any, state: Any) -> Any:
+        state.restarted.clear()
+        return original(outcomes, state)
+
+    patch.setattr(simulation, "churn_of", driver_only)
 
 
 def a_full_inbox_drops_the_clock(patch: pytest.MonkeyPatch) -> None:
@@ -387,11 +429,12 @@ PLANTS: dict[Plant, tuple[str, ...]] = {
     all_nodes_begin_with_the_planned_wiring: ("lockstep",),
     dropped_messages_are_not_counted: ("lockstep",),
     a_node_reports_before_it_has_handled: ("lockstep",),
-    results_are_offered_once: ("lockstep",),
+    a_stop_signal_waits_for_no_results: ("lockstep",),
+    a_node_that_may_end_ends_the_run: ("lockstep",),
+    another_node_is_told_as_lost: ("lockstep",),
     the_last_exit_is_not_handled: ("lockstep",),
     a_death_is_taken_for_an_end: ("lockstep",),
     losses_are_not_told: ("lockstep",),
     steps_do_not_wait_for_a_quiet_mesh: ("steps",),
     an_end_is_believed_of_any_reason: ("lockstep",),
-    a_full_inbox_drops_the_clock: ("lockstep",),
 }

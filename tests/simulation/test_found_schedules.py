@@ -40,7 +40,16 @@ FOUND: list[tuple[Plant, str, Schedule]] = [
         "steps",
         schedule(0, (0.034, "cut", "listener", 1.014), (0.089, "kill", "b", 0.0), (0.267, "kill", "a", 0.0), calm=True),
     ),
-    (bugs.a_loss_after_the_end_is_not_told, "steps", schedule(19709, (0.0, "kill at stop", "a", 0.00939))),
+    (
+        bugs.a_loss_after_the_end_is_not_told,
+        "lockstep",
+        schedule(17392, (0.18916456439600626, "suspend", "ticker", 0.642), (0.774413117695563, "kill", "a", 0.0)),
+    ),
+    (
+        bugs.a_step_that_came_too_late_is_undone,
+        "steps",
+        schedule(0, (0.17062222222222223, "kill", "a", 0.0), calm=True),
+    ),
     (
         bugs.a_full_inbox_drops_the_clock,
         "lockstep",

@@ -77,6 +77,12 @@ def test_a_node_that_is_suspended_for_too_long_stalls_the_run(worlds: dict[str, 
     assert disturbed(worlds["lockstep"], "freeze", "a", lasts_s=45.0).error.startswith("StallError")
 
 
+def test_a_launcher_that_is_suspended_for_longer_than_the_driver_waits_stalls_the_run(worlds: dict[str, World]) -> None:
+    short = disturbed(worlds["lockstep"], "suspend launcher", lasts_s=19.0)
+    assert (short.error, short.churn) == ("", [])
+    assert disturbed(worlds["lockstep"], "suspend launcher", lasts_s=34.0).error.startswith("StallError")
+
+
 def test_a_node_that_has_not_finished_when_the_run_is_over_fails_it(worlds: dict[str, World]) -> None:
     outcome = disturbed(worlds["realtime"], "freeze", "hub", at_s=0.4, lasts_s=45.0)
     assert outcome.error == "NodeDied: hub has not finished within 20 s; it is killed"

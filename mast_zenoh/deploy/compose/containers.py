@@ -141,9 +141,6 @@ class Containers(Supervisor[Container]):
                 except EngineError as error:
                     child.notes.append(f"not on {network} again: {error}")
 
-    def wait(self, child: Container, seconds: float) -> bool:
-        return child.ended_now.wait(seconds)
-
     def running(self) -> list[Container]:
         """The running nodes; raises EngineError if the router has ended."""
         if self._router_code is not None:

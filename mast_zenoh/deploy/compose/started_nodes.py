@@ -110,9 +110,6 @@ class StartedNodes(Supervisor[StartedNode]):
     def _resume(self, children: Iterable[StartedNode]) -> None:
         assert not list(children)
 
-    def wait(self, child: StartedNode, seconds: float) -> bool:
-        return self._until(lambda: child.exit is not None or child.lost, seconds)
-
     def dispose(self, child: StartedNode) -> None:
         """Nothing to release."""
 

@@ -136,13 +136,6 @@ class Services(Supervisor[Service]):
         for child in children:
             docker("unpause", child.container(), check=False)
 
-    def wait(self, child: Service, seconds: float) -> bool:
-        deadline = time.monotonic() + seconds
-        while child.exit is None and time.monotonic() < deadline:
-            threading.Event().wait(0.1)
-            self._look(_LOOK_EVERY_S)
-        return child.exit is not None
-
     def dispose(self, child: Service) -> None:
         self._keep_logs([child])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rich.markup import escape
@@ -22,17 +22,18 @@ LEAVE_GRACE_S = 20.0  #: from the end of the scene to the last node's results
 INTERRUPT_GRACE_S = 5.0  #: the same after a stop signal
 
 
-def churn_of(outcomes: Mapping[str, Mapping[str, Any]], restarted: Iterable[str]) -> list[dict[str, Any]]:
-    """Losses and returns of nodes, as in run.json: those that the driver has noted, and later ones.
+def churn_of(outcomes: Mapping[str, Mapping[str, Any]], state: RunState) -> list[dict[str, Any]]:
+    """Losses and returns of nodes, as in run.json: those that the driver has noted, and those that it does not see.
 
     A node may die when the driver has ended the run, and be restarted. Its new process takes part in nothing, so what
     it hands in are no results of the run.
 
-    outcomes: what each node has handed in, the driver among them;  restarted: nodes that the launcher has restarted
+    outcomes: what each node has handed in, the driver among them
     """
     driver = next(outcome for outcome in outcomes.values() if "sent_ns" in outcome)
-    unused = [name for name in sorted(restarted) if name in outcomes and outcomes[name]["last_frame"] < 0]
-    return [*driver["churn"], *({"frame": driver["frames"], "node": name, "what": churn.LOST} for name in unused)]
+    unused = [name for name in sorted(state.restarted & outcomes.keys()) if outcomes[name]["last_frame"] < 0]
+    late = ({"frame": driver["frames"], "node": name, "what": churn.LOST} for name in unused)
+    return [*driver["churn"], *state.losses, *late]
 
 
 class Endings:
@@ -68,6 +69,8 @@ class Endings:
         self._take_reports()  # after the exits: a process has handed in its results before it ended
         for child in ended:
             self._handle_exit(child)
+        if not self._stop.requested:
+            self._steps.advance()
         if len(self._state.signals) > self._interrupts:
             self._interrupts = len(self._state.signals)
             self._stop.problem = ending.from_signals(self._state.signals)
@@ -106,20 +109,25 @@ class Endings:
 
     def _handle_exit(self, child: Child) -> None:
         """Handle the end of a process; if it is unexpected, as the node's `on_exit` specifies."""
+        frame = self._steps.leaving.pop(child.name, None)
+        if frame is not None and not child.handed_in:
+            self._state.losses.append({"frame": frame, "node": child.name, "what": churn.LOST})
         if child.exit_expected or (child.exit == 0 and (child.handed_in or self._stop.requested)):
             return
         event = f"{child.name} {child.ended} at frame {self._state.frame}"
         if self._state.frame < 0:
             text = f"{child.name} ended before the first frame: {child.ended}{self._log_line(child)}"
             self._stop.fail(StartError(text), "a node did not start")
-        elif child.spec.on_exit == "continue":
-            self._state.show(f"[yellow]{event}; continuing without it")
         elif child.spec.on_exit == "restart" and child.handed_in:  # a new process would hand in others
             self._state.show(f"[yellow]{event}; its results had been taken")
         elif child.spec.on_exit == "restart" and not self._stop.requested:
             restarted = self._supervisor.restart(child)
+            if restarted:
+                self._state.restarted.add(child.name)
             consequence = "restarted" if restarted else "restarted too often, continuing without it"
             self._state.show(f"[yellow]{event}; {consequence}")
+        elif child.spec.on_exit != "fail":
+            self._state.show(f"[yellow]{event}; continuing without it")
         elif self._stop.problem is None:
             text = f"{event}; see logs/{child.name}.log{self._log_line(child)}"
             self._stop.fail(NodeDied(text), "a node died")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunError
@@ -54,6 +55,8 @@ class RunState:
     frame:    the newest frame that has begun; -1 before the first
     joining:  a node that is started to be inserted, and the scenario with which it begins
     stop:     the request to stop, and the error
+    restarted: nodes that died, and that the launcher has restarted
+    losses:   of results that the driver does not see, as in run.json
     """
 
     resolved: Resolved
@@ -63,6 +66,8 @@ class RunState:
     frame: int = field(default=-1, init=False)
     joining: tuple[str, Resolved] | None = field(default=None, init=False)
     stop: Stop = field(init=False)
+    restarted: set[str] = field(default_factory=set, init=False)
+    losses: list[dict[str, Any]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         self.stop = Stop(self.now_s)

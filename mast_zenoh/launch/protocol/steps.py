@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.process_steps import LEAVING, ProcessStep
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import flow
 from mast_zenoh.errors import MessageError
@@ -21,6 +21,7 @@ class Steps:
 
     planned: the steps of the scenario: nothing else is carried out, and each only once
     actions: ask nodes to leave; done: the steps so far: frame, action, node
+    leaving: nodes that were asked to leave, with the frame before which, until they have ended
     cut: whether a node has been disconnected from its networks
     """
 
@@ -31,6 +32,7 @@ class Steps:
         absent: frozenset[str],
         actions: LauncherActions,
         planned: Iterable[ProcessStep],
+        now_s: Callable[[], float],
     ) -> None:
         self._supervisor = supervisor
         self._nodes = nodes
@@ -38,7 +40,10 @@ class Steps:
         self._actions = actions
         self._planned = Counter((max(0, step.frame), step.action, step.node) for step in planned)
         self.done: list[dict[str, Any]] = []
+        self.leaving: dict[str, int] = {}
         self.cut = False
+        self._now_s = now_s
+        self._starting: dict[str, float] = {}  # nodes whose former process has to end first, with the latest time, s
 
     def start_all(self) -> None:
         """Start the nodes that are present from the beginning."""
@@ -56,20 +61,39 @@ class Steps:
             raise MessageError(f"act: {action} {node} before frame {frame}: the scenario has no such step left")
         self._planned -= requested
         for action, node in group:
-            if self._do(action, node):
+            if self._do(frame, action, node):
                 self.done.append({"frame": frame, "action": action, "node": node})
 
-    def _do(self, action: str, node: str) -> bool:
+    def advance(self) -> None:
+        """Continue steps that take time; called after the exits so far were handled."""
+        for node in self.leaving:
+            self._actions.leave(node, flow.LEAVE)  # every time: a process that is still starting has not received it
+        for node, latest_s in list(self._starting.items()):
+            child = self._supervisor.children[node]
+            if child.exit is None:
+                if self._now_s() >= latest_s:
+                    self._supervisor.kill(child)
+            elif child.exit_handled:  # so its results have been taken
+                del self._starting[node]
+                child.exit_expected = True  # the scenario restarts it, however it ended
+                self._supervisor.restart(child)
+
+    def _do(self, frame: int, action: str, node: str) -> bool:
         child = self._supervisor.children.get(node)
         if action == "start":
             return self._start(node, child)
-        if child is None or child.exit is not None:
+        if child is None or (child.exit is not None and action not in LEAVING):
             return False
         if action == "kill":
-            self._supervisor.kill(child)
+            if child.exit is None:
+                self._supervisor.kill(child)
+            else:  # it died after the driver had asked for this, which takes that for the step
+                child.exit_expected = True
         elif action == "leave":
             child.exit_expected = True
+            child.exit_handled = False  # if it died before, its results are missing
             child.notes.append("told to leave by the scenario")
+            self.leaving[node] = frame
             self._supervisor.resume([child])
             self._actions.leave(node, flow.LEAVE)
         elif action == "pause":
@@ -89,7 +113,5 @@ class Steps:
             return True
         if child.exit is None and not child.exit_expected:
             return False
-        if not self._supervisor.wait(child, _LEAVE_GRACE_S):
-            self._supervisor.kill(child)
-        child.exit_expected = True  # the scenario restarts it, however it ended
-        return self._supervisor.restart(child)
+        self._starting[node] = self._now_s() + _LEAVE_GRACE_S
+        return True

@@ -10,7 +10,7 @@ from collections.abc import Generator
 from enum import Enum
 from typing import Any
 
-from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.process_steps import LEAVING, ProcessStep
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import flow
 from mast_zenoh.control.signatures import Signatures
@@ -26,7 +26,7 @@ from mast_zenoh.runtime.protocol.node import NodeProtocol
 from mast_zenoh.runtime.protocol.pacer import Pacer, waits_for_listeners
 from mast_zenoh.runtime.protocol.rewiring import Rewiring
 from mast_zenoh.runtime.protocol.scene_frames import SceneFrames
-from mast_zenoh.runtime.protocol.timetable import LEAVING, Timetable
+from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.wiring.model import Wiring
 
 #: How long the driver of a real-time run waits for the last messages before it stops all nodes.

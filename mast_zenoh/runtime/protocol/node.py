@@ -295,14 +295,15 @@ class NodeProtocol:
             self.follower.follow(update)
             if update.active and update.wiring != self.host.wiring:
                 self.host.rewired(update.wiring)
-        self._match()
+        self._match(update.wiring if update else self.follower.wiring)
         self.receiving.deliver_early()
         if update is not None:
             self.report()  # immediately: the change continues when all nodes have reported
 
-    def _match(self) -> None:
+    def _match(self, next_wiring: Wiring) -> None:
         """Begin to wait for the subscribers of all publishers; without them messages would be lost."""
-        keys = self.outlets.received_by(self.follower.wiring, self.members) | {*self.follower.next_keys.values()}
+        keys = self.outlets.received_by(self.members, self.outlets.keys_now, self.follower.wiring)
+        keys |= self.outlets.received_by(self.members, self.follower.next_keys.values(), next_wiring)
         self._unmatched = self.actions.unmatched(keys)
         self._match_deadline_ns = self._after_ns(MATCH_TIMEOUT_S)
 

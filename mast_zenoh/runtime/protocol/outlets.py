@@ -69,12 +69,16 @@ class Outlets(dict[str, Outlet]):
         """Message counts by current key, computed from counts by initial key."""
         return {self[key].key if key in self else key: n for key, n in sent.items()}
 
-    def received_by(self, wiring: Wiring, members: Collection[str]) -> set[str]:
-        """The current keys on which a member other than this node receives messages."""
-        current = {outlet.key for outlet in self.values()}
+    @property
+    def keys_now(self) -> set[str]:
+        """The keys on which they are published now."""
+        return {outlet.key for outlet in self.values()}
+
+    def received_by(self, members: Collection[str], keys: Collection[str], wiring: Wiring) -> set[str]:
+        """Those of these keys of a wiring on which a member other than this node receives messages."""
         return {
             leg.key
             for wire, leg in wiring.legs()
-            if leg.key in current
+            if leg.key in keys
             and {end.node for end in (*wire.receivers(leg), *wiring.overhearers)} & (set(members) - {self._name})
         }

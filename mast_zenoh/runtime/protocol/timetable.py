@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 
-from mast_zenoh.config.process_steps import ACTIONS, REALTIME, ProcessStep
+from mast_zenoh.config.process_steps import ACTIONS, LEAVING, REALTIME, ProcessStep
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.errors import ConfigurationError, nearest
-
-#: Actions that end a node.
-LEAVING = ("kill", "leave")
 
 
 class Timetable:

@@ -43,7 +43,7 @@ class SimulatedLauncher(LauncherActions):
         self.state = RunState(resolved, self.notes.append, lambda: mesh.time.now_ns * 1e-9)
         self.supervisor = SimulatedSupervisor(mesh)
         absent = Timetable(resolved, lockstep=resolved.mode == "lockstep").absent
-        self.steps = Steps(self.supervisor, resolved.nodes, absent, self, resolved.steps)
+        self.steps = Steps(self.supervisor, resolved.nodes, absent, self, resolved.steps, self.state.now_s)
         self.interceptions = Interceptions(self.state, self.supervisor, self, lambda: Signatures(mesh.run))
         self.endings = Endings(self.state, self.supervisor, self.steps, self, take_reports=self._take_reports)
         self._reports: deque[tuple[SimulatedProcess, bytes | None, bytes]] = deque()  # failures, results
@@ -130,8 +130,9 @@ class SimulatedLauncher(LauncherActions):
     # -- what happens to it ------------------------------------------------------------------------------------------
 
     def suspend(self, seconds: float) -> None:
-        """Suspend it for some seconds."""
+        """Suspend it for some seconds, and the router in its process."""
         self._suspended = True
+        self._mesh.network.pause(seconds)
         self._time.after(seconds, self._resume)
 
     def _resume(self) -> None:

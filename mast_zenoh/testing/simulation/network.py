@@ -50,12 +50,12 @@ class VirtualTime:
         mean = 200_000 if draw > self._slow else 10_000_000 if draw > 0.1 * self._slow else S // 2
         return 1 + int(self.random.expovariate(1.0) * mean)
 
-    def run(self, until_ns: int, over: Callable[[], bool]) -> bool:
-        """Make the calls in order until a condition holds; False if it does not by a time."""
+    def run(self, until_ns: int, most: int, over: Callable[[], bool]) -> bool:
+        """Make the calls in order until a condition holds; False if it does not by a time, or within so many calls."""
         heap = self._heap
         while heap and not over():
             self.now_ns, _, call, arguments = heapq.heappop(heap)
-            if self.now_ns > until_ns:
+            if self.now_ns > until_ns or self.played >= most:
                 return False
             self.played += 1
             call(*arguments)
@@ -101,6 +101,7 @@ class Network(Generic[P]):
         self._loss = schedule.loss if realtime else 0.0
         self._newest_ns: dict[Hashable, int] = {}  # when the last message of a stream arrives
         self._cut_ns: dict[str, tuple[int, int]] = {}  # by node, from when until when its link is cut
+        self._paused_ns = (0, 0)  # from when until when nothing is forwarded
         self._subscribed: dict[str, dict[P, int]] = {}  # by key, from when on
         self._matching: dict[str, set[P]] = {}  # publishers that wait for a subscriber
 
@@ -124,9 +125,16 @@ class Network(Generic[P]):
             begin, end = self._cut_ns.get(node, (0, 0))
             if begin <= arrival_ns < end:
                 arrival_ns = end + self.time.delay_ns()
+        begin, end = self._paused_ns
+        if begin <= arrival_ns < end:
+            arrival_ns = end + self.time.delay_ns()
         arrival_ns = max(arrival_ns, self._newest_ns.get(stream, 0) + 1)
         self._newest_ns[stream] = arrival_ns
         self.time.at(arrival_ns, call, *arguments)
+
+    def newest_ns(self, stream: Hashable) -> int:
+        """When the last message of a stream arrives, so far."""
+        return self._newest_ns.get(stream, 0)
 
     def publish(self, source: P, key: str, payload: bytes, epoch: int, step: int) -> None:
         """Send a message of a wire to the subscribers of its key, as far as the publisher knows of any."""
@@ -211,6 +219,10 @@ class Network(Generic[P]):
         """Whether a node's link is cut now."""
         begin, end = self._cut_ns.get(node, (0, 0))
         return begin <= self.time.now_ns < end
+
+    def pause(self, seconds: float) -> None:
+        """Forward nothing for some seconds: the router's process is suspended."""
+        self._paused_ns = self.time.now_ns, self.time.now_ns + round(seconds * S)
 
     def noticed_ns(self, node: str) -> int:
         """When the router notices that the processes of a node are gone: at once, unless its link is cut."""

@@ -336,8 +336,9 @@ class SimulatedProcess(Actions):
             self._network.send(*((self, key), self.name, "", self._mesh.launcher.arrive_control, self, key, payload))
         elif kind == "counts":
             if (driver := self._mesh.driver) is not None:
-                stream = (self, key, driver)
-                self._network.send(stream, self.name, driver.name, driver.arrive_control, self, key, payload)
+                stream, least_ns = (self, key, driver), self._network.newest_ns(("alive", self.name, driver))
+                arrive = driver.arrive_control
+                self._network.send(stream, self.name, driver.name, arrive, self, key, payload, least_ns=least_ns)
         else:
             if kind == "stop":
                 self._mesh.note_stop(self, payload.decode())
@@ -382,13 +383,11 @@ class SimulatedChild(Child):
         super().__init__(name, spec)
         self.process: SimulatedProcess | None = None
         self.starts = 0
-        self.killed = False  # before its process has begun
+        self.code: int | None = None  # of a process that has ended before it had joined
 
     @property
     def exit(self) -> int | None:
-        if self.killed:
-            return KILLED
-        return self.process.exit if self.process else None
+        return self.process.exit if self.process else self.code
 
     def where(self) -> dict[str, Any]:
         return {}
@@ -409,25 +408,29 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
         self._begin(child)
 
     def _begin(self, child: SimulatedChild) -> None:
-        child.process, child.killed = None, False
+        child.process = child.code = None
         child.starts += 1
         number, mesh = child.starts, self._mesh
         time, start_s = mesh.time, mesh.world.start_s
 
         def begin() -> None:
-            if child.starts == number and not child.killed and mesh.launcher.alive:
+            if child.starts == number and child.code is None and mesh.launcher.alive:
                 # A process reads the scenario when it starts, not when it was asked to.
                 resolved = mesh.launcher.state.resolved_for(child.name)
                 if child.name not in resolved.nodes:  # its insertion has been given up
-                    child.killed = True
+                    child.code = KILLED
                     return
-                child.process = SimulatedProcess(mesh, child.name, resolved, number)
+                try:
+                    child.process = SimulatedProcess(mesh, child.name, resolved, number)
+                except Exception as error:  # of the node's own `__init__`
+                    child.code = CRASHED
+                    child.notes.append(f"{type(error).__name__}: {error}")
 
         time.after(start_s * (1.0 + time.random.random()), begin)
 
     def end_now(self, child: SimulatedChild) -> None:
         if child.process is None:
-            child.killed = True
+            child.code = KILLED
         else:
             child.process.kill()
 
@@ -439,10 +442,6 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
         for child in children:
             if child.process is not None:
                 child.process.resume()
-
-    def wait(self, child: SimulatedChild, seconds: float) -> bool:
-        """Time does not pass, so a node that has not ended is killed."""
-        return child.exit is not None
 
     def dispose(self, child: SimulatedChild) -> None:
         """See Supervisor."""

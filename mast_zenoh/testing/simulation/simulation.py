@@ -32,6 +32,7 @@ class Outcome:
     ended:   whether it has;  launcher_lost: whether the launcher was killed
     error:   class name and text of the run's error; "" for none
     results: of each node's `finish`; frames: number played;  churn: lost and returned nodes
+    died:    nodes of which a process did not end by itself
     lost:    nodes that ended without results, with how; not those that the scenario or an interception ended
     rejected: numbers of rejected messages, by node
     failures: of handlers, by node, see control.failures
@@ -49,6 +50,7 @@ class Outcome:
     results: dict[str, dict[str, Any]]
     frames: int
     churn: list[dict[str, Any]]
+    died: set[str]
     lost: dict[str, str]
     rejected: dict[str, dict[str, int]]
     failures: dict[str, list[Entry]]
@@ -100,22 +102,25 @@ class Simulation(SimulatedMesh):
     def play(self) -> Outcome:
         """Play the run to its end."""
         self.launcher.begin()
-        ended = self.time.run(round(LONGEST_S * S), self._is_over)
+        resolved = self.world.resolved
+        most = 20_000 + 1_000 * resolved.frames * len(resolved.nodes)
+        ended = self.time.run(round(LONGEST_S * S), most, self._is_over)
         if not ended:
             running = [f"{process.name} ({process.protocol.state.value})" for process in self._running()]
-            self.violate(f"the run has not ended after {LONGEST_S:g} s: {', '.join(running)}")
+            longest = f"{LONGEST_S:g} s, or {most} events"
+            self.violate(f"the run has not ended after {longest}: {', '.join(running)}")
         launcher = self.launcher
         driver = next((outcome for outcome in launcher.outcomes.values() if "sent_ns" in outcome), {})
         problem = launcher.state.stop.problem
         children = launcher.supervisor.children.values()
-        restarted = [child.name for child in children if child.restarts]
         return Outcome(
             ended=ended,
             launcher_lost=not launcher.alive,
             error=f"{type(problem).__name__}: {problem}" if problem else "",
             results={name: outcome["results"] for name, outcome in launcher.outcomes.items()},
             frames=driver.get("frames", 0),
-            churn=churn_of(launcher.outcomes, restarted) if driver else [],
+            churn=churn_of(launcher.outcomes, launcher.state) if driver else [],
+            died={process.name for process in self.network.processes if process.exit},
             lost={child.name: child.ended for child in children if not child.handed_in and not child.exit_expected},
             rejected={name: outcome["rejected"] for name, outcome in launcher.outcomes.items()},
             failures={name: outcome["failures"] for name, outcome in launcher.outcomes.items() if outcome["failures"]},
