@@ -110,7 +110,7 @@ def _only_between_frames(original: Any) -> Any:
     return quiet
 
 
-def the_next_frame_waits_for_nobody(patch: pytest.MonkeyPatch) -> None:
+def the_next_frame_waits_for_no_node(patch: pytest.MonkeyPatch) -> None:
     """A frame begins when all nodes have reported, whatever they have handled."""
     patch.setattr(pacer.Pacer, "quiet", lambda self, **options: not self.silent)
 
@@ -197,7 +197,7 @@ def held_back_messages_are_lost(patch: pytest.MonkeyPatch) -> None:
 
 
 def all_nodes_begin_with_the_planned_wiring(patch: pytest.MonkeyPatch) -> None:
-    """A node that starts while another is being inserted begins with a wiring that nobody uses yet."""
+    """A node that starts while another is being inserted begins with a wiring that is not in use yet."""
 
     def planned(self: state.RunState, name: str) -> Any:
         return self.joining[1] if self.joining else self.resolved
@@ -206,7 +206,7 @@ def all_nodes_begin_with_the_planned_wiring(patch: pytest.MonkeyPatch) -> None:
 
 
 def dropped_messages_are_not_counted(patch: pytest.MonkeyPatch) -> None:
-    """A full inbox drops messages, and nobody tells the driver."""
+    """A full inbox drops messages, and the driver is not told."""
     patch.setattr(receiving.Receiving, "note_dropped", lambda self, dropped: None)
 
 
@@ -415,7 +415,7 @@ PLANTS: dict[Plant, tuple[str, ...]] = {
     counts_of_an_older_epoch_are_taken: ("lockstep", "steps"),
     a_stall_is_taken_for_an_end: ("lockstep",),
     the_stop_overtakes_the_last_frame: ("lockstep",),
-    the_next_frame_waits_for_nobody: ("lockstep",),
+    the_next_frame_waits_for_no_node: ("lockstep",),
     listeners_are_not_waited_for_at_the_end: ("lockstep",),
     listeners_are_not_waited_for_before_a_change: ("lockstep",),
     a_dead_node_is_waited_for: ("lockstep",),

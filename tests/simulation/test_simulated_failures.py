@@ -40,8 +40,8 @@ def test_failures_of_handlers_equal_those_in_one_process(
         _, outcome = on_simulated_mesh(resolved, schedule)
         assert (outcome.error, outcome.frames, outcome.lost) == ("", 12, {}), "a run continues despite failures"
         assert outcome.failures == expected, schedule
-        shown = [note for note in outcome.notes if f"{node}.{handler} failed once" in note]
-        assert len(shown) == 1, "the first failure of a handler is shown"
+        matching = [note for note in outcome.notes if f"{node}.{handler} failed once" in note]
+        assert len(matching) == 1, "the first failure of a handler is shown"
 
 
 def test_failures_in_a_handler_that_completes_a_frame_are_all_counted(tmp_path: Path) -> None:
@@ -57,5 +57,7 @@ def test_failures_in_a_handler_that_completes_a_frame_are_all_counted(tmp_path: 
         assert sum(entry["count"] for entry in entries) == sum(entry["frames"] for entry in entries) == 7, schedule
         assert min(entry["first_frame"] for entry in entries) == 5, schedule
         assert max(entry["last_frame"] for entry in entries) == 11, schedule
-        shown = [note for note in outcome.notes if " failed once in frame " in note and "no \\[plan] for frame" in note]
-        assert len(shown) == len(entries), "the first failure of each handler is shown"
+        matching = [
+            note for note in outcome.notes if " failed once in frame " in note and "no \\[plan] for frame" in note
+        ]
+        assert len(matching) == len(entries), "the first failure of each handler is shown"

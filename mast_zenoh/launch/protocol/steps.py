@@ -82,16 +82,15 @@ class Steps:
         child = self._supervisor.children.get(node)
         if action == "start":
             return self._start(node, child)
-        if child is None or (child.exit is not None and action not in LEAVING):
+        if child is None or (child.exit is not None and (child.exit_handled or action not in LEAVING)):
             return False
         if action == "kill":
             if child.exit is None:
                 self._supervisor.kill(child)
-            else:  # it died after the driver had asked for this, which takes that for the step
+            else:  # it has just died: the driver takes that for the step
                 child.exit_expected = True
         elif action == "leave":
             child.exit_expected = True
-            child.exit_handled = False  # if it died before, its results are missing
             child.notes.append("told to leave by the scenario")
             self.leaving[node] = frame
             self._supervisor.resume([child])
