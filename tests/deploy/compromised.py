@@ -10,7 +10,7 @@ import msgpack
 
 from mast_zenoh.control import results
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
-from mast_zenoh.runtime.protocol.driver import DriverProtocol, Phase
+from mast_zenoh.runtime.protocol.driver import DriverProtocol, DriverState, Phase
 from mast_zenoh.runtime.protocol.node import NodeProtocol
 
 RUBBISH = (b"", b"\xc1", b"\x93", b"\xff" * 40, msgpack.packb([]), msgpack.packb({}), msgpack.packb([1, 2, 3]))
@@ -82,7 +82,7 @@ def hold(frame: int, go: str, stall_timeout_s: float) -> None:
 
     def waiting(self: DriverProtocol) -> Phase:
         while self.frames == frame and not Path(go).exists() and not self._end_reason:
-            yield from self._wait(self._now_s + 0.02)
+            yield from self._wait(DriverState.PACING, self._now_s + 0.02)
         return (yield from carry_out(self))
 
     def hasty(self: DriverProtocol, *arguments: Any, **more: Any) -> None:
