@@ -81,7 +81,9 @@ def _wrong_endings(world: World, schedule: Schedule, outcome: Outcome, reference
         for name in sorted(reference.results.keys() - outcome.results.keys()):
             yield f"a stop signal has cost the results of {name}"
     if world.resolved.mode == "lockstep" and not outcome.error:
-        for name in sorted({event["node"] for event in outcome.churn if event["what"] == LOST} - outcome.died):
+        lost = {event["node"] for event in outcome.churn if event["what"] == LOST}
+        # An inserted node may be ended because its insertion was given up.
+        for name in sorted((lost & world.resolved.nodes.keys()) - outcome.died):
             yield f"{name} is told as lost, but no process of it has died"
 
 
