@@ -17,7 +17,7 @@ LAYERS: dict[str, str] = {
     "viewer": "the record of a run frame by frame; export/ servers/: for other viewers and tools",
     "deploy": "nodes in containers and on other hosts; engines in compose/, swarm/ and ssh/",
     "replay": "puts a recorded run back on a mesh: recorded nodes before a cut, live nodes after it",
-    "launch": "starts, watches and ends the processes of a run; protocol/: what it decides; interception/ netns/",
+    "launch": "starts, watches and ends the processes of a run; launcher_protocol: what it decides; netns/: its hosts",
     "checks": "invariants of finished runs",
     "runtime": "hosts nodes: host (one node), protocol/ (a process as a state machine), inproc, mesh/ played/",
     "scenario": "validates and resolves scenario files",

@@ -2,14 +2,95 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.config.resolved import Resolved
+import numpy as np
+
+from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
 from mast_zenoh.control import results
-from mast_zenoh.launch import confidence_notices, idle, notices
+from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
+from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import notices
+from mast_zenoh.messagelog import churn
+from mast_zenoh.messagelog.completeness import first_incomplete_frame, first_missing_frame
+from mast_zenoh.run_files import subfolder
+from mast_zenoh.wiring.model import Wire, Wiring
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+_MAX_PROBLEM_CHARS = 300  # of a problem as a node describes it
+MAX_TABLES = 100  #: that one node may write
+MAX_COLUMNS = 1000  #: of one table
+_EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
+
+#: Arrival of the first message of each frame, by key and frame, ns; and time at which each frame was sent, ns.
+Arrivals = Mapping[str, Mapping[int, int]]
+Sent = Mapping[int, int]
+
+PERCENTILES = (50, 95, 99)
+
+
+def latency_ms(wiring: Wiring, outcomes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The `latency_ms` of metrics.json: from simulator to picture, and of every wire.
+
+    outcomes: what each node has handed in
+    """
+    sent, arrived = on_launcher_clock(outcomes)
+    picture = percentiles(sent, arrived.get("evaluator", {}).get("cc/picture", {}))
+    to_picture = picture or dict.fromkeys(f"p{p}" for p in PERCENTILES)
+    return {"sim_to_picture": to_picture, "by_wire": by_wire(wiring, sent, arrived)}
+
+
+def by_wire(wiring: Wiring, sent_ns: Sent, arrived_ns: Mapping[str, Arrivals]) -> dict[str, dict[str, float | int]]:
+    """Percentiles in ms and number of frames of every wire that carried messages.
+
+    sent_ns: when the simulator sent each frame; arrived_ns: arrivals at each node
+
+    Of a wire's subscribers, the first that publishes something itself counts, because others wait for it; if none of
+    those received anything, the first of the others. Interposers and nodes that overhear every key do not count.
+    """
+    publishers = {leg.publisher.node for _, leg in wiring.legs()}
+    latencies: dict[str, dict[str, float | int]] = {}
+    for wire in wiring.wires:
+        for key, node in sorted(_subscriptions(wire), key=lambda end: end[1] not in publishers):
+            if wire_latency := percentiles(sent_ns, arrived_ns.get(node, {}).get(key, {})):
+                latencies[wire.key] = wire_latency
+                break
+    return latencies
+
+
+def percentiles(sent_ns: Sent, arrival_ns: Mapping[int, int]) -> dict[str, float | int]:
+    """Percentiles in ms from sending to arrival, and number of frames that arrived."""
+    latency = [(arrival_ns[frame] - sent_ns[frame]) * 1e-6 for frame in arrival_ns if frame in sent_ns]
+    if not latency:
+        return {}
+    return {f"p{p}": round(float(np.percentile(latency, p)), 3) for p in PERCENTILES} | {"n": len(latency)}
+
+
+def on_launcher_clock(outcomes: Mapping[str, Mapping[str, Any]]) -> tuple[Sent, dict[str, Arrivals]]:
+    """Times at which frames were sent and arrived, on the launcher's clock, ns.
+
+    outcomes: what each node has handed in; a node on another host has `clock`, how far its clock is ahead
+    """
+    sent: Sent = {}
+    arrived: dict[str, Arrivals] = {}
+    for name, outcome in outcomes.items():
+        ahead_ns = round(outcome.get("clock", {}).get("offset_ms", 0.0) * 1e6)
+        arrivals = outcome.get("arrived_ns", {})
+        arrived[name] = {key: {frame: at - ahead_ns for frame, at in times.items()} for key, times in arrivals.items()}
+        if "sent_ns" in outcome:
+            sent = {frame: at - ahead_ns for frame, at in outcome["sent_ns"].items()}
+    return sent, arrived
+
+
+def _subscriptions(wire: Wire) -> list[tuple[str, str]]:
+    """(key, node) of each subscriber of the wire, with the key that it subscribes to."""
+    key_of = {end: leg.key for leg in wire.every_leg for end in leg.subscribers}
+    return [(key_of[end], end.node) for end in wire.subscribers]
 
 
 def write(
@@ -23,20 +104,128 @@ def write(
 
     record:    run.json, with its nodes and timings
     handed_in: what each node returned from `finish`
-    measured:  see `folder.write_results`
+    measured:  see `write_results`
     """
-    run_folder.note_recording(folder, record, handed_in, resolved.nodes)
+    note_recording(folder, record, handed_in, resolved.nodes)
     collations = results.collations(handed_in, resolved.nodes)
-    innovations = confidence_notices.innovations(handed_in, resolved.nodes)
+    innovations = notices.tracker_innovations(handed_in, resolved.nodes)
     record["innovations"] = dict(sorted(innovations.items()))
     measured = {"late": results.late(collations), **measured}
     if "replay" in record:
         measured["replay"] = {key: value for key, value in record["replay"].items() if key != "notices"}
-    refused = run_folder.write_results(folder, handed_in, measured)
+    refused = write_results(folder, handed_in, measured)
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused)
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))
-        record["notices"] += confidence_notices.of_metrics(metrics, innovations)
+        record["notices"] += notices.of_confidence(metrics, innovations)
     played = record["timings"].get("frames") or 0
-    record["notices"] += (idle.of_replay if "replay" in record else idle.of_run)(resolved, played, handed_in)
+    record["notices"] += (notices.idle_metrics if "replay" in record else notices.idle_parts)(
+        resolved, played, handed_in
+    )
+
+
+def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> list[str]:
+    """Write what nodes returned from `finish`; return a sentence per refused part.
+
+    The evaluator's `metrics`, and those of its `tables` that are in `results.TABLES`, become metrics.json and Parquet
+    files at the top of the run folder. Everything else goes to results/<node>/: `tables` as <table>.parquet, the rest
+    as results.json.
+
+    measured: entries of metrics.json in addition to the evaluator's metrics; wall-clock values replace the evaluator's
+    """
+    refused: list[str] = []
+    for node, result in results.items():
+        other_parts = dict(result)
+        tables = other_parts.pop("tables", {})
+        if not _NAME.fullmatch(node):
+            refused.append(f"{node!r:.80}: {_EXPECTED_NAME}")
+            continue
+        if node == EVALUATOR and isinstance(other_parts.get("metrics"), Mapping):
+            run_folder.write_json(
+                folder / "metrics.json", run_folder.finite({**other_parts.pop("metrics"), **measured})
+            )
+        if not isinstance(tables, Mapping):
+            refused.append(f"{node}: tables: found a {type(tables).__name__}, expected a dict of tables")
+            tables = {}
+        if len(tables) > MAX_TABLES:
+            refused.append(
+                f"{node}: tables: found {len(tables)}, expected at most {MAX_TABLES}; "
+                f"only the first {MAX_TABLES} are written"
+            )
+        for name, table in islice(tables.items(), MAX_TABLES):
+            place = () if node == EVALUATOR and name in TABLES else ("results", node)
+            if problem := _write_named(folder, place, name, table):
+                refused.append(f"{node}: table {name!r:.80}: {problem}")
+        if other_parts:
+            run_folder.write_json(subfolder(folder, "results", node) / "results.json", run_folder.finite(other_parts))
+    return refused
+
+
+def _write_named(folder: Path, place: tuple[str, ...], name: object, table: object) -> str:
+    """Write a node's table into a subfolder; return why it is refused, or an empty string."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        return _EXPECTED_NAME
+    if not isinstance(table, Mapping):
+        return f"found a {type(table).__name__}, expected a dict of columns"
+    if len(table) > MAX_COLUMNS:
+        return f"found {len(table)} columns, expected at most {MAX_COLUMNS}"
+    from mast_zenoh.launch.tables import (
+        write_table,  # only the launcher writes tables; nodes must not pay for the import
+    )
+
+    try:
+        write_table(subfolder(folder, *place) / f"{name}.parquet", table)
+    except (OSError, MemoryError, ImportError, RunFolderError):  # not the table's fault: the run lacks a file
+        raise
+    except Exception as error:  # Arrow has many error classes, and users write tables
+        return " ".join(str(error).split())[:200]
+    return ""
+
+
+def note_recording(
+    folder: Path, record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]
+) -> None:
+    """Note in run.json how many messages were recorded, and whether some are missing.
+
+    Only recorders know the number. The first frame with missing messages is measured from the recording in `folder`:
+    in real time always, because the router drops messages for a recorder that does not read; in lock-step nodes wait.
+    """
+    recorder = next((name for name, spec in nodes.items() if spec.role == "recorder"), None)
+    if recorder is not None:
+        gaps = churn.first_frames(record.get("churn", ()), recorder)
+        lost = counts_of(handed_in.get(recorder, {}).get("recorded")).get("lost")
+        if record.get("mode") == "realtime" and (gap := _gap(folder, nodes)) is not None:
+            gaps.append(gap)
+        complete = recorder in handed_in and not lost and not gaps
+        from_frame = {} if complete else {"from_frame": min([first_incomplete_frame(folder), *gaps])}
+        record["recording"] = {"complete": complete} | from_frame
+    for node, outcome in handed_in.items():
+        if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
+            record["recorded"] = recorded | _failure(outcome["recorded"])
+            if lost := recorded.get("lost", 0):
+                messages = [record["message"]] if record["message"] else []
+                record["message"] = "; ".join([*messages, f"{lost} messages could not be recorded"])
+
+
+def _gap(folder: Path, nodes: Mapping[str, NodeSpec]) -> int | None:
+    """The first frame of which the recording lacks a message of the driver; else None."""
+    driver = driver_of(nodes)
+    return first_missing_frame(folder, driver) if driver else None
+
+
+def _failure(recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Why a recorder stopped, if it did, and whether the disk was full."""
+    problem = recorded.get("problem")
+    if not isinstance(problem, str) or not problem:
+        return {}
+    return {"problem": problem[:_MAX_PROBLEM_CHARS], "disk_full": recorded.get("disk_full") is True}
+
+
+def rates(frames: int, wall_s: float) -> dict[str, Any]:
+    """Duration and speed of a run, for its `timings`."""
+    return {
+        "frames": frames,
+        "run_s": round(wall_s, 4),
+        "frames_per_second": round(frames / wall_s, 2) if wall_s else None,
+    }

@@ -16,7 +16,7 @@ from mast_zenoh.config.resolved import driver_of
 from mast_zenoh.control import prefix
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.launch.protocol.state import RunState
+from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.deployment import Deployment

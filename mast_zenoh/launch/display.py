@@ -9,16 +9,14 @@ from __future__ import annotations
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import NamedTuple
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from mast_zenoh.launch.activity import Activity
-from mast_zenoh.launch.newest_score import NewestScore
+from mast_zenoh.launch.observation import Activity, NewestScore, Status
 
 _PERIOD_S = 0.25  # between two drawings of the table
 _SHARE = 0.02  # of the launcher's time that the display takes at most
@@ -33,23 +31,6 @@ _MIN_NODES = 4  # that are shown even on a terminal with few lines
 
 _STYLE = {"starting": "yellow", "running": "green", "done": "blue", "attack": "magenta", "fault": "magenta"}
 _ORDINARY = ("running", "starting", "done")
-
-
-class Status(NamedTuple):
-    """What is shown of a run.
-
-    frame:  number of frames that have begun
-    states: of every node, one word
-    activities: of nodes that are heard
-    events: attacks, faults and interceptions of this moment
-    score:  of the newest picture; None: not known
-    """
-
-    frame: int
-    states: Mapping[str, str]
-    activities: Mapping[str, Activity]
-    events: Sequence[str] = ()
-    score: NewestScore | None = None
 
 
 class Display:

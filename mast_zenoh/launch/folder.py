@@ -6,35 +6,59 @@ import json
 import math
 import os
 import platform
-import re
 import shutil
-from collections.abc import Iterator, Mapping
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mast_zenoh import kernels
-from mast_zenoh.config.resolved import NodeSpec, driver_of
-from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
-from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
-from mast_zenoh.messagelog import churn, script
-from mast_zenoh.messagelog.completeness import first_incomplete_frame, first_missing_frame
-from mast_zenoh.run_files import read_object, replacing, subfolder
+from mast_zenoh.errors import DiskFull, ExportError, RunFolderError, is_disk_full
+from mast_zenoh.messagelog import script
+from mast_zenoh.run_files import read_object, replacing
+
+
+def check_free(out: Path) -> None:
+    """Raise ExportError unless something can be created at a path."""
+    if out.exists() or out.is_symlink():
+        raise ExportError(f"{out}: exists already: expected a new file or folder")
+    if not out.absolute().parent.is_dir():
+        raise ExportError(f"{out}: found no folder {str(out.absolute().parent)!r}, expected it to exist")
+
+
+def write_new(out: Path, write: Callable[[Path], object]) -> tuple[Path, ...]:
+    """Write a file or folder through a temporary folder next to it.
+
+    write: gets a path of the same name there; it can write more files beside it, which are kept too
+
+    Returns what is there now, in order of names. Raises ExportError if it cannot be written or something is
+    in the way, DiskFull.
+    """
+    try:
+        with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out.absolute().parent) as temporary:
+            write(Path(temporary) / out.name)
+            written = sorted(Path(temporary).iterdir())
+            targets = tuple(out.with_name(path.name) for path in written)
+            for target in targets:
+                check_free(target)
+            for path, target in zip(written, targets, strict=True):
+                os.rename(path, target)
+    except OSError as error:
+        if is_disk_full(error):
+            free = shutil.disk_usage(out.absolute().parent).free >> 20
+            raise DiskFull(f"{out}: {error.strerror} ({free} MiB are free): nothing was written") from error
+        raise ExportError(f"{out}: cannot be written: {error.strerror or error}") from error
+    return targets
+
 
 #: Reserves room for the final run.json, so a run that filled the disk can still write it.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
-
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
-_MAX_PROBLEM_CHARS = 300  # of a problem as a node describes it
-MAX_TABLES = 100  #: that one node may write
-MAX_COLUMNS = 1000  #: of one table
-_EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
 
 
 def create(out: Path | None, name: str) -> Path:
@@ -127,62 +151,6 @@ def _package_versions() -> dict[str, str]:
     return {package: version(package) for package in packages}
 
 
-def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> list[str]:
-    """Write what nodes returned from `finish`; return a sentence per refused part.
-
-    The evaluator's `metrics`, and those of its `tables` that are in `results.TABLES`, become metrics.json and Parquet
-    files at the top of the run folder. Everything else goes to results/<node>/: `tables` as <table>.parquet, the rest
-    as results.json.
-
-    measured: entries of metrics.json in addition to the evaluator's metrics; wall-clock values replace the evaluator's
-    """
-    refused: list[str] = []
-    for node, result in results.items():
-        other_parts = dict(result)
-        tables = other_parts.pop("tables", {})
-        if not _NAME.fullmatch(node):
-            refused.append(f"{node!r:.80}: {_EXPECTED_NAME}")
-            continue
-        if node == EVALUATOR and isinstance(other_parts.get("metrics"), Mapping):
-            write_json(folder / "metrics.json", finite({**other_parts.pop("metrics"), **measured}))
-        if not isinstance(tables, Mapping):
-            refused.append(f"{node}: tables: found a {type(tables).__name__}, expected a dict of tables")
-            tables = {}
-        if len(tables) > MAX_TABLES:
-            refused.append(
-                f"{node}: tables: found {len(tables)}, expected at most {MAX_TABLES}; "
-                f"only the first {MAX_TABLES} are written"
-            )
-        for name, table in islice(tables.items(), MAX_TABLES):
-            place = () if node == EVALUATOR and name in TABLES else ("results", node)
-            if problem := _write_named(folder, place, name, table):
-                refused.append(f"{node}: table {name!r:.80}: {problem}")
-        if other_parts:
-            write_json(subfolder(folder, "results", node) / "results.json", finite(other_parts))
-    return refused
-
-
-def _write_named(folder: Path, place: tuple[str, ...], name: object, table: object) -> str:
-    """Write a node's table into a subfolder; return why it is refused, or an empty string."""
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        return _EXPECTED_NAME
-    if not isinstance(table, Mapping):
-        return f"found a {type(table).__name__}, expected a dict of columns"
-    if len(table) > MAX_COLUMNS:
-        return f"found {len(table)} columns, expected at most {MAX_COLUMNS}"
-    from mast_zenoh.launch.tables import (
-        write_table,  # only the launcher writes tables; nodes must not pay for the import
-    )
-
-    try:
-        write_table(subfolder(folder, *place) / f"{name}.parquet", table)
-    except (OSError, MemoryError, ImportError, RunFolderError):  # not the table's fault: the run lacks a file
-        raise
-    except Exception as error:  # Arrow has many error classes, and users write tables
-        return " ".join(str(error).split())[:200]
-    return ""
-
-
 def finite(value: Any) -> Any:
     """Plain JSON values: a number that is not finite becomes null, an array a list."""
     if isinstance(value, Mapping):
@@ -194,51 +162,3 @@ def finite(value: Any) -> Any:
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value
-
-
-def note_recording(
-    folder: Path, record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]
-) -> None:
-    """Note in run.json how many messages were recorded, and whether some are missing.
-
-    Only recorders know the number. The first frame with missing messages is measured from the recording in `folder`:
-    in real time always, because the router drops messages for a recorder that does not read; in lock-step nodes wait.
-    """
-    recorder = next((name for name, spec in nodes.items() if spec.role == "recorder"), None)
-    if recorder is not None:
-        gaps = churn.first_frames(record.get("churn", ()), recorder)
-        lost = counts_of(handed_in.get(recorder, {}).get("recorded")).get("lost")
-        if record.get("mode") == "realtime" and (gap := _gap(folder, nodes)) is not None:
-            gaps.append(gap)
-        complete = recorder in handed_in and not lost and not gaps
-        from_frame = {} if complete else {"from_frame": min([first_incomplete_frame(folder), *gaps])}
-        record["recording"] = {"complete": complete} | from_frame
-    for node, outcome in handed_in.items():
-        if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
-            record["recorded"] = recorded | _failure(outcome["recorded"])
-            if lost := recorded.get("lost", 0):
-                messages = [record["message"]] if record["message"] else []
-                record["message"] = "; ".join([*messages, f"{lost} messages could not be recorded"])
-
-
-def _gap(folder: Path, nodes: Mapping[str, NodeSpec]) -> int | None:
-    """The first frame of which the recording lacks a message of the driver; else None."""
-    driver = driver_of(nodes)
-    return first_missing_frame(folder, driver) if driver else None
-
-
-def _failure(recorded: Mapping[str, Any]) -> dict[str, Any]:
-    """Why a recorder stopped, if it did, and whether the disk was full."""
-    problem = recorded.get("problem")
-    if not isinstance(problem, str) or not problem:
-        return {}
-    return {"problem": problem[:_MAX_PROBLEM_CHARS], "disk_full": recorded.get("disk_full") is True}
-
-
-def rates(frames: int, wall_s: float) -> dict[str, Any]:
-    """Duration and speed of a run, for its `timings`."""
-    return {
-        "frames": frames,
-        "run_s": round(wall_s, 4),
-        "frames_per_second": round(frames / wall_s, 2) if wall_s else None,
-    }

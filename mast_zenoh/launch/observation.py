@@ -1,21 +1,324 @@
-"""What a terminal shows of a run on a mesh: states of processes, what nodes send, the newest score, current events."""
+"""What a terminal shows of a run: states of processes, what nodes send, the newest score, current events."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from statistics import median
+from typing import Any, NamedTuple
 
 import zenoh
 
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import prefix
-from mast_zenoh.launch.activity import Activities
+from mast_zenoh.control.results import EVALUATOR
+from mast_zenoh.errors import MastError
 from mast_zenoh.launch.context import RunContext
-from mast_zenoh.launch.display import Status
-from mast_zenoh.launch.newest_score import InProcessScores, MeshScores, NewestScore, scored_keys
 from mast_zenoh.launch.supervisor import Child
-from mast_zenoh.wiring.model import Wiring
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Message
+from mast_zenoh.metrics import Record, Scorer, Series
+from mast_zenoh.metrics.record import PICTURE_RECEIVED, Snapshot
+from mast_zenoh.runtime.host import Outgoing
+from mast_zenoh.runtime.protocol.stamp import stamp_of
+from mast_zenoh.wiring.model import TAP, Wiring
+
+
+class Status(NamedTuple):
+    """What is shown of a run.
+
+    frame:  number of frames that have begun
+    states: of every node, one word
+    activities: of nodes that are heard
+    events: attacks, faults and interceptions of this moment
+    score:  of the newest picture; None: not known
+    """
+
+    frame: int
+    states: Mapping[str, str]
+    activities: Mapping[str, Activity]
+    events: Sequence[str] = ()
+    score: NewestScore | None = None
+
+
+_CAPACITY = 32  # messages of a key between two calls of `read`; with more, missing ones are not counted
+_WINDOW_S = 2.0  # over which rates are measured
+_SHORTEST_S = 0.2  # for a rate
+
+#: Message types that a node sends in every frame, even if there is nothing in them.
+_EVERY_FRAME = ("clock", "truth", "tracks", "collated", "picture")
+
+
+class Activity(NamedTuple):
+    """What one node has sent lately; None: not known.
+
+    rate_hz: frames per second in which it has sent something
+    lag:     frames by which its newest message is behind the scene
+    drops:   frames without a message, between the first and the newest one
+    """
+
+    rate_hz: float | None = None
+    lag: int | None = None
+    drops: int | None = None
+
+
+class Activities:
+    """Watches one key of each node, through the router's own session: its messages cross no link for that.
+
+    frame: returns the newest frame of the run
+    Hidden legs are not watched: their publishers wait until the node behind them has subscribed.
+    """
+
+    def __init__(self, session: zenoh.Session, prefix: str, wiring: Wiring, frame: Callable[[], int]) -> None:
+        self._frame = frame
+        self._keys = {
+            node: _Key(session, f"{prefix}/{key}", counted=counted)
+            for node, (key, counted) in watched_keys(wiring).items()
+        }
+
+    def read(self) -> None:
+        """Take what has arrived; to be called often, such as 20 times a second."""
+        for key in self._keys.values():
+            key.read(self._frame)
+
+    def of(self, node: str) -> Activity:
+        """What a node has sent, as of the last `read`."""
+        key = self._keys.get(node)
+        return Activity() if key is None else key.activity(self._frame())
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        for key in self._keys.values():
+            key.subscriber.undeclare()
+        self._keys = {}
+
+
+def watched_keys(wiring: Wiring) -> dict[str, tuple[str, bool]]:
+    """By node, the key on which it is heard, and whether it sends something there in every frame.
+
+    A leg before an interposer only where the node sends nothing else in every frame.
+    """
+    ranked: dict[str, tuple[tuple[bool, bool], str]] = {}
+    for wire, leg in wiring.legs():
+        node, rank = leg.publisher.node, (wire.message in _EVERY_FRAME, TAP not in leg.key.split("/"))
+        if node not in ranked or rank > ranked[node][0]:
+            ranked[node] = rank, leg.key
+    return {node: (key, counted) for node, ((counted, _), key) in ranked.items()}
+
+
+class _Key:
+    """The messages of one key: the newest step, and the number of frames with and without a message."""
+
+    def __init__(self, session: zenoh.Session, key: str, *, counted: bool) -> None:
+        self.subscriber: Any = session.declare_subscriber(key, zenoh.handlers.RingChannel(_CAPACITY))
+        self._counted = counted
+        self._newest = -1
+        self._frames = 0
+        self._drops = 0
+        self._history: deque[tuple[float, int]] = deque()  # times of `read`, s, and frames up to then
+
+    def read(self, frame: Callable[[], int]) -> None:
+        """Take what has arrived."""
+        steps: list[int] = []
+        while (sample := self.subscriber.try_recv()) is not None:
+            steps.append(stamp_of(sample.attachment)[1])
+        # A step beyond the scene is forged. Its clock may arrive here a moment after the message.
+        newest = max((step for step in steps if step <= frame() + 1), default=-1)
+        if newest > self._newest:
+            passed = newest - self._newest if self._newest >= 0 else 1
+            seen = passed if len(steps) >= _CAPACITY else len({step for step in steps if self._newest < step <= newest})
+            self._frames += seen
+            self._drops += max(0, passed - seen)
+            self._newest = newest
+        now = time.monotonic()
+        self._history.append((now, self._frames))
+        while now - self._history[0][0] > _WINDOW_S:
+            self._history.popleft()
+
+    def activity(self, frame: int) -> Activity:
+        """What has arrived up to the last `read`; frame: the newest of the run."""
+        if self._newest < 0:
+            return Activity()
+        (begun, before), (now, frames) = self._history[0], self._history[-1]
+        rate_hz = (frames - before) / (now - begun) if now - begun >= _SHORTEST_S else None
+        return Activity(rate_hz, max(0, frame - self._newest), self._drops if self._counted else None)
+
+
+_TRUTHS = 16  # frames by which a picture may be late and still be scored
+_PICTURES = 16  # whose latencies are measured at once
+_CLOCKS = 256
+_MAX_BYTES = 1 << 20  # of a scored message, about 1,000 objects: the launcher must not be kept busy by a hostile one
+
+
+class NewestScore(NamedTuple):
+    """Counts of objects in the picture of an agent about a frame.
+
+    rmse_m: of the matched objects, m; None without any
+    latency_ms: median of the newest pictures, from the clock of their frame to their arrival; None in lock-step
+    """
+
+    agent: str
+    frame: int
+    missed: int
+    false: int
+    matched: int
+    rmse_m: float | None
+    latency_ms: float | None = None
+
+
+class ScoredKeys(NamedTuple):
+    """Main agent of a run, and the keys of clock and truth and of the picture that it receives."""
+
+    agent: str
+    clock: str
+    truth: str
+    picture: str
+    scorer: Scorer
+
+
+def scored_keys(resolved: Resolved) -> ScoredKeys | None:
+    """What is scored; None if the run has no evaluator, or no picture that can be read without touching its wires."""
+    evaluator = resolved.nodes.get(EVALUATOR)
+    agents = evaluator.config.get("agents") if evaluator else None
+    if not evaluator or not agents:
+        return None
+    keys = {}
+    for wire in Wiring.from_json(resolved.wiring).wires:
+        ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
+        keys[wire.message] = ends.get(agents[0], "") if wire.message == "picture" else wire.legs[0].key
+    clock, truth, picture = (keys.get(message, "") for message in ("clock", "truth", "picture"))
+    if not (clock and truth and picture) or TAP in picture.split("/"):
+        return None
+    try:
+        scorer = registry.build(evaluator.config.get("scorer") or {"type": "Scorer"}, Scorer, "scorer")
+    except MastError:  # of a user's own evaluator
+        return None
+    return ScoredKeys(str(agents[0]), clock, truth, picture, scorer)
+
+
+def score(keys: ScoredKeys, truth: Message, picture: Message) -> NewestScore | None:
+    """The score of a picture; None if it or the truth does not fit the run."""
+    frame, body = truth.header.frame, truth.body
+    record = Record([str(name) for name in body["agents"]])
+    try:
+        objects = ObjectStates.of(
+            body["position"], id=body["id"], size=body["size"], yaw=body["yaw"], velocity=body["velocity"]
+        )
+        record.add_truth(frame, objects, body["points"], body["agent_position"], body["agent_object"])
+        states = Snapshot.of(ObjectStates.from_columns(picture.body))
+        record.add(frame, [Series(keys.agent, PICTURE_RECEIVED)], states)
+        scores = keys.scorer.score(record)
+    except ValueError:
+        return None
+    missed, false, matched = (int(counts[0, 0]) for counts in (scores.fn, scores.fp, scores.tp))
+    rmse_m = float((scores.squared_error[0, 0] / matched) ** 0.5) if matched else None
+    return NewestScore(keys.agent, frame, missed, false, matched, rmse_m)
+
+
+class InProcessScores:
+    """Scores of a run in this process; `take` is given every message that is sent."""
+
+    def __init__(self, keys: ScoredKeys) -> None:
+        self._keys = keys
+        self._truths: deque[Outgoing] = deque(maxlen=_TRUTHS)
+        self._pictures: deque[Outgoing] = deque(maxlen=1)
+        self._kept = {keys.truth: self._truths, keys.picture: self._pictures}
+
+    def take(self, message: Outgoing) -> None:
+        """Keep a message if it is needed."""
+        if message.key in self._kept:
+            self._kept[message.key].append(message)
+
+    def newest(self) -> NewestScore | None:
+        """The score of the newest picture."""
+        messages = [each.payload for each in (*self._truths, *self._pictures) if isinstance(each.payload, Message)]
+        if not self._pictures or not messages:
+            return None
+        *truths, picture = messages
+        truth = next((each for each in truths if each.header.frame == picture.header.frame), None)
+        return None if truth is None else score(self._keys, truth, picture)
+
+
+class MeshScores:
+    """Scores of a run on a mesh, through a session of the router in this process."""
+
+    def __init__(self, session: zenoh.Session, prefix: str, keys: ScoredKeys, *, realtime: bool) -> None:
+        self._keys = keys
+        self._truths: deque[tuple[int, zenoh.Sample]] = deque(maxlen=_TRUTHS)
+        self._arrivals: deque[tuple[int, zenoh.Sample]] = deque(maxlen=_PICTURES)
+        self._clocks: deque[tuple[int, zenoh.Sample]] = deque(maxlen=_CLOCKS)
+        ring = zenoh.handlers.RingChannel
+        self._truth: Any = session.declare_subscriber(f"{prefix}/{keys.truth}", ring(_TRUTHS))
+        # A ring costs less, but does not say when a message has arrived. Only real time has latencies.
+        into = [_timed(queue) if realtime else ring(1) for queue in (self._arrivals, self._clocks)]
+        self._picture: Any = session.declare_subscriber(f"{prefix}/{keys.picture}", into[0])
+        self._clock: Any = session.declare_subscriber(f"{prefix}/{keys.clock}", into[1]) if realtime else None
+
+    def newest(self) -> NewestScore | None:
+        """The score of the newest picture; None if there is none, or its truth is not known any more."""
+        for sample in _taken(self._truth):
+            if len(sample.payload) <= _MAX_BYTES:
+                self._truths.append((_step(sample), sample))
+        if self._clock is None:
+            self._arrivals.extend((0, sample) for sample in _taken(self._picture))
+        arrivals = list(self._arrivals)
+        if not arrivals:
+            return None
+        try:
+            newest = arrivals[-1][1].payload
+            if len(newest) > _MAX_BYTES:
+                return None
+            picture = codec.decode(newest.to_bytes(), "picture")
+            truth = dict(self._truths).get(picture.header.frame)
+            scored = (
+                None if truth is None else score(self._keys, codec.decode(truth.payload.to_bytes(), "truth"), picture)
+            )
+        except MastError:  # what is no message is not scored
+            return None
+        return None if scored is None else scored._replace(latency_ms=self._latency_ms(arrivals))
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        for subscriber in (self._truth, self._picture, self._clock):
+            if subscriber is not None:
+                subscriber.undeclare()
+
+    def _latency_ms(self, arrivals: Iterable[tuple[int, zenoh.Sample]]) -> float | None:
+        if self._clock is None:
+            return None
+        began = {_step(sample): at_ns for at_ns, sample in reversed(list(self._clocks))}
+        latencies = []
+        for at_ns, sample in arrivals:
+            if len(sample.payload) > _MAX_BYTES:
+                continue
+            try:
+                frame = codec.decode_header_only(sample.payload.to_bytes(), "picture").frame
+            except MastError:  # anybody may send anything on an open mesh
+                continue
+            if frame in began:
+                latencies.append((at_ns - began[frame]) * 1e-6)
+        return median(latencies) if latencies else None
+
+
+def _timed(queue: deque[tuple[int, zenoh.Sample]]) -> Any:
+    """A handler that only notes each message with the time of its arrival, ns."""
+    now: Callable[[], int] = time.monotonic_ns
+    return zenoh.handlers.Callback(lambda sample: queue.append((now(), sample)), indirect=False)
+
+
+def _taken(subscriber: Any) -> list[zenoh.Sample]:
+    samples = []
+    while (sample := subscriber.try_recv()) is not None:
+        samples.append(sample)
+    return samples
+
+
+def _step(sample: zenoh.Sample) -> int:
+    return stamp_of(sample.attachment)[1]
+
 
 _SCORE_PERIOD_S = 0.5
 _SCORE_SHARE = 0.02  # of the launcher's time that scoring takes at most

@@ -1,8 +1,10 @@
-"""Runs a resolved scenario: as processes on a mesh, or in this process."""
+"""File descriptors of a run: raises the limit, or raises ResourcesExhausted."""
 
 from __future__ import annotations
 
+import logging
 import os
+import resource
 import secrets
 import sys
 import time
@@ -10,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from rich.console import Console
 from rich.markup import escape
@@ -18,17 +20,78 @@ from rich.markup import escape
 from mast_zenoh import checks, kernels
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures
-from mast_zenoh.errors import BackendError, MastError
-from mast_zenoh.launch import conclusion, descriptors, ending, liveness, mesh_run, steps, stop_signals
+from mast_zenoh.errors import BackendError, MastError, ResourcesExhausted
+from mast_zenoh.launch import conclusion, ending, liveness, mesh_run, stop_signals
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.nodelogs import NodeLogs
 from mast_zenoh.launch.observation import InProcessObservation
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messages import user_types
 from mast_zenoh.runtime.inproc import InProcess
+
+#: Descriptors that any run needs, and for each process of a mesh: a pipe, a log, its connection to the router.
+BASE, PER_NODE = 64, 16
+
+
+def ensure_descriptors(processes: int) -> None:
+    """Raise this process's limit to what a run needs; its nodes inherit it.
+
+    processes: number of nodes that are processes of their own
+    Raises ResourcesExhausted if the system does not allow as many.
+    """
+    needed = BASE + PER_NODE * processes
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= needed:
+        return
+    if hard != resource.RLIM_INFINITY and hard < needed:
+        raise ResourcesExhausted(
+            f"found a limit of {hard} file descriptors, expected at least {needed} for this run: raise it (ulimit -n)"
+        )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
+
+
+_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+
+
+class NodeLogs(logging.Handler):
+    """Context manager that appends records of logger `mast.<node>` to <node>.log.
+
+    A file is created at the first record.
+
+    failure: why the logs are incomplete; None if nothing was lost
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.setFormatter(logging.Formatter(_FORMAT))
+        self.failure: OSError | None = None
+        self._folder = folder
+        self._files: dict[str, TextIO] = {}
+        self._logger = logging.getLogger("mast")
+
+    def __enter__(self) -> NodeLogs:
+        self._logger.addHandler(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._logger.removeHandler(self)
+        for file in self._files.values():
+            try:
+                file.close()
+            except OSError as error:
+                self.failure = self.failure or error
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Append a record to its node's file."""
+        node = record.name.removeprefix("mast.")
+        try:
+            if node not in self._files:
+                self._files[node] = (self._folder / f"{node}.log").open("a", encoding="utf-8")
+            print(self.format(record), file=self._files[node], flush=True)
+        except OSError as error:  # must not fail the handler that logs
+            self.failure = self.failure or error
 
 
 @dataclass
@@ -84,8 +147,8 @@ def run(
     """
     console = console or Console(quiet=True)
     where = f"engine {engine.name}" if engine else "one process" if runtime == "inproc" else "processes of this machine"
-    descriptors.ensure(len(resolved.nodes) if runtime == "mesh" else 0)
-    steps.check(resolved, where, unplugs=engine is not None and engine.unplugs)
+    ensure_descriptors(len(resolved.nodes) if runtime == "mesh" else 0)
+    mesh_run.check_steps(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)
     user_types.use(resolved.messages)
@@ -178,12 +241,12 @@ def _run_inproc(
             with stop_signals.second_interrupts(received):
                 outcomes = process.run()
         except BaseException:  # no recorder has reported how much it recorded
-            run_folder.note_recording(folder, record, {}, resolved.nodes)
+            conclusion.note_recording(folder, record, {}, resolved.nodes)
             raise
         finally:
             record["nodes"] = _nodes_inproc(resolved, folder, process, outcomes)
     timing = outcomes.pop("")
-    record["timings"] |= run_folder.rates(timing["frames"], timing["wall_s"])
+    record["timings"] |= conclusion.rates(timing["frames"], timing["wall_s"])
     record["steps"] = [step._asdict() for step in process.steps]
     conclusion.write(resolved, folder, record, outcomes, {})
     if received and timing["frames"] < resolved.frames:

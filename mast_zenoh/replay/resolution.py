@@ -15,8 +15,7 @@ from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolve
 from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.folder import json_or_empty
-from mast_zenoh.launch.measurement import scenario_of
-from mast_zenoh.launch.wirings import recorded_wirings
+from mast_zenoh.launch.measurement import recorded_wirings, scenario_of
 from mast_zenoh.messagelog.reader import file_of
 from mast_zenoh.messagelog.script import Script
 from mast_zenoh.messages import user_types

@@ -14,8 +14,8 @@ import pyarrow
 from mast_zenoh.errors import MastError, MessageError, RunFolderError
 from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.launch.measurement import recorded_wirings
 from mast_zenoh.launch.tables import from_arrow, read_arrow
-from mast_zenoh.launch.wirings import recorded_wirings
 from mast_zenoh.messagelog.reader import Recorded, file_of, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body

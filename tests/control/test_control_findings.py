@@ -20,10 +20,9 @@ from mast_zenoh.control.invalid import MAX_KEYS, OTHERS, InvalidMessages
 from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer
-from mast_zenoh.launch.protocol.steps import Steps
+from mast_zenoh.launch.launcher_protocol import Steps
+from mast_zenoh.launch.mesh_run import StepRequests, Watch
 from mast_zenoh.launch.reports import Reports
-from mast_zenoh.launch.steps import StepRequests
-from mast_zenoh.launch.watch import Watch
 from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.security.access import rights

@@ -14,9 +14,8 @@ from mast_zenoh.control import flow
 from mast_zenoh.control.files import encode
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.file_server import FileServer
-from mast_zenoh.launch.interception.server import InterceptionServer, seal
-from mast_zenoh.launch.mesh_actions import MeshActions
-from mast_zenoh.launch.steps import StepRequests
+from mast_zenoh.launch.interception import InterceptionServer, seal
+from mast_zenoh.launch.mesh_run import MeshActions, StepRequests
 
 context, file_server = findings.context, findings.file_server  # fixtures
 

@@ -12,7 +12,7 @@ from launched_apart import Beside
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import HandlerFailed, VersionMismatch
-from mast_zenoh.launch import latency
+from mast_zenoh.launch import conclusion
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.file_server import files_for_node
 from mast_zenoh.messagelog.difference import compare
@@ -152,6 +152,6 @@ def test_arrival_times_on_a_clock_that_is_ahead_are_corrected() -> None:
         "evaluator": {"arrived_ns": {"cc/picture": {0: 9_000_000}}, "clock": {"offset_ms": -2.5, "round_trip_ms": 0.1}},
         "ego": {"arrived_ns": {"clock": {0: 5}}},
     }
-    sent, arrived = latency.on_launcher_clock(outcomes)
+    sent, arrived = conclusion.on_launcher_clock(outcomes)
     assert sent == {0: 0}
     assert arrived == {"simulator": {}, "evaluator": {"cc/picture": {0: 11_500_000}}, "ego": {"clock": {0: 5}}}

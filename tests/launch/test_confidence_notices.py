@@ -9,7 +9,7 @@ import pytest
 from tiny_world import tiny
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.launch import confidence_notices
+from mast_zenoh.launch import notices
 from mast_zenoh.tracking import Innovations
 
 SURE, FINE = "overconfident", None
@@ -23,7 +23,7 @@ def compared(position: str | None, velocity: str | None, nees: float = 19.2) -> 
 
 def texts(consistency: object, **trackers: Innovations) -> list[str]:
     summaries = {name: each.summary() for name, each in trackers.items()}
-    found = confidence_notices.of_metrics({"consistency": consistency}, summaries)
+    found = notices.of_confidence({"consistency": consistency}, summaries)
     assert all((each["kind"], each["count"]) == ("confidence", 1) for each in found)
     return [each["text"] for each in found]
 
@@ -87,7 +87,7 @@ def test_only_sound_summaries_of_nodes_with_a_tracker_are_taken() -> None:
         "broker": sound,
         "stranger": sound,
     }
-    found = confidence_notices.innovations(handed_in, resolved.nodes)
+    found = notices.tracker_innovations(handed_in, resolved.nodes)
     assert found == {"ego": Innovations(3.0, 2).summary()}, "derived values are computed again"
 
 

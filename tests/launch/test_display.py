@@ -12,9 +12,8 @@ from rich.console import Console
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import display, observation, run
-from mast_zenoh.launch.activity import Activities, Activity, watched_keys
-from mast_zenoh.launch.display import Display, Status
-from mast_zenoh.launch.newest_score import NewestScore
+from mast_zenoh.launch.display import Display
+from mast_zenoh.launch.observation import Activities, Activity, NewestScore, Status, watched_keys
 from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
 from mast_zenoh.wiring.model import Wiring
 

@@ -22,10 +22,9 @@ from mast_zenoh.errors import MastError
 from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import Mesh, RunContext
-from mast_zenoh.launch.mesh_conclusion import conclude
+from mast_zenoh.launch.mesh_run import Watch, conclude
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.launch.watch import Watch
 from mast_zenoh.report import html, terminal
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.study.rogue.falsehoods import false_results

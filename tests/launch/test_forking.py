@@ -16,11 +16,11 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import StartError
-from mast_zenoh.launch.forking import Forked, ForkServer, is_available
+from mast_zenoh.launch.processes import Forked, ForkServer, can_fork_nodes
 
 pytestmark = [
     pytest.mark.mesh,
-    pytest.mark.skipif(not is_available(), reason="this system cannot wait for processes of others"),
+    pytest.mark.skipif(not can_fork_nodes(), reason="this system cannot wait for processes of others"),
 ]
 
 #: Arguments of a node without a run folder, which fails at once with exit code 2.

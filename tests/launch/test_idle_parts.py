@@ -14,7 +14,7 @@ import pytest
 from tiny_world import tiny
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.launch import idle, run
+from mast_zenoh.launch import notices, run
 from mast_zenoh.metrics import FrameMetric
 from mast_zenoh.report import write_report
 
@@ -178,4 +178,4 @@ def test_an_evaluator_of_the_user_may_return_anything(results: Any) -> None:
 
 def sentences(world: Resolved, handed_in: Any = MappingProxyType({})) -> list[str]:
     """What is idle in a run of 12 frames with these results."""
-    return [notice["text"] for notice in idle.of_run(world, 12, handed_in)]
+    return [notice["text"] for notice in notices.idle_parts(world, 12, handed_in)]

@@ -6,7 +6,7 @@ import threading
 from unittest.mock import MagicMock
 
 from mast_zenoh.launch import stop_signals
-from mast_zenoh.launch.steps import StepRequests
+from mast_zenoh.launch.mesh_run import StepRequests
 
 WAIT_S = 0.05
 

@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh.errors import NotRunning
-from mast_zenoh.launch import folder, liveness
-from mast_zenoh.launch.interception import client
+from mast_zenoh.launch import folder, interception, liveness
 from mast_zenoh.report.narrative.circumstances import status
 from mast_zenoh.report.runfolder import RunFolder
 
@@ -75,4 +74,4 @@ def test_every_tool_that_reads_the_folder_reports_a_killed_run(tmp_path: Path) -
     assert run.run["status"] == "killed"
     assert "cut off" in status(run)
     with pytest.raises(NotRunning, match="the run is over: killed"):
-        client.release(tmp_path, name="x")
+        interception.release(tmp_path, name="x")

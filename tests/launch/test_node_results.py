@@ -15,8 +15,8 @@ from mast_zenoh import scenario
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import results
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch import conclusion, run
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import run
 from mast_zenoh.launch.tables import read_arrow, read_table
 from mast_zenoh.run_files import read_json
 
@@ -27,7 +27,7 @@ TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
 def written(results: dict[str, Any], folder: Path, **measured: Any) -> tuple[list[str], set[str]]:
     """Write results to a new run folder; returns (refusals, names of the files)."""
     folder.mkdir()
-    refused = run_folder.write_results(folder, results, measured)
+    refused = conclusion.write_results(folder, results, measured)
     return refused, {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -158,10 +158,10 @@ def test_recorded_counts_come_only_from_a_recorder_and_must_be_numbers(tmp_path:
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("ego", "agent"))}
     record: dict[str, Any] = {"message": ""}
     others = {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}
-    run_folder.note_recording(tmp_path, record, others, specs)
+    conclusion.note_recording(tmp_path, record, others, specs)
     nothing = {"complete": False, "from_frame": 0}
     assert record == {"message": "", "recording": nothing}, "the recorder has returned nothing"
-    run_folder.note_recording(tmp_path, record, {"rec": {"recorded": recorded}}, specs)
+    conclusion.note_recording(tmp_path, record, {"rec": {"recorded": recorded}}, specs)
     valid = recorded == {"messages": 7, "lost": 0}
     assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if valid else {})
 
@@ -169,7 +169,7 @@ def test_recorded_counts_come_only_from_a_recorder_and_must_be_numbers(tmp_path:
 def test_lost_messages_are_reported(tmp_path: Path) -> None:
     specs = {"rec": NodeSpec("recorder", "", "", {}, "continue")}
     record: dict[str, Any] = {"message": "so far"}
-    run_folder.note_recording(tmp_path, record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
+    conclusion.note_recording(tmp_path, record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
     assert record["message"] == "so far; 2 messages could not be recorded"
     assert record["recording"] == {"complete": False, "from_frame": 0}, "no recording exists here"
 
@@ -200,9 +200,9 @@ def test_completeness_in_real_time_is_measured_from_the_recording(
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("sim", "simulator"))}
     node_results = {"rec": {"recorded": {"messages": 7, "lost": 0}}}
     for mode, gap, expected in (("realtime", 185, False), ("realtime", None, True), ("lockstep", 185, True)):
-        monkeypatch.setattr(run_folder, "first_missing_frame", lambda folder, publisher, gap=gap: gap)
+        monkeypatch.setattr(conclusion, "first_missing_frame", lambda folder, publisher, gap=gap: gap)
         record: dict[str, Any] = {"message": "", "mode": mode}
-        run_folder.note_recording(tmp_path, record, node_results, specs)
+        conclusion.note_recording(tmp_path, record, node_results, specs)
         assert record["recording"]["complete"] is expected
 
 

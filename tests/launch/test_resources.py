@@ -13,7 +13,7 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import NodeFileError, ResourcesExhausted
-from mast_zenoh.launch import descriptors, ending
+from mast_zenoh.launch import ending, run
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.run_files import read_json
 
@@ -70,8 +70,8 @@ def test_a_low_soft_limit_is_raised_as_far_as_needed(monkeypatch: pytest.MonkeyP
     limits = []
     monkeypatch.setattr(resource, "getrlimit", lambda kind: (40, 4096))
     monkeypatch.setattr(resource, "setrlimit", lambda kind, pair: limits.append(pair))
-    descriptors.ensure(10)
-    assert limits == [(descriptors.BASE + 10 * descriptors.PER_NODE, 4096)]
+    run.ensure_descriptors(10)
+    assert limits == [(run.BASE + 10 * run.PER_NODE, 4096)]
 
 
 def test_a_start_without_memory_is_one_line(tmp_path: Path) -> None:

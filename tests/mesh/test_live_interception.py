@@ -16,7 +16,7 @@ from launched import Launched, Observer, eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, StartError, WiringError
-from mast_zenoh.launch.interception import client
+from mast_zenoh.launch import interception
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
@@ -116,11 +116,11 @@ def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going)
     for i in range(TIMES):
         wire = (TRACKS, DETECTIONS)[i % 2]
         settings = ("keeps=True",) if i % 5 == 0 else ()
-        interceptions = client.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
+        interceptions = interception.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
         reached = observer.frame() + 3
         eventually(lambda reached=reached: observer.frame() >= reached, "messages pass through the node")
         assert interceptions["wires"] == [wire]
-        assert client.release(run.out, name="mallory")["node"] == "mallory"
+        assert interception.release(run.out, name="mallory")["node"] == "mallory"
     record = stop(run)
     assert [interceptions["action"] for interceptions in record["interceptions"]] == ["intercept", "release"] * TIMES
     taps = {wire: [m.seq for m in read(run.out) if m.tap and m.wire == wire] for wire in (TRACKS, DETECTIONS)}
@@ -136,11 +136,11 @@ def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going)
 
 def test_in_lock_step_the_stream_equals_that_of_an_undisturbed_run(going) -> None:
     run, _ = going("--frames", "50")
-    client.intercept(run.out, TRACKS, "adversary.py", name="mallory", settings=("attack.type=PassThrough",))
-    client.intercept(run.out, TRACKS, RELAY, name="eve")
-    client.intercept(run.out, DETECTIONS, RELAY, settings=("keeps=False",))
-    client.release(run.out, name="mallory")
-    client.release(run.out, wire=TRACKS)
+    interception.intercept(run.out, TRACKS, "adversary.py", name="mallory", settings=("attack.type=PassThrough",))
+    interception.intercept(run.out, TRACKS, RELAY, name="eve")
+    interception.intercept(run.out, DETECTIONS, RELAY, settings=("keeps=False",))
+    interception.release(run.out, name="mallory")
+    interception.release(run.out, wire=TRACKS)
     record = stop(run)
     recorded: dict[str, list[bytes]] = defaultdict(list)
     for message in read(run.out):
@@ -201,21 +201,21 @@ def test_impossible_requests_are_refused_and_change_nothing(going, tmp_path: Pat
         .replace("self.keeps = keeps", "assert not os.path.exists('wiring.json'), 'no licence found'")
     )
     with pytest.raises(WiringError, match="no wire"):
-        client.intercept(run.out, "agent/infra_9/tracks", RELAY)
+        interception.intercept(run.out, "agent/infra_9/tracks", RELAY)
     with pytest.raises(NodeFileError, match="no input for 'picture' messages"):
-        client.intercept(run.out, "cc/picture", RELAY)
+        interception.intercept(run.out, "cc/picture", RELAY)
     with pytest.raises(ConfigurationError, match=r"keep.*did you mean 'keeps'"):
-        client.intercept(run.out, TRACKS, RELAY, settings=("keep=True",))
+        interception.intercept(run.out, TRACKS, RELAY, settings=("keep=True",))
     with pytest.raises(ConfigurationError, match="node 'broker' already exists"):
-        client.intercept(run.out, TRACKS, RELAY, name="broker")
+        interception.intercept(run.out, TRACKS, RELAY, name="broker")
     with pytest.raises(StartError, match=r"exit code 1.*logs/stillborn_1\.log"):
-        client.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
+        interception.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
     with pytest.raises(WiringError, match="no node 'mallory' is on a wire"):
-        client.release(run.out, name="mallory")
+        interception.release(run.out, name="mallory")
     secret = (run.out / "control.key").read_bytes()
     (run.out / "control.key").write_bytes(b"guessed")
     with pytest.raises(Exception, match="not sealed with this run's secret"):
-        client.intercept(run.out, TRACKS, RELAY)
+        interception.intercept(run.out, TRACKS, RELAY)
     (run.out / "control.key").write_bytes(secret)
     assert (run.out / "wiring.json").read_text() == wiring
     assert json.loads((run.out / "scenario.json").read_text())["nodes"] == nodes
@@ -228,4 +228,4 @@ def test_commands_do_not_wait_for_a_run_whose_launcher_was_killed(going) -> None
     run, _ = going("--mode", "realtime", "--rate", "2")
     run.kill()
     with pytest.raises(NotRunning, match="the run is over: killed"):
-        client.intercept(run.out, TRACKS, RELAY)
+        interception.intercept(run.out, TRACKS, RELAY)

@@ -11,7 +11,8 @@ from rich.console import Console
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import display, observation, run
-from mast_zenoh.launch.display import Display, Status
+from mast_zenoh.launch.display import Display
+from mast_zenoh.launch.observation import Status
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 SILENT = {"evaluator", "recorder"}

@@ -4,7 +4,7 @@ import pytest
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control.results import collations, late
-from mast_zenoh.launch import latency
+from mast_zenoh.launch import conclusion
 from mast_zenoh.wiring.model import Branch, Endpoint, Leg, Wire, Wiring
 
 MS = 1_000_000
@@ -25,23 +25,25 @@ def came(key: str, *ms: float) -> dict[str, dict[int, int]]:
 
 
 def test_percentiles_cover_frames_that_were_sent_and_received() -> None:
-    percentiles = latency.percentiles(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
+    percentiles = conclusion.percentiles(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
     assert percentiles == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
-    assert latency.percentiles(SENT, {}) == {}
+    assert conclusion.percentiles(SENT, {}) == {}
 
 
 def test_latency_is_measured_at_the_first_subscriber_with_arrivals() -> None:
     wiring = Wiring((wire("a/tracks", "a", "evaluator", "broker", "cc"), wire("b", "broker"), wire("c", "cc")))
     arrived = {"evaluator": came("a/tracks", 90.0), "broker": came("a/tracks", 3.0), "cc": came("a/tracks", 40.0)}
-    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
+    assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
     del arrived["broker"]
-    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and returned nothing"
+    assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and returned nothing"
 
 
 def test_a_wire_with_only_listeners_is_measured_at_the_first_and_one_without_arrivals_is_omitted() -> None:
     wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
     arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
-    assert {key: by_frame["p50"] for key, by_frame in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
+    assert {key: by_frame["p50"] for key, by_frame in conclusion.by_wire(wiring, SENT, arrived).items()} == {
+        "truth": 7.0
+    }
 
 
 def test_latency_is_measured_after_interposers_on_trunk_and_branch() -> None:
@@ -58,7 +60,7 @@ def test_latency_is_measured_after_interposers_on_trunk_and_branch() -> None:
         "broker": came("a/tracks/@tap/broker", 30.0),
         "evaluator": came("a/tracks", 2.0),
     }
-    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 30.0
+    assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 30.0
 
 
 def test_late_messages_are_counted_by_agent() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh.control.stop_reasons import END
-from mast_zenoh.launch.protocol import endings, state, steps
+from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.protocol import driver, membership, node, outlets, pacer, receiving, wiring_follower
 from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
@@ -199,10 +199,10 @@ def held_back_messages_are_lost(patch: pytest.MonkeyPatch) -> None:
 def all_nodes_begin_with_the_planned_wiring(patch: pytest.MonkeyPatch) -> None:
     """A node that starts while another is being inserted begins with a wiring that is not in use yet."""
 
-    def planned(self: state.RunState, name: str) -> Any:
+    def planned(self: launcher_protocol.RunState, name: str) -> Any:
         return self.joining[1] if self.joining else self.resolved
 
-    patch.setattr(state.RunState, "resolved_for", planned)
+    patch.setattr(launcher_protocol.RunState, "resolved_for", planned)
 
 
 def dropped_messages_are_not_counted(patch: pytest.MonkeyPatch) -> None:
@@ -234,18 +234,18 @@ def a_node_reports_before_it_has_handled(patch: pytest.MonkeyPatch) -> None:
 
 def a_stop_signal_waits_for_no_results(patch: pytest.MonkeyPatch) -> None:
     """A stop signal ends all nodes before they have handed in their results."""
-    patch.setattr(endings, "INTERRUPT_GRACE_S", 0.0)
+    patch.setattr(launcher_protocol, "INTERRUPT_GRACE_S", 0.0)
 
 
 def a_node_that_may_end_ends_the_run(patch: pytest.MonkeyPatch) -> None:
     """The launcher takes every node for one without which the run fails."""
-    original = endings.Endings._handle_exit
+    original = launcher_protocol.Endings._handle_exit
 
-    def needed(self: endings.Endings, child: Any) -> None:
+    def needed(self: launcher_protocol.Endings, child: Any) -> None:
         child.spec = replace(child.spec, on_exit="fail")
         original(self, child)
 
-    patch.setattr(endings.Endings, "_handle_exit", needed)
+    patch.setattr(launcher_protocol.Endings, "_handle_exit", needed)
 
 
 def another_node_is_told_as_lost(patch: pytest.MonkeyPatch) -> None:
@@ -264,29 +264,29 @@ def another_node_is_told_as_lost(patch: pytest.MonkeyPatch) -> None:
 
 def a_step_that_came_too_late_is_undone(patch: pytest.MonkeyPatch) -> None:
     """A node that dies just before the scenario kills it is restarted, as if the scenario had not."""
-    original = steps.Steps._do
+    original = launcher_protocol.Steps._do
 
-    def not_the_dead(self: steps.Steps, frame: int, action: str, name: str) -> bool:
+    def not_the_dead(self: launcher_protocol.Steps, frame: int, action: str, name: str) -> bool:
         child = self._supervisor.children.get(name)
         return not (child and child.exit is not None and action == "kill") and original(self, frame, action, name)
 
-    patch.setattr(steps.Steps, "_do", not_the_dead)
+    patch.setattr(launcher_protocol.Steps, "_do", not_the_dead)
 
 
 def the_last_exit_is_not_handled(patch: pytest.MonkeyPatch) -> None:
     """A node that dies between two looks of the launcher, as the last one, has ended well."""
-    original = endings.Endings._handle_exit
+    original = launcher_protocol.Endings._handle_exit
 
-    def not_the_last(self: endings.Endings, child: Any) -> None:
+    def not_the_last(self: launcher_protocol.Endings, child: Any) -> None:
         if self._supervisor.running():
             original(self, child)
 
-    patch.setattr(endings.Endings, "_handle_exit", not_the_last)
+    patch.setattr(launcher_protocol.Endings, "_handle_exit", not_the_last)
 
 
 def a_death_is_taken_for_an_end(patch: pytest.MonkeyPatch) -> None:
     """The launcher does not mind how a process has ended."""
-    patch.setattr(endings.Endings, "_handle_exit", lambda self, child: None)
+    patch.setattr(launcher_protocol.Endings, "_handle_exit", lambda self, child: None)
 
 
 def losses_are_not_told(patch: pytest.MonkeyPatch) -> None:
@@ -319,7 +319,7 @@ def _immediately(**options: Any) -> Iterator[Any]:
 
 def an_end_is_believed_of_any_reason(patch: pytest.MonkeyPatch) -> None:
     """The launcher takes every reason of the driver for the end of the scene."""
-    patch.setattr(endings, "decode_reason", lambda text: END)
+    patch.setattr(launcher_protocol, "decode_reason", lambda text: END)
 
 
 def a_cancelled_change_is_not_awaited(patch: pytest.MonkeyPatch) -> None:
@@ -371,11 +371,11 @@ def a_node_that_comes_or_goes_before_steps_is_not_noticed(patch: pytest.MonkeyPa
 
 def a_loss_after_the_end_is_not_told(patch: pytest.MonkeyPatch) -> None:
     """A node dies when the driver has ended the run; what its new process hands in are taken for its results."""
-    original = endings.churn_of
+    original = launcher_protocol.churn_of
 
     def driver_only(outcomes: Any, state: Any) -> Any:
-        state.restarted.clear()
-        return original(outcomes, state)
+        launcher_protocol.restarted.clear()
+        return original(outcomes, launcher_protocol)
 
     patch.setattr(simulation, "churn_of", driver_only)
 
@@ -392,15 +392,15 @@ def a_full_inbox_drops_the_clock(patch: pytest.MonkeyPatch) -> None:
 
 def a_node_that_does_not_finish_is_forgotten(patch: pytest.MonkeyPatch) -> None:
     """A run ends well although a node that it needs has not handed in its results within the grace period."""
-    original = endings.Endings._ask_to_stop
+    original = launcher_protocol.Endings._ask_to_stop
 
-    def forget(self: endings.Endings, since: float) -> bool:
+    def forget(self: launcher_protocol.Endings, since: float) -> bool:
         problem = self._stop.problem
         over = original(self, since)
         self._stop.problem = problem
         return over
 
-    patch.setattr(endings.Endings, "_ask_to_stop", forget)
+    patch.setattr(launcher_protocol.Endings, "_ask_to_stop", forget)
 
 
 #: The plants that are found soon, with the worlds of `small_worlds` in which each is looked for. The others need a rare

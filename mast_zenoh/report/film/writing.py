@@ -14,7 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from mast_zenoh.errors import ConfigurationError, ExportError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.launch.new_files import check_free, write_new
+from mast_zenoh.launch.folder import check_free, write_new
 from mast_zenoh.report.figures.view import choose_frame
 from mast_zenoh.report.film import gif, video
 from mast_zenoh.report.film.look import Look

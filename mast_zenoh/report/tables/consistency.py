@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from mast_zenoh.launch.confidence_notices import subject
+from mast_zenoh.launch.notices import subject
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import DASH
 

@@ -10,11 +10,8 @@ from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.control import flow, reports
 from mast_zenoh.control.interception import Intercept, Release
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.launch.protocol.actions import DRIVER_TIMEOUT_S, LauncherActions
-from mast_zenoh.launch.protocol.endings import Endings
-from mast_zenoh.launch.protocol.interception import Interceptions
-from mast_zenoh.launch.protocol.state import RunState
-from mast_zenoh.launch.protocol.steps import Steps
+from mast_zenoh.launch.launcher_protocol import DRIVER_TIMEOUT_S, Endings, LauncherActions, RunState, Steps
+from mast_zenoh.launch.live_interception import Interceptions
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
 from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess, SimulatedSupervisor

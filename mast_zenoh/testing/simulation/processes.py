@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.launch.protocol.state import RunState
+from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.runtime.limits import Limit, Room
 from mast_zenoh.runtime.protocol.actions import (

@@ -11,7 +11,7 @@ from typing import Any
 from mast_zenoh.control.failures import Entry
 from mast_zenoh.control.interception import Release
 from mast_zenoh.control.stop_reasons import StopKind
-from mast_zenoh.launch.protocol.endings import churn_of
+from mast_zenoh.launch.launcher_protocol import churn_of
 from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
 from mast_zenoh.runtime.protocol.inbox import Event

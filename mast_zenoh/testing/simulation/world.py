@@ -13,7 +13,7 @@ import numpy as np
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.control.interception import Intercept
-from mast_zenoh.launch.interception import client
+from mast_zenoh.launch import interception
 from mast_zenoh.messages import user_types
 from mast_zenoh.node import Context, Node, Received, Source
 from mast_zenoh.wiring.insertion import Place
@@ -47,7 +47,7 @@ class World:
         user_types.use(resolved.messages)
         resolved.load_modules()
         planned = (
-            request if isinstance(request, Intercept) else Intercept(*client.plan(resolved, **request), ())
+            request if isinstance(request, Intercept) else Intercept(*interception.plan(resolved, **request), ())
             for request in requests
         )
         return cls(resolved, lambda name, spec: build_node(spec, name), tuple(planned))

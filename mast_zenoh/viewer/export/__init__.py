@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mast_zenoh.errors import ExportError, nearest
-from mast_zenoh.launch.new_files import check_free, write_new
+from mast_zenoh.launch.folder import check_free, write_new
 from mast_zenoh.viewer.formats import FORMATS, Format
 from mast_zenoh.viewer.frames import RunFrames
 

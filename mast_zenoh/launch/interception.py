@@ -1,11 +1,10 @@
-"""Requests to insert a node into a wire of a running run, or to remove it.
-
-Implements `mast intercept` and `mast release`. The client checks the request against the run folder and builds the
-node once. So the launcher never executes a user's file: it only starts the node's process.
-"""
+"""Requests to insert a node into a wire of a running run, or to remove it: their client, and the launcher's server."""
 
 from __future__ import annotations
 
+import hashlib
+import hmac
+import secrets
 import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,17 +13,31 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import msgpack
+import zenoh
+
 from mast_zenoh.attacks import Attack
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
-from mast_zenoh.control import control_prefix
+from mast_zenoh.control import control_prefix, fields, prefix
+from mast_zenoh.control import interception as control
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.interception import answer_of, place_json
-from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, UntrustedCode, WiringError, nearest
+from mast_zenoh.errors import (
+    ConfigurationError,
+    MessageError,
+    NodeFileError,
+    NotRunning,
+    UntrustedCode,
+    WiringError,
+    nearest,
+)
 from mast_zenoh.launch import liveness
-from mast_zenoh.launch.interception.server import SECRET_FILE, seal
+from mast_zenoh.launch.context import RunContext
+from mast_zenoh.launch.launcher_protocol import LauncherActions
+from mast_zenoh.launch.live_interception import Interceptions
 from mast_zenoh.node import Node
 from mast_zenoh.run_files import check_plain, read_json
 from mast_zenoh.runtime.mesh.session import open_client
@@ -35,6 +48,64 @@ from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.insertion import Place, insert
 from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring
 from mast_zenoh.wiring.subjects import agent_of
+
+SECRET_FILE = "control.key"
+
+
+def seal(request: dict[str, Any], secret: bytes) -> bytes:
+    """Encode and sign a request; a random number makes it unique."""
+    body: bytes = msgpack.packb(request | {"number": secrets.token_hex(8)})
+    return bytes(msgpack.packb([body, hmac.digest(secret, body, hashlib.sha256)]))
+
+
+def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
+    """Decode a request; raises MessageError if it was not sealed with the secret."""
+    body, digest = control.sealed_parts(payload)
+    if hmac.compare_digest(digest, hmac.digest(secret, body, hashlib.sha256)):
+        return fields.mapping(fields.unpack(body, "intercept"), "intercept")
+    raise MessageError("a request that was not sealed with this run's secret")
+
+
+class InterceptionServer:
+    """Passes requests to change a run's wiring to `interceptions`, and refuses malformed ones."""
+
+    def __init__(
+        self, context: RunContext, session: zenoh.Session, interceptions: Interceptions, actions: LauncherActions
+    ) -> None:
+        self._interceptions = interceptions
+        self._actions = actions
+        self._secret = secrets.token_bytes(32)
+        self._secret_file = context.folder / SECRET_FILE
+        self._secret_file.touch(mode=0o600)
+        self._secret_file.write_bytes(self._secret)
+        on_query: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
+        presence: Any = zenoh.handlers.Callback(self._note_presence, indirect=False)
+        base = prefix(context.run_id)
+        self._declared: list[Any] = [
+            session.declare_queryable(f"{base}/@control/intercept", on_query),
+            session.liveliness().declare_subscriber(f"{base}/alive/*", presence, history=True),
+        ]
+
+    def close(self) -> None:
+        """End the service: refuse the requests that have not been served."""
+        self._interceptions.finish()
+        for entity in self._declared:
+            entity.undeclare()
+        self._secret_file.unlink(missing_ok=True)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        """Receive a request, in Zenoh's thread."""
+        try:
+            request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
+            request_id = fields.text(request.get("number"), "intercept: number", 64)
+            self._interceptions.add(query, request_id, control.request_of(request))
+        except MessageError as error:
+            self._actions.refuse(query, error)
+
+    def _note_presence(self, token: zenoh.Sample) -> None:
+        name = str(token.key_expr).rpartition("/")[2]
+        self._interceptions.note_presence(name, token.kind == zenoh.SampleKind.PUT)
+
 
 #: The shipped node that carries out attacks.
 _ADVERSARY = "adversary.py"

@@ -17,8 +17,7 @@ from mast_zenoh.control import flow
 from mast_zenoh.control import interception as control
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NotRunning, RunError, StartError
-from mast_zenoh.launch.protocol.actions import LauncherActions, Query
-from mast_zenoh.launch.protocol.state import RunState
+from mast_zenoh.launch.launcher_protocol import LauncherActions, Query, RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.insertion import Place

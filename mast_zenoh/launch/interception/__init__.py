@@ -1,1 +1,0 @@
-"""Inserts nodes into wires of a running run: a client and the launcher's server."""
