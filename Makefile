@@ -38,7 +38,7 @@ fuzz: .venv/ready
 # Attacks by one compromised node of each role: 200 messages of each kind on every control key. Takes about
 # a quarter of an hour.
 insiders: .venv/ready
-	MAST_FORGERIES=200 $(BIN)/python -m pytest tests/deploy/test_insiders.py --timeout=600
+	MAST_FORGERIES=200 $(BIN)/python -m pytest tests/deploy/test_insiders.py tests/mesh/test_secure_insider.py --timeout=600
 
 lint: .venv/ready
 	$(BIN)/ruff check .

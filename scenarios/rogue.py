@@ -36,21 +36,3 @@ def outsider():
         ),
         dict(type="RogueRouter", name="rogue router", node="infra_2", wire="agent/infra_2/pose"),
     ]
-
-
-def insiders():
-    """One compromised node of each role except the simulator, with forged messages."""
-    nodes = dict(
-        agent="infra_1",
-        broker="broker",
-        command_center="command_center",
-        adversary="adversary_1",
-        coordinator="coordinator",
-        link="link_ego",
-        evaluator="evaluator",
-        recorder="recorder",
-    )
-    forging = [
-        dict(type="ForgeControls", name=f"{role}: others' control keys", node=node) for role, node in nodes.items()
-    ]
-    return [*forging, dict(type="ForgeControls", name="agent: lies of itself", node="infra_1", own=True)]

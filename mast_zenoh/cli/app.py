@@ -183,17 +183,13 @@ def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
 
 
 def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
-    """Run every configuration at every security level, with its attackers.
+    """Run every configuration at every security level, with the outsider of its scenario file."""
+    from mast_zenoh.study.outsider import comparison
 
-    The scenario file lists the attackers.
-    """
-    from mast_zenoh.report.tables import attempts
-    from mast_zenoh.study.rogue import comparison
-
-    finished = comparison.run(loaded, out, console=_out, **options)
-    _out.print(attempts.as_rich(finished.rows))
-    for path in finished.files:
-        _out.print(str(path), markup=False, highlight=False)
+    effects = comparison.run(loaded, out, console=_out, **options)
+    _out.print(effects.as_rich())
+    for name in ("attempts.md", "attempts.csv"):
+        _out.print(str(effects.out / name), markup=False, highlight=False)
 
 
 @app.command()

@@ -14,6 +14,7 @@ from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.study.definition import Configuration, Study
+from mast_zenoh.study.store import new_folder
 from mast_zenoh.study.trial import run_command
 
 
@@ -57,9 +58,7 @@ def run(
     seed = study.seed if seed is None else seed
     frames = frames or study.frames
     resolved = {each.label: _resolve(study, each, seed, frames, record) for each in study.configurations}
-    folder = run_folder.create(out, study.name)
-    for subfolder in ("logs", "figures"):
-        (folder / subfolder).rmdir()
+    folder = new_folder(out, study.name)
     runs: dict[str, launcher.Run] = {}
     chosen_runtime = runtime or study.runtime or "mesh"
 

@@ -21,6 +21,14 @@ from mast_zenoh.study.trial import Outcome, Trial
 _METADATA = b"mast-zenoh"
 
 
+def new_folder(out: Path | None, name: str) -> Path:
+    """Create an empty folder for a study: `out`, or runs/<name>-<time>; raises RunFolderError and DiskFull."""
+    folder = run_folder.create(out, name)
+    for part in ("logs", "figures"):
+        (folder / part).rmdir()
+    return folder
+
+
 class Store:
     """The folder of a study: `study.json`, `trials/<digest>.parquet`, the tables, and `runs` if they are kept."""
 
@@ -35,9 +43,7 @@ class Store:
         Raises RunFolderError if a new folder is not empty, or a folder to resume belongs to another study.
         """
         if not resume:
-            folder = run_folder.create(out, study.name)
-            for part in ("logs", "figures"):
-                (folder / part).rmdir()
+            folder = new_folder(out, study.name)
         elif out is None:
             raise RunFolderError("--resume: expected --out too: the folder of the study to continue")
         elif not out.exists() or not any(out.iterdir()):

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from insider.position import FAILURE
 from sound_controls import CODECS, DRIVEN, MEMBERS, OUTCOME, TAP, WIRING, packed
 
 from mast_zenoh.control import CONTROLS, files, flow, reports, results
 from mast_zenoh.errors import MessageError, RunError
-from mast_zenoh.study.rogue.valid_messages import FAILURE
 from mast_zenoh.wiring.model import Wiring
 
 every_codec = pytest.mark.parametrize("name", CODECS)

@@ -19,6 +19,7 @@ from typing import Any
 
 import failing
 import zenoh
+from insider.position import MARKER
 from launched import eventually
 from launched_apart import Beside
 from rich.console import Console
@@ -34,7 +35,6 @@ from mast_zenoh.report import html
 from mast_zenoh.runtime.mesh.session import open_session
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.levels import client_settings
-from mast_zenoh.study.rogue.position import MARKER
 
 #: The actions of an insider in its session; the second argument is the prefix of all keys of the run.
 Insider = Callable[[zenoh.Session, str], object]

@@ -15,6 +15,9 @@ from typing import Any
 import pytest
 from compromised_run import NODES, RunOutcome, play, resolved
 from decoders import refused
+from insider.forgeries import Forgery, all_forgeries, false_results, falsehoods, send
+from insider.malformed import pack
+from insider.position import MARKER, Position, position
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
@@ -22,11 +25,6 @@ from mast_zenoh.control import flow, results
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
-from mast_zenoh.study.rogue.falsehoods import false_results, falsehoods
-from mast_zenoh.study.rogue.forgeries import Forgery, all_forgeries
-from mast_zenoh.study.rogue.malformed import pack
-from mast_zenoh.study.rogue.position import MARKER, Position, position
-from mast_zenoh.study.rogue.sending import send
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

@@ -12,6 +12,8 @@ from unittest.mock import MagicMock
 
 import pytest
 from decoders import refused
+from insider.forgeries import false_results, forgeries
+from insider.position import MARKER, Position, position
 from rich.console import Console
 
 from mast_zenoh import scenario, version
@@ -27,9 +29,6 @@ from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.report import html, terminal
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.study.rogue.falsehoods import false_results
-from mast_zenoh.study.rogue.forgeries import forgeries
-from mast_zenoh.study.rogue.position import MARKER, Position, position
 
 pytestmark = pytest.mark.heavy
 

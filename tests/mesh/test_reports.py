@@ -8,6 +8,7 @@ from typing import NamedTuple
 import msgpack
 import pytest
 import zenoh
+from insider.position import FAILURE
 from launched import eventually
 from sound_controls import DRIVEN, OUTCOME
 
@@ -19,7 +20,6 @@ from mast_zenoh.control.reports import MAX_HANDLERS, MAX_RESULT
 from mast_zenoh.launch.reports import Report, Reports
 from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.runtime.mesh.session import open_client, open_router
-from mast_zenoh.study.rogue.valid_messages import FAILURE
 
 pytestmark = pytest.mark.mesh
 CONTROL = "mast/x/@control"

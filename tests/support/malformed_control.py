@@ -7,10 +7,10 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from insider.malformed import flipped, malformed
 
 from mast_zenoh.control import CONTROLS
 from mast_zenoh.errors import MessageError
-from mast_zenoh.study.rogue.malformed import flipped, malformed
 
 Decoder = Callable[[bytes], Any]
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from insider.position import FAILURE, RESULT
 
 from mast_zenoh.control import description, fields, files, flow, interception, reports, results
-from mast_zenoh.study.rogue.valid_messages import FAILURE, RESULT
 from mast_zenoh.wiring.model import Endpoint, Leg, Listener, Wire, Wiring
 
 TAP = "agent/ego/tracks/@tap/0"

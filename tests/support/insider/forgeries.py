@@ -1,16 +1,126 @@
-"""Well-formed but untrue control messages; pure functions of a position."""
+"""Forged control messages: malformed, damaged and false ones. Pure functions of a position and a seed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
 
 import msgpack
 import numpy as np
+import zenoh
 
+from insider.malformed import flipped, heavy, malformed, pack
+from insider.position import FAILURE, MARKER, RESULT, Position, valid_message
+from mast_zenoh import streams
+from mast_zenoh.control import CONTROLS
 from mast_zenoh.control.results import EVALUATOR
-from mast_zenoh.study.rogue.position import MARKER, Position
-from mast_zenoh.study.rogue.valid_messages import FAILURE, RESULT
+
+#: Kinds sent as queries; all others are published.
+QUERIES = frozenset({"result", "fetch", "file", "drain", "rewire", "intercept"})
+
+#: Defects: decoders reject malformed messages and accept false ones; damaged ones may be either.
+MALFORMED, DAMAGED, FALSE = "malformed", "damaged", "false"
+
+#: With at least this many forgeries of a kind, some are heavy.
+_HEAVY_FROM = 100
+
+#: Share of forgeries on keys of other nodes, for kinds with a key per node.
+_FOREIGN = 0.2
+
+
+class Forgery(NamedTuple):
+    """One forged control message.
+
+    control: its kind, of CONTROLS
+    key:     below @control/
+    defect:  MALFORMED, DAMAGED or FALSE
+    """
+
+    control: str
+    key: str
+    payload: bytes
+    defect: str
+
+    @property
+    def sender(self) -> str:
+        """The node that the key belongs to; "" for a shared key."""
+        return self.key.partition("/")[2]
+
+
+def forgeries(control: str, position: Position, count: int, seed: int = 0) -> list[Forgery]:
+    """`count` messages of one kind: a third malformed, a third damaged, a third false.
+
+    For kinds with a key per node, most go to the node's own key.
+    """
+    random = streams.stream(seed, "forgeries", position.node, control)
+    valid, false_values = valid_message(control, position), falsehoods(control, position)
+    offset = int(random.integers(len(false_values)))
+    own_key, *foreign = keys(control, position)
+    messages = [
+        Forgery(control, own_key, each, MALFORMED) for each in (heavy(valid, control) if count >= _HEAVY_FROM else ())
+    ]
+    while len(messages) < count:
+        defect = (MALFORMED, DAMAGED, FALSE)[len(messages) % 3]
+        key = foreign[int(random.integers(len(foreign)))] if foreign and random.random() < _FOREIGN else own_key
+        if defect == MALFORMED:
+            payload = malformed(valid, random)
+        elif defect == DAMAGED:
+            payload = flipped(valid, random)
+        else:
+            payload = pack(false_values[(offset + len(messages) // 3) % len(false_values)])
+        messages.append(Forgery(control, key, payload, defect))
+    return messages[:count]
+
+
+def keys(control: str, position: Position) -> list[str]:
+    """The keys of a kind below @control/, the node's own first."""
+    if CONTROLS[control].own or control in ("leave", "drain"):
+        return [f"{control}/{name}" for name in (position.node, *position.others)]
+    return [control]
+
+
+def all_forgeries(position: Position, count: int, seed: int = 0) -> list[Forgery]:
+    """`count` forgeries of every kind."""
+    return [forgery for control in CONTROLS for forgery in forgeries(control, position, count, seed)]
+
+
+#: Maximum number of pending queries; below the launcher's limit per node.
+_MAX_PENDING = 8
+
+#: s, timeout of queries; those on permitted keys are answered in this time.
+_ANSWER_S = 0.3
+
+
+def send(session: zenoh.Session, prefix: str, messages: Iterable[Forgery]) -> int:
+    """Send messages in order; returns how many the router accepted.
+
+    prefix: of all keys of the run
+    """
+    slots, sent, pending = threading.Semaphore(_MAX_PENDING), 0, 0
+    answers = threading.Semaphore(0)
+
+    def answered() -> None:
+        slots.release()
+        answers.release()
+
+    for message in messages:
+        key = f"{prefix}/@control/{message.key}"
+        try:
+            if message.control in QUERIES:
+                slots.acquire()
+                handler: Any = zenoh.handlers.Callback(lambda reply: None, answered, indirect=False)
+                session.get(key, handler, payload=message.payload, timeout=_ANSWER_S)
+                pending += 1
+            else:
+                session.put(key, message.payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True)
+        except zenoh.ZError:  # the run is over
+            break
+        sent += 1
+    for _ in range(pending):
+        answers.acquire(timeout=10 * _ANSWER_S)
+    return sent
+
 
 _BILLION = 10**9
 _LATE = 1 << 61

@@ -9,11 +9,11 @@ import pytest
 from decoders import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from insider.forgeries import DAMAGED, FALSE, MALFORMED, forgeries
+from insider.position import Position, position
 
 from mast_zenoh import scenario, version
 from mast_zenoh.control import CONTROLS
-from mast_zenoh.study.rogue.forgeries import DAMAGED, FALSE, MALFORMED, forgeries
-from mast_zenoh.study.rogue.position import Position, position
 
 pytestmark = pytest.mark.heavy
 

@@ -1,4 +1,4 @@
-"""A run with a compromised node; its effects are measured from the run folder."""
+"""A run with a compromised node that forges control messages; its effects are measured from the run folder."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ import tempfile
 from collections.abc import Collection, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import zenoh
 
-from mast_zenoh import version
+from insider.forgeries import FALSE, MALFORMED, Forgery, all_forgeries, send
+from insider.position import MARKER, Position, position
+from mast_zenoh import streams, version
 from mast_zenoh.config.resolved import Resolved, driver_of
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import run
 from mast_zenoh.launch.folder import json_or_empty
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.study.rogue.attacked_run import AttackedRun, attacker_errors
-from mast_zenoh.study.rogue.insiders import Insider
-from mast_zenoh.study.rogue.position import MARKER, position
+from mast_zenoh.study.outsider.attacked_run import AttackedRun
 
 _END_S = 90.0
 
@@ -73,19 +74,42 @@ class Finding:
         return self.verdict.startswith("succeeds")
 
 
-def infiltrate(resolved: Resolved, folder: Path, level: str, insider: Insider, twin: Path) -> tuple[bool, int, Finding]:
+def select_messages(position: Position, *, own: bool = False, messages: int = 30, seed: int = 0) -> list[Forgery]:
+    """Forged messages of a node: kinds take turns, in random order within each kind.
+
+    own: true: false messages in the node's own name; false: messages in the names of other nodes, the driver and the
+         launcher, and malformed ones in its own name
+    """
+
+    def is_selected(forgery: Forgery) -> bool:
+        in_own_name = forgery.sender == position.node
+        if own:
+            return in_own_name and forgery.defect == FALSE and forgery.control not in ("leave", "drain")
+        return not in_own_name or forgery.defect == MALFORMED
+
+    candidates = [each for each in all_forgeries(position, messages, seed) if is_selected(each)]
+    by_control: dict[str, list[Forgery]] = {}
+    for index in streams.stream(seed, "order", position.node).permutation(len(candidates)):
+        by_control.setdefault(candidates[index].control, []).append(candidates[index])
+    rounds = (kind[turn] for turn in range(messages) for kind in by_control.values() if turn < len(kind))
+    return list(islice(rounds, messages))
+
+
+def infiltrate(
+    resolved: Resolved, folder: Path, level: str, node: str, twin: Path, *, own: bool = False
+) -> tuple[bool, int, Finding]:
     """(whether the insider got a session, how many messages it sent, their effects).
 
-    resolved: a recorded lock-step run; twin: folder of the same run without the insider
+    resolved: a recorded lock-step run; node: whose certificate and key it has; own: see `select_messages`
+    twin: folder of the same run without the insider
     """
     before = _files_outside(folder)
     admitted, sent = False, 0
     with AttackedRun(resolved, folder, level) as attacked_run:
-        attacked_run.require_node(insider.node)
-        with suppress(zenoh.ZError), attacked_run.join(insider.node) as session:
+        with suppress(zenoh.ZError), attacked_run.join(node) as session:
             admitted = True
-            with attacker_errors(insider.name, insider.act):
-                sent = insider.act(attacked_run, session, position(resolved, insider.node, version.version_string()))
+            forged = select_messages(position(resolved, node, version.version_string()), own=own)
+            sent = send(session, attacked_run.prefix, forged)
             attacked_run.wait_until_ended(_END_S)
         finished = attacked_run.wait_until_ended(_END_S)
         ended_in_time = finished is not None
@@ -93,7 +117,7 @@ def infiltrate(resolved: Resolved, folder: Path, level: str, insider: Insider, t
     strays = {
         str(path) for path in _files_outside(folder) - before if MARKER in path.name or path.parent == folder.parent
     }
-    finding = _assess(resolved, insider.node, finished, ended_in_time, twin, strays)
+    finding = _assess(resolved, node, finished, ended_in_time, twin, strays)
     return admitted, sent, replace(finding, crash=attacked_run.crash)
 
 

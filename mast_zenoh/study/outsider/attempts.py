@@ -9,22 +9,29 @@ from __future__ import annotations
 import json
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 import zenoh
 
+from mast_zenoh.arrays.states import CLASS_INDEX, ObjectStates
+from mast_zenoh.errors import ConfigurationError, MessageError
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.levels import endpoint, router_settings
-from mast_zenoh.study.rogue.attacked_run import NOTHING, AttackedRun
+from mast_zenoh.streams import stream
+from mast_zenoh.study.outsider.attacked_run import NOTHING, AttackedRun
 
-_MATCH_S = 1.0
-_FLUSH_S = 0.3
+_FLUSH_S = 0.5
 _LURE_S = 3.0
-_RECOVERY_S = 10.0
+_FRAME_S = 10.0
+#: Variances of a false track: x y z l w h vx vy vz.
+_VARIANCE = np.diag([0.04] * 3 + [0.02] * 3 + [0.5] * 3)
 
 
 @dataclass
@@ -200,8 +207,7 @@ class RogueRouter(Attempt):
             finally:
                 subscriber.undeclare()
                 relay.redirect(None)
-        last_frame = attacked_run.frame
-        attacked_run.wait(lambda: attacked_run.frame > last_frame, _RECOVERY_S, "the run continues")
+        _wait_for_next_frame(attacked_run)
         return outcome
 
     def _settings(self, attacked_run: AttackedRun) -> dict[str, Any]:
@@ -219,20 +225,99 @@ class RogueRouter(Attempt):
         return upstream | router_settings("tls", credentials)
 
 
-def forge(attacked_run: AttackedRun, session: zenoh.Session, key: str, messages: int) -> int:
-    """Send forged messages and wait until they may have arrived; returns their number.
+class Sybil(Attempt):
+    """Send tracks in the name of an agent that does not run: one message a frame, with valid headers.
 
-    Uses put: a declared publisher would not send messages on keys without known subscribers.
+    On an open mesh the broker takes it for an agent that joins, and collates its tracks. The broker subscribes to the
+    agents of the scenario by name, so an agent that no scenario has is heard nowhere. With ACLs nobody but the agent
+    itself may publish on its keys.
+
+    identity: name of the agent; objects: number of standing vehicles that it claims, within `spread_m` of the origin
+    messages: number of frames; seed: of the places
+    The outcome's `heard` is the number of the broker's batches with tracks of this agent that the outsider overheard.
     """
-    for _ in range(messages):
-        session.put(
-            f"{attacked_run.prefix}/{key}",
-            attacked_run.forged_message(key),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            express=True,
+
+    def __init__(
+        self,
+        name: str,
+        identity: str,
+        shows: str = NOTHING,
+        objects: int = 3,
+        spread_m: float = 30.0,
+        messages: int = 10,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(name, shows)
+        if objects < 0 or messages < 1:
+            raise ValueError(f"objects, messages: found {objects}, {messages}, expected 0 and 1 or more")
+        self.identity = identity
+        self.messages = messages
+        position = stream(seed, "sybil", identity).uniform(-spread_m, spread_m, (objects, 3))
+        position[:, 2] = 0.8
+        self._states = ObjectStates.of(
+            position,
+            size=np.tile([4.4, 1.8, 1.6], (objects, 1)),
+            covariance=np.tile(_VARIANCE, (objects, 1, 1)),
+            class_id=np.full(objects, CLASS_INDEX["car"], np.uint8),
         )
+
+    @property
+    def key(self) -> str:
+        return f"agent/{self.identity}/tracks"
+
+    def make(self, attacked_run: AttackedRun) -> Outcome:
+        with _admitted(attacked_run, self.shows) as session:
+            outcome = Outcome(session is not None, self.key, expected=self.messages * self._receivers(attacked_run))
+            if session is not None:
+                batches = _SampleCounter(self._is_fused)
+                subscriber = session.declare_subscriber(f"{attacked_run.prefix}/cc/collated", batches.callback())
+                for number in range(self.messages):
+                    _wait_for_next_frame(attacked_run)
+                    message = self.message(attacked_run.frame, attacked_run.period_ns, number)
+                    _put(attacked_run, session, self.key, codec.encode(message))
+                    outcome.sent += 1
+                threading.Event().wait(_FLUSH_S)
+                subscriber.undeclare()
+                outcome.heard = batches.total
+        return outcome
+
+    def message(self, frame: int, period_ns: int, number: int) -> Message:
+        """The tracks of a frame, in the world frame."""
+        header = Header("tracks", self.identity, frame, frame * period_ns, number)
+        reference = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+        return codec.conform(header, self._states.columns() | reference)
+
+    def _receivers(self, attacked_run: AttackedRun) -> int:
+        """The number of nodes that receive its messages."""
+        try:
+            return attacked_run.subscriber_count(self.key)
+        except ConfigurationError:  # no scenario has this agent
+            return 0
+
+    def _is_fused(self, sample: zenoh.Sample) -> bool:
+        """Whether a batch of the broker has tracks of this agent."""
+        try:
+            return self.identity in codec.decode(sample.payload.to_bytes(), "collated").body["agents"].tolist()
+        except MessageError:  # of another outsider
+            return False
+
+
+def forge(attacked_run: AttackedRun, session: zenoh.Session, key: str, messages: int) -> int:
+    """Send forged messages and wait until they may have arrived; returns their number."""
+    for _ in range(messages):
+        _put(attacked_run, session, key, attacked_run.forged_message(key))
     threading.Event().wait(_FLUSH_S)
     return messages
+
+
+def _put(attacked_run: AttackedRun, session: zenoh.Session, key: str, payload: bytes) -> None:
+    """Send a message, not through a declared publisher: it would send none on keys without known subscribers."""
+    session.put(f"{attacked_run.prefix}/{key}", payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True)
+
+
+def _wait_for_next_frame(attacked_run: AttackedRun) -> None:
+    last = attacked_run.frame
+    attacked_run.wait(lambda: attacked_run.frame > last, _FRAME_S, "the run continues")
 
 
 @contextmanager
@@ -257,14 +342,15 @@ def _clients(session: zenoh.Session) -> int:
 
 
 class _SampleCounter:
-    """Counts samples, in Zenoh's own thread."""
+    """Counts samples, in Zenoh's own thread; counts: which of them."""
 
-    def __init__(self) -> None:
+    def __init__(self, counts: Callable[[zenoh.Sample], bool] = lambda _: True) -> None:
         self.total = 0
+        self._counts = counts
 
     def callback(self) -> Any:
         """The callback for a subscriber."""
         return zenoh.handlers.Callback(self._count, indirect=False)
 
-    def _count(self, _: zenoh.Sample) -> None:
-        self.total += 1
+    def _count(self, sample: zenoh.Sample) -> None:
+        self.total += self._counts(sample)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import zenoh
-from rich.console import Console
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures, prefix
@@ -22,14 +22,12 @@ from mast_zenoh.control.failures import described
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, MastError, RunError, nearest
 from mast_zenoh.launch import run
 from mast_zenoh.launch.context import Mesh, RunContext
-from mast_zenoh.launch.engine import Engine
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
 from mast_zenoh.runtime.mesh.session import open_session
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.levels import client_settings, endpoint
-from mast_zenoh.study.rogue.detour import Detour
 from mast_zenoh.wiring.model import Wiring
 
 #: Values of an attempt's `shows`, besides names of nodes: the credentials that an outsider presents.
@@ -41,6 +39,7 @@ _JOIN_MS = 1500
 _START_S = 60.0
 _END_S = 30.0
 _POLL_S = 0.02
+_CONNECT_S = 2.0
 
 
 class AttackedRun:
@@ -50,19 +49,9 @@ class AttackedRun:
 
     resolved: the run; level: security level of its mesh; folder: its run folder
     detoured: nodes whose connection to the router passes through the outsider
-    engine, console: as for `launch.run`
     """
 
-    def __init__(
-        self,
-        resolved: Resolved,
-        folder: Path,
-        level: str,
-        detoured: Collection[str] = (),
-        *,
-        engine: Engine | None = None,
-        console: Console | None = None,
-    ) -> None:
+    def __init__(self, resolved: Resolved, folder: Path, level: str, detoured: Collection[str] = ()) -> None:
         self.level = level
         self.wiring = Wiring.from_json(resolved.wiring)
         self.detours: dict[str, Detour] = {}
@@ -70,8 +59,6 @@ class AttackedRun:
         self._resolved = resolved
         self._folder = folder
         self._detoured = detoured
-        self._engine = engine
-        self._console = console
         self._context: RunContext | None = None
         self._ended: run.Run | None = None
         self._thread = threading.Thread(target=self._play, name="attacked-run")
@@ -80,7 +67,7 @@ class AttackedRun:
 
     def __enter__(self) -> AttackedRun:
         for node in self._detoured:
-            self.detours[node] = self._resources.enter_context(Detour(lambda: _port(self.endpoint)))
+            self.detours[node] = self._resources.enter_context(closing(Detour(lambda: _port(self.endpoint))))
         self._thread.start()
         try:
             self.wait(lambda: self.frame >= 1, _START_S, "the run has begun")
@@ -266,9 +253,8 @@ class AttackedRun:
             }
             self._context = context
 
-        options: dict[str, Any] = {"engine": self._engine, "console": self._console}
         try:
-            self._ended = run.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **options)
+            self._ended = run.run(self._resolved, self._folder, secure=self.level, prepare=prepare)
         except Exception as error:  # a defect that the attackers may have triggered
             self.crash = described(error)
 
@@ -287,3 +273,83 @@ def attacker_errors(name: str, call: Callable[..., Any]) -> Iterator[None]:
 
 def _port(address: str) -> int:
     return int(address.rpartition(":")[2])
+
+
+class Detour:
+    """Relays connections byte for byte to the port that `target` returns, until redirected.
+
+    It models redirection in a real network (a forged ARP or DNS reply, a NAT rule), and needs no privileges.
+
+    target: returns the local port to connect to; called for each connection
+    """
+
+    def __init__(self, target: Callable[[], int]) -> None:
+        self._target = target
+        self._override_port: int | None = None
+        self._open: set[socket.socket] = set()
+        self._lock = threading.Lock()
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._server.getsockname()[1]
+        self._threads = [threading.Thread(target=self._accept, name="detour")]
+        self._threads[0].start()
+
+    def redirect(self, port: int | None) -> None:
+        """Close all connections, and relay new ones to a port; None: the original target."""
+        self._override_port = port
+        self._disconnect()
+
+    def close(self) -> None:
+        """Close all connections and stop."""
+        with suppress(OSError):
+            self._server.shutdown(socket.SHUT_RDWR)  # wakes the accepting thread; closing alone does not
+        self._server.close()
+        self._disconnect()
+        for thread in self._threads:
+            thread.join()
+
+    def _disconnect(self) -> None:
+        with self._lock:
+            _shut_down(*self._open)
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._server.accept()
+            except OSError:
+                return
+            try:
+                port = self._target() if self._override_port is None else self._override_port
+                far = socket.create_connection(("127.0.0.1", port), _CONNECT_S)
+            except OSError:
+                near.close()
+                continue
+            far.settimeout(None)
+            with self._lock:
+                self._open |= {near, far}
+            self._threads.append(threading.Thread(target=self._relay, args=(near, far), name="detour"))
+            self._threads[-1].start()
+
+    def _relay(self, near: socket.socket, far: socket.socket) -> None:
+        """Relay a connection; when one direction ends, so does the other."""
+
+        def copy(source: socket.socket, target: socket.socket) -> None:
+            source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with suppress(OSError):
+                while data := source.recv(65536):
+                    target.sendall(data)
+            _shut_down(near, far)
+
+        back = threading.Thread(target=copy, args=(far, near), name="detour")
+        back.start()
+        copy(near, far)
+        back.join()
+        with self._lock:
+            self._open -= {near, far}
+        near.close()
+        far.close()
+
+
+def _shut_down(*ends: socket.socket) -> None:
+    for end in ends:
+        with suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)
