@@ -3,15 +3,12 @@
 A decoder returns a value or raises MessageError, whatever bytes it is given: types, ranges and sizes are checked, and
 nothing more than expected is accepted. Each encoder is next to its decoder.
 
-fields         strict readers of parts: numbers, names, keys, strings
-flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change
-files          fetch, file: files between a node on another host and the launcher
+codec          strict decoding within limits;  types of the parts of messages;  counts refused messages
+flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change; stop reasons
+files          fetch, file: files between a node on another host and the launcher;  the description of a run
 interception   intercept, release: requests of a user
-description    what an observer must know of a run: a query that changes nothing, so not one of the controls
-reports        failed, result: reports of a node to the launcher
-results        the results themselves, packed;  failures: of handlers, counted, merged, formatted
-stop_reasons   why a run stops
-invalid        counts refused messages
+failures       failed: failures of handlers, counted, merged, formatted
+results        result: what a node returns and reports at its end
 signatures     signs messages of the driver and the launcher, above the level "open", and verifies them
 
 CONTROLS is the table of all keys below mast/{run}/@control/. security/access.py grants no more rights than it lists.

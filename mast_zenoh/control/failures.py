@@ -14,11 +14,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from mast_zenoh.config import bundle
+from mast_zenoh.control import codec
+from mast_zenoh.control.codec import FrameOrNone, Id, Line, Message, Positive, ShortLine
 from mast_zenoh.errors import HandlerFailed
 
 Entry = dict[str, Any]
 
+MAX_HANDLERS = 256  #: handlers of which one process may report failures
 _MAX_TEXT = 300
 _PACKAGE = Path(__file__).parents[1]
 _PYTHON = sysconfig.get_path("stdlib")
@@ -60,6 +65,29 @@ class Failure:
             "exception": self.exception,
             "where": self.where,
         }
+
+
+class FailureEntry(Message, frozen=True):
+    """An entry, as a message holds it."""
+
+    handler: ShortLine
+    count: Positive
+    frames: Positive
+    first_frame: FrameOrNone
+    last_frame: FrameOrNone
+    exception: ShortLine
+    where: Line
+
+
+def encode_failure(process: str, entry: Entry) -> bytes:
+    """Encode the failures of one handler in one process of a node."""
+    return codec.encode((process, entry))
+
+
+def decode_failure(payload: bytes) -> tuple[str, Entry]:
+    """(process, failures of one handler in it); raises MessageError."""
+    process, entry = codec.decode(tuple[Id, FailureEntry], payload, "failed")
+    return process, msgspec.structs.asdict(entry)
 
 
 def described(error: BaseException) -> str:

@@ -1,143 +1,149 @@
-"""Control messages for files between a node on another host and the launcher."""
+"""What the launcher sends on request: the files of a node on another host, and a description of the run.
+
+The nodes' requests are controls (fetch, file). A description is a query that changes nothing, so it is not.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Annotated, Any, TypeVar
 
-import msgpack
+from msgspec import Meta
 
 from mast_zenoh import errors
-from mast_zenoh.control import fields
+from mast_zenoh.control import codec
+from mast_zenoh.control.codec import Message, Name, Text, Versions, Whole, encode
 from mast_zenoh.errors import MastError, MessageError, RunError
+
+T = TypeVar("T")
 
 #: Largest part of a file in one query or reply.
 PIECE_BYTES = 4 << 20
 
 _MAX_ANSWER = PIECE_BYTES + (1 << 20)
+_Content = Annotated[bytes, Meta(max_length=PIECE_BYTES)]
 
 
-class Join(NamedTuple):
+class Join(Message, frozen=True, tag="join"):
     """A node's request for its files, with the versions of mast and its packages."""
 
-    version: str
-    versions: dict[str, str]
+    version: Annotated[str, Meta(max_length=200)]
+    versions: Versions
 
 
-class Clock(NamedTuple):
+class Clock(Message, frozen=True, tag="clock"):
     """A node's request for the launcher's time."""
 
 
-class Piece(NamedTuple):
+class Piece(Message, frozen=True, tag="piece"):
     """A node's request for a piece of one of its files."""
 
-    path: str
-    offset: int
+    path: Text
+    offset: Whole
 
 
-class Written(NamedTuple):
+class Written(Message, frozen=True):
     """A piece of a file that a node has written."""
 
-    path: str
-    offset: int
-    piece: bytes
+    path: Text
+    offset: Whole
+    piece: _Content
 
 
-class NodeFiles(NamedTuple):
-    """The files for a node.
+class NodeFiles(Message, frozen=True):
+    """The answer to Join: the files for a node.
 
     files: sizes in bytes by path; written: files that the node wrote before
     """
 
-    files: dict[str, int]
-    written: list[str]
+    files: dict[str, Whole]
+    written: list[Text]
 
 
-def encode(request: Mapping[str, Any]) -> bytes:
-    """Encode a request or an answer."""
-    packed: bytes = msgpack.packb(dict(request))
-    return packed
+class LauncherTime(Message, frozen=True):
+    """The answer to Clock."""
+
+    now_ns: Whole
+
+
+class Content(Message, frozen=True):
+    """The answer to Piece."""
+
+    piece: _Content
+
+
+class Nothing(Message, frozen=True):
+    """The answer to Written."""
 
 
 def decode_fetch(payload: bytes) -> Join | Clock | Piece:
     """A node's request to the launcher; raises MessageError."""
-    request = fields.mapping(fields.unpack(payload, "fetch"), "fetch")
-    do = request.get("do")
-    if do == "join":
-        fields.fields(request, ("do", "version", "versions"), "fetch")
-        return Join(fields.text(request["version"], "fetch: version", 200), versions(request["versions"], "fetch"))
-    if do == "clock":
-        fields.fields(request, ("do",), "fetch")
-        return Clock()
-    if do == "piece":
-        fields.fields(request, ("do", "path", "offset"), "fetch")
-        return Piece(fields.text(request["path"], "fetch: path"), fields.whole(request["offset"], "fetch: offset"))
-    raise MessageError(f"fetch: found {fields.abbreviated(do)}, expected join, clock or piece")
+    request: Join | Clock | Piece = codec.converted(codec.unpack(payload, "fetch"), Join | Clock | Piece, "fetch")
+    return request
 
 
 def decode_file(payload: bytes) -> Written:
     """A piece of a file from a node; raises MessageError."""
-    request = fields.fields(fields.unpack(payload, "file"), ("path", "offset", "piece"), "file")
-    path, offset = fields.text(request["path"], "file: path"), fields.whole(request["offset"], "file: offset")
-    return Written(path, offset, _piece(request["piece"], "file"))
+    return codec.decode(Written, payload, "file")
 
 
-def decode_node_files(payload: bytes) -> NodeFiles:
-    """The answer to Join; raises MessageError."""
-    answer = fields.unpack(payload, "fetch", _MAX_ANSWER)
-    fields.fields(answer, ("files", "written"), "fetch: answer")
-    files = fields.counters(answer["files"], "fetch: files")
-    written = [fields.text(path, "fetch: written") for path in fields.listed(answer["written"], "fetch: written")]
-    return NodeFiles(files, written)
-
-
-def decode_clock(payload: bytes) -> int:
-    """The answer to Clock: the launcher's time, ns; raises MessageError."""
-    answer = fields.fields(fields.unpack(payload, "fetch", _MAX_ANSWER), ("now_ns",), "fetch: answer")
-    return fields.whole(answer["now_ns"], "fetch: now_ns")
-
-
-def decode_piece(payload: bytes) -> bytes:
-    """The answer to Piece; raises MessageError."""
-    answer = fields.fields(fields.unpack(payload, "fetch", _MAX_ANSWER), ("piece",), "fetch: answer")
-    return _piece(answer["piece"], "fetch")
-
-
-def decode_nothing(payload: bytes) -> None:
-    """The answer to Written; raises MessageError."""
-    fields.fields(fields.unpack(payload, "file"), (), "file: answer")
+def decode_answer(kind: type[T], payload: bytes) -> T:
+    """The launcher's answer to a request: NodeFiles, LauncherTime, Content or Nothing; raises MessageError."""
+    return codec.decode(kind, payload, "answer", _MAX_ANSWER)
 
 
 def encode_refusal(error: BaseException) -> bytes:
     """Encode an error as an answer of the launcher."""
-    packed: bytes = msgpack.packb([type(error).__name__, str(error)[:4000]])
-    return packed
+    return encode([type(error).__name__, str(error)[:4000]])
 
 
 def decode_refusal(payload: bytes) -> MastError | None:
     """The error in an answer; None for Zenoh's own, after a timeout."""
     try:
-        kind, message = fields.items(fields.unpack(payload, "fetch"), 2, "refusal")
-        kind, message = fields.text(kind, "refusal"), fields.text(message, "refusal")
+        kind, message = codec.decode(tuple[Text, Text], payload, "fetch")
     except MessageError:
         return None
     error_class = getattr(errors, kind, None)
-    return (
-        error_class(message)
-        if isinstance(error_class, type) and issubclass(error_class, MastError)
-        else RunError(message)
-    )
+    if not isinstance(error_class, type) or not issubclass(error_class, MastError):
+        error_class = RunError
+    return error_class(message)
 
 
-def versions(value: object, what: str) -> dict[str, str]:
-    """The version of each package."""
-    by_package = fields.mapping(value, f"{what}: versions")
-    if len(by_package) > 100:
-        raise MessageError(f"{what}: found {len(by_package)} versions, expected at most 100")
-    return {fields.text(name, what, 100): fields.text(version, what, 300) for name, version in by_package.items()}
+#: Most bytes of a description, with the scene.
+MAX_DESCRIPTION_BYTES = 256 << 20
+
+#: Key below the run's prefix, and the request for a description without the scene.
+DESCRIBE, WITHOUT_SCENE = "@description", b"without scene"
 
 
-def _piece(value: object, what: str) -> bytes:
-    if type(value) is not bytes or len(value) > PIECE_BYTES:
-        raise MessageError(f"{what}: found {fields.abbreviated(value)}, expected at most {PIECE_BYTES} bytes")
-    return value
+class Description(Message, frozen=True):
+    """A running run, for an observer without access to the run folder.
+
+    run: its id;  scenario: scenario.json;  wiring: the current one, as in wiring.json
+    scene: content of scene.npz; empty: there is none, or it was not asked for
+    """
+
+    run: Name
+    scenario: dict[str, Any]
+    wiring: dict[str, Any]
+    scene: bytes
+
+
+def encode_description(run: str, scenario: Mapping[str, Any], wiring: Mapping[str, Any], scene: bytes) -> bytes:
+    """Encode a description."""
+    return encode({"run": run, "scenario": json.dumps(scenario), "wiring": wiring, "scene": scene})
+
+
+def decode_description(payload: bytes) -> Description:
+    """Decode a description; raises MessageError.
+
+    Scenario and wiring are objects of any content: their users check them.
+    """
+    content = codec.decode(dict[str, Any], payload, DESCRIBE, MAX_DESCRIPTION_BYTES)
+    try:
+        content["scenario"] = json.loads(content.get("scenario", "null"))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise MessageError(f"{DESCRIBE}: scenario: not JSON: {str(error)[:100]}") from None
+    description: Description = codec.converted(content, Description, DESCRIBE)
+    return description

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from enum import Enum
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-import msgpack
+from msgspec import Meta
 
 from mast_zenoh.config.process_steps import ACTIONS
-from mast_zenoh.control import CONTROLS, fields
+from mast_zenoh.control import codec
+from mast_zenoh.control.codec import Finite, Key, Message, Name, Roles, Text, Whole, encode
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.model import Wiring
@@ -19,15 +21,18 @@ MAX_EPOCH = 1 << 32  #: as in the attachment of data messages
 #: a node that can start over by itself obeys).
 LEAVE, KILL = "leave", "kill"
 
-_MAX_COUNTS = CONTROLS["counts"].max_bytes
+T = TypeVar("T")
+
+_Epoch = Annotated[int, Meta(ge=1, lt=MAX_EPOCH)]
+_Names = tuple[Name, ...]
 
 
 class Counts(NamedTuple):
     """Numbers of messages that a node has sent and handled in an epoch, by key."""
 
-    epoch: int
-    sent: Mapping[str, int]
-    handled: Mapping[str, int]
+    epoch: _Epoch
+    sent: dict[str, Whole]
+    handled: dict[str, Whole]
 
 
 class WiringUpdate(NamedTuple):
@@ -49,11 +54,17 @@ class Epoch(NamedTuple):
     update: WiringUpdate | None
 
 
+class _EpochParts(NamedTuple):
+    number: _Epoch
+    members: Roles
+    change: tuple[dict[str, Any], bool, _Names] | None
+
+
 class Act(NamedTuple):
     """Actions on processes before a frame: (action, node) of each."""
 
-    frame: int
-    steps: tuple[tuple[str, str], ...]
+    frame: Whole
+    steps: tuple[tuple[Literal[ACTIONS], Name], ...]  # type: ignore[valid-type]  # mypy wants it spelled out
 
 
 class Rewire(NamedTuple):
@@ -66,126 +77,163 @@ class Rewire(NamedTuple):
 
 def encode_counts(epoch: int, sent: Mapping[str, int], handled: Mapping[str, int]) -> bytes:
     """Encode Counts."""
-    packed: bytes = msgpack.packb([epoch, dict(sent), dict(handled)])
-    return packed
+    return encode((epoch, sent, handled))
 
 
 def decode_counts(payload: bytes) -> Counts:
     """Decode Counts; raises MessageError."""
-    epoch, sent, handled = fields.items(fields.unpack(payload, "counts", _MAX_COUNTS), 3, "counts")
-    fields.whole(epoch, "counts: epoch", 1, MAX_EPOCH)
-    return Counts(epoch, fields.counters(sent, "counts: sent"), fields.counters(handled, "counts: handled"))
+    return codec.decode(Counts, payload, "counts")
 
 
 def encode_epoch(number: int, members: Mapping[str, str], update: WiringUpdate | None) -> bytes:
     """Encode an epoch."""
-    change = None if update is None else [update.wiring.to_json(), update.active, list(update.leaving)]
-    packed: bytes = msgpack.packb([number, dict(members), change])
-    return packed
+    return encode((number, members, update and (update.wiring.to_json(), update.active, update.leaving)))
 
 
 def decode_epoch(payload: bytes) -> Epoch:
     """Decode an epoch; raises MessageError."""
-    number, members, change = fields.items(fields.unpack(payload, "epoch"), 3, "epoch")
-    fields.whole(number, "epoch: number", 1, MAX_EPOCH)
+    number, members, change = codec.decode(_EpochParts, payload, "epoch")
     update = None
     if change is not None:
-        wiring, active, leaving = fields.items(change, 3, "epoch: wiring update")
-        update = WiringUpdate(
-            wiring_of(wiring, "epoch: wiring"),
-            fields.flag(active, "epoch: active"),
-            fields.names(leaving, "epoch: leaving"),
-        )
-    return Epoch(number, fields.roles(members, "epoch: members"), update)
+        wiring, active, leaving = change
+        update = WiringUpdate(wiring_of(wiring, "epoch: wiring"), active, _unique(leaving, "epoch: leaving"))
+    return Epoch(number, members, update)
 
 
 def encode_act(frame: int, steps: list[tuple[str, str]]) -> bytes:
     """Encode an Act."""
-    packed: bytes = msgpack.packb([frame, [list(step) for step in steps]])
-    return packed
+    return encode((frame, steps))
 
 
 def decode_act(payload: bytes) -> Act:
     """Decode an Act; raises MessageError."""
-    frame, steps = fields.items(fields.unpack(payload, "act"), 2, "act")
-    checked_steps = []
-    for step in fields.listed(steps, "act: steps"):
-        action, node = fields.items(step, 2, "act: step")
-        if action not in ACTIONS:
-            raise MessageError(f"act: found {fields.abbreviated(action)}, expected one of {', '.join(ACTIONS)}")
-        checked_steps.append((action, fields.name(node, "act: node")))
-    return Act(fields.whole(frame, "act: frame"), tuple(checked_steps))
+    return codec.decode(Act, payload, "act")
 
 
 def decode_stop(payload: bytes) -> str:
     """Why a node is to stop; raises MessageError."""
-    return fields.plain_text(payload, "stop")
+    return codec.plain_text(payload, "stop")
 
 
 def decode_drain(payload: bytes) -> str:
     """The key whose pending messages a node must forward; raises MessageError."""
-    return fields.key(fields.plain_text(payload, "drain"), "drain")
+    key: str = codec.converted(codec.plain_text(payload, "drain"), Key, "drain")
+    return key
+
+
+class _Rewire(Message, frozen=True):
+    wiring: dict[str, Any]
+    join: Roles
+    leave: _Names
+
+
+class Rewired(Message, frozen=True):
+    """The outcome of a change: the frame that begins with it, or the reason why nothing was changed."""
+
+    frame: Whole = 0
+    took_ms: Finite = 0.0
+    error: Text = ""
 
 
 def encode_rewire(wiring: Wiring, join: Mapping[str, str], leave: list[str]) -> bytes:
     """Encode a Rewire."""
-    packed: bytes = msgpack.packb({"wiring": wiring.to_json(), "join": dict(join), "leave": leave})
-    return packed
+    return encode({"wiring": wiring.to_json(), "join": join, "leave": leave})
 
 
 def decode_rewire(payload: bytes) -> Rewire:
     """Decode a Rewire; raises MessageError."""
-    change = fields.fields(fields.unpack(payload, "rewire"), ("wiring", "join", "leave"), "rewire")
-    return Rewire(
-        wiring_of(change["wiring"], "rewire: wiring"),
-        fields.roles(change["join"], "rewire: join"),
-        fields.names(change["leave"], "rewire: leave"),
-    )
+    change = codec.decode(_Rewire, payload, "rewire")
+    wiring = wiring_of(change.wiring, "rewire: wiring")
+    return Rewire(wiring, change.join, _unique(change.leave, "rewire: leave"))
 
 
-def encode_rewired(**answer: Any) -> bytes:
-    """Encode the outcome of a change: `frame` and `took_ms`, or `error`."""
-    packed: bytes = msgpack.packb(answer)
-    return packed
+def decode_rewired(payload: bytes) -> Rewired:
+    """The outcome of a change; raises MessageError."""
+    return codec.decode(Rewired, payload, "rewire")
 
 
-def decode_rewired(payload: bytes) -> dict[str, Any]:
-    """The outcome of a change: frame and took_ms, or error; raises MessageError."""
-    answer = fields.mapping(fields.unpack(payload, "rewire"), "rewire: answer")
-    if "error" in answer:
-        return {"error": fields.text(fields.fields(answer, ("error",), "rewire: answer")["error"], "rewire: error")}
-    fields.fields(answer, ("frame", "took_ms"), "rewire: answer")
-    return {
-        "frame": fields.whole(answer["frame"], "rewire: frame"),
-        "took_ms": fields.finite(answer["took_ms"], "rewire: took_ms"),
-    }
+class _WiringParts(Message, frozen=True):
+    """The parts of a wiring that need checking."""
+
+    keys: list[Key]
+    ends: list[tuple[Name, Name]]
+    types: list[str]
+    sources: list[bool]
 
 
 def wiring_of(value: object, what: str) -> Wiring:
     """The wiring that `Wiring.to_json` wrote; raises MessageError for anything else."""
     try:
-        wiring = Wiring.from_json(fields.mapping(value, what))
+        wiring = Wiring.from_json(codec.converted(value, dict[str, Any], what))
         consistent = wiring.to_json() == value
     except (KeyError, TypeError, IndexError, AttributeError, ValueError, RecursionError) as error:
         raise MessageError(f"{what}: not a wiring: {type(error).__name__}: {str(error)[:100]}") from None
     if not consistent:
         raise MessageError(f"{what}: found a wiring that contradicts itself")
-    for wire in wiring.wires:
-        fields.key(wire.key, what)
-        if wire.subject:
-            fields.key(wire.subject, what)
-        else:
-            fields.text(wire.subject, what)
-        if not isinstance(wire.message, str) or wire.message not in SCHEMAS:
-            raise MessageError(f"{what}: message type {fields.abbreviated(wire.message)}, not a known one")
-        for listener in wire.listeners:
-            fields.flag(listener.source, what)
-    for wire, leg in wiring.legs():
-        fields.key(leg.key, what)
-        for end in (leg.publisher, *wire.receivers(leg)):
-            fields.name(end.node, what)
-            fields.name(end.port, what)
-    for end in wiring.overhearers:
-        fields.name(end.node, what)
-        fields.name(end.port, what)
+    wires, legs = wiring.wires, list(wiring.legs())
+    ends = [*wiring.overhearers, *(end for wire, leg in legs for end in (leg.publisher, *wire.receivers(leg)))]
+    parts = {
+        "keys": [wire.key for wire in wires]
+        + [wire.subject for wire in wires if wire.subject != ""]
+        + [leg.key for _, leg in legs],
+        "ends": [(end.node, end.port) for end in ends],
+        "types": [wire.message for wire in wires],
+        "sources": [listener.source for wire in wires for listener in wire.listeners],
+    }
+    checked: _WiringParts = codec.converted(parts, _WiringParts, what)
+    if unknown := {*checked.types} - SCHEMAS.keys():
+        raise MessageError(f"{what}: message type {min(unknown)!r:.60}, not a known one")
     return wiring
+
+
+def _unique(names: tuple[str, ...], what: str) -> tuple[str, ...]:
+    if len({*names}) != len(names):
+        raise MessageError(f"{what}: found a name twice")
+    return names
+
+
+MAX_TEXT = 2000  #: characters of the driver's own reason
+
+
+class StopKind(Enum):
+    """Why a run stops; its value is the beginning of the text in messages and results."""
+
+    END = "end"
+    STALL = "stall"
+    START = "start"
+    IMPLAUSIBLE = "implausible"
+    REQUESTED = ""
+
+
+class StopReason(NamedTuple):
+    """Why a run stops; detail: as text, "" for END."""
+
+    kind: StopKind
+    detail: str = ""
+
+
+END = StopReason(StopKind.END)
+
+
+def encode_reason(reason: StopReason) -> str:
+    """The text of a reason, which the driver reports and the launcher turns into the run's error.
+
+    end                      all frames have been played
+    stall: TEXT              the mesh did not become quiet
+    start: TEXT              not every node joined in time
+    implausible: TEXT        a node's counters are impossible
+    anything else            a stop request with this text
+    """
+    if reason.kind is StopKind.END:
+        return str(reason.kind.value)
+    return reason.detail if reason.kind is StopKind.REQUESTED else f"{reason.kind.value}: {reason.detail}"
+
+
+def decode_reason(text: str) -> StopReason:
+    """The reason in a text; never fails."""
+    if text == StopKind.END.value:
+        return END
+    for kind in (StopKind.STALL, StopKind.START, StopKind.IMPLAUSIBLE):
+        if text.startswith(f"{kind.value}: "):
+            return StopReason(kind, text.removeprefix(f"{kind.value}: "))
+    return StopReason(StopKind.REQUESTED, text)

@@ -1,4 +1,4 @@
-"""Results of nodes: nested plain values and arrays, packed as MessagePack."""
+"""Results of nodes: nested plain values and arrays, packed as MessagePack; and what a node reports with them."""
 
 from __future__ import annotations
 
@@ -7,20 +7,40 @@ import math
 import operator
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import msgpack
 import numpy as np
+from msgspec import UNSET, Meta, UnsetType
 
 from mast_zenoh.config.resolved import NodeSpec
-from mast_zenoh.control import fields
+from mast_zenoh.control import codec
+from mast_zenoh.control.codec import (
+    ONE_LINE,
+    OTHERS,
+    Finite,
+    FrameOrNone,
+    Id,
+    Line,
+    Message,
+    Positive,
+    Text,
+    Versions,
+    Whole,
+)
+from mast_zenoh.control.failures import MAX_HANDLERS, FailureEntry
 from mast_zenoh.errors import MessageError
+from mast_zenoh.messagelog.churn import BACK, LOST
 
 #: The node whose metrics and tables become those of the run; every scenario has one of this name.
 EVALUATOR = "evaluator"
 
 #: Tables that only the evaluator may return; they are written to the top of the run folder.
 TABLES = ("metrics", "objects", "attacks", "targets", "driving", "trust", "trust_objects")
+
+#: Limits of a node's result, bytes. The evaluator's tables have a row for each object, agent and frame.
+MAX_RESULT = 32 << 20
+MAX_EVALUATION = 512 << 20
 
 MAX_VALUES = 1 << 20  #: lists, maps and their items in a result; arrays count as one
 MAX_TEXTS = 1 << 23  #: items of columns of text in a result of up to 32 MiB; proportionally more in a longer one
@@ -43,7 +63,7 @@ def pack(value: Any) -> bytes:
 
 def unpack(payload: bytes) -> Any:
     """Unpack what `pack` packed; raises MessageError for anything else or too much."""
-    count = fields.at_most(MAX_VALUES, "a result, not counting arrays and columns of text")
+    count = codec.at_most(MAX_VALUES, "a result, not counting arrays and columns of text")
     remaining_texts = [max(MAX_TEXTS, len(payload) // 4)]
     try:
         return msgpack.unpackb(
@@ -59,6 +79,66 @@ def unpack(payload: bytes) -> Any:
         raise
     except Exception as error:  # of several types, of msgpack and NumPy
         raise MessageError(f"a result: not as it was packed: {type(error).__name__}: {str(error)[:100]}") from None
+
+
+_Reason = Annotated[str, Meta(max_length=200, pattern=ONE_LINE)]
+_Times = dict[Whole, Whole]
+_PER_KEY = Meta(max_length=4096)  # keys of a run
+
+
+class _Churn(Message, frozen=True):
+    frame: Whole
+    node: Annotated[str, Meta(max_length=256)]
+    what: Literal[LOST, BACK]  # type: ignore[valid-type]
+
+
+class _ClockOffset(Message, frozen=True):
+    offset_ms: Annotated[float, Meta(ge=-1e12, le=1e12)]
+    round_trip_ms: Annotated[float, Meta(ge=-1e12, le=1e12)]
+
+
+class _Report(Message, frozen=True, kw_only=True):
+    """What a node hands in at its end, as runtime.protocol.node makes it."""
+
+    results: Any
+    rejected: Annotated[dict[Line, Whole], _PER_KEY]
+    first_rejected: Annotated[dict[Line, tuple[FrameOrNone, _Reason]], _PER_KEY]
+    foreign: Annotated[dict[Line, Whole], _PER_KEY]
+    invalid: Annotated[dict[Line, tuple[Positive, _Reason]], _PER_KEY]
+    unsigned: Whole
+    process: Id
+    failures: Annotated[list[FailureEntry], Meta(max_length=MAX_HANDLERS)]
+    last_frame: FrameOrNone
+    cpu_s: Finite
+    arrived_ns: Annotated[dict[str, _Times], _PER_KEY]
+    versions: Versions | UnsetType = UNSET
+    clock: _ClockOffset | UnsetType = UNSET
+
+
+class _DriverReport(_Report, frozen=True, kw_only=True):
+    frames: Whole
+    wall_s: Finite
+    stop_reason: Text
+    sent_ns: _Times
+    churn: list[_Churn]
+
+
+def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
+    """Decode what a node hands in at its end; raises MessageError.
+
+    drives: whether the node drives the scene: only that one has stop_reason, frames, wall_s, sent_ns, churn
+    """
+    codec.fits(payload, "result", MAX_EVALUATION if node == EVALUATOR else MAX_RESULT)
+    result: dict[str, Any] = unpack(payload)
+    report: _Report = codec.converted(result, _DriverReport if drives else _Report, "result")
+    try:
+        checked(report.results)
+    except TypeError as error:
+        raise MessageError(f"result: {error}") from None
+    receives = {"epoch", "stop", f"leave/{node}", f"drain/{node}", OTHERS}
+    if not drives and (unexpected := report.invalid.keys() - receives):
+        raise MessageError(f"result: invalid: found {min(unexpected)!r:.60}, which {node} does not receive")
+    return result
 
 
 def checked(value: Any) -> dict[str, Any]:

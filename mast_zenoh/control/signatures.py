@@ -10,9 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-import msgpack
-
-from mast_zenoh.control import CONTROLS, fields
+from mast_zenoh.control import CONTROLS, codec
 from mast_zenoh.errors import MessageError
 from mast_zenoh.security.control_keys import ControlKeys
 
@@ -40,7 +38,7 @@ class Signatures:
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # slow to load
 
         key = Ed25519PrivateKey.from_private_bytes(self._keys.private)
-        return bytes(msgpack.packb([body, key.sign(self._covered(what, body))]))
+        return codec.encode((body, key.sign(self._covered(what, body))))
 
     def open(self, what: str, payload: bytes, decode: Callable[[bytes], T]) -> T:
         """Verify and decode a message.
@@ -59,20 +57,18 @@ class Signatures:
 
         kind = what.partition("/")[0]
         senders, max_bytes = CONTROLS[kind].senders, CONTROLS[kind].max_bytes + _ENVELOPE
-        fields.fits(payload, kind, max_bytes)
+        codec.fits(payload, kind, max_bytes)
         try:
-            body, signature = fields.items(fields.unpack(payload, kind, max_bytes), 2, kind)
-            signed = type(body) is bytes is type(signature)
+            body, signature = codec.decode(tuple[bytes, bytes], payload, kind, max_bytes)
         except MessageError:
-            signed = False
-        if not signed:
-            raise MessageError(f"{kind}: found no signature, expected that of the {' or the '.join(senders)}")
+            expected = " or the ".join(senders)
+            raise MessageError(f"{kind}: found no signature, expected that of the {expected}") from None
         for sender in senders:
             try:
                 Ed25519PublicKey.from_public_bytes(keys.public[sender]).verify(signature, self._covered(what, body))
             except InvalidSignature:
                 continue
-            return bytes(body)
+            return body
         raise MessageError(f"{kind}: found a signature that is not that of the {' or the '.join(senders)}")
 
     def _covered(self, what: str, body: bytes) -> bytes:

@@ -14,7 +14,7 @@ from rich.markup import escape
 
 from mast_zenoh.config.resolved import driver_of
 from mast_zenoh.control import prefix
-from mast_zenoh.control.invalid import InvalidMessages
+from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Supervisor

@@ -23,10 +23,10 @@ import zenoh
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.control import control_prefix, files
+from mast_zenoh.control import codec, control_prefix, files
+from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import described
 from mast_zenoh.control.files import PIECE_BYTES
-from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
 from mast_zenoh.runtime.file_client import files_written_by
 from mast_zenoh.scenes.recording import Recording
@@ -122,7 +122,7 @@ class FileServer:
                     answer = self._receive(node, request)
                 else:
                     answer = self._answer(node, request, received_ns)
-                query.reply(query.key_expr, files.encode(answer))
+                query.reply(query.key_expr, codec.encode(answer))
                 query.drop()
             except Exception as error:  # one request never stops the others
                 self._refuse(query, kind, node, error)
@@ -171,7 +171,7 @@ class FileServer:
         return {"files": sizes, "written": written}
 
     def _receive(self, node: str, written: files.Written) -> dict[str, Any]:
-        path, offset, piece = written
+        path, offset, piece = written.path, written.offset, written.piece
         if path not in files_written_by(self._resolved(node), node):
             raise MessageError(f"{node} has no file {path!r:.80} to send")
         target = self._folder / path

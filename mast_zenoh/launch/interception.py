@@ -21,7 +21,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
-from mast_zenoh.control import control_prefix, fields, prefix
+from mast_zenoh.control import codec, control_prefix, prefix
 from mast_zenoh.control import interception as control
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.interception import answer_of, place_json
@@ -62,7 +62,7 @@ def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
     """Decode a request; raises MessageError if it was not sealed with the secret."""
     body, digest = control.sealed_parts(payload)
     if hmac.compare_digest(digest, hmac.digest(secret, body, hashlib.sha256)):
-        return fields.mapping(fields.unpack(body, "intercept"), "intercept")
+        return codec.decode(dict[str, Any], body, "intercept")
     raise MessageError("a request that was not sealed with this run's secret")
 
 
@@ -97,8 +97,8 @@ class InterceptionServer:
         """Receive a request, in Zenoh's thread."""
         try:
             request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
-            request_id = fields.text(request.get("number"), "intercept: number", 64)
-            self._interceptions.add(query, request_id, control.request_of(request))
+            change = control.request_of(request)  # and checks the number
+            self._interceptions.add(query, request["number"], change)
         except MessageError as error:
             self._actions.refuse(query, error)
 

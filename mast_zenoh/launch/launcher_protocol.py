@@ -14,7 +14,7 @@ from mast_zenoh.config.process_steps import LEAVING, ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control import failures, flow
 from mast_zenoh.control.failures import Entry
-from mast_zenoh.control.stop_reasons import StopKind, decode_reason
+from mast_zenoh.control.flow import StopKind, decode_reason
 from mast_zenoh.errors import ImplausibleCounts, MessageError, NodeDied, RunError, StallError, StartError
 from mast_zenoh.launch import ending
 from mast_zenoh.launch.supervisor import Child, Supervisor

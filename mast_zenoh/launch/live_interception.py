@@ -173,9 +173,9 @@ class Interceptions:
         if answers[0] is None:
             raise RunError("nothing was changed: the driver does not answer")
         answer = flow.decode_rewired(answers[0])
-        if "error" in answer:
-            raise RunError(f"nothing was changed: {answer['error']}")
-        return answer
+        if answer.error:
+            raise RunError(f"nothing was changed: {answer.error}")
+        return {"frame": answer.frame, "took_ms": answer.took_ms}
 
     def _end(self, child: Child, reason: str) -> Generator[None]:
         """Ask a process to leave; kill it if it does not."""

@@ -13,9 +13,9 @@ from rich.markup import escape
 
 from mast_zenoh.config.resolved import RECORDING, Resolved, joining_files
 from mast_zenoh.control import control_prefix, files, flow, prefix
-from mast_zenoh.control.description import DESCRIBE, WITHOUT_SCENE, encode_description
+from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import described
-from mast_zenoh.control.invalid import InvalidMessages
+from mast_zenoh.control.files import DESCRIBE, WITHOUT_SCENE, encode_description
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import BackendError, MastError, MessageError, RunError, ServiceDied, StallError

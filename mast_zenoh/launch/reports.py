@@ -13,9 +13,9 @@ import zenoh
 
 from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.control import files
-from mast_zenoh.control import reports as control
-from mast_zenoh.control.failures import Entry, merged
-from mast_zenoh.control.invalid import InvalidMessages
+from mast_zenoh.control.codec import InvalidMessages
+from mast_zenoh.control.failures import MAX_HANDLERS, Entry, decode_failure, merged
+from mast_zenoh.control.results import decode_result
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.supervisor import Child
 
@@ -93,7 +93,7 @@ class Reports:
             payload = query.payload.to_bytes() if query.payload else b""
             try:
                 drives = self._child("result", node).spec.role == DRIVER_ROLE
-                outcome = control.decode_result(payload, node, drives=drives)
+                outcome = decode_result(payload, node, drives=drives)
                 self._put("result", node, (outcome, hashlib.sha256(payload).digest()))
             except MessageError as error:
                 self._refuse("result", node, error)
@@ -105,7 +105,7 @@ class Reports:
         node = str(sample.key_expr).rpartition("/")[2]
         try:
             self._child("failed", node)
-            self._put("failed", node, control.decode_failure(sample.payload.to_bytes()))
+            self._put("failed", node, decode_failure(sample.payload.to_bytes()))
         except MessageError as error:
             self._refuse("failed", node, error)
 
@@ -128,8 +128,8 @@ class Reports:
     def _take_failure(self, node: str, process: str, entry: Entry) -> Iterator[Report]:
         by_handler = self._entries_of(node, process)
         first = entry["handler"] not in by_handler
-        if first and len(by_handler) >= control.MAX_HANDLERS:
-            raise MessageError(f"failed: more than {control.MAX_HANDLERS} handlers of one process")
+        if first and len(by_handler) >= MAX_HANDLERS:
+            raise MessageError(f"failed: more than {MAX_HANDLERS} handlers of one process")
         by_handler[entry["handler"]] = entry
         if first:
             yield Report(node, entry)

@@ -15,7 +15,6 @@ import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,7 +22,8 @@ import zenoh
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import control_prefix, files
+from mast_zenoh.control import codec, control_prefix, files
+from mast_zenoh.control.codec import Message
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.errors import MessageError, RunError
 from mast_zenoh.messagelog.writer import MessageLog
@@ -52,16 +52,15 @@ class FileClient:
 
     def fetch(self, folder: Path, patience_s: float) -> None:
         """Fetch this node's files into a folder; raises the error with which the launcher refuses."""
-        request: dict[str, Any] = {"do": "join", "version": version.version_string(), "versions": version.versions()}
-        while not (node_files := self.ask("fetch", request, patience_s, files.decode_node_files)).files:
+        request = files.Join(version.version_string(), version.versions())
+        while not (node_files := self.ask("fetch", request, patience_s, files.NodeFiles)).files:
             threading.Event().wait(_TURN_S)  # the scenario starts this node later
         for path, size in node_files.files.items():
             target = _below(folder, path)
             target.parent.mkdir(parents=True, exist_ok=True)
             with target.open("wb") as file:
                 while file.tell() < size:
-                    request = {"do": "piece", "path": path, "offset": file.tell()}
-                    piece = self.ask("fetch", request, patience_s, files.decode_piece)
+                    piece = self.ask("fetch", files.Piece(path, file.tell()), patience_s, files.Content).piece
                     if not piece:
                         raise RunError(f"{path}: the launcher has {file.tell()} bytes of it, expected {size}")
                     file.write(piece)
@@ -71,22 +70,20 @@ class FileClient:
 
     def hand_in(self, path: str, offset: int, piece: bytes, seconds: float) -> None:
         """Append to a file of the run folder."""
-        self.ask("file", {"path": path, "offset": offset, "piece": piece}, seconds, files.decode_nothing)
+        self.ask("file", files.Written(path, offset, piece), seconds, files.Nothing)
 
-    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], Answer]) -> Answer:
-        """Query the launcher until it answers; returns the decoded answer.
-
-        decode: decodes an answer; one for which it raises MessageError is ignored
+    def ask(self, what: str, request: Message, seconds: float, kind: type[Answer]) -> Answer:
+        """Query the launcher until it answers; returns the decoded answer, of this kind. An invalid one is ignored.
 
         Raises the error with which the launcher refuses, and RunError after `seconds` without an answer.
         """
         deadline = time.monotonic() + seconds
-        payload = files.encode(request)
+        payload = codec.encode(request)
         while True:
             for reply in self._session.get(f"{self._base}/{what}/{self._name}", payload=payload, timeout=5.0):
                 if reply.ok is not None:
                     try:
-                        return decode(reply.ok.payload.to_bytes())
+                        return files.decode_answer(kind, reply.ok.payload.to_bytes())
                     except MessageError as error:
                         log.warning("the launcher's answer (%s) is invalid: %s", what, error)
                 if reply.err is not None and (refusal := files.decode_refusal(reply.err.payload.to_bytes())):
@@ -100,7 +97,7 @@ class FileClient:
         measurements = []
         for _ in range(_PROBES):
             sent_ns = time.time_ns()
-            launcher_ns = self.ask("fetch", {"do": "clock"}, seconds, files.decode_clock)
+            launcher_ns = self.ask("fetch", files.Clock(), seconds, files.LauncherTime).now_ns
             received_ns = time.time_ns()
             measurements.append((received_ns - sent_ns, (sent_ns + received_ns) // 2 - launcher_ns))
         round_trip, offset = min(measurements)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from insider.position import FAILURE
 from sound_controls import CODECS, DRIVEN, MEMBERS, OUTCOME, TAP, WIRING, packed
 
-from mast_zenoh.control import CONTROLS, files, flow, reports, results
+from mast_zenoh.control import CONTROLS, failures, files, flow, results
 from mast_zenoh.errors import MessageError, RunError
 from mast_zenoh.wiring.model import Wiring
 
@@ -58,8 +58,8 @@ def test_decoding_inverts_encoding() -> None:
     assert flow.decode_act(CODECS["act"][1]) == (7, (("kill", "ego"), ("start", "eve")))
     assert flow.decode_rewire(CODECS["rewire"][1]) == (WIRING, {"eve": "adversary"}, ("spy",))
     assert files.decode_fetch(CODECS["piece"][1]) == files.Piece("scenario.json", 0)
-    assert reports.decode_failure(CODECS["failed"][1]) == ("0123", FAILURE)
-    assert reports.decode_result(CODECS["driver's result"][1], "sim", drives=True)["stop_reason"] == "end"
+    assert failures.decode_failure(CODECS["failed"][1]) == ("0123", FAILURE)
+    assert results.decode_result(CODECS["driver's result"][1], "sim", drives=True)["stop_reason"] == "end"
     refusal = files.decode_refusal(files.encode_refusal(RunError("no")))
     assert (type(refusal), str(refusal)) == (RunError, "no")
 
@@ -222,12 +222,12 @@ def test_results_that_are_too_large_or_not_plain_are_refused(value: Any) -> None
     except ValueError:  # deeper than msgpack packs, so packed by hand
         payload = results.pack(OUTCOME | {"results": {"x": "here"}}).replace(b"\xa4here", b"\x91" * 1500 + b"\x90")
     with pytest.raises(MessageError):
-        reports.decode_result(payload, "ego", drives=False)
+        results.decode_result(payload, "ego", drives=False)
 
 
 def test_results_are_limited_by_role() -> None:
-    table = {"x": np.zeros(reports.MAX_RESULT // 8)}
+    table = {"x": np.zeros(results.MAX_RESULT // 8)}
     payload = results.pack(OUTCOME | {"results": {"tables": {"t": table}}})
     with pytest.raises(MessageError, match="at most"):
-        reports.decode_result(payload, "ego", drives=False)
-    reports.decode_result(payload, results.EVALUATOR, drives=False)
+        results.decode_result(payload, "ego", drives=False)
+    results.decode_result(payload, results.EVALUATOR, drives=False)

@@ -15,8 +15,7 @@ from hosted import Hosted
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control import CONTROLS, flow
-from mast_zenoh.control.files import encode
-from mast_zenoh.control.invalid import MAX_KEYS, OTHERS, InvalidMessages
+from mast_zenoh.control.codec import MAX_KEYS, OTHERS, InvalidMessages, encode
 from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer

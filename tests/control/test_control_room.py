@@ -11,7 +11,7 @@ import test_control_findings as findings
 from test_control_findings import RUBBISH, Query
 
 from mast_zenoh.control import flow
-from mast_zenoh.control.files import encode
+from mast_zenoh.control.codec import encode
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.file_server import FileServer
 from mast_zenoh.launch.interception import InterceptionServer, seal

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import files
+from mast_zenoh.control.codec import Message
 from mast_zenoh.deploy import doctor, engines, space
 from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.containers import connected_as
@@ -244,8 +245,9 @@ class Launcher(FileClient):
         super().__init__(None, "run", "node")  # type: ignore[arg-type]
         self.path = path
 
-    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], Any]) -> Any:
-        return time.time_ns() if request["do"] == "clock" else files.NodeFiles({self.path: 0}, [])
+    def ask(self, what: str, request: Message, seconds: float, kind: type[Any]) -> Any:
+        is_clock = isinstance(request, files.Clock)
+        return files.LauncherTime(time.time_ns()) if is_clock else files.NodeFiles({self.path: 0}, [])
 
 
 @settings(deadline=None)

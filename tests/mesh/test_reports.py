@@ -14,9 +14,10 @@ from sound_controls import DRIVEN, OUTCOME
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import results
+from mast_zenoh.control.codec import InvalidMessages
+from mast_zenoh.control.failures import MAX_HANDLERS
 from mast_zenoh.control.files import decode_refusal
-from mast_zenoh.control.invalid import InvalidMessages
-from mast_zenoh.control.reports import MAX_HANDLERS, MAX_RESULT
+from mast_zenoh.control.results import MAX_RESULT
 from mast_zenoh.launch.reports import Report, Reports
 from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.runtime.mesh.session import open_client, open_router

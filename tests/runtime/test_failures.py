@@ -17,8 +17,7 @@ from tiny_world import tiny
 from mast_zenoh import scenario
 from mast_zenoh.attacks import UncoordinatedAttack
 from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.control import failures
-from mast_zenoh.control.reports import failure
+from mast_zenoh.control import codec, failures
 from mast_zenoh.errors import MessageError, NodeDied, StartError
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.node import Context, Node, Overheard, Received
@@ -186,9 +185,9 @@ def test_failures_of_one_node_in_several_processes_are_one_entry() -> None:
     [None, [], {}, ENTRY | {"more": 1}, ENTRY | {"count": "3"}, ENTRY | {"count": True}, {"handler": "x"}],
 )
 def test_an_invalid_failure_entry_is_refused(entry: object) -> None:
-    assert failure(dict(ENTRY)) == ENTRY
-    with pytest.raises(MessageError, match="a handler failure: "):
-        failure(entry)
+    assert failures.decode_failure(codec.encode(["p", ENTRY])) == ("p", ENTRY)
+    with pytest.raises(MessageError, match="failed: "):
+        failures.decode_failure(codec.encode(["p", entry]))
 
 
 @pytest.mark.parametrize(

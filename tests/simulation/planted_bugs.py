@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh.control.stop_reasons import END
+from mast_zenoh.control.flow import END
 from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.protocol import driver, membership, node, outlets, pacer, receiving, wiring_follower

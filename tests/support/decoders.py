@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from mast_zenoh.control import files, flow, interception, reports
+from mast_zenoh.control import failures, files, flow, interception, results
 from mast_zenoh.errors import MessageError
 
 
@@ -14,11 +14,11 @@ def decoder(control: str, node: str, *, drives: bool = False) -> Callable[[bytes
     return {
         "counts": flow.decode_counts,
         "epoch": flow.decode_epoch,
-        "failed": reports.decode_failure,
+        "failed": failures.decode_failure,
         "stop": flow.decode_stop,
         "leave": flow.decode_stop,
         "act": flow.decode_act,
-        "result": lambda payload: reports.decode_result(payload, node, drives=drives),
+        "result": lambda payload: results.decode_result(payload, node, drives=drives),
         "fetch": files.decode_fetch,
         "file": files.decode_file,
         "drain": flow.decode_drain,

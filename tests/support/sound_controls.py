@@ -9,7 +9,7 @@ import msgpack
 import numpy as np
 from insider.position import FAILURE, RESULT
 
-from mast_zenoh.control import description, fields, files, flow, interception, reports, results
+from mast_zenoh.control import codec, failures, files, flow, interception, results
 from mast_zenoh.wiring.model import Endpoint, Leg, Listener, Wire, Wiring
 
 TAP = "agent/ego/tracks/@tap/0"
@@ -50,7 +50,11 @@ DRIVEN = OUTCOME | {
 
 
 def asked(payload: bytes) -> Any:
-    return interception.request_of(fields.mapping(fields.unpack(payload, "intercept"), "intercept"))
+    return interception.request_of(codec.decode(dict[str, Any], payload, "intercept"))
+
+
+def answered(kind: type[Any]) -> Callable[[bytes], Any]:
+    return lambda payload: files.decode_answer(kind, payload)
 
 
 def packed(value: Any) -> bytes:
@@ -69,23 +73,23 @@ CODECS: dict[str, tuple[Callable[[bytes], Any], bytes]] = {
     "stop": (flow.decode_stop, b"end"),
     "drain": (flow.decode_drain, TAP.encode()),
     "rewire": (flow.decode_rewire, flow.encode_rewire(WIRING, {"eve": "adversary"}, ["spy"])),
-    "rewired": (flow.decode_rewired, flow.encode_rewired(frame=7, took_ms=1.5)),
-    "not rewired": (flow.decode_rewired, flow.encode_rewired(error="eve has not joined")),
+    "rewired": (flow.decode_rewired, codec.encode(flow.Rewired(frame=7, took_ms=1.5))),
+    "not rewired": (flow.decode_rewired, codec.encode(flow.Rewired(error="eve has not joined"))),
     "join": (files.decode_fetch, packed({"do": "join", "version": "1.0", "versions": {"numpy": "2.0"}})),
     "clock": (files.decode_fetch, packed({"do": "clock"})),
     "piece": (files.decode_fetch, packed({"do": "piece", "path": "scenario.json", "offset": 0})),
     "file": (files.decode_file, packed({"path": "messages.mcap", "offset": 0, "piece": b"abc"})),
     "belongings": (
-        files.decode_node_files,
+        answered(files.NodeFiles),
         packed({"files": {"scenario.json": 17}, "written": ["messages.mcap"]}),
     ),
-    "clock's answer": (files.decode_clock, packed({"now_ns": 1_700_000_000_000_000_000})),
-    "piece's answer": (files.decode_piece, packed({"piece": b"abc"})),
-    "file's answer": (files.decode_nothing, packed({})),
-    "description": (description.decode_description, description.encode_description("run-1", {"a": 1}, {}, b"npz")),
-    "failed": (reports.decode_failure, reports.encode_failure("0123", FAILURE)),
-    "result": (lambda payload: reports.decode_result(payload, "ego", drives=False), results.pack(OUTCOME)),
-    "driver's result": (lambda payload: reports.decode_result(payload, "sim", drives=True), results.pack(DRIVEN)),
+    "clock's answer": (answered(files.LauncherTime), packed({"now_ns": 1_700_000_000_000_000_000})),
+    "piece's answer": (answered(files.Content), packed({"piece": b"abc"})),
+    "file's answer": (answered(files.Nothing), packed({})),
+    "description": (files.decode_description, files.encode_description("run-1", {"a": 1}, {}, b"npz")),
+    "failed": (failures.decode_failure, failures.encode_failure("0123", FAILURE)),
+    "result": (lambda payload: results.decode_result(payload, "ego", drives=False), results.pack(OUTCOME)),
+    "driver's result": (lambda payload: results.decode_result(payload, "sim", drives=True), results.pack(DRIVEN)),
     "intercept": (asked, packed(INTERCEPT)),
     "release": (asked, packed({"do": "release", "number": "ab", "name": None, "wire": "clock"})),
     "intercepted": (

@@ -13,8 +13,8 @@ from typing import Any
 from mast_zenoh.config.process_steps import LEAVING, ProcessStep
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import flow
+from mast_zenoh.control.flow import END, MAX_TEXT, StopKind, StopReason, decode_reason, encode_reason
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.control.stop_reasons import END, MAX_TEXT, StopKind, StopReason, decode_reason, encode_reason
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.row_limits import RowLimits
 from mast_zenoh.node import Node, Source

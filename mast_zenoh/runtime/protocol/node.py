@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from enum import Enum
 from typing import Any
 
-from mast_zenoh.control import flow, reports, results
-from mast_zenoh.control.failures import Failure
+from mast_zenoh.control import flow, results
+from mast_zenoh.control.codec import InvalidMessages
+from mast_zenoh.control.failures import Failure, encode_failure
 from mast_zenoh.control.flow import WiringUpdate
-from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Header
@@ -258,7 +258,7 @@ class NodeProtocol:
 
     def _report_failure(self, failure: Failure) -> None:
         """Report a failure immediately: a process that is killed hands in no results."""
-        self.actions.control(f"failed/{self.name}", reports.encode_failure(self._process, failure.entry()))
+        self.actions.control(f"failed/{self.name}", encode_failure(self._process, failure.entry()))
 
     @contextmanager
     def _refusing(self, key: str) -> Iterator[None]:

@@ -19,8 +19,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from mast_zenoh.control import flow
-from mast_zenoh.control.flow import Rewire, WiringUpdate
+from mast_zenoh.control.codec import encode
+from mast_zenoh.control.flow import Rewire, Rewired, WiringUpdate
 from mast_zenoh.errors import MessageError
 from mast_zenoh.runtime.protocol.actions import Actions, Query
 from mast_zenoh.runtime.protocol.membership import Membership
@@ -158,7 +158,7 @@ class Rewiring:
 
     def _reply(self, change: Change, **answer: Any) -> None:
         """Answer the query with the outcome of a change."""
-        self._actions.answer(change.query, flow.encode_rewired(**answer))
+        self._actions.answer(change.query, encode(Rewired(**answer)))
 
     def _missing(self) -> str:
         return ", ".join(sorted(self._pacer.silent)) or self._membership.own

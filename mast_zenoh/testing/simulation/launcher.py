@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
-from mast_zenoh.control import flow, reports
+from mast_zenoh.control import failures, flow
 from mast_zenoh.control.interception import Intercept, Release
+from mast_zenoh.control.results import decode_result
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.launcher_protocol import DRIVER_TIMEOUT_S, Endings, LauncherActions, RunState, Steps
 from mast_zenoh.launch.live_interception import Interceptions
@@ -79,14 +80,14 @@ class SimulatedLauncher(LauncherActions):
         while self._reports:
             process, failure, results = self._reports.popleft()
             if failure is not None:
-                _, entry = reports.decode_failure(failure)
+                _, entry = failures.decode_failure(failure)
                 self.endings.handler_failed(process.name, entry)
                 continue
             child = self.supervisor.children.get(process.name)
             if child is None or child.process is not process or child.handed_in:
                 continue
             drives = child.spec.role == DRIVER_ROLE
-            self.outcomes[process.name] = outcome = reports.decode_result(results, process.name, drives=drives)
+            self.outcomes[process.name] = outcome = decode_result(results, process.name, drives=drives)
             child.handed_in = True
             self.endings.handed_in(process.name, outcome.get("stop_reason"))
 

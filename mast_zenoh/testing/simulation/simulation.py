@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mast_zenoh.control.failures import Entry
+from mast_zenoh.control.flow import StopKind
 from mast_zenoh.control.interception import Release
-from mast_zenoh.control.stop_reasons import StopKind
 from mast_zenoh.launch.launcher_protocol import churn_of
 from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.driver import DriverProtocol

@@ -14,8 +14,9 @@ import zenoh
 
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.control import fields, prefix
-from mast_zenoh.control.description import DESCRIBE, WITHOUT_SCENE, Description, decode_description
+from mast_zenoh.control import codec, prefix
+from mast_zenoh.control.codec import Name, Roles
+from mast_zenoh.control.files import DESCRIBE, WITHOUT_SCENE, Description, decode_description
 from mast_zenoh.control.flow import wiring_of
 from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError, UntrustedCode
 from mast_zenoh.launch import folder as run_folder
@@ -120,9 +121,9 @@ class ObservedRun:
             return Wiring.from_json(self.resolved.wiring), self.roles
         for description in _descriptions(session, f"{prefix(self.id)}/{DESCRIBE}", WITHOUT_SCENE):
             with suppress(MessageError):
-                nodes = fields.mapping(description.scenario.get("nodes"), f"{DESCRIBE}: nodes")
-                roles = {name: fields.mapping(spec, DESCRIBE).get("role") for name, spec in nodes.items()}
-                return wiring_of(description.wiring, DESCRIBE), fields.roles(roles, f"{DESCRIBE}: roles")
+                nodes = codec.converted(description.scenario.get("nodes"), dict[Name, dict[str, Any]], DESCRIBE)
+                roles = codec.converted({name: spec.get("role") for name, spec in nodes.items()}, Roles, DESCRIBE)
+                return wiring_of(description.wiring, DESCRIBE), roles
         return None
 
     def is_over(self, session: zenoh.Session) -> bool:
