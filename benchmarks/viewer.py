@@ -24,7 +24,7 @@ from typing import Any
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.report import write_report
+from mast_zenoh.report.html import write_report
 from mast_zenoh.report.playback.server import viewer_page
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))

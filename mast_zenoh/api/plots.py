@@ -9,11 +9,9 @@ from typing import Protocol
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.launch.tables import read_table
-from mast_zenoh.report.figures.causes import causes_over_time
-from mast_zenoh.report.figures.charts import REPORT_COLUMNS, counts_over_time
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, side_by_side_figure
-from mast_zenoh.report.figures.driving import driving_over_time
+from mast_zenoh.report.figures.over_time import REPORT_COLUMNS, causes_over_time, counts_over_time, driving_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view
 from mast_zenoh.report.runfolder import RunFolder

@@ -20,11 +20,12 @@ from mast_zenoh.config import registry
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenario.shape import RUN_DEFAULTS
-from mast_zenoh.scenes import Recording, inspection
+from mast_zenoh.scenes import inspection
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
 from mast_zenoh.scenes.names import SHORT_NAMES
 from mast_zenoh.scenes.own_detections import kitti
 from mast_zenoh.scenes.recognition import recognised
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Detector
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ class PreparedScene:
         """
         if not 0 <= frame < len(self):
             raise ConfigurationError(f"{self.name}: frame is {frame}, expected 0 to {len(self) - 1}")
-        from mast_zenoh.report.figures.scene import scene_figure  # Matplotlib takes longer than preparing a scene
+        from mast_zenoh.report.figures.birdseye import scene_figure  # Matplotlib takes longer than preparing a scene
 
         return scene_figure(self.recording, frame)
 

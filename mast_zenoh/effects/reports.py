@@ -15,10 +15,8 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects.message_effects import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.messages.schemas import Body
-from mast_zenoh.metrics.boxes import pairs_within
-from mast_zenoh.metrics.lookup import find, occurs
+from mast_zenoh.metrics.boxes import Places, find, occurs, pairs_within
 from mast_zenoh.metrics.manipulations import KINDS
-from mast_zenoh.metrics.places import Places
 
 #: m, maximum distance between the position in a report and the effect's position on the wire.
 SAME_PLACE_M = 0.05

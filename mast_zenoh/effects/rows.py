@@ -14,7 +14,7 @@ from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.ordering import within_runs
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Schema
-from mast_zenoh.metrics.lookup import find
+from mast_zenoh.metrics.boxes import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
 #: Code of an unchanged object, in addition to the kinds of manipulation.

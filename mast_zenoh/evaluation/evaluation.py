@@ -9,43 +9,150 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.effects import Effects, effects_of, reports
+from mast_zenoh.effects import EFFECTS, Effects, Meter, Pose, effects_of, reports
+from mast_zenoh.effects.reports import Agreement
 from mast_zenoh.evaluation import trust
 from mast_zenoh.evaluation.from_effects import (
-    cut_off_objects,
+    add_pose_manipulations,
     displaced_by_links,
     effects_of_absence,
     manipulations,
+    stopped_by_links,
     without_unseen,
 )
-from mast_zenoh.evaluation.poses import add_pose_manipulations
-from mast_zenoh.evaluation.run_data import RunData
-from mast_zenoh.evaluation.tables import attacks
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.links import WIRES
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import (
     AttributionLimits,
     Attributor,
     Consistency,
     CutOff,
+    CutOffObjects,
     Driving,
     Manipulations,
     Metric,
+    Presence,
+    Record,
     Scorer,
     Scores,
+    Table,
     achievement,
-    achievement_summary,
     cause_names,
     causes_of,
-    consequences,
+    driving,
     user_metrics,
 )
+from mast_zenoh.metrics.attributor import Withheld
 from mast_zenoh.metrics.ranking import rankings
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import COLUMNS
-from mast_zenoh.metrics.trust import Fault
-from mast_zenoh.metrics.withheld import Withheld
+from mast_zenoh.metrics.trust import Fault, TrustUpdate
 from mast_zenoh.wiring.subjects import agent_of
+
+_PERIOD_S = 0.1  #: assumed frame period of a run with a single frame
+
+
+@dataclass
+class RunData:
+    """Data collected from the messages of a run.
+
+    record:   the truth and all estimates;  meter: effects of the interposers
+    roles:    of the nodes;  presence: joining and leaving of nodes
+    times_ns: by frame, its clock time
+    poses:    by (agent, frame)
+    picture_sent: by frame, the frame in which its picture was sent
+    tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
+    attack_reports, link_reports: (interposer, frame, sequence number, columns)
+    trust:    by frame, the first message about it
+    """
+
+    record: Record
+    meter: Meter = field(default_factory=Meter)
+    roles: dict[str, str] = field(default_factory=dict)
+    presence: Presence = field(default_factory=Presence)
+    times_ns: dict[int, int] = field(default_factory=dict)
+    poses: dict[tuple[str, int], Pose] = field(default_factory=dict)
+    picture_sent: dict[int, int] = field(default_factory=dict)
+    tracks_sent: dict[tuple[str, int], int] = field(default_factory=dict)
+    attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
+    link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
+    trust: dict[int, TrustUpdate] = field(default_factory=dict)
+
+    @property
+    def period_s(self) -> float:
+        """Frame period, s."""
+        first, second = self.times_ns.get(0), self.times_ns.get(1)
+        return _PERIOD_S if first is None or second is None else (second - first) * 1e-9
+
+    @property
+    def ego(self) -> str:
+        """The main agent of the evaluation: "ego" if there is one, else the first."""
+        agents = self.record.agents
+        return "ego" if "ego" in agents else next(iter(agents), "")
+
+    def picture_age_s(self, frames: Sequence[int]) -> dict[str, dict[str, float | int | None]]:
+        """By agent: mean and maximum age in s of the picture in its mission estimates, and the `frames` without any.
+
+        Known after `record.hold_pictures`; None without pictures.
+        """
+        summary: dict[str, dict[str, float | int | None]] = {}
+        for agent, ages_ns in self.record.picture_ages_ns.items():
+            ages_s = [ages_ns[frame] * 1e-9 for frame in frames if frame in ages_ns]
+            mean, most = (sum(ages_s) / len(ages_s), max(ages_s)) if ages_s else (None, None)
+            summary[agent] = {"mean": mean, "max": most, "frames_without": len(frames) - len(ages_s)}
+        return summary
+
+    def latencies_ns(self) -> list[int]:
+        """ns of scene time between each frame and the one in which its picture was sent."""
+        times = self.times_ns
+        return [
+            times[sent] - times[frame]
+            for frame, sent in sorted(self.picture_sent.items())
+            if {frame, sent} <= times.keys()
+        ]
+
+    def latency_percentiles_ms(self) -> dict[str, float | None]:
+        """p50, p95 and p99 in ms of `latencies_ns`; None without latencies."""
+        latencies = self.latencies_ns()
+        names = (50, 95, 99)
+        if not latencies:
+            return {f"p{p}": None for p in names}
+        return {f"p{p}": float(np.percentile(np.array(latencies) * 1e-6, p)) for p in names}
+
+
+def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], period_s: float) -> Table:
+    """The effects as columns of attacks.parquet.
+
+    Sorted by interposer, wire, frame and sequence number.
+    Objects of a message that was withheld, forged or reframed as a whole have no separate rows.
+    """
+    rows = np.flatnonzero(~effects.whole)
+    passages = effects.passages
+    passage_row = effects.passage[rows]
+
+    def of_passage(values: Sequence[str]) -> np.ndarray:
+        return np.array([*values, ""], object)[passage_row] if len(rows) else np.zeros(0, object)
+
+    delay_ns = effects.frames_late[rows] * period_s * 1e9 + effects.time_ns[rows]
+    return {
+        "interposer": of_passage([passage.node for passage in passages]),
+        "role": of_passage([roles.get(passage.node, "") for passage in passages]),
+        "wire": of_passage([passage.wire for passage in passages]),
+        "message": of_passage([passage.message for passage in passages]),
+        "before_subscriber": of_passage([passage.before for passage in passages]),
+        "frame": effects.frame[rows],
+        "seq": effects.seq[rows],
+        "effect": np.array(EFFECTS, object)[effects.code[rows]],
+        "id": effects.id[rows],
+        **{f"before_{axis}": effects.before[rows, i] for i, axis in enumerate("xyz")},
+        **{f"after_{axis}": effects.after[rows, i] for i, axis in enumerate("xyz")},
+        **{f"v{axis}": effects.velocity[rows, i] for i, axis in enumerate("xyz")},
+        "columns": effects.columns[rows],
+        "delay_s": np.where(delay_ns != 0, delay_ns * 1e-9, np.nan),
+        "reported": agreement.reported[rows],
+        "label": agreement.label[rows],
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,6 +255,27 @@ class Evaluation:
         return self.skip_first + self.skip_last <= frames // 2
 
 
+def cut_off_objects(
+    cut_off: CutOff,
+    data: RunData,
+    scores: Scores,
+    truth: TruthTable,
+    effects: Effects,
+    displaced: Bools,
+    min_points: int,
+) -> CutOffObjects:
+    """Objects known only to agents whose tracks links did not deliver, or displaced (n, a)."""
+    agents, frames = data.record.agents, scores.frames
+    silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
+    within = cut_off.useful_age_s / data.period_s + 1e-6
+    sent = [
+        [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents]
+        for frame in frames.tolist()
+    ]
+    undelivered = ~np.array(sent, bool).reshape(len(frames), len(agents))
+    return cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, min_points, displaced)
+
+
 def _measured(data: RunData, scores: Scores) -> Effects:
     """The effects of interposers, after the end of the run."""
     data.meter.close(int(scores.frames.max(initial=-1)))
@@ -200,7 +328,7 @@ class _Results:
             self.settings.scorer.range_m,
             self.settings.scorer.min_points,
         )
-        drives = consequences.drives(self.settings.driving, data.record, scores, labels, self.truth)
+        drives = driving.drives(self.settings.driving, data.record, scores, labels, self.truth)
         summary, per_frame, failed_metrics = self._scored(scored)
         integrity, trust_tables = self._trust(scored)
         return {
@@ -210,10 +338,10 @@ class _Results:
                 "settled": self.settings.settled(len(frames)),
                 "agents": summary,
                 "same_as": _nested(scores.same_as),
-                "achieved": achievement_summary.summary(
+                "achieved": achievement.summary(
                     targets, manipulations.culprits, scores, labels.switch_by, data.ego, data.period_s, scored
                 ),
-                "driving": consequences.summary(drives, scored),
+                "driving": driving.summary(drives, scored),
                 "consistency": self.settings.consistency.summary(
                     scores.pairs, scores.series, data.ego, scored, data.period_s
                 ),
@@ -228,7 +356,7 @@ class _Results:
                 "objects": self._objects(),
                 "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
                 "targets": targets.table(manipulations.culprits),
-                "driving": consequences.table(drives, frames),
+                "driving": driving.table(drives, frames),
                 **trust_tables,
             },
             "failed_metrics": failed_metrics,

@@ -7,18 +7,58 @@ from dataclasses import replace
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Bools, Ints
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
-from mast_zenoh.evaluation.downstream import influence
-from mast_zenoh.evaluation.run_data import RunData
-from mast_zenoh.metrics import AttributionLimits, Boxes, CutOff, CutOffObjects, Manipulations, Scores
-from mast_zenoh.metrics.lookup import occurs
-from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED, REMOVED
-from mast_zenoh.metrics.places import Places, nearest
-from mast_zenoh.metrics.record import TruthTable
+from mast_zenoh.effects.message_effects import Spoof
+from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations
+from mast_zenoh.metrics.boxes import Places, nearest, occurs
+from mast_zenoh.metrics.manipulations import COLUMNS, INSERTED, KINDS, MOVED, REMOVED
+from mast_zenoh.metrics.record import (
+    LOCAL,
+    MISSION,
+    PICTURE,
+    PICTURE_ON_ARRIVAL,
+    PICTURE_RECEIVED,
+    RECEIVED,
+    TruthTable,
+)
 from mast_zenoh.wiring.model import Passage
 from mast_zenoh.wiring.subjects import agent_of
+
+_FROM_CENTER = (PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
+_FROM_DOWNLINK = (PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
+#: Ports of messages that no estimate depends on: the truth, and estimates, which are scored at their source.
+_WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
+
+
+def influence(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools) -> Bools:
+    """Whether messages of each of p passages can affect each of s series: (p, s).
+
+    A series is (agent, estimator). An agent's own tracks depend on its sensors alone. An unknown port may affect all
+    other estimates. is_link: (p,) passages of links, whose effects on tracks count only for the tracks as received:
+    whether the picture lacks an object because of them depends on the other agents that report it (`metrics.cut_off`).
+    """
+    result = np.zeros((len(passages), len(series)), bool)
+    for row, passage in enumerate(passages):
+        for column, (agent, estimator) in enumerate(series):
+            result[row, column] = _influences(passage, agent, estimator, bool(is_link[row]))
+    return result
+
+
+def _influences(passage: Passage, agent: str, estimator: str, is_link: bool) -> bool:
+    own, port = agent == agent_of(passage.subject), passage.port
+    if port in ("detections", "pose"):
+        return own or estimator in _FROM_CENTER
+    if port == "tracks":
+        return (own and estimator == RECEIVED) or (not is_link and estimator in _FROM_CENTER)
+    if port in ("status", "collated"):
+        return not is_link and estimator in _FROM_CENTER
+    if port == "picture":
+        return estimator in _FROM_DOWNLINK and passage.before in ("", agent)
+    return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")
+
 
 #: Share of the frames of a second in which an agent that tracks an object sees it.
 SEEN_SHARE = 0.8
@@ -183,22 +223,69 @@ def without_unseen(
     return replace(manipulations, object=object_ids)
 
 
-def cut_off_objects(
-    cut_off: CutOff,
-    data: RunData,
-    scores: Scores,
-    truth: TruthTable,
+#: Effects on a pose that leave an agent without its pose, so that it cannot locate objects.
+_WITHHELD = ("dropped", "delayed", "corrupted", "unsettled")
+
+
+def add_pose_manipulations(
+    manipulations: Manipulations,
     effects: Effects,
-    displaced: Bools,
+    spoofs: Sequence[Sequence[Spoof]],
+    truth: TruthTable,
+    agents: Sequence[str],
+    frames: Ints,
     min_points: int,
-) -> CutOffObjects:
-    """Objects known only to agents whose tracks links did not deliver, or displaced (n, a)."""
-    agents, frames = data.record.agents, scores.frames
-    silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
-    within = cut_off.useful_age_s / data.period_s + 1e-6
-    sent = [
-        [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents]
-        for frame in frames.tolist()
-    ]
-    undelivered = ~np.array(sent, bool).reshape(len(frames), len(agents))
-    return cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, min_points, displaced)
+    lasts: int,
+) -> Manipulations:
+    """Add the objects that an agent misplaces or omits because of a false pose.
+
+    spoofs: by passage of `effects`;  truth: of (f,) frames, of which `agents` are the columns
+    min_points: lidar points from which an agent sees an object;  lasts: frames for which it counts after its own
+    """
+    parts = [manipulations]
+    of_frame = frames[truth.boxes.group]
+    for index, passage in enumerate(effects.passages):
+        if passage.message != "pose" or passage.subject not in agents:
+            continue
+        culprit = manipulations.culprits.index(passage.node) if passage.node in manipulations.culprits else -1
+        seen = truth.points[:, list(agents).index(passage.subject)] >= min_points
+        withheld_rows = effects.rows(*_WITHHELD)
+        withheld = np.isin(of_frame, effects.frame[withheld_rows[effects.passage[withheld_rows] == index]])
+        groups = [((seen & withheld).nonzero()[0], REMOVED, truth.boxes.position)]
+        for spoof in spoofs[index]:
+            groups.append(((seen & (of_frame == spoof.frame)).nonzero()[0], MOVED, _apparent_positions(spoof, truth)))
+        for rows, kind, position in groups:
+            n = len(rows)
+            parts.append(
+                Manipulations(
+                    manipulations.culprits,
+                    manipulations.reach,
+                    manipulations.shown,
+                    passage=np.full(n, index),
+                    culprit=np.full(n, culprit),
+                    kind=np.full(n, kind),
+                    frame=of_frame[rows],
+                    object=truth.boxes.id[rows],
+                    position=position[rows],
+                    original=truth.boxes.position[rows],
+                    velocity=truth.velocity[rows],
+                    lasts=np.full(n, lasts),
+                )
+            )
+    return concatenate_manipulations(parts) if len(parts) > 1 else manipulations
+
+
+def concatenate_manipulations(parts: Sequence[Manipulations]) -> Manipulations:
+    """Concatenate manipulations that share culprits and reach."""
+    return Manipulations(
+        parts[0].culprits,
+        parts[0].reach,
+        parts[0].shown,
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS),
+    )
+
+
+def _apparent_positions(spoof: Spoof, truth: TruthTable) -> Floats:
+    """Apparent positions (n, 3) m of objects for an agent with a false pose."""
+    rotation = rotation_from_quaternion(spoof.false_rotation) @ rotation_from_quaternion(spoof.rotation).T
+    return np.asarray((truth.boxes.position - spoof.position) @ rotation.T + spoof.false_position)

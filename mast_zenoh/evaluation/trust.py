@@ -11,10 +11,18 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects import Effects
 from mast_zenoh.integrity import STATES
 from mast_zenoh.metrics import Table
-from mast_zenoh.metrics.places import Places, nearest
+from mast_zenoh.metrics.boxes import Places, nearest
 from mast_zenoh.metrics.record import TruthTable
-from mast_zenoh.metrics.trust import Conduct, Fault, TrustHistory, TrustUpdate, fault_frames, summary
-from mast_zenoh.metrics.trust.history import agent_table, object_table
+from mast_zenoh.metrics.trust import (
+    Conduct,
+    Fault,
+    TrustHistory,
+    TrustUpdate,
+    agent_table,
+    fault_frames,
+    object_table,
+    summary,
+)
 from mast_zenoh.wiring.subjects import agent_of
 
 #: Ports of what an agent sends to the command centre, and of what its own tracks depend on.

@@ -16,6 +16,7 @@ from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics import Metric
+from mast_zenoh.metrics.estimates import subject_of
 from mast_zenoh.metrics.record import LOCAL
 from mast_zenoh.metrics.user_metrics import label_of
 from mast_zenoh.scenario.timeline import attack_starts
@@ -227,22 +228,10 @@ def number(count: int, noun: str) -> str:
 
 #: Roles of nodes with a tracker.
 _TRACKING = ("agent", "command_center")
-#: The notices name agents; "as received" and so on tell which of their estimates is meant.
-_SUBJECTS = {
-    "local": "{}",
-    "received": "{} as received",
-    "picture": "the picture",
-    "mission": "the mission estimate of {}",
-}
 _MAX_LINES = 20
 #: Report a tracker that was silent for at least this many steps.
 _SILENT = 10
 _QUANTITIES = {"position": "", "velocity": " in velocity"}
-
-
-def subject(agent: str, estimate: str) -> str:
-    """An estimate of an agent, in words."""
-    return _SUBJECTS.get(estimate, f"{{}} ({estimate})").format(agent)
 
 
 def tracker_innovations(
@@ -300,7 +289,7 @@ def _estimate_text(agent: str, estimate: str, summaries: Mapping[str, Mapping[st
         if summary.get("verdict") == OVERCONFIDENT and isinstance(factor, float) and isinstance(nees, float):
             more = "" if parts else "more confident than accurate"
             parts.append(f"{_number(factor)} times {more}{words} (NEES {_number(nees)}, expected 2)".replace("  ", " "))
-    return f"{subject(agent, estimate)} is {', and '.join(parts)}" if parts else ""
+    return f"{subject_of(agent, estimate)} is {', and '.join(parts)}" if parts else ""
 
 
 def _tracker_text(node: str, summary: Mapping[str, Any]) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.attribution_limits import AttributionLimits
+from mast_zenoh.metrics.boxes import Places, find, latest, nearest, occurs
 from mast_zenoh.metrics.causes import (
     CLUTTER,
     DUPLICATE,
@@ -17,19 +19,204 @@ from mast_zenoh.metrics.causes import (
     SIGHT,
     TRACKING,
     UNKNOWN,
+    WITHHELD,
     Hidden,
     Labels,
     claimed_positions,
     joined_names,
 )
 from mast_zenoh.metrics.cut_off import CutOffObjects
-from mast_zenoh.metrics.histories import Histories
-from mast_zenoh.metrics.lookup import find, latest, occurs
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, Manipulations
-from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.record import LOCAL, RECEIVED, TruthTable
-from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores
-from mast_zenoh.metrics.withheld import Withheld, reporting
+from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores, Texts
+from mast_zenoh.metrics.trust import TrustHistory, TrustUpdate, lasting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttributionLimits:
+    """How near and how recent the cause of an error must be.
+
+    lie_m:     m, maximum distance from a false track to the object that an adversary inserted or moved there; the gate
+               of the scorer: a track that is farther away is of something else
+    same_m:    m, adversaries whose false objects are this near each other show the same object
+    object_m:  m, maximum distance from a duplicate track, or the track of an unevaluated object, to the truth object
+    astray_m:  m, maximum distance from an inaccurate track to its missed truth object
+    hidden_m:  m, maximum distance from where an object was removed, moved or altered to its truth object
+    least_move_m: m, smaller displacements do not count, because the metrics cannot detect them
+    withheld_m: m, maximum distance from a missed truth object to the object that the command centre withheld
+    coast_s:   s, how long a track may coast, and an estimate may be wrong after a manipulation
+    begin_s:   s, how long an object may have no track after it has come into view, was hidden or was withheld
+    late_picture_s: s, how long an estimate may be wrong after a link delayed a picture
+    Raises ValueError for a value below 0.
+    """
+
+    lie_m: float = 2.0
+    same_m: float = 0.25
+    object_m: float = 3.0
+    astray_m: float = 6.0
+    hidden_m: float = 4.0
+    least_move_m: float = 0.5
+    withheld_m: float = 2.0
+    coast_s: float = 4.0
+    begin_s: float = 1.0
+    late_picture_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not 0.0 <= (value := getattr(self, field.name)) < np.inf:
+                raise ValueError(f"{field.name}: found {value}, expected 0 or more")
+
+
+#: Smaller ids are used directly; an adversary may send any.
+_PLAIN_IDS = 1 << 32
+
+
+class Histories(NamedTuple):
+    """n rows of `Scores.judged`, all tracks or all truth objects.
+
+    Sorted by series, id and frame.
+
+    row:      (n,) of `Scores.judged`;  series, frame, id, match, outcome: (n,), see `Judged`
+    position: (n, 3) m, world frame
+    group:    (n,) a number of series and frame
+    """
+
+    row: Ints
+    series: Ints
+    frame: Ints
+    id: Ints
+    match: Ints
+    outcome: Ints
+    position: Floats
+    group: Ints
+
+    @classmethod
+    def of(cls, scores: Scores, rows: Ints, span: int) -> Histories:
+        """The given rows of `scores.judged`; span: greater than any frame number."""
+        judged = scores.judged
+        series, frame = judged.series[rows], judged.frame[rows]
+        id_, position = judged.id[rows], judged.boxes.position[rows]
+        group = series * span + frame
+        return cls(rows, series, frame, id_, judged.match_id[rows], judged.outcome[rows], position, group)
+
+    @classmethod
+    def of_wrong(cls, scores: Scores, outcome: int, span: int, *, tracks: bool) -> Histories:
+        """All rows of the tracks or truth objects that ever have a given outcome.
+
+        In any frame of a series.
+        """
+        judged = scores.judged
+        ids = judged.id
+        if len(ids) and not (ids.min() >= 0 and ids.max() < _PLAIN_IDS):
+            ids = np.unique(ids, return_inverse=True)[1].reshape(-1)
+        key = judged.series * (int(ids.max(initial=0)) + 1) + ids
+        rows = np.flatnonzero(judged.is_track == tracks)
+        row_keys = key[rows]
+        rows = rows[np.isin(row_keys, row_keys[judged.outcome[rows] == outcome])]
+        return cls.of(scores, rows[np.lexsort((judged.frame[rows], key[rows]))], span)
+
+    @classmethod
+    def of_truths_beside(cls, scores: Scores, rows: Ints, span: int) -> Histories:
+        """The truth objects in the series and frames of these rows of `scores.judged`."""
+        judged = scores.judged
+        group = judged.boxes.group
+        involved = np.zeros(int(group.max(initial=0)) + 1, bool)
+        involved[group[rows]] = True
+        return cls.of(scores, np.flatnonzero(~judged.is_track & involved[group]), span)
+
+    def places(self, rows: Bools | Ints) -> Places:
+        """The positions of some rows; rows of different series or frames are never paired."""
+        return Places(self.group[rows], self.position[rows])
+
+    def adjacent(self, valid: Bools, stops: Bools, max_frames: int, *, later: bool = False) -> Ints:
+        """The last row (n,) with `stops` up to each row, in its series and id.
+
+        later: the first one at or after each row instead
+
+        -1 if there is none, if it is not `valid`, or if it is more than `max_frames` frames away.
+        """
+        direction = slice(None, None, -1) if later else slice(None)
+        n = len(self.row)
+        stop_row = np.maximum.accumulate(np.where(stops[direction], np.arange(n), -1)) if n else np.zeros(0, np.int64)
+        last = stop_row[direction]
+        known = last >= 0
+        last = np.where(known & later, n - 1 - last, last)
+        same = known & (self.series[last] == self.series) & (self.id[last] == self.id) & valid[last]
+        same &= np.abs(self.frame[last] - self.frame) <= max_frames
+        return np.where(same, last, -1)
+
+    def period_start(self) -> Ints:
+        """First frame (n,) of the current evaluated, or unevaluated, period of each row."""
+        seen = self.outcome != UNEVALUATED
+        first = np.ones(len(self.row), bool)
+        first[1:] = (np.diff(self.series) != 0) | (np.diff(self.id) != 0) | (np.diff(self.frame) != 1)
+        first[1:] |= seen[1:] != seen[:-1]
+        start = np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)) if len(first) else first.astype(int)
+        return np.asarray(self.frame[start])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Withheld:
+    """The objects that were kept out of the picture, and the agents whose tracks were.
+
+    places:    the objects that the centre tracked and withheld; group = frame
+    suspended: (span, a) whether agent a is suspended, by frame number
+    """
+
+    places: Places
+    suspended: Bools
+
+    @classmethod
+    def of(cls, updates: Sequence[TrustUpdate], agents: Sequence[str], frames: Ints, state: int) -> Withheld | None:
+        """What messages about trust tell; None without any.
+
+        frames: (f,) ascending; state: index of the state of suspended agents
+        """
+        if not updates or not len(frames):
+            return None
+        rows = [np.flatnonzero(update.columns["withheld"]) for update in updates]
+        frame = np.repeat(np.array([update.frame for update in updates], np.int64), [len(row) for row in rows])
+        parts = [update.columns["position"][row] for update, row in zip(updates, rows, strict=True)]
+        suspended = np.zeros((int(frames[-1]) + 1, len(agents)), bool)
+        suspended[frames] = TrustHistory.of(updates, agents, frames).state == state
+        return cls(Places(frame, np.concatenate(parts)), suspended)
+
+    def set_causes(
+        self,
+        scores: Scores,
+        agents: Sequence[str],
+        truths: Histories,
+        missed: Bools,
+        limits: tuple[float, int],
+        cause: Ints,
+        by: Texts,
+    ) -> None:
+        """Set the cause of missed objects that were withheld, and the agents that reported them.
+
+        That comes before all other causes: the centre had the object.
+        missed: (n,) rows of `truths` that the command centre's estimates lack;  cause, by: of `scores.judged`
+        limits: m, distance from a withheld object, and number of frames for which a suspension counts after its end
+        """
+        rows, (radius, lasts) = missed.nonzero()[0], limits
+        frame = truths.frame[rows]
+        tracked = nearest(Places(frame, truths.position[rows]), self.places, radius)[0] >= 0
+        by_agent = reporting(scores, agents, truths.id[rows], frame)
+        suspended = lasting(self.suspended, lasts)[frame]
+        chosen = tracked | (by_agent.any(axis=1) & ~(by_agent & ~suspended).any(axis=1))
+        cause[truths.row[rows[chosen]]] = WITHHELD
+        by[truths.row[rows[chosen]]] = joined_names(agents, by_agent[chosen])
+
+
+def reporting(scores: Scores, agents: Sequence[str], truth_id: Ints, frame: Ints) -> Bools:
+    """Whether the broker received a good track of each of n objects in frames from each agent: (n, a)."""
+    judged, series = scores.judged, scores.every_series
+    result = np.zeros((len(truth_id), len(agents)), bool)
+    matched = np.flatnonzero(~judged.is_track & (judged.outcome == MATCHED))
+    for column, agent in enumerate(agents):
+        received = series.get((agent, RECEIVED), series.get((agent, LOCAL), -1))
+        own = matched[judged.series[matched] == received]
+        result[:, column] = occurs((truth_id, frame), (judged.id[own], judged.frame[own]))
+    return result
 
 
 class Attributor:

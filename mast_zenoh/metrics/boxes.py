@@ -1,4 +1,4 @@
-"""Boxes of many frames, and search for nearby pairs."""
+"""Boxes and positions of many frames: pairs, nearest neighbours, overlap, and look-up of rows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.ordering import ascending, row_order, within_runs
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 
 
@@ -109,3 +109,177 @@ def check_dimensions(dimensions: int) -> int:
     if dimensions not in (2, 3):
         raise ValueError(f"dimensions: found {dimensions}, expected 2 (bird's-eye view) or 3")
     return dimensions
+
+
+_CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+#: m, tolerance for corners on a side, so that coinciding boxes overlap fully.
+_TOLERANCE = 1e-9
+
+
+def iou_3d(a: Boxes, b: Boxes) -> Floats:
+    """Volume intersection over union (n,), 0 to 1, of box i of `a` and box i of `b`.
+
+    Groups are ignored.
+    The intersection is the exact area of the overlap of the rotated rectangles seen from above, times the overlap
+    of the heights.
+    """
+    top = np.minimum(a.position[:, 2] + a.size[:, 2] / 2.0, b.position[:, 2] + b.size[:, 2] / 2.0)
+    bottom = np.maximum(a.position[:, 2] - a.size[:, 2] / 2.0, b.position[:, 2] - b.size[:, 2] / 2.0)
+    intersection = birdseye_intersection(a, b) * np.maximum(top - bottom, 0.0)
+    union = a.size.prod(axis=1) + b.size.prod(axis=1) - intersection
+    iou: Floats = np.divide(intersection, union, out=np.zeros(len(a)), where=union > 0.0)
+    return iou
+
+
+def birdseye_intersection(a: Boxes, b: Boxes) -> Floats:
+    """(n,) m^2: intersection area of the outlines of box i of `a` and box i of `b`.
+
+    The intersection is convex; its corners are corners of one box inside the other and crossings of sides. They are
+    computed in the frame of `a` and sorted by angle about their centroid.
+    """
+    half_a, half_b = a.size[:, None, :2] / 2.0, b.size[:, None, :2] / 2.0
+    centre = _rotate((b.position - a.position)[:, None, :2], -a.yaw)
+    turn = b.yaw - a.yaw
+    corners_a = _CORNERS * half_a
+    corners_b = _rotate(_CORNERS * half_b, turn) + centre
+    crossings, crossed = _crossings(corners_b, half_a)
+    points = np.concatenate([corners_b, corners_a, crossings], axis=1)
+    valid = np.concatenate(
+        [_inside(corners_b, half_a), _inside(_rotate(corners_a - centre, -turn), half_b), crossed], axis=1
+    )
+    return _convex_area(points, valid)
+
+
+def _rotate(points: Floats, angle: Floats) -> Floats:
+    """Points (n, k, 2) rotated by angles (n,)."""
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    return np.stack([c * points[..., 0] - s * points[..., 1], s * points[..., 0] + c * points[..., 1]], axis=-1)
+
+
+def _inside(points: Floats, half: Floats) -> Bools:
+    return np.asarray(np.all(np.abs(points) <= half + _TOLERANCE, axis=-1))
+
+
+def _crossings(corners: Floats, half: Floats) -> tuple[Floats, Bools]:
+    """Crossings (n, 16, 2) of outlines (n, 4, 2) with boxes, and their validity.
+
+    half: (n, 1, 2), half sizes of the boxes
+    """
+    along = np.roll(corners, -1, axis=1) - corners
+    points, valid = [], []
+    for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (sign * half[..., axis] - corners[..., axis]) / along[..., axis]
+            point = corners + t[..., None] * along
+            other = np.abs(point[..., 1 - axis]) <= half[..., 1 - axis]
+        valid.append((t >= 0.0) & (t <= 1.0) & other)
+        points.append(point)
+    return np.concatenate(points, axis=1), np.concatenate(valid, axis=1)
+
+
+def _convex_area(points: Floats, valid: Bools) -> Floats:
+    """Areas (n,) of the convex outlines of the valid points; 0 without any.
+
+    points: (n, k, 2)
+    """
+    nonempty = valid.any(axis=1)
+    points = np.where(valid[..., None], points, 0.0)
+    centroid = points.sum(axis=1) / np.maximum(valid.sum(axis=1), 1)[:, None]
+    offset = points - centroid[:, None, :]
+    angle = np.where(valid, np.arctan2(offset[..., 1], offset[..., 0]), np.inf)
+    order = np.argsort(angle, axis=1)
+    ring = np.take_along_axis(offset, order[..., None], axis=1)
+    # Invalid points repeat the first corner: sides of zero length add no area.
+    ring = np.where(np.take_along_axis(valid, order, axis=1)[..., None], ring, ring[:, :1])
+    next_corner = np.roll(ring, -1, axis=1)
+    area = np.sum(ring[..., 0] * next_corner[..., 1] - ring[..., 1] * next_corner[..., 0], axis=1) / 2.0
+    return np.where(nonempty, np.abs(area), 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """n positions, which are never paired between groups.
+
+    group: (n,) int64; position: (n, 3) m, world frame
+    """
+
+    group: Ints
+    position: Floats
+
+    def boxes(self) -> Boxes:
+        """The positions as boxes without extent."""
+        n = len(self.group)
+        return Boxes(self.group, np.zeros(n, np.int64), self.position, np.zeros((n, 3)), np.zeros(n))
+
+    def select(self, mask: Bools | Ints) -> Places:
+        """The positions selected by a mask or an index array."""
+        return Places(self.group[mask], self.position[mask])
+
+
+def nearest(places: Places, among: Places, radius: float) -> tuple[Ints, Floats]:
+    """Nearest row of `among` in the group of each of n positions, and its distance m.
+
+    The distance is that in the bird's-eye view. -1 and inf if none is within `radius` m.
+    """
+    row, distance = np.full(len(places.group), -1, np.int64), np.full(len(places.group), np.inf)
+    i, j = pairs_within(places.boxes(), among.boxes(), radius)
+    pair_distance = centre_distance(places.position[i], among.position[j])
+    order = np.lexsort((j, pair_distance, i))
+    first = np.ones(len(i), bool)
+    first[1:] = np.diff(i[order]) != 0
+    best = order[first]
+    row[i[best]], distance[i[best]] = j[best], pair_distance[best]
+    return row, distance
+
+
+#: Limit of combined codes, so that they fit int64.
+_MAX_CODE = 1 << 62
+
+
+def find(keys: tuple[Ints, ...], among: tuple[Ints, ...]) -> Ints:
+    """For each row of the columns `keys`, the last equal row of `among` (n,); -1: none."""
+    n = len(keys[0])
+    if n == 0 or len(among[0]) == 0:
+        return np.full(n, -1, np.int64)
+    codes = _codes([np.concatenate(both) for both in zip(keys, among, strict=True)])
+    key_codes, among_codes = codes[:n], codes[n:]
+    order = among_codes.argsort(kind="stable")
+    row = order[np.searchsorted(among_codes[order], key_codes, side="right") - 1]
+    return np.where(among_codes[row] == key_codes, row, -1)
+
+
+def _codes(columns: Sequence[Ints]) -> Ints:
+    """A number for each row of integer `columns` (n,), equal only for equal rows."""
+    code, size = np.zeros(len(columns[0]), np.int64), 1
+    for column in columns:
+        low = int(column.min())
+        span = int(column.max()) - low + 1
+        if size * span > _MAX_CODE:  # too large a range to combine: use ranks instead
+            low, span, column = 0, len(column), np.unique(column, return_inverse=True)[1]
+            size, code = len(code), np.unique(code, return_inverse=True)[1]
+        code = code * span + (column - low)
+        size *= span
+    return code
+
+
+def occurs(keys: tuple[Ints, ...], among: tuple[Ints, ...]) -> Bools:
+    """Whether each row of the columns `keys` is a row of `among` (n,)."""
+    return np.asarray(find(keys, among) >= 0)
+
+
+def latest(keys: tuple[Ints, ...], until: Ints, among: tuple[Ints, ...], when: Ints) -> Ints:
+    """Latest equal row of `among` for each row of the columns `keys`; -1: none.
+
+    Rows count if `when` <= `until` (n,).
+    """
+    n = len(keys[0])
+    if n == 0 or len(among[0]) == 0:
+        return np.full(n, -1, np.int64)
+    codes = _codes([np.concatenate(both) for both in zip((*keys, until), (*among, when), strict=True)])
+    key_codes, among_codes = codes[:n], codes[n:]
+    order = among_codes.argsort(kind="stable")
+    row = order[np.maximum(np.searchsorted(among_codes[order], key_codes, side="right") - 1, 0)]
+    same = when[row] <= until
+    for column, among_column in zip(keys, among, strict=True):
+        same &= among_column[row] == column
+    return np.where(same, row, -1)

@@ -1,19 +1,19 @@
-"""Causes of errors, and the positions and objects that adversaries fake or hide."""
+"""Causes of errors: what adversaries fake or hide, and counts by cause."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.ordering import within_runs
 from mast_zenoh.arrays.states import Bools, Ints
+from mast_zenoh.metrics.boxes import Places
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
-from mast_zenoh.metrics.places import Places
-from mast_zenoh.metrics.scores import Texts
+from mast_zenoh.metrics.scores import Scores, Texts
 
 #: Causes of false tracks, missed objects and identity switches: attacks first, with the codes of KINDS.
 CAUSES = (
@@ -150,3 +150,46 @@ def joined_names(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
     labels = ["+".join(name for name, is_set in zip(names, row, strict=True) if is_set) for row in rows]
     result[nonempty] = np.array([*labels, ""], object)[kind]
     return result
+
+
+def causes_of(scores: Scores, cause: Ints, switch_cause: Ints, frames: Ints) -> list[dict[str, Any]]:
+    """Counts of errors by cause for each row of `scores.series` in these frames.
+
+    cause, switch_cause: of `scores.judged` and `scores.switches`, as returned by `Attributor.labels`
+
+    Returns {"causes": {"fp" | "fn" | "id_switches": {cause: number of rows}}, "fn_split" | "fp_split": {"fault",
+    "attack", "withheld", "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}.
+    """
+    n = len(scores.series)
+    rows = np.flatnonzero(cause != UNKNOWN)
+    rows = rows[np.isin(scores.judged.frame[rows], frames)]
+    track, series = scores.judged.is_track[rows], scores.judged.series[rows]
+    switched = np.isin(scores.frames[scores.switches.frame], frames)
+    counts = {
+        "fp": _count_causes(series[track], cause[rows[track]], n),
+        "fn": _count_causes(series[~track], cause[rows[~track]], n),
+        "id_switches": _count_causes(scores.switches.series[switched], switch_cause[switched], n),
+    }
+    totals = {"fn": len(frames), "fp": len(frames), "id_switches": 1}
+    return [
+        {"causes": {error: {name: m for name, m in table[k].items() if m} for error, table in counts.items()}}
+        | {f"{error}_split": split(counts[error][k], total) for error, total in totals.items()}
+        for k in range(n)
+    ]
+
+
+def _count_causes(series: Ints, cause: Ints, n: int) -> list[dict[str, int]]:
+    """Number of rows with each cause, for each of n series."""
+    table = np.bincount(series * len(CAUSES) + cause, minlength=n * len(CAUSES)).reshape(n, len(CAUSES))
+    return [dict(zip(CAUSES, row, strict=True)) for row in table.tolist()]
+
+
+def split(counts: Mapping[str, int], frames: int) -> dict[str, float | None]:
+    """Mean number of rows per frame, by {"fault", "attack", "withheld", "natural"}.
+
+    None without frames.
+    counts: rows by cause
+    """
+    rows = {part: sum(counts.get(cause, 0) for cause in causes) for part, causes in PARTS.items()}
+    rows["natural"] = sum(counts.values()) - sum(rows.values())
+    return {name: number / frames if frames else None for name, number in rows.items()}

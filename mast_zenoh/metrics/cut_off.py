@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
-from mast_zenoh.metrics.lookup import find, occurs
+from mast_zenoh.metrics.boxes import find, occurs
 from mast_zenoh.metrics.record import LOCAL, TruthTable
 from mast_zenoh.metrics.scores import MATCHED, Scores
 

@@ -1,20 +1,103 @@
-"""Open-loop driving analysis: corridor objects, times to collision, braking.
+"""Consequences of estimates for driving: corridor objects, times to collision, braking.
 
-The corridor is along the path that the vehicle drove in the scene. Pure; docs/metrics.md.
+Open loop: the corridor is along the path that the vehicle drove in the scene. Pure; docs/metrics.md.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.metrics.boxes import Boxes
-from mast_zenoh.metrics.braking import BrakingRule, SafeDistance, time_to_collision
-from mast_zenoh.metrics.overlap import birdseye_intersection
+from mast_zenoh.metrics.boxes import Boxes, birdseye_intersection, find
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
+from mast_zenoh.metrics.record import LOCAL, MISSION, Record, Series, TruthTable
+from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, Table
+
+#: m/s; a slower vehicle counts as stationary and need not brake.
+STANDING_MPS = 0.3
+
+
+def time_to_collision(gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Floats:
+    """Time (n,) s until gaps close at constant speeds; inf if they do not."""
+    closing = speed_mps - ahead_mps
+    return np.where(closing > 1e-9, gap_m / np.maximum(closing, 1e-9), np.inf)
+
+
+class BrakingRule(ABC):
+    """Base class of braking rules."""
+
+    @abstractmethod
+    def brakes(self, gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Bools:
+        """(n,) bool, whether to brake for each of n objects.
+
+        gap_m:     (n,) m along the path, from the vehicle's front to the object, 0 or more
+        speed_mps: (n,) m/s, of the vehicle along its path, 0 or more
+        ahead_mps: (n,) m/s, of the object along the vehicle's path; negative: it approaches
+        """
+
+
+class SafeDistance(BrakingRule):
+    """Brake below the minimum safe longitudinal distance.
+
+    The distance is defined by Responsibility-Sensitive Safety.
+
+    Source: Shalev-Shwartz, Shammah and Shashua, On a Formal Model of Safe and Scalable Self-driving Cars (2017),
+    Definition 1: the vehicle accelerates for its response time, then brakes with at least its minimum deceleration; the
+    object ahead brakes with its maximum deceleration. Approaching objects count as stationary.
+
+    response_s: s, response time;  acceleration: m/s2, maximum during the response time
+    braking:    m/s2, minimum of the vehicle after it;  braking_ahead: m/s2, maximum of the object ahead
+    """
+
+    def __init__(
+        self,
+        *,
+        response_s: float = 0.5,
+        acceleration: float = 2.0,
+        braking: float = 4.0,
+        braking_ahead: float = 8.0,
+    ) -> None:
+        for name, value in (("response_s", response_s), ("acceleration", acceleration)):
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name}: found {value}, expected 0 or more")
+        for name, value in (("braking", braking), ("braking_ahead", braking_ahead)):
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name}: found {value}, expected more than 0")
+        self.response_s, self.acceleration = response_s, acceleration
+        self.braking, self.braking_ahead = braking, braking_ahead
+
+    def brakes(self, gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Bools:
+        response, final_speed = self.response_s, speed_mps + self.response_s * self.acceleration
+        own_m = speed_mps * response + self.acceleration * response**2 / 2.0 + final_speed**2 / (2.0 * self.braking)
+        ahead_m = np.maximum(ahead_mps, 0.0) ** 2 / (2.0 * self.braking_ahead)
+        return np.asarray((speed_mps > STANDING_MPS) & (gap_m < np.maximum(own_m - ahead_m, 0.0)))
+
+
+class TimeToCollision(BrakingRule):
+    """Brake when the time to collision at constant speeds is below a threshold.
+
+    Sources: Hayward, Near-miss determination through use of a scale of danger (Highway Research Record 384, 1972); the
+    threshold is from van der Horst, A time-based analysis of road user behaviour in normal and critical encounters
+    (TU Delft, 1990), below which an encounter is critical.
+
+    threshold_s: s
+    """
+
+    def __init__(self, *, threshold_s: float = 1.5) -> None:
+        if not 0.0 < threshold_s < np.inf:
+            raise ValueError(f"threshold_s: found {threshold_s}, expected more than 0")
+        self.threshold_s = threshold_s
+
+    def brakes(self, gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Bools:
+        moving = speed_mps > STANDING_MPS
+        return np.asarray(moving & (time_to_collision(gap_m, speed_mps, ahead_mps) < self.threshold_s))
+
 
 #: m, spacing of points of the path; and maximum distance of the centre of an object that may reach into the corridor.
 _STEP_M, _REACH_M = 1.0, 8.0
@@ -183,3 +266,171 @@ def _path(vehicle: Vehicle, horizon_m: float) -> tuple[Floats, Floats, Floats]:
 def _distance_driven(vehicle: Vehicle) -> Floats:
     """Distance driven (f,) m along the path in each frame."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vehicle.position[:, :2], axis=0).T))])
+
+
+TRUTH = "truth"
+#: The estimates that a vehicle could use for driving.
+ESTIMATES = (LOCAL, MISSION)
+
+
+class Drive(NamedTuple):
+    """The behaviour of one vehicle under one estimate in (f,) frames.
+
+    objects, false, missed: (f,) in its corridor: tracks (or truth objects), false tracks, missed truth objects
+    overlapping:  (f,) tracks (or truth objects) that overlap the vehicle itself and are ignored
+    gap_m, ttc_s: (f,) least values over all objects; inf without objects
+    brake:        (f,) bool
+    needless, omitted: (f,) bool, braking without a reason in the truth, or the reverse
+    attacked:     (f,) bool, the needless or omitted braking is due to an attack
+    """
+
+    objects: Ints
+    false: Ints
+    missed: Ints
+    overlapping: Ints
+    gap_m: Floats
+    ttc_s: Floats
+    brake: Bools
+    needless: Bools
+    omitted: Bools
+    attacked: Bools
+
+
+def drives(
+    driving: Driving, record: Record, scores: Scores, labels: Labels, truth: TruthTable
+) -> dict[tuple[str, str], Drive]:
+    """The behaviour of each vehicle among the agents, by (agent, estimate).
+
+    "truth" is one of the estimates.
+    truth: of the frames of `scores`. Only agents that are objects of the scene in all frames are vehicles.
+    """
+    result: dict[tuple[str, str], Drive] = {}
+    for column, agent in enumerate(record.agents):
+        vehicle = _vehicle(truth, column, len(scores.frames))
+        if vehicle is None:
+            continue
+        others = (truth.boxes.id != truth.agent_object[truth.boxes.group, column]).nonzero()[0]
+        boxes = truth.boxes.select(others)
+        real = Objects(boxes.group, boxes.position, truth.velocity[others], boxes.size, boxes.yaw)
+        by_truth = driving.ahead(vehicle, real)
+        ids = boxes.id[by_truth.row]
+        result[agent, TRUTH] = _drive(by_truth, real, len(scores.frames))
+        for estimate in ESTIMATES:
+            if Series(agent, estimate) not in record.series():
+                continue
+            table = record.tracks([Series(agent, estimate)], scores.frames)
+            tracks = Objects(table.boxes.group, table.boxes.position, table.velocity, table.boxes.size, table.boxes.yaw)
+            ahead = driving.ahead(vehicle, tracks)
+            series = scores.every_series[agent, estimate]
+            false = _errors(scores, labels, series, FALSE, tracks.frame[ahead.row], table.boxes.id[ahead.row])
+            missed = _errors(scores, labels, series, MISSED, real.frame[by_truth.row], ids)
+            drive = _drive(ahead, tracks, len(scores.frames))
+            result[agent, estimate] = _compare(
+                drive, result[agent, TRUTH], (ahead, tracks, *false), (by_truth, real, *missed)
+            )
+    return result
+
+
+def _vehicle(truth: TruthTable, agent: int, n_frames: int) -> Vehicle | None:
+    own = (truth.boxes.id == truth.agent_object[truth.boxes.group, agent]) & (truth.boxes.id >= 0)
+    rows = own.nonzero()[0]
+    if n_frames == 0 or len(rows) != n_frames:
+        return None
+    boxes = truth.boxes.select(rows)
+    length, width = boxes.size[0, :2].tolist()
+    return Vehicle(boxes.position, truth.velocity[rows], boxes.yaw, length, width)
+
+
+def _errors(scores: Scores, labels: Labels, series: int, outcome: int, frame: Ints, id_: Ints) -> tuple[Bools, Bools]:
+    """Objects (n,) of a series with this outcome, and which of them are due to an attack."""
+    judged = scores.judged
+    rows = np.flatnonzero((judged.series == series) & (judged.outcome == outcome))
+    at = find((scores.frames[frame], id_), (judged.frame[rows], judged.id[rows]))
+    wrong = at >= 0
+    cause = np.append(labels.cause[rows], -1)[at]
+    return wrong, wrong & (cause >= 0) & (cause < len(ATTACK_CAUSES))
+
+
+def _drive(ahead: Ahead, objects: Objects, n: int) -> Drive:
+    frame = objects.frame[ahead.row]
+    gap, ttc = np.full(n, np.inf), np.full(n, np.inf)
+    np.minimum.at(gap, frame, ahead.gap_m)
+    np.minimum.at(ttc, frame, ahead.ttc_s)
+    none, never = np.zeros(n, np.int64), np.zeros(n, bool)
+    brake = np.bincount(frame[ahead.brake], minlength=n) > 0
+    overlapping = np.bincount(objects.frame[ahead.overlapping], minlength=n)
+    return Drive(np.bincount(frame, minlength=n), none, none, overlapping, gap, ttc, brake, never, never, never)
+
+
+def _compare(
+    drive: Drive,
+    by_truth: Drive,
+    false: tuple[Ahead, Objects, Bools, Bools],
+    missed: tuple[Ahead, Objects, Bools, Bools],
+) -> Drive:
+    """The behaviour under an estimate, compared with that under the truth.
+
+    false, missed: objects ahead in the estimate and in the truth, which of them are errors, and which due to attacks
+    """
+    n = len(drive.brake)
+
+    def frames(part: tuple[Ahead, Objects, Bools, Bools], mask: Bools) -> Ints:
+        return np.bincount(part[1].frame[part[0].row][mask], minlength=n)
+
+    needless, omitted = drive.brake & ~by_truth.brake, by_truth.brake & ~drive.brake
+    attacked = needless & (frames(false, false[3] & false[0].brake) > 0)
+    attacked |= omitted & (frames(missed, missed[3] & missed[0].brake) > 0)
+    return drive._replace(
+        false=frames(false, false[2]),
+        missed=frames(missed, missed[2]),
+        needless=needless,
+        omitted=omitted,
+        attacked=attacked,
+    )
+
+
+def summary(by_estimate: dict[tuple[str, str], Drive], scored: slice) -> dict[str, dict[str, dict[str, Any]]]:
+    """Mean numbers of objects and fractions of frames, by agent and estimate.
+
+    Over the scored frames.
+    """
+    result: dict[str, dict[str, dict[str, Any]]] = {}
+    for (agent, estimate), drive in by_estimate.items():
+        part = Drive._make(column[scored] for column in drive)
+        if not len(part.brake):
+            continue
+        min_ttc_s = float(part.ttc_s.min())
+        values = {
+            "corridor_objects": float(part.objects.mean()),
+            "overlapping_objects": float(part.overlapping.mean()),
+            "min_ttc_s": min_ttc_s if np.isfinite(min_ttc_s) else None,
+            "brake_share": float(part.brake.mean()),
+        }
+        if estimate != TRUTH:
+            values |= {
+                "corridor_false": float(part.false.mean()),
+                "corridor_missed": float(part.missed.mean()),
+                "needless_brake_share": float(part.needless.mean()),
+                "missed_brake_share": float(part.omitted.mean()),
+                "needless_brake_share_attack": float((part.needless & part.attacked).mean()),
+                "missed_brake_share_attack": float((part.omitted & part.attacked).mean()),
+            }
+        result.setdefault(agent, {})[estimate] = values
+    return result
+
+
+def table(by_estimate: dict[tuple[str, str], Drive], frames: Ints) -> Table:
+    """The columns of driving.parquet: a row per agent, estimate and frame."""
+    keys: Sequence[tuple[str, str]] = list(by_estimate)
+    count = len(frames)
+    columns: Table = {
+        "frame": np.tile(frames, len(keys)),
+        "agent": np.repeat(np.array([agent for agent, _ in keys], object), count),
+        "estimate": np.repeat(np.array([estimate for _, estimate in keys], object), count),
+    }
+    for name in Drive._fields:
+        parts = [getattr(drive, name) for drive in by_estimate.values()]
+        columns[name] = np.concatenate(parts) if parts else np.zeros(0)
+    for name in ("gap_m", "ttc_s"):
+        columns[name] = np.where(np.isfinite(columns[name]), columns[name], np.nan)
+    return columns

@@ -9,10 +9,8 @@ import numpy as np
 
 from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
+from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, SetDistance
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
-from mast_zenoh.metrics.matched_pairs import Sources
-from mast_zenoh.metrics.ospa import SetDistance
 from mast_zenoh.metrics.record import Record, Series, TruthTable
 from mast_zenoh.metrics.scores import (
     FALSE,
@@ -23,6 +21,7 @@ from mast_zenoh.metrics.scores import (
     EvaluatedObjects,
     Judged,
     Scores,
+    Sources,
     Switches,
 )
 

@@ -11,9 +11,7 @@ playback/          runs frame by frame in a browser
 tables/            rows and cells, for every output
 narrative/         results in words
 html, study_page   the pages, which page renders from templates/
-fault_tables       tables for links, faults and the wall clock
 terminal           results on the terminal
-study_facts        configurations, seeds and failed trials of a study
 """
 
 from __future__ import annotations

@@ -14,10 +14,7 @@ import numpy as np
 
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.fault_tables import cause_groups, cause_rows, check_rows, late_rows, latency_rows
-from mast_zenoh.report.figures import of_users
-from mast_zenoh.report.figures.catalogue import frame_choice, study_figures
-from mast_zenoh.report.figures.of_run import run_figures
+from mast_zenoh.report.figures.of_run import frame_choice, run_figures, save_user_figures, study_figures, user_figures
 from mast_zenoh.report.figures.view import (
     PANELS,
     FrameView,
@@ -28,23 +25,31 @@ from mast_zenoh.report.figures.view import (
     has_boxes,
     settled,
 )
-from mast_zenoh.report.narrative.attack_description import attack_description
+from mast_zenoh.report.narrative.adversaries import attack_description
 from mast_zenoh.report.narrative.changes import largest_change
-from mast_zenoh.report.narrative.circumstances import reference_status
-from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
+from mast_zenoh.report.narrative.run import headline, reading, reference_status, study_headline, study_reading
 from mast_zenoh.report.page import render
 from mast_zenoh.report.playback.block import run_block
 from mast_zenoh.report.playback.inline import viewer_parts
 from mast_zenoh.report.run_facts import facts, facts_of_compared, healing
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.achievement import achieved_rows
-from mast_zenoh.report.tables.consistency import estimate_rows, tracker_rows
-from mast_zenoh.report.tables.driving import driving_rows
-from mast_zenoh.report.tables.interposers import BAD, EFFECTS, interposers
-from mast_zenoh.report.tables.nodes import failure_lines, node_row
+from mast_zenoh.report.tables.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
+from mast_zenoh.report.tables.of_run import (
+    achieved_rows,
+    cause_groups,
+    cause_rows,
+    check_rows,
+    conduct_rows,
+    driving_rows,
+    estimate_rows,
+    late_rows,
+    latency_rows,
+    suspension_rows,
+    tracker_rows,
+    trust_sentences,
+)
 from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
-from mast_zenoh.report.tables.trust import conduct_rows, suspension_rows, trust_sentences
 from mast_zenoh.report.tables.wiring import wire_rows
 
 #: Runs of a study that its viewer holds.
@@ -158,12 +163,12 @@ def _write_run(
     study: the folder of the study that the report links back to
     """
     run, reference = context.run, context.reference
-    figures, user_figures = run_figures(context), of_users.user_figures(context, files)
+    figures, own = run_figures(context), user_figures(context, files)
     runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}
     scores = _scores(runs, reference.name if reference else None)
     for each in figures.values():
         each.save(run.path / "figures")
-    of_users.save(user_figures, run.path / "figures")
+    save_user_figures(own, run.path / "figures")
     shown_runs = {run.label: run} | ({reference.name: reference.run} if reference is not None else {})
     viewer, problems = _viewer(shown_runs, context.view.frame if context.view else None)
     content = {
@@ -181,7 +186,7 @@ def _write_run(
         "back": _relative(study / "report.html", run.path) if study is not None else None,
         "viewer": viewer,
         "figures": figures,
-        "user_figures": user_figures,
+        "user_figures": own,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
         "confidence": (estimate_rows(run), tracker_rows(run)),
         "interposers": interposers(run),

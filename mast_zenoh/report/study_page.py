@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
 from mast_zenoh.report.figures.drawing import RenderedFigure
-from mast_zenoh.report.narrative.study import comparisons_made, other_changes, reservations, result, titled
-from mast_zenoh.report.narrative.study_comparisons import compare
+from mast_zenoh.report.narrative.study import compare, comparisons_made, other_changes, reservations, result, titled
 from mast_zenoh.report.page import render
-from mast_zenoh.report.study_facts import StudyFacts, plural
-from mast_zenoh.report.tables.study_rows import StudyRow
-from mast_zenoh.report.tables.study_sections import sections, side_by_side
+from mast_zenoh.report.tables.study import sections, side_by_side
 
 #: Files of the study's folder that the page links to, if they are there.
 _TABLES = ("table.csv", "table.md", "table.tex", "results.parquet", "frames.parquet")

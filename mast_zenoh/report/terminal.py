@@ -10,16 +10,13 @@ from rich.markup import escape
 
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.fault_tables import cause_table, check_lines
-from mast_zenoh.report.narrative.circumstances import reference_status, status
-from mast_zenoh.report.narrative.defence import defence_sentence
-from mast_zenoh.report.narrative.explanations import explanations
-from mast_zenoh.report.narrative.phrases import effects, plural
-from mast_zenoh.report.narrative.run import headline
+from mast_zenoh.report.narrative.adversaries import explanations
+from mast_zenoh.report.narrative.changes import effects, plural
+from mast_zenoh.report.narrative.run import defence_sentence, headline, reference_status, status
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.interposers import BAD, interposers
+from mast_zenoh.report.tables.of_run import cause_table, check_lines, suspension_lines
 from mast_zenoh.report.tables.scores import as_rich, score_table
-from mast_zenoh.report.tables.trust import suspension_lines
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:

@@ -2,36 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.evaluation.trust import UPSTREAM
+from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.report.files import Table, column, rows
 from mast_zenoh.report.runfolder import RunFolder, agent_of
-
-#: Periods in s: beginning and end.
-Spans = list[tuple[float, float]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AgentTrustSeries:
-    """The trust in one agent over time, next to its conduct.
-
-    time_s: (n,) s;  value: (n,) mean or log-odds
-    states: by name of a state, when it was in it
-    lies:   when it lied;  faults: type, beginning and end of its faults
-    """
-
-    agent: str
-    time_s: Floats
-    value: Floats
-    states: Mapping[str, Spans]
-    lies: Spans
-    faults: Sequence[tuple[str, float, float]]
 
 
 def judged_agents(run: RunFolder) -> list[str]:

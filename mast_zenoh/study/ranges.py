@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from mast_zenoh.metrics import CAUSES
-from mast_zenoh.report.tables.study_rows import Series
+from mast_zenoh.metrics.study_results import Series
 from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, DRIVING
 
 #: Scores that are lengths or counts; user-defined metrics may have any range.

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.special import betaincinv, stdtr, stdtrit
 
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.report.tables.study_rows import MIN_SEEDS, NEGLIGIBLE
+from mast_zenoh.metrics.study_results import MIN_SEEDS, NEGLIGIBLE
 
 CONFIDENCE = 0.95
 #: Minimum number of seeds for an interval, and of scenes for an interval over other scenes.

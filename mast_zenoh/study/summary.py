@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.report.tables.study_rows import Estimate, Series, StudyRow
+from mast_zenoh.metrics.study_results import Estimate, Series, StudyRow
 from mast_zenoh.study import statistics
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, NAN, SELECTIVE, Number, ego

@@ -13,8 +13,7 @@ import pyarrow
 
 from mast_zenoh.errors import TrialsFailed
 from mast_zenoh.launch.tables import to_arrow
-from mast_zenoh.report.study_facts import FailedTrial, IdleAttack, StudyFacts
-from mast_zenoh.report.tables.study_rows import StudyRow
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, StudyFacts, StudyRow
 from mast_zenoh.run_files import write_bytes
 from mast_zenoh.study import results
 from mast_zenoh.study.defences.kinds import Collection, kind_named
@@ -68,7 +67,6 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     from mast_zenoh.report import study_page  # drawing libraries are slow to load
     from mast_zenoh.report.figures.study import figures_over_trials
     from mast_zenoh.report.tables import study as study_table
-    from mast_zenoh.report.tables import study_export
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
     collection = None
@@ -90,9 +88,9 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
         idle=_idle_attacks(trials),
     )
     texts = {
-        "table.csv": study_export.as_csv(rows, facts),
+        "table.csv": study_table.as_csv(rows, facts),
         "table.md": study_table.as_markdown(rows, facts),
-        "table.tex": study_export.as_latex(rows, facts),
+        "table.tex": study_table.as_latex(rows, facts),
     }
     for name, text in texts.items():
         write_bytes(store.folder / name, text.encode())

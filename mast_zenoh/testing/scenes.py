@@ -8,7 +8,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import CLASSES, Detections, Ints, ObjectStates
 from mast_zenoh.errors import MastError
-from mast_zenoh.scenes import Recording, Scene
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Detector, LidarSensor
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.comparison import expect, expect_finite, expect_same, unchanged

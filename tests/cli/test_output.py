@@ -12,7 +12,7 @@ from rich.console import Console
 from mast_zenoh.api import catalogue
 from mast_zenoh.cli import wiring
 from mast_zenoh.cli.options import PlainConsole
-from mast_zenoh.report.tables.text_table import TextTable, as_rich
+from mast_zenoh.report.tables.text_table import TextTable
 
 SHORT = ("--runtime", "inproc", "--frames", "8")
 
@@ -53,7 +53,7 @@ def test_tables_of_studies_fit_80_columns_and_cut_no_word() -> None:
     ]
     file = StringIO()
     table = TextTable("Breakdown points", "A long sentence about it. " * 9, headings, lines, 1)
-    Console(file=file, width=80).print(as_rich(table), soft_wrap=True)
+    Console(file=file, width=80).print(table.as_rich(), soft_wrap=True)
     printed = file.getvalue()
     assert max(map(len, printed.splitlines())) <= 80
     assert "\u2026" not in printed

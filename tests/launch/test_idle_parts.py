@@ -16,7 +16,7 @@ from tiny_world import tiny
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import notices, run
 from mast_zenoh.metrics import FrameMetric
-from mast_zenoh.report import write_report
+from mast_zenoh.report.html import write_report
 
 Edit = Callable[[dict[str, Any]], Any]
 UNCOORDINATED = dict(type="UncoordinatedAttack", start_s=0.0)

@@ -13,7 +13,7 @@ import pytest
 
 from mast_zenoh.errors import NotRunning
 from mast_zenoh.launch import folder, interception, liveness
-from mast_zenoh.report.narrative.circumstances import status
+from mast_zenoh.report.narrative.run import status
 from mast_zenoh.report.runfolder import RunFolder
 
 SAYS_WHO = (

@@ -14,7 +14,7 @@ from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import StallError
 from mast_zenoh.launch import ending, notices, run
-from mast_zenoh.report import write_report
+from mast_zenoh.report.html import write_report
 
 
 @pytest.fixture(scope="module")

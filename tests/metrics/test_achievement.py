@@ -12,7 +12,7 @@ from measured import PERIOD_S, Row, effects, labelled
 from metric_oracles import cars
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.metrics import Record, Series, achievement, achievement_summary
+from mast_zenoh.metrics import Record, Series, achievement
 from mast_zenoh.metrics.record import Snapshot
 
 #: Positions of the only object and of inserted ones; the ego is at the origin.
@@ -37,7 +37,7 @@ def achieved(
     achievements = achievement.targets(
         scores, labels.cause, labels.by, done, truth, record.agents, "ego", victims, 100.0, 5
     )
-    return achievement_summary.summary(achievements, done.culprits, scores, labels.switch_by, "ego", PERIOD_S)
+    return achievement.summary(achievements, done.culprits, scores, labels.switch_by, "ego", PERIOD_S)
 
 
 def removed(frames: list[int], name: str = "eve") -> list[Row]:

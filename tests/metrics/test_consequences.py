@@ -8,8 +8,9 @@ from measured import Row, effects, labelled, passage
 from metric_oracles import cars
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.metrics import Driving, Record, Series, consequences
-from mast_zenoh.metrics.consequences import Drive
+from mast_zenoh.metrics import Driving, Record, Series
+from mast_zenoh.metrics import driving as driving_metrics
+from mast_zenoh.metrics.driving import Drive
 from mast_zenoh.metrics.record import Snapshot
 
 FRAMES = 40
@@ -35,7 +36,7 @@ def driven(
         record.add(frame, [Series("ego", "local")], Snapshot.of(believed))
     measured_effects = effects(*(lies or []), passages=[passage("eve", "detections", "ego")] if lies else ())
     scores, _, labels, _ = labelled(record, measured_effects)
-    return consequences.drives(Driving(), record, scores, labels, record.truth(scores.frames))
+    return driving_metrics.drives(Driving(), record, scores, labels, record.truth(scores.frames))
 
 
 def frames(mask: np.ndarray) -> list[int]:
@@ -108,11 +109,11 @@ def test_an_agent_that_is_not_an_object_of_the_scene_is_no_vehicle() -> None:
     record.add_truth(0, cars(CAR), np.full((1, 1), 50), np.zeros((1, 3)), np.array([-1]))
     record.add(0, [Series("pole", "local")], Snapshot.of(ObjectStates.empty()))
     scores, _, labels, _ = labelled(record, effects())
-    assert consequences.drives(Driving(), record, scores, labels, record.truth(scores.frames)) == {}
+    assert driving_metrics.drives(Driving(), record, scores, labels, record.truth(scores.frames)) == {}
 
 
 def test_the_summary_covers_the_scored_frames() -> None:
-    driving = consequences.summary(driven([CAR], [[]] * FRAMES), slice(20, 30))["ego"]
+    driving = driving_metrics.summary(driven([CAR], [[]] * FRAMES), slice(20, 30))["ego"]
     assert driving["truth"]["brake_share"] == pytest.approx((30 - FIRST) / 10)
     assert driving["local"]["missed_brake_share"] == pytest.approx((30 - FIRST) / 10)
     assert driving["local"]["corridor_missed"] == 1.0

@@ -12,8 +12,15 @@ from shapely import LineString, affinity
 from shapely.geometry import box
 
 from mast_zenoh.metrics import Driving
-from mast_zenoh.metrics.braking import STANDING_MPS, SafeDistance, TimeToCollision, time_to_collision
-from mast_zenoh.metrics.driving import Ahead, Objects, Vehicle
+from mast_zenoh.metrics.driving import (
+    STANDING_MPS,
+    Ahead,
+    Objects,
+    SafeDistance,
+    TimeToCollision,
+    Vehicle,
+    time_to_collision,
+)
 
 LENGTH, WIDTH = 4.5, 1.8
 PERIOD_S = 0.1

@@ -11,9 +11,9 @@ from metric_oracles import cars
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Record, Series, causes_of
+from mast_zenoh.metrics.attributor import Withheld
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
-from mast_zenoh.metrics.withheld import Withheld
 
 NOTHING = ObjectStates.empty()
 

@@ -11,7 +11,7 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
 from mast_zenoh.evaluation.from_effects import stopped_by_links
 from mast_zenoh.metrics import CutOff, CutOffObjects, Presence, Record, Scorer, Series
-from mast_zenoh.metrics.blame import split
+from mast_zenoh.metrics.causes import split
 from mast_zenoh.metrics.record import Snapshot
 
 AGENTS = ("ego", "infra_1", "infra_2")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mast_zenoh.metrics.lookup import find, occurs
+from mast_zenoh.metrics.boxes import find, occurs
 
 
 @pytest.mark.parametrize("far", [1, 1 << 31, 1 << 61])

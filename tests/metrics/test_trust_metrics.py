@@ -11,15 +11,16 @@ from mast_zenoh.metrics.trust import (
     Conduct,
     TrustHistory,
     TrustUpdate,
+    agent_table,
     auc,
     detection_delay,
     fault_frames,
     lasting,
+    object_table,
     partial_auc,
     roc,
     summary,
 )
-from mast_zenoh.metrics.trust.history import agent_table, object_table
 
 STATES = ("unknown", "trusted", "faulty", "suspended")
 UNKNOWN, TRUSTED, FAULTY, SUSPENDED = range(4)

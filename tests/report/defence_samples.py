@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.metrics.trust import roc
-from mast_zenoh.report.defence_rows import (
+from mast_zenoh.metrics.study_results import (
     BINOMIAL,
     BOOTSTRAP,
     POISSON,
+    AgentTrustSeries,
     DefenceMatrix,
     DefenceRoc,
     DefenceRow,
@@ -20,7 +20,7 @@ from mast_zenoh.report.defence_rows import (
     Survival,
     TrustPanel,
 )
-from mast_zenoh.report.trust_facts import AgentTrustSeries
+from mast_zenoh.metrics.trust import roc
 
 DELAY = Survival(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 3, 5)
 RUNS = Measured(0.0, 0.0, 0.07, 48, 0, BINOMIAL)

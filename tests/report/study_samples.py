@@ -6,8 +6,7 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-from mast_zenoh.report.study_facts import FailedTrial, StudyFacts
-from mast_zenoh.report.tables.study_rows import Estimate, Series, StudyRow
+from mast_zenoh.metrics.study_results import Estimate, FailedTrial, Series, StudyFacts, StudyRow
 
 BASELINE = StudyRow("baseline", "baseline", {}, {Series("ego", "picture", "fp"): Estimate(1.0, 0.5, 1.0, 0.9, 1.1)})
 

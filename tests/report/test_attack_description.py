@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh.report import write_report
-from mast_zenoh.report.narrative.attack_description import attack_description
+from mast_zenoh.report.html import write_report
+from mast_zenoh.report.narrative.adversaries import attack_description
 from mast_zenoh.report.runfolder import RunFolder
 
 RunFolderFixture = Callable[..., Path]

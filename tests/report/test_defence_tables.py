@@ -11,8 +11,8 @@ import pytest
 from defence_samples import matrix, row, summary
 
 from mast_zenoh.api.comparisons import as_text
-from mast_zenoh.report.defence_rows import BOOTSTRAP, MEASURES, Measured
-from mast_zenoh.report.tables import defences as tables
+from mast_zenoh.metrics.study_results import BOOTSTRAP, MEASURES, Measured
+from mast_zenoh.report.tables.defences import defence_tables
 from mast_zenoh.report.tables.text_table import measured, median_delay
 
 
@@ -34,7 +34,7 @@ def test_a_narrow_interval_has_more_digits() -> None:
 
 
 def test_the_text_ends_with_the_summary() -> None:
-    last = tables.as_markdown(matrix()).split("\n\n")[-3:]
+    last = defence_tables(matrix()).as_markdown().split("\n\n")[-3:]
     assert last[0] == "## Summary"
     line = last[2].strip().splitlines()[-1]
     assert line.startswith("| Wall | 0.970 [0.950, 0.990] | 0.30 [0.20, 0.50] | 0.970 [0.950, 0.990] |")
@@ -43,7 +43,7 @@ def test_the_text_ends_with_the_summary() -> None:
 
 
 def test_the_terminal_ends_with_the_summary_too() -> None:
-    text = as_text(tables.as_rich(matrix()))
+    text = as_text(defence_tables(matrix()).as_rich())
     assert text.index("Damage, worst") < text.index("Summary")
     assert "0.40 [0.00, 1.20]" in text
     assert "108000" in text
@@ -52,18 +52,18 @@ def test_the_terminal_ends_with_the_summary_too() -> None:
 def test_runs_without_an_attack_alone_have_no_empty_tables() -> None:
     whole = matrix()
     quiet = replace(whole, rows=[row("Open", ""), row("Wall", "")], rocs=[], delays={}, state_shares={}, panels=[])
-    text = tables.as_markdown(quiet)
+    text = defence_tables(quiet).as_markdown()
     assert "## Cost without an attack" in text
     assert "## Damage" not in text
     assert "## Detection" not in text
     assert "## Framing" not in text
-    assert tables.as_latex(quiet).count(r"\begin{tabular}") == 2
+    assert defence_tables(quiet).as_latex().count(r"\begin{tabular}") == 2
 
 
 def test_a_delay_of_which_less_than_half_is_known_says_so() -> None:
     unknown = replace(matrix(), summaries=[summary(median_delay_s=Measured(math.nan, 1.2, math.inf, 48, 0, BOOTSTRAP))])
-    assert "| not reached [1.20, \u221e) |" in tables.as_markdown(unknown)
-    assert r"not reached [1.20, $\infty$)" in tables.as_latex(unknown)
+    assert "| not reached [1.20, \u221e) |" in defence_tables(unknown).as_markdown()
+    assert r"not reached [1.20, $\infty$)" in defence_tables(unknown).as_latex()
     assert (
         median_delay(Measured(math.nan, math.inf, math.inf, 48))
         == median_delay(Measured(math.nan, trials=3))
@@ -72,13 +72,13 @@ def test_a_delay_of_which_less_than_half_is_known_says_so() -> None:
 
 
 def test_the_defence_that_judges_nobody_has_no_row_for_framing() -> None:
-    section = tables.as_markdown(matrix()).split("## Framing")[1].split("## ")[0]
+    section = defence_tables(matrix()).as_markdown().split("## Framing")[1].split("## ")[0]
     assert "| Wall | Ghost |" in section
     assert "| Open |" not in section
 
 
 def test_the_csv_has_every_measure_of_every_cell_with_bounds_and_method() -> None:
-    lines = list(csv.DictReader(io.StringIO(tables.as_csv(matrix()))))
+    lines = list(csv.DictReader(io.StringIO(defence_tables(matrix()).as_csv())))
     cell = [line for line in lines if (line["defence"], line["attack"]) == ("Wall", "Ghost")]
     assert [line["measure"] for line in cell] == list(MEASURES)
     detected = next(line for line in cell if line["measure"] == "lies_detected")
@@ -92,7 +92,7 @@ def test_the_csv_has_every_measure_of_every_cell_with_bounds_and_method() -> Non
 
 @pytest.mark.parametrize("text", ["Summary", "Detection", "ROC", "Framing", "Faults"])
 def test_latex_has_all_tables_with_escaped_text(text: str) -> None:
-    latex = tables.as_latex(matrix())
+    latex = defence_tables(matrix()).as_latex()
     assert f"% {text}" in latex
     assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 8
     for line in latex.splitlines():

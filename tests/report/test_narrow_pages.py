@@ -6,7 +6,7 @@ from pathlib import Path
 
 from browser import chromium
 
-from mast_zenoh.report import write_study_report
+from mast_zenoh.report.html import write_study_report
 
 _SCORES = """() => [...document.querySelectorAll("table.scores")].map(
     (table) => [table.parentElement.scrollWidth, table.parentElement.clientWidth])"""

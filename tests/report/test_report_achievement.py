@@ -14,15 +14,14 @@ import pytest
 from rich.console import Console
 
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.figures.driving import driving_over_time
+from mast_zenoh.report.figures.over_time import driving_over_time
 from mast_zenoh.report.html import write_page, write_report
 from mast_zenoh.report.narrative import changes
-from mast_zenoh.report.narrative.explanations import explanations
+from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.achievement import achieved_rows
-from mast_zenoh.report.tables.driving import driving_rows
-from mast_zenoh.report.tables.scores import DASH
+from mast_zenoh.report.tables.of_run import achieved_rows, driving_rows
+from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.report.terminal import show_loaded
 
 ACHIEVED = {"inserted": 4, "inserted_share_centre": 1.0, "inserted_share_ego": 0.5, "inserted_s_centre": 9.25}

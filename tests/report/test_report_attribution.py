@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.other_differences import join_differences, other_differences
-from mast_zenoh.report.narrative.reach import reaches
+from mast_zenoh.report.narrative.attribution import join_differences, other_differences, reaches
 from mast_zenoh.report.narrative.run import headline, reading
 from mast_zenoh.report.runfolder import RunFolder
 

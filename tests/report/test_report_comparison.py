@@ -13,7 +13,8 @@ import pytest
 from rich.console import Console
 
 from mast_zenoh.errors import NotComparable, RunFolderError
-from mast_zenoh.report import comparison, write_report
+from mast_zenoh.report import comparison
+from mast_zenoh.report.html import write_report
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.terminal import show_run
 

@@ -13,8 +13,8 @@ import pytest
 from mast_zenoh.metrics import Consistency
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.consistency import estimate_rows, tracker_rows
-from mast_zenoh.report.tables.scores import DASH
+from mast_zenoh.report.tables.of_run import estimate_rows, tracker_rows
+from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.tracking import Innovations
 
 

@@ -19,14 +19,13 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from mast_zenoh.report import terminal
-from mast_zenoh.report.fault_tables import cause_rows, check_lines, check_rows, late_rows, latency_rows
-from mast_zenoh.report.figures.bands import Band, bands, lanes, place_bands
-from mast_zenoh.report.figures.causes import causes_over_time
-from mast_zenoh.report.figures.charts import counts_over_time
+from mast_zenoh.report.figures.over_time import causes_over_time, counts_over_time
+from mast_zenoh.report.figures.timeaxis import Band, bands, lanes, place_bands
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.scores import DASH
+from mast_zenoh.report.tables.of_run import cause_rows, check_lines, check_rows, late_rows, latency_rows
+from mast_zenoh.report.tables.text_table import DASH
 
 PARTITION = {"label": "Partition infra_1", "kind": "fault", "type": "Partition", "at_s": 0.5, "until_s": 1.5}
 KILL = {"label": "Kill infra_2", "kind": "fault", "type": "Kill", "at_s": 1.0, "until_s": None}

@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw
-from mast_zenoh.report.figures.camera import Eye
-from mast_zenoh.report.figures.charts import counts_over_time
-from mast_zenoh.report.figures.clipping import clip_polygon
+from mast_zenoh.report.figures.camera import Eye, clip_polygon
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, render, side_by_side_figure
-from mast_zenoh.report.figures.style import ADVERSARY, OUTCOME_COLOURS, png
+from mast_zenoh.report.figures.over_time import counts_over_time
+from mast_zenoh.report.figures.style import png
 from mast_zenoh.report.figures.view import FrameView, frame_view
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.sensing.camera import Camera
+from mast_zenoh.viewer.palette import ADVERSARY, OUTCOME_COLOURS
 
 COLOURS = OUTCOME_COLOURS | {"adversary": ADVERSARY}
 

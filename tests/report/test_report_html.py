@@ -16,7 +16,7 @@ import pytest
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.tables import read_table, write_table
-from mast_zenoh.report import write_report, write_study_report
+from mast_zenoh.report.html import write_report, write_study_report
 from mast_zenoh.report.playback.columns import unpack
 from mast_zenoh.report.runfolder import RunFolder
 

@@ -10,9 +10,8 @@ import pytest
 
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.style import svg
-from mast_zenoh.report.narrative.circumstances import compromised
-from mast_zenoh.report.narrative.phrases import effects
-from mast_zenoh.report.narrative.run import reading
+from mast_zenoh.report.narrative.changes import effects
+from mast_zenoh.report.narrative.run import compromised, reading
 from mast_zenoh.report.page import environment
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.interposers import Interposer, adversaries_by_agent, exit_expected, interposers

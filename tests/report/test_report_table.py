@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from mast_zenoh.report import as_markdown, as_rich, score_table
-from mast_zenoh.report.tables.scores import ALWAYS, ScoreTable
+from mast_zenoh.report import as_markdown, as_rich
+from mast_zenoh.report.tables.scores import ALWAYS, ScoreTable, score_table
 from mast_zenoh.report.terminal import show
 
 Counts = tuple[float, float, float]

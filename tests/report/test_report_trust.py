@@ -22,9 +22,9 @@ from mast_zenoh.report.figures.style import STATES, WITHHELD, png
 from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.narrative.defence import defence_sentence
+from mast_zenoh.report.narrative.run import defence_sentence
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.trust import conduct_rows, suspension_lines, suspension_rows, trust_sentences
+from mast_zenoh.report.tables.of_run import conduct_rows, suspension_lines, suspension_rows, trust_sentences
 from mast_zenoh.report.trust_facts import fault_spans, judged_agents, lie_spans, state_spans, states_at, withheld_at
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")

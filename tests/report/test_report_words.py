@@ -13,10 +13,15 @@ import numpy as np
 import pytest
 
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.attack_period import while_attacked
-from mast_zenoh.report.narrative.circumstances import compromised
-from mast_zenoh.report.narrative.phrases import join_names
-from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
+from mast_zenoh.report.narrative.changes import join_names
+from mast_zenoh.report.narrative.run import (
+    compromised,
+    headline,
+    reading,
+    study_headline,
+    study_reading,
+    while_attacked,
+)
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import number, score_table, signed
 

@@ -7,10 +7,9 @@ from dataclasses import replace
 import pytest
 from study_samples import BASELINE, estimate, facts, grid, row
 
+from mast_zenoh.metrics.study_results import Series, StudyRow
 from mast_zenoh.report.figures import study
-from mast_zenoh.report.figures.study import figures_over_trials
-from mast_zenoh.report.figures.study_panels import Panel, label_of, panels
-from mast_zenoh.report.tables.study_rows import Series, StudyRow
+from mast_zenoh.report.figures.study import Panel, figures_over_trials, label_of, panels
 
 
 def labels(panel: Panel) -> dict[str, list[str]]:

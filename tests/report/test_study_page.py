@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from study_samples import BASELINE, facts, grid
 
+from mast_zenoh.metrics.study_results import FailedTrial
 from mast_zenoh.report.figures.study import figures_over_trials
-from mast_zenoh.report.study_facts import FailedTrial
 from mast_zenoh.report.study_page import write_page
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2), false_positives=(1.0, 5.0, 20.0))]

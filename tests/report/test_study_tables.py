@@ -11,20 +11,11 @@ import pytest
 from rich.console import Console
 from study_samples import BASELINE, estimate, facts, grid, row
 
-from mast_zenoh.report.narrative.study import other_changes, reservations, result
-from mast_zenoh.report.narrative.study_comparisons import compare, holm
-from mast_zenoh.report.study_facts import FailedTrial, IdleAttack
-from mast_zenoh.report.tables import study, study_export
-from mast_zenoh.report.tables.study_rows import (
-    PAPER,
-    Estimate,
-    Series,
-    StudyRow,
-    number,
-    over_frames,
-    over_trials,
-    shares,
-)
+from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, Series, StudyRow, shares
+from mast_zenoh.report.narrative.study import compare, holm, other_changes, reservations, result
+from mast_zenoh.report.tables import study
+from mast_zenoh.report.tables.study_rows import PAPER, over_frames, over_trials
+from mast_zenoh.report.tables.text_table import number
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
@@ -108,7 +99,7 @@ def test_markdown_has_failed_trials_first_and_as_many_cells_in_every_line_of_a_t
 
 
 def test_csv_has_full_precision_a_column_per_parameter_and_blanks_for_unknown_values() -> None:
-    lines = list(csv.DictReader(io.StringIO(study_export.as_csv(ROWS, facts(ROWS)))))
+    lines = list(csv.DictReader(io.StringIO(study.as_csv(ROWS, facts(ROWS)))))
     assert len(lines) == 1 + 6 * len(ROWS[1].estimates)
     one = next(
         f
@@ -123,7 +114,7 @@ def test_csv_has_full_precision_a_column_per_parameter_and_blanks_for_unknown_va
 
 
 def test_latex_has_equal_cells_in_every_row_and_escapes_special_characters() -> None:
-    text = study_export.as_latex(ROWS, facts(ROWS))
+    text = study.as_latex(ROWS, facts(ROWS))
     paper, *scores, _ = text.split(r"\end{tabular}")
     body = [line for line in paper.splitlines() if line.endswith(r"\\")][2:]
     assert len(body) == 2 * 6
@@ -136,7 +127,7 @@ def test_latex_has_equal_cells_in_every_row_and_escapes_special_characters() -> 
 
 def test_latex_has_booktabs_rules_and_all_metrics_of_each_estimate() -> None:
     own = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "mission", "near_misses"): estimate(1.0)})
-    text = study_export.as_latex([BASELINE, own], facts([BASELINE, own]))
+    text = study.as_latex([BASELINE, own], facts([BASELINE, own]))
     assert text.startswith("% needs \\usepackage{booktabs}\n")
     tabulars = text.count(r"\begin{tabular}")
     assert tabulars == text.count(r"\toprule") == text.count(r"\midrule") == text.count(r"\bottomrule") > 1
@@ -281,7 +272,7 @@ def test_attacks_that_never_began_are_reported_first() -> None:
 
 
 def test_latex_marks_significant_differences_after_holm() -> None:
-    text = study_export.as_latex(ROWS, facts(ROWS))
+    text = study.as_latex(ROWS, facts(ROWS))
     assert r"9.00 \pm 1.25^{*}" in text
     assert text.count("^{*}") == sum(
         compare(ROWS, "baseline").remains(row, column) for row in ROWS[1:] for _, of in PAPER for column in of
@@ -292,7 +283,7 @@ def test_latex_marks_significant_differences_after_holm() -> None:
 def test_tables_and_sentences_name_parameters() -> None:
     rows = [BASELINE, *grid("attacked", false_positives=(2.0, 8.0), share=(0.0, 0.5))]
     name, known = "attacked false_positives=8.0 share=0.0", facts(rows)
-    markdown, latex = study.as_markdown(rows, known), study_export.as_latex(rows, known)
+    markdown, latex = study.as_markdown(rows, known), study.as_latex(rows, known)
     assert f"| {name} |" in markdown
     assert (
         f"The largest change of false or missed objects in what the ego acts on: in {name} the ego with the picture has"

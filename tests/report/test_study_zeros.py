@@ -13,12 +13,12 @@ from rich.console import Console
 from scipy.stats import binomtest
 from study_samples import BASELINE, facts, grid
 
+from mast_zenoh.metrics.study_results import Series
 from mast_zenoh.report.figures.study import figures_over_trials
-from mast_zenoh.report.narrative.study import other_changes, result
-from mast_zenoh.report.narrative.study_comparisons import compare
+from mast_zenoh.report.narrative.study import compare, other_changes, result
 from mast_zenoh.report.study_page import write_page
-from mast_zenoh.report.tables import study, study_export
-from mast_zenoh.report.tables.study_rows import Series, over_trials
+from mast_zenoh.report.tables import study
+from mast_zenoh.report.tables.study_rows import over_trials
 from mast_zenoh.study.summary import trial_estimate
 
 UNLIMITED = (-np.inf, np.inf)
@@ -88,12 +88,12 @@ def test_tables_without_such_means_do_not_warn() -> None:
 
 
 def test_csv_has_the_share_and_latex_the_warning() -> None:
-    lines = list(csv.DictReader(io.StringIO(study_export.as_csv(rows(), facts(rows())))))
+    lines = list(csv.DictReader(io.StringIO(study.as_csv(rows(), facts(rows())))))
     line = next(line for line in lines if line["metric"] == "fn_iob")
     assert (line["low"], line["high"], line["p"]) == ("", "", "")
     assert float(line["zero_share"]) == 0.8
     assert float(line["zero_low"]) == pytest.approx(0.563, abs=1e-3)
-    latex = study_export.as_latex(rows(), facts(rows()))
+    latex = study.as_latex(rows(), facts(rows()))
     assert WARNING in latex
     assert r"(0 \mbox{ in } 80 \% [56, 94])" in latex
 

@@ -15,10 +15,9 @@ from typer.testing import CliRunner
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import loading
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.report import FigureContext, RunFigure, write_report
-from mast_zenoh.report.figures.of_run import OURS
-from mast_zenoh.report.figures.of_users import user_figures
-from mast_zenoh.report.run_figure import SECTIONS
+from mast_zenoh.report.figures.of_run import OURS, user_figures
+from mast_zenoh.report.html import write_report
+from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 from mast_zenoh.report.runfolder import RunFolder
 
 Folder = Callable[..., Path]

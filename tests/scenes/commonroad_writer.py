@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes.recording import Recording
 
 
 def write_commonroad(recording: Recording, path: Path, version: str = "2020a") -> Path:

@@ -8,8 +8,8 @@ import pytest
 from reference_data import reference
 
 from mast_zenoh.arrays.states import Detections
-from mast_zenoh.scenes import Recording, SceneAgent
-from mast_zenoh.scenes.recording import truth_states
+from mast_zenoh.scenes.agents import SceneAgent
+from mast_zenoh.scenes.recording import Recording, truth_states
 from mast_zenoh.sensing import Camera, LidarSensor
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import box_corners, rotation_from_yaw, to_local
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import sensor_pose
 
 #: Names of the types, by class.

@@ -6,7 +6,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import heading, rotation_from_yaw
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes.recording import Recording
 
 TYPES = {"car": "Car", "truck": "Truck", "bus": "Misc", "bicycle": "Cyclist", "pedestrian": "Pedestrian"}
 EARTH_RADIUS_M = 6378137.0

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Intersection, Recording
+from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.making.observe import World, lidar_visibility
+from mast_zenoh.scenes.recording import Recording
 
 FRAMES = 12
 

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes.recording import Recording
 
 FIRST = 68
 #: Categories of each class, as Multi-V2X and the real data sets write them.

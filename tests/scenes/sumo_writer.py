@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes.recording import Recording
 
 VEHICLE_CLASS = {"car": "passenger", "unknown": "custom1"}
 

@@ -17,9 +17,13 @@ from mast_zenoh import scenario
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.config import registry
 from mast_zenoh.errors import MastError, SceneError
-from mast_zenoh.scenes import OwnDetections, Recording, RecordingFile, Scene, from_arrays
+from mast_zenoh.scenes import from_arrays
+from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.own_detections.kitti import read_kitti, write
+from mast_zenoh.scenes.own_detections.replayed import OwnDetections
 from mast_zenoh.scenes.own_detections.rows import DetectionRows
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.recording_file import RecordingFile
 from mast_zenoh.sensing import DetectionModel
 
 FRAMES = 4

@@ -13,8 +13,8 @@ import pytest
 from carla_writer import write_run
 
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import AVstackScene
 from mast_zenoh.scenes.carla import archive
+from mast_zenoh.scenes.carla.avstack import AVstackScene
 
 MB = 1_000_000
 

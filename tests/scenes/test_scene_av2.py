@@ -11,7 +11,8 @@ from pyarrow import feather
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import AV2Log, Recording
+from mast_zenoh.scenes.argoverse.av2 import AV2Log
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector
 
 FRAMES = 5

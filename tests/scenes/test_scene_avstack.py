@@ -13,8 +13,8 @@ from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import AVstackScene, Recording
-from mast_zenoh.scenes.carla.avstack import EGO_ID
+from mast_zenoh.scenes.carla.avstack import EGO_ID, AVstackScene
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector, LidarSensor, Walls, lidar_points, sensor_pose, to_world
 
 

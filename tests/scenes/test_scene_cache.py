@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mast_zenoh.scenes import Recording, Scene, cache, cache_folder, prepare
+from mast_zenoh.scenes import cache, prepare
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.cache import cache_folder
 from mast_zenoh.scenes.making.sensor_types import Radar
+from mast_zenoh.scenes.recording import Recording
 
 
 class Counted(Scene):

@@ -17,7 +17,8 @@ from twin_source import assert_equal_truth, flat_twin_source, returns_of
 
 from mast_zenoh.arrays.states import CLASS_INDEX
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import CommonRoadScenario, Recording
+from mast_zenoh.scenes.commonroad.scenario import CommonRoadScenario
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector
 
 STATE = """<{tag}><position><point><x>{x}</x><y>1</y></point></position><orientation><exact>0.0</exact></orientation>

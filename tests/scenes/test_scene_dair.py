@@ -17,10 +17,13 @@ import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import heading, wrap_angle
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import DAIRScene, Intersection, RCooperScene, Recording
 from mast_zenoh.scenes.dair.labels import CLASS_OF_TYPE, LEFT_OUT
+from mast_zenoh.scenes.dair.rcooper import RCooperScene
+from mast_zenoh.scenes.dair.scene import DAIRScene
 from mast_zenoh.scenes.dair.tracks import linked, matched, numbered
+from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.measurements import NO_MEASUREMENT
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector, sensor_pose, to_world
 from mast_zenoh.testing.scenes import check_scene
 

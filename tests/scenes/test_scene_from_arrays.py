@@ -11,7 +11,9 @@ from hypothesis.extra import numpy as arrays
 import mast_zenoh as mast
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, MastError, SceneError
-from mast_zenoh.scenes import Recording, RecordingFile, from_arrays
+from mast_zenoh.scenes import from_arrays
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.recording_file import RecordingFile
 from mast_zenoh.sensing import CleanDetector
 
 TIMES = np.arange(5) / 10

@@ -19,10 +19,11 @@ from typer.testing import CliRunner
 import mast_zenoh as mast
 from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Recording, from_arrays
+from mast_zenoh.scenes import from_arrays
 from mast_zenoh.scenes.inspection import contents, problems
 from mast_zenoh.scenes.names import SHORT_NAMES
 from mast_zenoh.scenes.recognition import recognised
+from mast_zenoh.scenes.recording import Recording
 
 TIMES = np.arange(6) / 10
 

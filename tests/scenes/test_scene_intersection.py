@@ -9,7 +9,8 @@ import shapely
 from mast_zenoh.arrays.geometry import box_corners
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenes import Intersection, Recording
+from mast_zenoh.scenes.generated.intersection import Intersection
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector
 
 pytestmark = pytest.mark.heavy

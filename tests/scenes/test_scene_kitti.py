@@ -15,10 +15,11 @@ from twin_source import twin_source
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import KittiTracking, Recording
+from mast_zenoh.scenes.kitti.tracking import KittiTracking
 from mast_zenoh.scenes.making.assembly import assemble
 from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.making.virtual_agents import vehicle
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector
 
 #: No rotation but that of the axes; the lidar is 0.8 m above the IMU, the camera at the lidar.

@@ -3,7 +3,7 @@
 import pytest
 
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenes import parse_scene
+from mast_zenoh.scenes.names import parse_scene
 
 
 @pytest.mark.parametrize(

@@ -18,15 +18,11 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import (
-    Intersection,
-    MultiV2XScene,
-    OPV2VScene,
-    Recording,
-    Scene,
-    V2V4RealScene,
-    V2XRealScene,
-)
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.generated.intersection import Intersection
+from mast_zenoh.scenes.opv2v.multi_v2x import MultiV2XScene
+from mast_zenoh.scenes.opv2v.scenes import OPV2VScene, V2V4RealScene, V2XRealScene
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector
 from mast_zenoh.testing.fixtures import play
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes import Recording, RecordingFile
 from mast_zenoh.scenes.inspection import contents, problems
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.recording_file import RecordingFile
 
 
 def test_a_frame_is_a_slice(recording: Recording) -> None:

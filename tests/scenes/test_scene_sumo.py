@@ -17,7 +17,8 @@ from twin_source import assert_equal_truth, returns_of, twin_source
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Recording, SumoTrace
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.sumo.floating_cars import SumoTrace
 from mast_zenoh.sensing import CleanDetector
 
 

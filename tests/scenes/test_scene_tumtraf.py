@@ -15,10 +15,11 @@ from tumtraf_writer import CAR, LABELS, POLE, write
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Recording, TUMTrafV2X
 from mast_zenoh.scenes.files import elements
 from mast_zenoh.scenes.making import labels
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.scenes.tumtraf import openlabel
+from mast_zenoh.scenes.tumtraf.tumtraf import TUMTrafV2X
 
 OpenLabel = dict[str, Any]
 

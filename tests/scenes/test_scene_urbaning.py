@@ -17,10 +17,11 @@ from urbaning_writer import POLES, SEQUENCE, SHIFT, TIME_MS, write, write_timesy
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Recording, UrbanIngV2X
 from mast_zenoh.scenes.files import elements
 from mast_zenoh.scenes.making import labels
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.scenes.urbaning import files, tracks
+from mast_zenoh.scenes.urbaning.urbaning import UrbanIngV2X
 
 TIMESYNC = f"dataset/{SEQUENCE}/timesync_info.csv"
 CALIBRATION = f"dataset/{SEQUENCE}/calibration.json"

@@ -9,7 +9,7 @@ from label_twins import lidar_pose, matrix
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes.recording import Recording
 
 CAR, POLE = "vehicle_lidar_robosense", "s110_lidar_ouster_south"
 LABELS = f"labels_point_clouds/{POLE}_and_{CAR}_registered"

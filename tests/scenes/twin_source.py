@@ -4,11 +4,12 @@ from functools import cache
 
 import numpy as np
 
-from mast_zenoh.scenes import Intersection, Recording
+from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.making.assembly import assemble
 from mast_zenoh.scenes.making.boxes import Boxes
 from mast_zenoh.scenes.making.recorded_traffic import HEIGHT_OF_CLASS
 from mast_zenoh.scenes.making.virtual_agents import vehicle
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector
 
 

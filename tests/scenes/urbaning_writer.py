@@ -9,7 +9,7 @@ import numpy as np
 from label_twins import lidar_pose, matrix
 
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.scenes import Recording
+from mast_zenoh.scenes.recording import Recording
 
 SEQUENCE = "20241126_0001_crossing2_00"
 TIME_MS = 1_732_632_674_000

@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenes import Intersection
+from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.sensing import DetectionModel, Detector, LastingErrors, LidarSensor, to_world
 from mast_zenoh.streams import stream
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.report.tables.study_rows import MOSTLY
+from mast_zenoh.metrics.study_results import MOSTLY
 from mast_zenoh.streams import stream
 from mast_zenoh.study import statistics
 from mast_zenoh.study.statistics import Interval

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from synthetic_outcomes import outcome, study
 
+from mast_zenoh.metrics.study_results import StudyRow
 from mast_zenoh.report.html import write_study_report
-from mast_zenoh.report.narrative.study_comparisons import compare
-from mast_zenoh.report.tables.study_rows import StudyRow
-from mast_zenoh.report.tables.study_sections import sections
+from mast_zenoh.report.narrative.study import compare
+from mast_zenoh.report.tables.study import sections
 from mast_zenoh.study import comparison, definition, results
 from mast_zenoh.study.numbers import numbers
 from mast_zenoh.study.summary import Samples

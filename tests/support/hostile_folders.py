@@ -56,7 +56,7 @@ class Place(NamedTuple):
 
 
 _DEFINITIONS = """
-from mast_zenoh.evaluation.run_data import *
+from mast_zenoh.evaluation.evaluation import *
 from mast_zenoh.node import Node
 class Evaluator(Node): pass
 """

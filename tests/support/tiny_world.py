@@ -18,8 +18,9 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.scenes import Recording, Scene, SceneAgent
-from mast_zenoh.scenes.recording import truth_states
+from mast_zenoh.scenes.agents import SceneAgent
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.recording import Recording, truth_states
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import Wiring

@@ -13,7 +13,7 @@ from mast_zenoh import testing
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, concatenate
 from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
 from mast_zenoh.pipelines import AgentPipeline, CommandCenterPipeline, PictureFirst
-from mast_zenoh.scenes import Intersection
+from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.sensing import CleanDetector
 from mast_zenoh.tracking import KalmanBoxTracker3D
 

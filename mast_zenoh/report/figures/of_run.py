@@ -1,24 +1,37 @@
-"""Our figures of one run."""
+"""The figures of one run and of compared runs: ours and those of users, with alt texts and captions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+import json
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure as MatplotlibFigure
 
-from mast_zenoh.report.figures.causes import causes_over_time
-from mast_zenoh.report.figures.charts import SMOOTH, counts_over_time
+from mast_zenoh.config import loading
+from mast_zenoh.control.failures import described, location
+from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.figures.diagram import draw_wiring
-from mast_zenoh.report.figures.drawing import RenderedFigure, birdseye_figure, camera_figure, render
-from mast_zenoh.report.figures.driving import driving_over_time
+from mast_zenoh.report.figures.drawing import (
+    RenderedFigure,
+    birdseye_figure,
+    camera_figure,
+    render,
+    side_by_side_figure,
+)
+from mast_zenoh.report.figures.over_time import SMOOTH, causes_over_time, counts_over_time, driving_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import FrameView
-from mast_zenoh.report.run_figure import FigureContext, RunFigure
+from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.interposers import interposers
-from mast_zenoh.report.tables.scores import ESTIMATES
+from mast_zenoh.report.tables.scores import ESTIMATES, ScoreTable
 from mast_zenoh.report.trust_facts import states_at, suspensions
+from mast_zenoh.run_files import check_plain, read_json, write_bytes
 
 _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
@@ -184,4 +197,161 @@ def tally(view: FrameView, estimator: str) -> str:
     boxes = view.boxes[estimator]
     return (
         f"{len(boxes['truth missed'])} missed, {len(boxes['track false'])} false, {len(boxes['truth matched'])} matched"
+    )
+
+
+FILE = "user_figures.json"
+_KEYS = ("name", "heading", "after", "alt", "caption")
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@dataclass(frozen=True, slots=True)
+class UserFigure:
+    """A user's figure on the page.
+
+    name, heading, after: see `RunFigure`
+    picture: None where it could not be drawn
+    problem: why not; "" where it could
+    """
+
+    name: str
+    heading: str
+    after: str
+    picture: RenderedFigure | None
+    problem: str = ""
+
+
+def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[UserFigure]:
+    """The figures of users for the report of a run, by their names.
+
+    files: files to load; the scenario's files that are already loaded are searched too
+    Raises ConfigurationError for a file that cannot be loaded.
+    """
+    named = context.run.scenario.get("modules", ())
+    modules = [loading.loaded_module(Path(name)) for name in named if isinstance(name, str)]
+    modules += [loading.module(file) for file in files]
+    kinds = loading.concrete((module for module in modules if module is not None), RunFigure)
+    if kinds:
+        context = copy.deepcopy(context)  # so that no figure can change the rest of the page
+    drawn: dict[str, UserFigure] = {}
+    for kind in kinds:
+        if (each := _drawn(kind, context, drawn)) is not None:
+            drawn[each.name] = each
+    figures = {each.name: each for each in _stored(context.folder / "figures")} | drawn
+    return [figures[name] for name in sorted(figures)]
+
+
+def save_user_figures(figures: Iterable[UserFigure], folder: Path) -> None:
+    """Write the pictures and their texts into a folder, if there are any."""
+    pictures = [(each, each.picture) for each in figures if each.picture is not None]
+    for _, picture in pictures:
+        picture.save(folder)
+    if pictures:
+        rows = [(each.name, each.heading, each.after, made.alt, made.caption) for each, made in pictures]
+        content = [dict(zip(_KEYS, row, strict=True)) for row in rows]
+        write_bytes(folder / FILE, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def _drawn(kind: type[RunFigure], context: FigureContext, taken: Container[str]) -> UserFigure | None:
+    """A figure, or why it could not be drawn; None: it had nothing to draw.
+
+    taken: the names of other figures
+    """
+    try:
+        name, heading = _names(kind)
+        if name in taken or name in {ours.label() for ours in OURS}:
+            raise ValueError(f"name: found {name!r}, which another figure has")
+        if kind.after not in SECTIONS:
+            raise ValueError(f"after: found {kind.after!r}, expected one of {', '.join(SECTIONS)}")
+        picture = rendered(kind(), context)
+        if picture is not None and not (isinstance(picture.alt, str) and isinstance(picture.caption, str)):
+            raise ValueError("alt and caption: expected a string")
+    except (Exception, SystemExit) as error:
+        problem = f"{kind.__name__} could not be drawn: {described(error)} ({location(error, kind.draw)})"
+        return UserFigure(f"{kind.__module__}.{kind.__name__}", kind.__name__, RunFigure.after, None, problem)
+    return None if picture is None else UserFigure(name, heading, kind.after, picture)
+
+
+def _names(kind: type[RunFigure]) -> tuple[str, str]:
+    """The name and the heading of a figure; raises ValueError for invalid ones."""
+    for text in (kind.name, kind.heading):
+        if not isinstance(text, str) or not text.isprintable():
+            raise ValueError(f"name and heading: found {text!r}, expected printable text")
+    name = kind.label()
+    if not name.isidentifier():
+        raise ValueError(f"name: found {name!r}, expected letters, digits and _")
+    return name, kind.heading or name.replace("_", " ").capitalize()
+
+
+def _stored(folder: Path) -> list[UserFigure]:
+    """The figures that an earlier report has drawn; a broken one is left out."""
+    try:
+        content = read_json(folder / FILE)
+    except RunFolderError:
+        return []
+    figures = []
+    for entry in content if isinstance(content, list) else ():
+        try:
+            name, heading, after, alt, caption = (_text(entry, key) for key in _KEYS)
+            png = check_plain(folder / f"{name}.png").read_bytes() if name.isidentifier() else b""
+        except (OSError, ValueError, RunFolderError):
+            continue
+        if png.startswith(_PNG) and len(png) > 24 and after in SECTIONS:
+            figures.append(UserFigure(name, heading, after, RenderedFigure(name, png, alt, caption)))
+    return figures
+
+
+def _text(entry: Any, key: str) -> str:
+    value = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(value, str):
+        raise ValueError(f"{key}: found {value!r:.40}, expected a string")
+    return value
+
+
+_CHOICE_ATTACKED = (
+    "The frame is the scored one, since the first change by an adversary, with the most errors {where}{beyond}"
+)
+_CHOICE_CLEAN = "The frame is the scored one in which the picture spares the ego the most errors"
+_FULL_NAMES = {"local": "The ego alone", "picture": "The common picture", "mission": "The ego with the picture"}
+
+
+def study_figures(
+    runs: Mapping[str, RunFolder],
+    table: ScoreTable,
+    views: Mapping[str, FrameView],
+    estimate: str = "picture",
+    *,
+    chosen: bool,
+) -> dict[str, RenderedFigure]:
+    """The figures that compare runs, by name."""
+    figures = []
+    if views:
+        tallies = "; ".join(f"{label}: {tally(view, estimate)}" for label, view in views.items())
+        name = _FULL_NAMES[estimate]
+        caption = f"{name} in the same frame of every run; under it, means per frame over the scored frames."
+        if chosen:
+            beyond = f" less those of {table.reference} in the same frame"
+            caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate]}', beyond=beyond)}."
+        alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {tallies}."
+        figures.append(render("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
+    over_time = counts_over_time(runs, next(iter(views.values())).frame if views else None, estimate)
+    if over_time is not None:
+        alt = f"Missed objects, false objects and RMSE over time: ego alone, and {ESTIMATES[estimate]} of every run."
+        figures.append(render("counts", over_time, alt, counts_caption(list(runs.values()))))
+    return {each.name: each for each in figures}
+
+
+def frame_choice(run: RunFolder, estimate: str, reference: str = "") -> str:
+    """A sentence that explains how a frame was chosen.
+
+    reference: name of the run whose errors were subtracted
+    """
+    if not run.attack_frames and not reference:
+        return f"{_CHOICE_CLEAN}."
+    beyond = f" beyond those of {reference} in the same frame" if reference else ""
+    sentence = _CHOICE_ATTACKED.format(where=f"of the {ESTIMATES.get(estimate, estimate)}", beyond=beyond)
+    return (
+        sentence.replace(", since the first change by an adversary,", "") + "."
+        if not run.attack_frames
+        else f"{sentence}."
     )

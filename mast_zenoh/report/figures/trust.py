@@ -1,4 +1,4 @@
-"""The chart of the command centre's trust in each agent over time."""
+"""Charts of the command centre's trust in each agent over time, of a run and of single trials."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from mast_zenoh.report.figures.bands import HATCH
+from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans, TrustPanel
+from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.style import (
     ADVERSARY_ON_LIGHT,
     FAULT_ON_LIGHT,
@@ -20,9 +21,9 @@ from mast_zenoh.report.figures.style import (
     light_axes,
     plain,
 )
-from mast_zenoh.report.figures.timeaxis import padded
+from mast_zenoh.report.figures.timeaxis import HATCH, padded
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.trust_facts import AgentTrustSeries, Spans, trust_in_agents
+from mast_zenoh.report.trust_facts import trust_in_agents
 
 
 class Scale(NamedTuple):
@@ -133,3 +134,66 @@ def legend(agents: Sequence[AgentTrustSeries], scale: Scale = MEAN) -> list[Line
         fault = Patch(facecolor=(FAULT_ON_LIGHT, 0.25), edgecolor=FAULT_ON_LIGHT, hatch=HATCH, label="is faulty")
         handles.append(fault)
     return handles
+
+
+#: Number of panels in a line.
+_COLUMNS = 3
+#: Inches: width of a panel, of its margin with the agents' names and of the gap to the next one.
+_PANEL, _PANEL_LEFT, _GAP = 3.8, 0.92, 0.12
+#: Inches: heights of an agent's row, of a panel's title, of its time axis, and of the legend.
+_PANEL_ROW, _TITLE, _PANEL_FOOT, _PANEL_HEAD = 0.46, 0.3, 0.5, 0.42
+
+
+def trust_figure(panels: Sequence[TrustPanel], unshown: int) -> RenderedFigure:
+    """A panel per trial, a row per agent.
+
+    unshown: number of pairs of a defence and an adversary without a panel
+    """
+    columns = min(_COLUMNS, len(panels))
+    lines = [panels[start : start + columns] for start in range(0, len(panels), columns)]
+    heights = [_TITLE + _PANEL_ROW * max(len(panel.agents) for panel in line) + _PANEL_FOOT for line in lines]
+    width, height = max(columns * _PANEL, 2 * _PANEL), _PANEL_HEAD + sum(heights)
+    figure = Figure(figsize=(width, height), facecolor="white")
+    for number, line in enumerate(lines):
+        top = height - _PANEL_HEAD - sum(heights[:number])
+        for column, panel in enumerate(line):
+            _draw_panel(figure, panel, column * _PANEL, top, (width, height))
+    every = [agent for panel in panels for agent in panel.agents]
+    handles = legend(every, LOG_ODDS)
+    figure.legend(handles=handles, loc="upper left", ncols=len(handles), frameon=False, fontsize=9.5, columnspacing=1.3)
+    caption = (
+        f"The first trial of each defence that suspends, under each adversary: {LOG_ODDS.label}, drawn at the limits "
+        "beyond 10. Background: the state that the command centre gave to the agent. Bands: what it did."
+    )
+    if unshown:
+        caption += f" {unshown} more pairs are not shown."
+    titles = "; ".join(panel.title for panel in panels)
+    return render("trust_over_time", figure, f"Trust in agents over time in single trials: {titles}.", caption)
+
+
+def _draw_panel(figure: Figure, panel: TrustPanel, left: float, top: float, size: tuple[float, float]) -> None:
+    """Draw a panel below `top`, inches from the figure's lower edge; size: inches of the figure."""
+    width, height = size
+    title = panel.title + (f" (and {panel.left_out} more agents)" if panel.left_out else "")
+    figure.text(
+        (left + 0.12) / width, (top - 0.5 * _TITLE) / height, plain(title), fontsize=9.5, color=INK, va="center"
+    )
+    for index, agent in enumerate(panel.agents):
+        bottom = top - _TITLE - (index + 1) * _PANEL_ROW
+        rectangle = (
+            (left + _PANEL_LEFT) / width,
+            bottom / height,
+            (_PANEL - _PANEL_LEFT - _GAP) / width,
+            0.86 * _PANEL_ROW / height,
+        )
+        axes = figure.add_axes(rectangle)
+        draw_agent(axes, agent, panel.end_s, LOG_ODDS, named=False)
+        axes.set_xlim(*padded(0.0, panel.end_s))
+        axes.tick_params(labelsize=8)
+        axes.tick_params(axis="y", labelsize=7, length=2)
+        axes.yaxis.label.set(fontsize=8.5)
+        axes.yaxis.labelpad = 4
+        last = index == len(panel.agents) - 1
+        axes.tick_params(labelbottom=last)
+        if last:
+            axes.set_xlabel("time (s)", fontsize=8.5, color=INK, labelpad=1)

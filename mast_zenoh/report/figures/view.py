@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.report.figures.style import OUTCOME_COLOURS
 from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.narrative.changes import OBJECT_M2, SWITCH, scored
 from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.palette import OUTCOME_COLOURS
 
 #: The estimates that pictures show, side by side.
 PANELS = ("local", "picture", "mission")

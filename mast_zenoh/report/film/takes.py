@@ -10,11 +10,11 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
-from mast_zenoh.report.figures.style import OUTCOME_COLOURS
 from mast_zenoh.report.figures.view import Boxes, FrameView, has_boxes, view_of
 from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.film.look import SHOWN, TRUTH
 from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.palette import OUTCOME_COLOURS
 
 #: What panels are titled.
 TITLES = {

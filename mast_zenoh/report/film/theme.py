@@ -7,19 +7,16 @@ from dataclasses import dataclass
 
 from mast_zenoh.report.figures.camera import DARK_CAMERA, CameraColours
 from mast_zenoh.report.figures.style import (
-    ADVERSARY,
     ADVERSARY_ON_LIGHT,
-    AGENT,
     BUILDING,
-    BUILDING_EDGE,
     FAINT,
     FAULT_ON_LIGHT,
     GRID,
     GROUND,
-    OUTCOME_COLOURS,
     STATES,
     WITHHELD,
 )
+from mast_zenoh.viewer.palette import ADVERSARY, AGENT, BUILDING_EDGE, OUTCOME_COLOURS
 
 
 @dataclass(frozen=True)

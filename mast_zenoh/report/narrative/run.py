@@ -1,22 +1,237 @@
-"""The result in words: a headline and a paragraph, for one run and for several."""
+"""The result of a run in words: a headline and a paragraph, for one run and for several."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
+import numpy as np
+
+from mast_zenoh.messagelog import churn
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.fault_tables import check_rows
-from mast_zenoh.report.narrative import changes, phrases
-from mast_zenoh.report.narrative.attack_period import attack_sentences, while_attacked
+from mast_zenoh.report.files import Table, rows
+from mast_zenoh.report.narrative.adversaries import late_start_s
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
-from mast_zenoh.report.narrative.changes import Change
-from mast_zenoh.report.narrative.circumstances import compromised, reference_status, status
-from mast_zenoh.report.narrative.explanations import late_start_s
-from mast_zenoh.report.narrative.phrases import amount, capital, count, join_names, more_or_less, objects, plural
+from mast_zenoh.report.narrative.changes import (
+    DISPLACED,
+    FALSE,
+    IDENTITY,
+    IN_TRANSIT,
+    KEYS,
+    MISSED,
+    NOTHING,
+    OWNERS,
+    Change,
+    against,
+    amount,
+    attributed,
+    between,
+    capital,
+    count,
+    effects,
+    join_names,
+    largest,
+    largest_change,
+    more_or_less,
+    objects,
+    plural,
+    scored,
+)
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.driving import braking_by_attack, driving_differs, unattributed_braking
-from mast_zenoh.report.tables.interposers import Interposer, interposers
+from mast_zenoh.report.tables.interposers import Interposer, failures_of, frames_of, interposers
+from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, driving_differs, unattributed_braking
 from mast_zenoh.report.tables.scores import ScoreTable
+
+
+def compromised(run: RunFolder) -> str:
+    """Positions of adversaries in words; empty: none.
+
+    `two of four roadside sensors`, `the picture's path to ego`
+    """
+    hostile = [each for each in interposers(run) if not each.is_link]
+    kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
+    compromised_agents = {agent for each in hostile for agent in each.agents}
+    names = set(kinds) or set(run.metrics.get("agents", {})) | compromised_agents
+    places = []
+    for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
+        group = {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind}
+        number = len(group & compromised_agents)
+        if number and len(group) == 1:
+            places.append(f"the {noun}")
+        elif number:
+            places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
+    places += dict.fromkeys(f"the picture's path to {agent}" for each in hostile for agent in each.before)
+    other_wires = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
+    places += dict.fromkeys(f"the wire {wire}" for wire in other_wires)
+    return " and ".join(places)
+
+
+def status(run: RunFolder) -> str:
+    """How a run failed, in a sentence without a full stop; empty: it did not."""
+    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
+    if failed:
+        names = [f"{name} failed in {plural(frames_of(entries), 'frame')}" for name, entries in failed.items()]
+        return f"Handlers of {join_names(names)}: the numbers may be wrong"
+    if lost := run.lost:
+        return f"{churn.sentence(lost)}: from then on it is not the run that the scenario describes"
+    state, partial = run.run.get("status", "ok"), _partly_recorded(run)
+    if state == "ok":
+        return capital(partial)
+    text = f"The run did not end well ({state}): read the numbers with that in mind"
+    if state == "killed":
+        text = "The run was cut off: its launcher ended before it could record the outcome"
+    elif state == "running":
+        text = "The run is still in progress, or was cut off: its outcome is not known"
+    return f"{text}; {partial}" if partial else text
+
+
+def _partly_recorded(run: RunFolder) -> str:
+    """A note if the numbers come from an incomplete recording; else empty."""
+    recording = run.metrics.get("recording")
+    if not recording:
+        return ""
+    if not recording["frames"]:
+        return "the recording from which it was measured holds no frame"
+    last = f"frame {recording['frames'] - 1} of {recording['played_frames']}"
+    return f"the recording from which it was measured ends at {last}, so the numbers are of these frames alone"
+
+
+def reference_status(reference: Reference | None) -> str:
+    """`compared with unattacked, which failed`; empty: no reference, or it ended well."""
+    if reference is None or not status(reference.run):
+        return ""
+    state = reference.run.run.get("status")
+    ends = {
+        "running": "has not ended",
+        "killed": "was cut off",
+        "interrupted": "was interrupted",
+        "ok": "was measured from part of its recording",
+    }
+    return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"
+
+
+#: Agents that the sentence names.
+_MOST_NAMES = 8
+
+
+def defence_sentence(run: RunFolder) -> str:
+    """Which agents the defence suspended, when, and what it withheld, as measured; empty: the run has no defence."""
+    measured: dict[str, Any] = run.metrics.get("integrity", {})
+    if not measured or run.defence == "NoIntegrity":
+        return ""
+    agents: dict[str, Any] = measured["agents"]
+    suspended = [name for name, agent in agents.items() if agent["suspensions"]]
+    missed = [name for name, agent in agents.items() if agent["lied"] and agent["suspended_after_s"] is None]
+    did = [f"suspended {count(len(suspended))} agent{'s' if len(suspended) > 1 else ''}"]
+    did += [_names([f"{name} ({_when(agents[name])})" for name in suspended])] if suspended else []
+    did += [f"although {_names(missed)} lied"] if missed else []
+    text = ", ".join(did)
+    if "withheld" in measured:
+        false, true = measured["withheld"]["false"], measured["withheld"]["true"]
+        what = f"{false:.2f} false and {true:.2f} true objects a frame" if false or true else "nothing"
+        text += f"{',' if len(did) > 1 else ''} and withheld {what}"
+    return f"{run.defence or 'The defence'} {text}."
+
+
+def _names(names: list[str]) -> str:
+    """All names, or the first of many and the number of the others."""
+    others = len(names) - _MOST_NAMES
+    return join_names([*names[:_MOST_NAMES], f"{others} more"] if others > 0 else names)
+
+
+def _when(agent: dict[str, Any]) -> str:
+    """When an agent was suspended: `0.5 s after its first lie and while honest`."""
+    delay_s = agent["suspended_after_s"]
+    lying = [] if delay_s is None else [f"{delay_s:.1f} s after its first lie"]
+    conducts = dict.fromkeys(each["conduct"] for each in agent["suspensions"])
+    return " and ".join([*lying, *(f"while {conduct}" for conduct in conducts if not lying or conduct != "lying")])
+
+
+def attack_sentences(run: RunFolder, change: Change | None) -> list[str]:
+    """When adversaries changed messages, the scores in that period, needless braking.
+
+    change: the headline's change; its kind and estimate select the scores
+    """
+    if run.attacks is None or run.attack_frames is None:
+        return []
+    first, last = run.attack_frames
+    times = run.seconds(np.array(run.attack_frames))
+    start, end = (
+        (f"frame {first}", f"frame {last}") if times is None else (f"t = {times[0]:.1f} s", f"{times[1]:.1f} s")
+    )
+    active = [each.description for each in interposers(run) if each.changed and not each.is_link]
+    if not active:  # metrics.json is damaged
+        active = sorted(set(run.attacks["interposer"].tolist()))
+    when = f"from {start} to {end}" if first != last else f"{'in' if times is None else 'at'} {start}"
+    did = f"while {'it' if len(active) == 1 else 'they'} did"
+    scores = _scores(run, change)
+    sentences = [f"{join_names(active)} changed messages {when}{f'; {did}, {scores}' if scores else ''}."]
+    attacked, total = _attacked_frames(run)
+    if total and 2 * attacked < total:
+        sentences.append(f"{attacked} of the {total} scored frames {'is' if attacked == 1 else 'are'} attacked.")
+    braking = braking_by_attack(run)
+    return sentences + ([f"Because of attacks, {braking}."] if braking else [])
+
+
+def _attacked_frames(run: RunFolder) -> tuple[int, int]:
+    """Numbers of scored frames with an adversary's change, and of all; 0: not known."""
+    if run.attacks is None or run.scored_frames is None:
+        return 0, 0
+    frames = np.unique(run.attacks["frame"])
+    return int(scored(run, frames).sum()), run.scored_frames[1] - run.scored_frames[0] + 1
+
+
+def _scores(run: RunFolder, change: Change | None) -> str:
+    """The ego's score during the attack, of the change's kind or else false objects."""
+    is_ego = change is not None and change.agent == run.ego
+    kind, estimate = (change.kind, change.estimate) if change is not None and is_ego else (FALSE, "picture")
+    counts = (
+        _counts_during_attack(run, estimate, run) if run.metrics else None
+    )  # without metrics, the scored frames are not known
+    if counts is None:
+        return ""
+    if kind in (FALSE, MISSED):
+        text = f"{objects(float(counts[KEYS[kind]].mean()), kind)} a frame"
+    elif kind == IDENTITY:
+        switches = int(counts["id_switches"].sum())
+        text = f"{switches or 'no'} identity switch{'' if switches == 1 else 'es'}"
+    else:
+        matched = counts["tp"].astype(np.float64)
+        squared = np.nan_to_num(counts["rmse_m"].astype(np.float64)) ** 2
+        if kind != DISPLACED or not matched.sum():
+            return ""
+        text = f"an RMSE of {float(np.sqrt((squared * matched).sum() / matched.sum())):.2f} m"
+    return f"{OWNERS.get(estimate, f'{estimate} has')} {text}"
+
+
+def while_attacked(
+    run: RunFolder, column: str, baseline: RunFolder | None = None, *, estimate: str = "picture"
+) -> float | None:
+    """Mean per frame of the ego's estimate over the scored frames of the attack.
+
+    column: `fn`, `fp` or `tp`; with `baseline`, less the mean of the baseline's estimate over the same frames
+    """
+    counts = _counts_during_attack(run, estimate, run)
+    if counts is None:
+        return None
+    mean = float(counts[column].mean())
+    if baseline is None:
+        return mean
+    baseline_counts = _counts_during_attack(baseline, estimate, run)
+    return None if baseline_counts is None else mean - float(baseline_counts[column].mean())
+
+
+def _counts_during_attack(run: RunFolder, estimate: str, attacked: RunFolder) -> Table | None:
+    """Counts of a run in the scored frames of an attack; None: no such frames.
+
+    attacked: the run whose first and last change define the attack
+    """
+    counts = run.counts_of(estimate) or run.counts_of(run.original(estimate))
+    if counts is None or attacked.attack_frames is None:
+        return None
+    first, last = attacked.attack_frames
+    in_attack = (counts["frame"] >= first) & (counts["frame"] <= last) & scored(attacked, counts["frame"])
+    return rows(counts, in_attack) if in_attack.any() else None
 
 
 def headline(run: RunFolder, reference: Reference | None = None) -> str:
@@ -57,9 +272,9 @@ def _result(run: RunFolder, reference: Reference | None) -> str:
 
 def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
     """The effect of a change of the picture in transit on its use; empty for others."""
-    if change.estimate not in changes.IN_TRANSIT or change.agent != run.ego:
+    if change.estimate not in IN_TRANSIT or change.agent != run.ego:
         return ""
-    all_changes = changes.attributed(run) if reference is None else changes.against(run, reference.run)
+    all_changes = attributed(run) if reference is None else against(run, reference.run)
     changed = {each.estimate for each in all_changes if each.weight != 0.0}
     present = [name for name in ("picture_on_arrival", "mission") if run.summary(name)]
     unchanged = [name for name in present if name not in changed | {change.estimate}]
@@ -68,7 +283,7 @@ def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
         verb = "do not" if len(unchanged) > 1 else "does not"
         return f"; {join_names([names[name] for name in unchanged])} {verb} change"
     acted_on = [each for each in all_changes if each.estimate == "mission" and each.weight != 0.0]
-    kinds = dict.fromkeys([change.kind, changes.FALSE, changes.MISSED, changes.IDENTITY])
+    kinds = dict.fromkeys([change.kind, FALSE, MISSED, IDENTITY])
     relevant = [each for kind in kinds for each in acted_on if each.kind == kind] or acted_on
     if not relevant:
         return ""
@@ -78,14 +293,14 @@ def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
 
 
 def _largest(run: RunFolder, reference: Reference | None) -> Change | None:
-    return changes.largest_change(run, reference.run if reference else None)
+    return largest_change(run, reference.run if reference else None)
 
 
 def _unchanged(run: RunFolder, places: str, reference: Reference | None) -> str:
     """The result if no score differs."""
     active = [each for each in interposers(run) if each.changed and not (reference and each.is_link)]
     if active:
-        did = "; ".join(f"{each.name}: {phrases.effects(each)}" for each in active)
+        did = "; ".join(f"{each.name}: {effects(each)}" for each in active)
         if reference is None:  # the effects may still matter through timing or other nodes
             return f"Interposers changed messages ({did}); no error can be attributed to them without --against twin"
         return f"Interposers changed messages ({did}), but {_same_scores(run, reference.run, reference.name)}"
@@ -152,14 +367,14 @@ def _is_missed(run: RunFolder, reference: Reference | None) -> bool:
 
 def _other_changes(run: RunFolder, reference: Reference | None) -> list[str]:
     """The largest notable change of each kind that the headline does not name."""
-    all_changes = changes.attributed(run) if reference is None else changes.against(run, reference.run)
-    main = changes.largest(all_changes)
+    all_changes = attributed(run) if reference is None else against(run, reference.run)
+    main = largest(all_changes)
     if main is None:
         return []
     by_cause: dict[tuple[str, ...], list[Change]] = {}
-    for kind in changes.KEYS:
-        change = changes.largest([each for each in all_changes if each.kind == kind and each.estimate != "local"])
-        if change is not None and kind != main.kind and abs(change.weight) >= phrases.NOTHING / 2:
+    for kind in KEYS:
+        change = largest([each for each in all_changes if each.kind == kind and each.estimate != "local"])
+        if change is not None and kind != main.kind and abs(change.weight) >= NOTHING / 2:
             by_cause.setdefault(tuple(causes(run, change, reference.run if reference else None)), []).append(change)
     if reference is None:
         clauses = [
@@ -181,9 +396,7 @@ def _transit(run: RunFolder) -> list[str]:
     for estimate, where in (("picture_received", "as the ego receives it"), ("picture_on_arrival", "when it arrives")):
         if run.original(estimate) != estimate or not run.summary(estimate) or not sent:
             continue
-        notable = [
-            each for each in changes.between(run, run.summary(estimate), sent) if abs(each.weight) >= phrases.NOTHING
-        ]
+        notable = [each for each in between(run, run.summary(estimate), sent) if abs(each.weight) >= NOTHING]
         if notable:
             differs = join_names([more_or_less(each, run.ego, where=False) for each in notable])
             sentences.append(f"The picture {where} has {differs} than when the command centre sent it.")
@@ -241,7 +454,7 @@ def _changes(runs: Mapping[str, RunFolder], table: ScoreTable) -> dict[str, Chan
     if table.reference is None:
         return {}
     others = {label: run for label, run in runs.items() if label != table.reference}
-    largest_changes = {label: changes.largest_change(run, runs[table.reference]) for label, run in others.items()}
+    largest_changes = {label: largest_change(run, runs[table.reference]) for label, run in others.items()}
     return {label: change for label, change in largest_changes.items() if change is not None}
 
 
@@ -254,12 +467,12 @@ def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]
     for label, run in runs.items():
         if run is reference or reference is None or not run.summary("picture"):
             continue
-        places, change = compromised(run), changes.largest_change(run, reference)
+        places, change = compromised(run), largest_change(run, reference)
         where = f" ({places} compromised)" if places else ""
         if change is None:
             sentences.append(f"Run {label}{where}: {_same_scores(run, reference, table.reference or '')}.")
             continue
-        during = while_attacked(run, changes.KEYS[change.kind], reference, estimate=change.estimate)
+        during = while_attacked(run, KEYS[change.kind], reference, estimate=change.estimate)
         lasts = f" ({during:+.2f} while the attack lasts)".replace("-", "\u2212") if _counts(change, during) else ""
         sentences.append(
             f"In run {label}{where}, {more_or_less(change, run.ego)}{lasts}{cause_clause(run, change, reference)}."
@@ -275,4 +488,4 @@ def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]
 
 
 def _counts(change: Change, during: float | None) -> bool:
-    return during is not None and change.kind in (changes.FALSE, changes.MISSED)
+    return during is not None and change.kind in (FALSE, MISSED)

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow
 
 from mast_zenoh.arrays.states import CLASSES, Floats
-from mast_zenoh.report.figures.style import ADVERSARY, OUTCOME_COLOURS, STATES
+from mast_zenoh.report.figures.style import STATES
 from mast_zenoh.report.files import column, rows
 from mast_zenoh.report.playback.boxes import ANGLE, LENGTH, SCORE, BoxTable, no_boxes, read_boxes
 from mast_zenoh.report.playback.columns import Packer
@@ -22,6 +22,7 @@ from mast_zenoh.report.playback.motion import Motion, recorded_motion
 from mast_zenoh.report.playback.surroundings import add_surroundings
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import ESTIMATES
+from mast_zenoh.viewer.palette import ADVERSARY, OUTCOME_COLOURS
 
 FORMAT = 1
 #: m/s, m and 1: resolution of velocities, of standard deviations and of correlations.

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.report.figures.bands import absences
 from mast_zenoh.report.figures.style import STATES
+from mast_zenoh.report.figures.timeaxis import absences
 from mast_zenoh.report.figures.view import downlinks
 from mast_zenoh.report.files import column, rows
 from mast_zenoh.report.playback.columns import Packer

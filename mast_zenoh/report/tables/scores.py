@@ -15,9 +15,7 @@ from rich.table import Table
 
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.scores import COLUMNS
-
-#: Placeholder for an unknown number.
-DASH = "\u2013"
+from mast_zenoh.report.tables.text_table import DASH
 
 #: Estimates that have a column, in processing order, and their names.
 ESTIMATES = {

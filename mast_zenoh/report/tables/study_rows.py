@@ -3,114 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from mast_zenoh.metrics import CAUSES
-from mast_zenoh.report.tables.scores import DASH
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Estimate, StudyRow
+from mast_zenoh.report.tables.text_table import DASH, number
 
-NAN = float("nan")
-#: Minimum number of seeds for an interval.
-MIN_SEEDS = 5
-#: An increment that is 0 in a larger share of trials than this has no interval.
-MOSTLY = 0.5
 #: The warning of a table with such an increment.
 MOSTLY_ZERO = (
     'Warning: "(0 in N % [a, b])" marks a difference that is 0 in N % of the trials; a to b is the exact 95 % interval '
     "of that share. The mean has no interval: it would be too narrow."
 )
-#: Differences up to this are rounding errors.
-NEGLIGIBLE = 1e-9
-
-
-class Series(NamedTuple):
-    """Identifies a number in results.parquet; `owner` is the column `who`."""
-
-    owner: str
-    estimator: str
-    metric: str
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """One series of one configuration; unknown numbers are NaN.
-
-    mean, std: over the frames of all trials, as in the paper; std is NaN for metrics of whole runs
-    trial_mean, low, high: mean over the trials of `seeds` seeds in `scenes` scenes, each paired with its baseline, and
-               its 95 % interval over seeds of these scenes; without bounds for fewer than five seeds, or equal ones
-    scenes_low, scenes_high: 95 % interval to other scenes as well; for five scenes and more
-    p:         p-value of no difference from the baseline, over seeds; of increments only
-    zero_share, zero_low, zero_high: share of trials in which an increment is 0, and its exact 95 % interval
-    left_out:  number of seeds left out of the trial statistics, because a trial failed or has no value
-    rate:      whether it is a success rate, from trials that are 0 or 1
-    """
-
-    mean: float = NAN
-    std: float = NAN
-    trial_mean: float = NAN
-    low: float = NAN
-    high: float = NAN
-    scenes_low: float = NAN
-    scenes_high: float = NAN
-    p: float = NAN
-    zero_share: float = NAN
-    zero_low: float = NAN
-    zero_high: float = NAN
-    scenes: int = 0
-    seeds: int = 0
-    left_out: int = 0
-    rate: bool = False
-
-    @property
-    def mostly_zero(self) -> bool:
-        """Whether an increment is 0 in most trials, of at least five seeds, so that its mean has no interval."""
-        return self.seeds >= MIN_SEEDS and self.zero_share > MOSTLY
-
-    @property
-    def unchanged(self) -> bool:
-        """Whether an increment is 0 in every trial, of at least five seeds."""
-        if self.mostly_zero:
-            return self.zero_share == 1.0
-        return self.seeds >= MIN_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
-
-    @property
-    def certain(self) -> bool:
-        """Whether an increment is equal in every seed and not 0, so without interval."""
-        known = self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE
-        return known and math.isnan(self.low) and not self.mostly_zero
-
-    def without_interval(self) -> Estimate:
-        """A copy whose mean has neither interval nor p-value."""
-        return replace(self, low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN, p=NAN)
-
-
-@dataclass(frozen=True, slots=True)
-class StudyRow:
-    """One configuration.
-
-    label: of the configuration; run: label of its run in the study file; point: grid parameters, name to value
-    ego:   name of the agent whose estimates are scored
-    """
-
-    label: str
-    run: str
-    point: Mapping[str, object]
-    estimates: Mapping[Series, Estimate]
-    ego: str = "ego"
-
-    @property
-    def title(self) -> str:
-        """The label with parameter names: `attacked false_positives=2.0`."""
-        return (
-            " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
-            if self.point
-            else self.label
-        )
-
-    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> Estimate:
-        """The estimate of a series, by default of the ego; all NaN if there is none."""
-        return self.estimates.get(Series(owner or self.ego, estimator, metric), Estimate())
 
 
 class Column(NamedTuple):
@@ -242,22 +145,3 @@ def _digits(estimate: Estimate) -> int:
     """Decimals that show the width of the interval: two, more where it would vanish."""
     half = (estimate.high - estimate.low) / 2.0
     return 2 if math.isnan(half) or half >= 0.01 else min(5, math.ceil(-math.log10(half)))
-
-
-def number(value: float, digits: int = 2) -> str:
-    """A number with `digits` decimals, a proper minus sign and no negative zero."""
-    if math.isnan(value):
-        return DASH
-    text = f"{value:.{digits}f}"
-    return text.replace("-", "" if float(text) == 0.0 else "\u2212")
-
-
-def shares(row: StudyRow, outcome: str, estimator: str = "picture") -> dict[str, float]:
-    """Shares (0 to 1) of the causes of an estimate's errors; {} if there are none.
-
-    outcome: "fp" (false objects) or "fn" (missed objects)
-    """
-    counts = {cause: row.get(f"{outcome} {cause}", estimator).mean for cause in CAUSES}
-    counts = {cause: mean for cause, mean in counts.items() if mean > 0.0}
-    total = sum(counts.values())
-    return {cause: mean / total for cause, mean in counts.items()}

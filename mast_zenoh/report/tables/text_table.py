@@ -10,11 +10,13 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Group
 from rich.table import Table
 
-from mast_zenoh.report.defence_rows import Measured
-from mast_zenoh.report.tables.scores import DASH
-from mast_zenoh.report.tables.study_rows import MIN_SEEDS, number
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Measured
+
+#: Placeholder for an unknown number.
+DASH = "\u2013"
 
 _TERMINAL = 80  # columns
 _NOT_REACHED = "not reached"
@@ -32,59 +34,81 @@ class TextTable(NamedTuple):
     lines: Sequence[Sequence[str]]
     texts: int
 
+    def as_rich(self) -> Table:
+        """A table for a terminal of 80 columns: its cells are wrapped between words, which are never cut."""
+        result = Table(
+            title=wrapped(self.title),
+            title_justify="left",
+            caption=wrapped(self.about) or None,
+            caption_justify="left",
+            box=SIMPLE_HEAD,
+            padding=(0, 1, 0, 0),
+        )
+        columns = list(zip(self.headings, *self.lines, strict=True))
+        for index, (heading, width) in enumerate(zip(self.headings, _widths(columns), strict=True)):
+            result.add_column(heading, justify="left" if index == 0 else "right", width=width)
+        for line in self.lines:
+            result.add_row(*line)
+        return result
 
-def as_markdown(title: str, about: str, tables: Iterable[TextTable]) -> str:
-    """A page with a title, and all tables."""
-    parts = [f"# {title}", about]
-    for table in tables:
-        rows = [table.headings, ["---"] * len(table.headings), *table.lines]
-        lines = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-        parts += [f"## {table.title}", *([table.about] if table.about else []), lines]
-    return "\n\n".join(parts) + "\n"
 
+class ResultTables(NamedTuple):
+    """All tables of a study of defences, in every format.
 
-def as_latex(size: str, tables: Iterable[TextTable]) -> str:
-    """All tables as LaTeX tabulars, with booktabs. size: seeds and scenes"""
-    size = size.replace("\u00d7", "x")
-    parts = [
-        r"% needs \usepackage{booktabs}",
-        f"% brackets: 95 % interval over trials (pairs of scene and seed); {size}",
-    ]
-    for table in tables:
-        parts += [
-            f"% {table.title}. {table.about}".rstrip(),
-            r"\begin{tabular}{" + "l" * table.texts + "r" * (len(table.headings) - table.texts) + "}",
-            r"\toprule",
-            " & ".join(map(_tex, table.headings)) + r" \\",
-            r"\midrule",
-            *(" & ".join(map(_tex, line)) + r" \\" for line in table.lines),
-            r"\bottomrule",
-            r"\end{tabular}",
+    title: of the page;  about: sentences about it;  size: seeds and scenes;  tables: of the page and of LaTeX
+    numbers: the headings and lines of the CSV file, with all digits;  brief: for the terminal
+    """
+
+    title: str
+    about: str
+    size: str
+    tables: Sequence[TextTable]
+    numbers: tuple[Sequence[str], Sequence[Sequence[object]]]
+    brief: Sequence[TextTable]
+
+    def texts(self, name: str) -> dict[str, str]:
+        """The contents of name.md, name.csv and name.tex."""
+        return {f"{name}.md": self.as_markdown(), f"{name}.csv": self.as_csv(), f"{name}.tex": self.as_latex()}
+
+    def as_markdown(self) -> str:
+        """A page with a title, and all tables."""
+        parts = [f"# {self.title}", self.about]
+        for table in self.tables:
+            rows = [table.headings, ["---"] * len(table.headings), *table.lines]
+            lines = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+            parts += [f"## {table.title}", *([table.about] if table.about else []), lines]
+        return "\n\n".join(parts) + "\n"
+
+    def as_latex(self) -> str:
+        """All tables as LaTeX tabulars, with booktabs."""
+        size = self.size.replace("\u00d7", "x")
+        parts = [
+            r"% needs \usepackage{booktabs}",
+            f"% brackets: 95 % interval over trials (pairs of scene and seed); {size}",
         ]
-    return "\n".join([*parts, ""])
+        for table in self.tables:
+            columns = "l" * table.texts + "r" * (len(table.headings) - table.texts)
+            lines = [" & ".join(map(_tex, line)) + r" \\" for line in (table.headings, *table.lines)]
+            parts += [f"% {table.title}. {table.about}".rstrip(), r"\begin{tabular}{" + columns + "}", r"\toprule"]
+            parts += [lines[0], r"\midrule", *lines[1:], r"\bottomrule", r"\end{tabular}"]
+        return "\n".join([*parts, ""])
+
+    def as_csv(self) -> str:
+        """All numbers with all digits; None is empty, `inf` is not reached."""
+        return csv_text(*self.numbers)
+
+    def as_rich(self) -> Group:
+        """The brief tables for the terminal."""
+        return Group(*(table.as_rich() for table in self.brief))
 
 
-def as_rich(table: TextTable) -> Table:
-    """A table for the terminal, with the sentences below."""
-    return rich_table(table.title, table.about, table.headings, table.lines)
-
-
-def rich_table(title: str, about: str, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> Table:
-    """A table for a terminal of 80 columns: its cells are wrapped between words, which are never cut."""
-    result = Table(
-        title=wrapped(title),
-        title_justify="left",
-        caption=wrapped(about) or None,
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    columns = list(zip(headings, *lines, strict=True))
-    for index, (heading, width) in enumerate(zip(headings, _widths(columns), strict=True)):
-        result.add_column(heading, justify="left" if index == 0 else "right", width=width)
-    for line in lines:
-        result.add_row(*line)
-    return result
+def csv_text(headings: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
+    """Lines of values as CSV; None is empty."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(headings)
+    writer.writerows(["" if value is None else value for value in line] for line in lines)
+    return buffer.getvalue()
 
 
 def _widths(columns: Sequence[Sequence[str]]) -> list[int]:
@@ -105,13 +129,12 @@ def wrapped(sentences: str) -> str:
     return "\n".join(textwrap.wrap(sentences, _TERMINAL))
 
 
-def as_csv(headings: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
-    """Lines of values as CSV; None is empty."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(headings)
-    writer.writerows(["" if value is None else value for value in line] for line in lines)
-    return buffer.getvalue()
+def number(value: float, digits: int = 2) -> str:
+    """A number with `digits` decimals, a proper minus sign and no negative zero."""
+    if math.isnan(value):
+        return DASH
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "" if float(text) == 0.0 else "\u2212")
 
 
 def digits(*values: float) -> list[str]:

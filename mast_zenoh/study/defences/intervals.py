@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.report.defence_rows import BINOMIAL, BOOTSTRAP, NAN, POISSON, Measured
-from mast_zenoh.report.tables.study_rows import MIN_SEEDS
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MIN_SEEDS, NAN, POISSON, Measured
 from mast_zenoh.study.statistics import CONFIDENCE, clopper_pearson
 
 #: Minimum number of trials for a bootstrap.

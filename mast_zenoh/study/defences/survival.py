@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mast_zenoh.report.defence_rows import Survival
+from mast_zenoh.metrics.study_results import Survival
 
 
 def kaplan_meier(time_s: ArrayLike, detected: ArrayLike) -> Survival:

@@ -17,7 +17,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.report.tables.text_table import as_csv
+from mast_zenoh.report.tables.text_table import csv_text
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.outsider.attacked_run import AttackedRun, attacker_errors
 from mast_zenoh.study.outsider.attempts import Attempt, Outcome
@@ -62,7 +62,7 @@ class Effects:
     def as_csv(self) -> str:
         """All counts, one line per attempt and level."""
         lines = [[int(cell) if isinstance(cell, bool) else cell for cell in row.values()] for row in self.rows()]
-        return as_csv(["run", "level", "attempt", *_EFFECTS], lines)
+        return csv_text(["run", "level", "attempt", *_EFFECTS], lines)
 
     def _grid(self, separator: str) -> list[list[str]]:
         """The header and the lines: a line per attempt, a column per level."""

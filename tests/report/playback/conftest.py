@@ -11,7 +11,7 @@ from browser import FRAME, FRAMES, WatchedPage, chromium
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.report import write_report
+from mast_zenoh.report.html import write_report
 from mast_zenoh.report.playback.server import viewer_page
 from mast_zenoh.report.runfolder import RunFolder
 

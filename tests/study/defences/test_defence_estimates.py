@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from defence_outcomes import outcome
 
-from mast_zenoh.report.defence_rows import BINOMIAL, POISSON, DefenceMatrix, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, Measured
 from mast_zenoh.study.defences import Cell
 from mast_zenoh.study.defences.matrix.collection import MatrixCollection
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mast_zenoh.report.defence_rows import BOOTSTRAP
+from mast_zenoh.metrics.study_results import BOOTSTRAP
 from mast_zenoh.study.defences import intervals
 
 

@@ -12,9 +12,9 @@ from defence_outcomes import outcome
 
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.report.figures.breakdown import figure_of_breakdown
-from mast_zenoh.report.limit_rows import BreakdownTable
-from mast_zenoh.report.tables import breakdown as tables
+from mast_zenoh.metrics.study_results import BreakdownTable
+from mast_zenoh.report.figures.defences import figure_of_breakdown
+from mast_zenoh.report.tables.limits import breakdown_tables
 from mast_zenoh.study import definition
 from mast_zenoh.study.defences import BreakdownCell, sensors_of
 from mast_zenoh.study.defences.breakdown.collection import BreakdownCollection
@@ -115,9 +115,9 @@ def test_the_breakdown_point_is_between_the_shares_around_one_half() -> None:
 def test_a_defence_that_never_breaks_has_a_point_beyond_what_was_tried() -> None:
     result = table(*[(liars, "a", metrics(liars, majority=0.2), (0, 4)) for liars in (1, 2)])
     assert result.points["Lie", 5].point.value == math.inf
-    assert "| Lie | 5 | > 40 | 20 | > 20 |" in tables.as_markdown(result)
-    assert "Lie,5,,,breakdown_point,inf,," in tables.as_csv(result)
-    latex = tables.as_latex(result)
+    assert "| Lie | 5 | > 40 | 20 | > 20 |" in breakdown_tables(result).as_markdown()
+    assert "Lie,5,,,breakdown_point,inf,," in breakdown_tables(result).as_csv()
+    latex = breakdown_tables(result).as_latex()
     assert r"Lie & 5 & $>$ 40 & 20 & $>$ 20 \\" in latex
     assert all(line.isascii() for line in latex.splitlines() if not line.startswith("%"))
     assert "above 40 %" in figure_of_breakdown(result).alt

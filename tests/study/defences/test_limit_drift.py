@@ -12,8 +12,8 @@ from defence_outcomes import outcome
 import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.report.limit_rows import DriftRow
-from mast_zenoh.report.tables import drift as tables
+from mast_zenoh.metrics.study_results import DriftRow
+from mast_zenoh.report.tables.limits import drift_tables
 from mast_zenoh.study import definition, plan
 from mast_zenoh.study.defences import DriftCell
 from mast_zenoh.study.defences.drift.collection import DriftCollection
@@ -92,9 +92,9 @@ def test_what_fewer_than_half_notice_is_not_reached() -> None:
         collection.add(outcome(OFFSET.label, "junction", 0, {"defence": trial(suspended_s)}))
     table = collection.table()
     assert math.isinf(next(row for row in table.rows if row.viewers == "2").delay_s.value)
-    assert "not reached" in tables.as_markdown(table)
-    assert ",inf," in tables.as_csv(table)
-    latex = tables.as_latex(table)
+    assert "not reached" in drift_tables(table).as_markdown()
+    assert ",inf," in drift_tables(table).as_csv()
+    latex = drift_tables(table).as_latex()
     assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 2
     assert "not reached & " in latex
 

@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mast_zenoh.metrics import Table
-from mast_zenoh.report.defence_rows import Measured
-from mast_zenoh.report.limit_rows import BreakdownPoint, BreakdownRow, BreakdownTable
-from mast_zenoh.report.study_facts import size_of
-from mast_zenoh.report.tables import breakdown as tables
+from mast_zenoh.metrics.study_results import BreakdownPoint, BreakdownRow, BreakdownTable, Measured, size_of
+from mast_zenoh.report.tables.limits import breakdown_tables
 from mast_zenoh.study.defences.breakdown.cell import BreakdownCell
 from mast_zenoh.study.defences.breakdown.crossing import crossing
 from mast_zenoh.study.defences.intervals import pooled, share_of_trials
@@ -99,16 +97,12 @@ class BreakdownCollection:
 
     def write(self, folder: Path) -> StudyFiles:
         """Write the tables and the figure into the study's folder."""
-        from mast_zenoh.report.figures.breakdown import figure_of_breakdown  # drawing libraries are slow to load
+        from mast_zenoh.report.figures.defences import figure_of_breakdown  # drawing libraries are slow to load
 
         table = self.table()
-        texts = {
-            "breakdown.md": tables.as_markdown(table),
-            "breakdown.csv": tables.as_csv(table),
-            "breakdown.tex": tables.as_latex(table),
-        }
+        tables = breakdown_tables(table)
         figure = figure_of_breakdown(table)
-        return write_files(folder, texts, {figure.name: figure}, lambda: tables.as_rich(table))
+        return write_files(folder, tables.texts("breakdown"), {figure.name: figure}, tables.as_rich)
 
     def table(self) -> BreakdownTable:
         """A row for each cell, and a breakdown point for each attack and number of agents."""

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.report.defence_rows import NAN, Measured
-from mast_zenoh.report.limit_rows import DriftRow, DriftTable
-from mast_zenoh.report.study_facts import size_of
-from mast_zenoh.report.tables import drift as tables
+from mast_zenoh.metrics.study_results import NAN, DriftRow, DriftTable, Measured, size_of
+from mast_zenoh.report.tables.limits import drift_tables
 from mast_zenoh.study.defences.drift.cell import DriftCell
 from mast_zenoh.study.defences.drift.episodes import Episode, ViewerRange, episodes
 from mast_zenoh.study.defences.drift.floor import drift_floor_s, offset_floor_s
@@ -64,12 +62,8 @@ class DriftCollection:
     def write(self, folder: Path) -> StudyFiles:
         """Write the tables into the study's folder."""
         table = self.table()
-        texts = {
-            "drift.md": tables.as_markdown(table),
-            "drift.csv": tables.as_csv(table),
-            "drift.tex": tables.as_latex(table),
-        }
-        return write_files(folder, texts, {}, lambda: tables.as_rich(table))
+        tables = drift_tables(table)
+        return write_files(folder, tables.texts("drift"), {}, tables.as_rich)
 
     def table(self) -> DriftTable:
         """The rows of all cells: whole runs, exact numbers of viewers, and open ranges."""

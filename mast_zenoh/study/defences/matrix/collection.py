@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.report.defence_rows import DefenceMatrix, DefenceRow, DefenceSummary, Measured, TrustPanel
-from mast_zenoh.report.study_facts import size_of
-from mast_zenoh.report.tables import defences as tables
+from mast_zenoh.metrics.study_results import DefenceMatrix, DefenceRow, DefenceSummary, Measured, TrustPanel, size_of
+from mast_zenoh.report.tables.defences import defence_tables
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.defences.matrix import pooled, traces
 from mast_zenoh.study.defences.matrix.cells import UNDEFENDED, Cell
@@ -55,12 +54,8 @@ class MatrixCollection:
         from mast_zenoh.report.figures.defences import figures_of_defences  # drawing libraries are slow to load
 
         matrix = self.matrix()
-        texts = {
-            "defences.md": tables.as_markdown(matrix),
-            "defences.csv": tables.as_csv(matrix),
-            "defences.tex": tables.as_latex(matrix),
-        }
-        return write_files(folder, texts, figures_of_defences(matrix), lambda: tables.as_rich(matrix))
+        tables = defence_tables(matrix)
+        return write_files(folder, tables.texts("defences"), figures_of_defences(matrix), tables.as_rich)
 
     def matrix(self) -> DefenceMatrix:
         """The rows of all cells, each with the budget that does the most damage."""

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.metrics.study_results import DefenceRoc, Measured, Survival
 from mast_zenoh.metrics.trust import auc, partial_auc, roc
-from mast_zenoh.report.defence_rows import DefenceRoc, Measured, Survival
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.defences.matrix.records import TrialRecord
 from mast_zenoh.study.defences.survival import kaplan_meier

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.report.defence_rows import TrustPanel
+from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans, TrustPanel
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.trust_facts import AgentTrustSeries, Spans, trust_in_agents
+from mast_zenoh.report.trust_facts import trust_in_agents
 
 #: States that the figure shows.
 _DRAWN_STATES = ("faulty", "suspended")

@@ -15,7 +15,7 @@ from mast_zenoh.arrays.states import Bools
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.tables import from_arrow
-from mast_zenoh.metrics.places import Places, nearest
+from mast_zenoh.metrics.boxes import Places, nearest
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.bound import honest_majority
 from mast_zenoh.study.defences.matrix.traces import trace

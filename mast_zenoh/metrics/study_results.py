@@ -1,0 +1,524 @@
+"""The results of a study, as it computes them and reports show them: estimates, defences, limits, facts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeVar
+
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.metrics.causes import CAUSES
+from mast_zenoh.metrics.trust import Roc
+
+NAN = float("nan")
+#: Minimum number of seeds for an interval.
+MIN_SEEDS = 5
+#: An increment that is 0 in a larger share of trials than this has no interval.
+MOSTLY = 0.5
+#: Differences up to this are rounding errors.
+NEGLIGIBLE = 1e-9
+
+
+class Series(NamedTuple):
+    """Identifies a number in results.parquet; `owner` is the column `who`."""
+
+    owner: str
+    estimator: str
+    metric: str
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One series of one configuration; unknown numbers are NaN.
+
+    mean, std: over the frames of all trials, as in the paper; std is NaN for metrics of whole runs
+    trial_mean, low, high: mean over the trials of `seeds` seeds in `scenes` scenes, each paired with its baseline, and
+               its 95 % interval over seeds of these scenes; without bounds for fewer than five seeds, or equal ones
+    scenes_low, scenes_high: 95 % interval to other scenes as well; for five scenes and more
+    p:         p-value of no difference from the baseline, over seeds; of increments only
+    zero_share, zero_low, zero_high: share of trials in which an increment is 0, and its exact 95 % interval
+    left_out:  number of seeds left out of the trial statistics, because a trial failed or has no value
+    rate:      whether it is a success rate, from trials that are 0 or 1
+    """
+
+    mean: float = NAN
+    std: float = NAN
+    trial_mean: float = NAN
+    low: float = NAN
+    high: float = NAN
+    scenes_low: float = NAN
+    scenes_high: float = NAN
+    p: float = NAN
+    zero_share: float = NAN
+    zero_low: float = NAN
+    zero_high: float = NAN
+    scenes: int = 0
+    seeds: int = 0
+    left_out: int = 0
+    rate: bool = False
+
+    @property
+    def mostly_zero(self) -> bool:
+        """Whether an increment is 0 in most trials, of at least five seeds, so that its mean has no interval."""
+        return self.seeds >= MIN_SEEDS and self.zero_share > MOSTLY
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether an increment is 0 in every trial, of at least five seeds."""
+        if self.mostly_zero:
+            return self.zero_share == 1.0
+        return self.seeds >= MIN_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
+
+    @property
+    def certain(self) -> bool:
+        """Whether an increment is equal in every seed and not 0, so without interval."""
+        known = self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE
+        return known and math.isnan(self.low) and not self.mostly_zero
+
+    def without_interval(self) -> Estimate:
+        """A copy whose mean has neither interval nor p-value."""
+        return replace(self, low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN, p=NAN)
+
+
+@dataclass(frozen=True, slots=True)
+class StudyRow:
+    """One configuration.
+
+    label: of the configuration; run: label of its run in the study file; point: grid parameters, name to value
+    ego:   name of the agent whose estimates are scored
+    """
+
+    label: str
+    run: str
+    point: Mapping[str, object]
+    estimates: Mapping[Series, Estimate]
+    ego: str = "ego"
+
+    @property
+    def title(self) -> str:
+        """The label with parameter names: `attacked false_positives=2.0`."""
+        return (
+            " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
+            if self.point
+            else self.label
+        )
+
+    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> Estimate:
+        """The estimate of a series, by default of the ego; all NaN if there is none."""
+        return self.estimates.get(Series(owner or self.ego, estimator, metric), Estimate())
+
+
+def shares(row: StudyRow, outcome: str, estimator: str = "picture") -> dict[str, float]:
+    """Shares (0 to 1) of the causes of an estimate's errors; {} if there are none.
+
+    outcome: "fp" (false objects) or "fn" (missed objects)
+    """
+    counts = {cause: row.get(f"{outcome} {cause}", estimator).mean for cause in CAUSES}
+    counts = {cause: mean for cause, mean in counts.items() if mean > 0.0}
+    total = sum(counts.values())
+    return {cause: mean / total for cause, mean in counts.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class FailedTrial:
+    """A trial without results, why, and the command that runs it alone."""
+
+    configuration: str
+    scene: str
+    seed: int
+    error: str
+    command: str
+
+
+@dataclass(frozen=True, slots=True)
+class IdleAttack:
+    """A configuration whose attack would begin after the end of its trials.
+
+    begins_s, ends_s: s of scene time: start of the attack, end of the trials
+    scenes:           the scenes to which this applies; empty: all
+    """
+
+    configuration: str
+    begins_s: float
+    ends_s: float
+    scenes: tuple[str, ...] = ()
+
+
+_Named = TypeVar("_Named", FailedTrial, IdleAttack)
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFacts:
+    """One study.
+
+    baseline:       label of the configuration with which the others are compared
+    configurations: by label, the scenario and its settings
+    scenes, seeds:  planned for every configuration, all scenes with all seeds
+    frames:         of each trial, None for all of the scene
+    done:           number of trials with results, by configuration
+    other_scenes:   labels of configurations whose scene or agents differ from the baseline's
+    idle:           configurations whose attack never began
+    environment:    Python, the packages and a hash of the code that the results depend on
+    """
+
+    name: str
+    baseline: str
+    configurations: Mapping[str, tuple[str, tuple[str, ...]]]
+    scenes: tuple[str, ...]
+    seeds: tuple[int, ...]
+    frames: int | None
+    runtime: str
+    done: Mapping[str, int]
+    failed: tuple[FailedTrial, ...]
+    environment: Mapping[str, str]
+    other_scenes: tuple[str, ...] = ()
+    idle: tuple[IdleAttack, ...] = ()
+
+    def titled(self, titles: Mapping[str, str]) -> StudyFacts:
+        """A copy with configurations renamed; titles: new names by label."""
+        return replace(
+            self,
+            baseline=titles.get(self.baseline, self.baseline),
+            configurations={titles.get(label, label): each for label, each in self.configurations.items()},
+            done={titles.get(label, label): count for label, count in self.done.items()},
+            failed=tuple(_renamed(each, titles) for each in self.failed),
+            other_scenes=tuple(titles.get(label, label) for label in self.other_scenes),
+            idle=tuple(_renamed(each, titles) for each in self.idle),
+        )
+
+    @property
+    def planned(self) -> int:
+        """Planned trials of each configuration."""
+        return len(self.scenes) * len(self.seeds)
+
+    @property
+    def trials(self) -> int:
+        """Planned trials of all configurations."""
+        return self.planned * len(self.configurations)
+
+    @property
+    def failures(self) -> str:
+        """`3 of 420 trials failed`, and of which configurations; "" if none."""
+        if not self.failed:
+            return ""
+        counts = {label: self.planned - self.done.get(label, 0) for label in self.configurations}
+        parts = [f"{label} {count} of {self.planned}" for label, count in counts.items() if count]
+        return f"{len(self.failed)} of {self.trials} trials failed: {', '.join(parts)}"
+
+    @property
+    def never_attacked(self) -> frozenset[str]:
+        """The configurations whose attack began in no trial."""
+        return frozenset(each.configuration for each in self.idle if not each.scenes)
+
+    @property
+    def size(self) -> str:
+        """`20 seeds × 3 scenes`."""
+        return size_of(len(self.seeds), len(self.scenes))
+
+
+def _renamed(each: _Named, titles: Mapping[str, str]) -> _Named:
+    return replace(each, configuration=titles.get(each.configuration, each.configuration))
+
+
+def plural(count: int, noun: str) -> str:
+    """`1 seed`, `20 seeds`."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def size_of(seeds: int, scenes: int) -> str:
+    """Numbers of seeds and scenes in words: `2 seeds × 1 scene`."""
+    return f"{plural(seeds, 'seed')} \u00d7 {plural(scenes, 'scene')}"
+
+
+#: Periods in s: beginning and end.
+Spans = list[tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AgentTrustSeries:
+    """The trust in one agent over time, next to its conduct.
+
+    time_s: (n,) s;  value: (n,) mean or log-odds
+    states: by name of a state, when it was in it
+    lies:   when it lied;  faults: type, beginning and end of its faults
+    """
+
+    agent: str
+    time_s: Floats
+    value: Floats
+    states: Mapping[str, Spans]
+    lies: Spans
+    faults: Sequence[tuple[str, float, float]]
+
+
+#: How intervals were computed, see `study.defences.intervals`.
+BOOTSTRAP, POISSON, BINOMIAL = "bootstrap over trials", "exact Poisson", "exact binomial"
+
+#: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
+MEASURES = {
+    "damage": "missed and false objects added",
+    "fn_added": "FN added",
+    "fp_added": "FP added",
+    "ospa_added_m": "OSPA added (m)",
+    "fn_vs_undefended": "FN, minus undefended",
+    "fp_vs_undefended": "FP, minus undefended",
+    "ospa_vs_undefended_m": "OSPA, minus undefended (m)",
+    "fp_identifiable": "false objects inserted, identifiable",
+    "fp_unidentifiable": "false objects inserted, not identifiable",
+    "identifiable_removed": "identifiable false objects removed (share)",
+    "lies_detected": "observable lies detected (share)",
+    "median_delay_s": "median delay (s)",
+    "honest_suspended_per_hour": "honest agents suspended per hour",
+    "faulty_suspended_per_hour": "faulty agents suspended per hour",
+    "wrongly_suspended": "runs without lies that suspend an agent (share)",
+    "framed": "runs in which an honest agent is framed (share)",
+    "framed_by_minority": "framed, liars below the local majority (share)",
+    "framed_by_majority": "framed, liars in the local majority (share)",
+    "honest_majority": "objects with an honest majority (share)",
+}
+
+
+class Measured(NamedTuple):
+    """A number over trials with its 95 % interval. NaN: unknown; infinite: beyond what was watched.
+
+    trials:   number of trials behind it;  left_out: of those without it, because they failed or have no value
+    interval: one of BOOTSTRAP, POISSON, BINOMIAL
+    """
+
+    value: float = NAN
+    low: float = NAN
+    high: float = NAN
+    trials: int = 0
+    left_out: int = 0
+    interval: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a value, infinite or not."""
+        return not math.isnan(self.value)
+
+    @property
+    def differs_from_zero(self) -> bool:
+        """Whether the interval does not contain 0."""
+        return self.low > 0.0 or self.high < 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survival:
+    """Kaplan-Meier estimate (1958, JASA 53:457) of the share that is not detected yet.
+
+    time_s:     (k,) s, ascending, beginning with 0; the last is the longest time observed
+    undetected: (k,) share, 0 to 1, from that time on
+    detections, watched: numbers of detections, and of all that were watched
+    """
+
+    time_s: Floats
+    undetected: Floats
+    detections: int
+    watched: int
+
+    @property
+    def median_s(self) -> float:
+        """s until half are detected; NaN if fewer were, as far as they were watched."""
+        below = self.undetected <= 0.5
+        return float(self.time_s[below.argmax()]) if below.any() else float("nan")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DefenceRow:
+    """A defence against one adversary, with its most harmful budget.
+
+    attack:    "" without one;  budget: lies per second of each adversary, None: the attack's own
+    budgets:   number of budgets that were tried
+    measures:  by name in MEASURES; damage is relative to no defence and no attack, with the same scene and seed
+    state_seconds: s by conduct (honest, faulty, lying) and state of trust, over all agents and trials; {}: no trust
+    delay:     until liars are suspended, over all trials; None: there was no observable lie, or no trust
+    """
+
+    defence: str
+    attack: str
+    n_adversaries: int
+    placement: str
+    budget: float | None
+    budgets: int
+    measures: Mapping[str, Measured]
+    state_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    delay: Survival | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DefenceRoc:
+    """How well one defence's suspicion tells liars from honest agents, one score for each agent-run.
+
+    partial_auc: mean share of liars detected below one false alarm per hour;  hours: of all runs together
+    """
+
+    defence: str
+    roc: Roc
+    auc: Measured
+    partial_auc: Measured
+    hours: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DefenceSummary:
+    """What one defence is worth, over all rows of the matrix.
+
+    lies_detected, identifiable_removed: shares, over all runs under attack;  median_delay_s: of all liars
+    alarms_per_hour: suspensions of honest agents in runs without an attack, of `frames` frames together
+    fn_added, fp_added: objects per frame without an attack
+    faults_suspended: share of the runs with faults alone that suspend an agent
+    framed_by_minority: share of the runs in which an honest agent is framed by liars below the local majority
+    """
+
+    defence: str
+    lies_detected: Measured
+    identifiable_removed: Measured
+    median_delay_s: Measured
+    alarms_per_hour: Measured
+    frames: int
+    fn_added: Measured
+    fp_added: Measured
+    faults_suspended: Measured
+    framed_by_minority: Measured
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrustPanel:
+    """The trust of one trial over time.
+
+    agents: those to show;  left_out: number of others;  end_s: s, of the run
+    """
+
+    title: str
+    agents: Sequence[AgentTrustSeries]
+    left_out: int
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DefenceMatrix:
+    """The cells of a study, and a characteristic and a summary for each defence that judges agents.
+
+    state_shares: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
+    panels: the trust of single trials;  unshown: number of pairs of a defence and an adversary without a panel
+    """
+
+    rows: Sequence[DefenceRow]
+    rocs: Sequence[DefenceRoc]
+    delays: Mapping[str, Survival]
+    summaries: Sequence[DefenceSummary]
+    size: str
+    state_shares: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
+    panels: Sequence[TrustPanel] = ()
+    unshown: int = 0
+
+    def names(self, key: str) -> list[object]:
+        """The values of an attribute in order of appearance, without those of runs without an attack."""
+        rows = [row for row in self.rows if row.attack or key == "defence"]
+        return list(dict.fromkeys(getattr(row, key) for row in rows))
+
+    def row(self, defence: object, attack: object, n_adversaries: object, placement: object) -> DefenceRow | None:
+        """The row of a cell; None if there is none. Without adversaries, it is the same for every attack."""
+        for row in self.rows:
+            if row.defence == defence and (row.n_adversaries == n_adversaries == 0):
+                return row
+            if (row.defence, row.attack, row.n_adversaries, row.placement) == (
+                defence,
+                attack,
+                n_adversaries,
+                placement,
+            ):
+                return row
+        return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriftRow:
+    """Displaced objects of one offset or drift, in view of a number of honest agents.
+
+    viewers:  "2", "2 or more"; "" for whole runs: s from the first lie to the suspension, regardless of viewers
+    episodes, detected, trials: numbers of displaced objects, of suspensions among them, and of runs with any
+    delay_s:  median until the suspension (Kaplan-Meier)
+    floor_s:  of the least delay that is possible with as many witnesses;  ratio: median delay in floors
+    offset_m: median offset reached before the suspension;  floor_m: offset at the floor
+    within:   share of the `judged` runs in which the liar was suspended within the limit
+    noticed:  the same from all episodes (Kaplan-Meier), shorter ones included; unknown if all end before the limit
+    """
+
+    label: str
+    offset_m: float
+    rate_mps: float | None
+    viewers: str
+    episodes: int
+    detected: int
+    trials: int
+    delay_s: Measured
+    floor_s: float
+    ratio: Measured
+    offset_reached_m: Measured
+    floor_m: float
+    judged: int
+    within: Measured
+    noticed: Measured
+
+
+@dataclass(frozen=True, slots=True)
+class DriftTable:
+    """All rows; limit_s: of the share detected in time;  size: seeds and scenes."""
+
+    rows: Sequence[DriftRow]
+    limit_s: float
+    size: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreakdownRow:
+    """Trials of one number of liars among a number of agents.
+
+    broken:    share of trials in which the defence broke: `worse`, the picture is worse than the ego alone, or
+               `honest_first`, an honest agent is suspended before any liar, and not without liars
+    honest_suspended: mean share of the honest agents that are suspended at any time
+    honest_majority:  share of objects that more honest agents see than liars
+    """
+
+    attack: str
+    agents: int
+    liars: int
+    trials: int
+    broken: Measured
+    worse: Measured
+    honest_first: Measured
+    honest_suspended: float
+    honest_majority: float
+
+    @property
+    def share(self) -> float:
+        """Share of liars among all agents."""
+        return self.liars / self.agents
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreakdownPoint:
+    """Shares of liars, infinite if not reached with up to `most` (a share, too).
+
+    point: smallest at which half of the trials are broken;  bound: at which half of the objects have no honest majority
+    difference: point minus bound
+    """
+
+    attack: str
+    agents: int
+    point: Measured
+    bound: Measured
+    difference: Measured
+    most: float
+
+
+@dataclass(frozen=True, slots=True)
+class BreakdownTable:
+    """All rows, and the points by (attack, agents);  size: seeds and scenes."""
+
+    rows: Sequence[BreakdownRow]
+    points: Mapping[tuple[str, int], BreakdownPoint]
+    size: str
