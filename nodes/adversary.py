@@ -17,7 +17,11 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
 from mast_zenoh.attacks.campaign import COUNTS, shortfall
-from mast_zenoh.attacks.forging import (
+from mast_zenoh.attacks.knowledge import tell_newest
+from mast_zenoh.attacks.surroundings import UNKNOWN
+from mast_zenoh.attacks.targets import Changes
+from mast_zenoh.attacks.victim import (
+    Victim,
     claimed_view,
     directed_targets,
     forged_detections,
@@ -27,10 +31,6 @@ from mast_zenoh.attacks.forging import (
     seen_detections,
     sensor_of,
 )
-from mast_zenoh.attacks.knowledge import tell_newest
-from mast_zenoh.attacks.surroundings import UNKNOWN
-from mast_zenoh.attacks.targets import Changes
-from mast_zenoh.attacks.victim import Victim
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.messages.schemas import Body

@@ -19,7 +19,7 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import AgentPipeline, AgentSensor, Pose
 from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.sensing import LidarSensor
-from mast_zenoh.tracking.prediction import predicted
+from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.wiring.subjects import part_of
 
 #: Frame of reference of states in the world frame.

@@ -24,7 +24,7 @@ def fingerprint_after_change(folder: Path, changed: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "changed", ["kernels/tracks.pyx", "kernels/arrays.pxd", "tracking/kalman.py", "node.py", "effects/meter.py"]
+    "changed", ["kernels/tracks.pyx", "kernels/arrays.pxd", "tracking/kalman.py", "node.py", "effects/passages.py"]
 )
 def test_the_fingerprint_changes_with_sources_that_nodes_run(changed: str, tmp_path: Path) -> None:
     assert fingerprint_after_change(tmp_path, changed) != version.fingerprint()

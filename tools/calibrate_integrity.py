@@ -17,7 +17,7 @@ from mast_zenoh import scenario
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.fusion import SampledAssignmentClusterer
 from mast_zenoh.integrity import Batch, SequentialConsistency
-from mast_zenoh.integrity.cumulative import fitted_tail
+from mast_zenoh.integrity.calibration import fitted_tail
 from mast_zenoh.integrity.views import views_of
 from mast_zenoh.runtime.inproc import InProcess
 

@@ -1,98 +1,45 @@
 """Attacks on perception: inserted, hidden and displaced objects.
 
-    surroundings  prior knowledge of the scene
+    surroundings  what attackers know of the scene, and where objects are in view
     knowledge     what an attacker knows of the command centre's trust
-    coverage      where false objects are plausible
-    ego_path      the ego's path ahead
+    targets       what is done to which objects; tampering, reports and forged views
     regions       where false objects are placed
     selection     which objects to insert, hide and move
-    conflict      selection of the objects most relevant to the ego
-    clusters      clustering of the adversaries' observations
-    campaign      selection and propagation over time
+    campaign      selection and motion of targets over time
     following     tracking of targets
-    statistics    noise and misses of the victim's rows
     imitation     false objects that resemble the victim's own
-    application   tampering with one message
-    free_space    views that agree with the lies about objects
-    base          base class of attacks: one step per intercepted message
-    attack        attacks that follow targets
-    coordination  coordinator of several adversaries
-    adaptive/     attacks that know how they are judged
+    attack        base class of attacks: one step per intercepted message; attacks that follow targets
+    coordination  coordinators of several adversaries
+    adaptive      base class of attacks that know how they are judged
+    phantoms      adaptive attacks that invent vehicles
+    real_objects  adaptive attacks about real objects
+    victim        what an adversary keeps of a compromised agent
 
 Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """
 
-from mast_zenoh.attacks.adaptive import (
-    AdaptiveAttack,
-    BlindSpot,
-    ColludingSelection,
-    Collusion,
-    Framing,
-    GhostAhead,
-    Lies,
-    Mimic,
-    Moment,
-    Overconfidence,
-    PoseDrift,
-    Replay,
-    Sleeper,
-    SlowDrift,
-    StatePerturbation,
-)
-from mast_zenoh.attacks.application import alter, apply
-from mast_zenoh.attacks.attack import CoordinatedAttack, UncoordinatedAttack
-from mast_zenoh.attacks.base import Attack, PassThrough
-from mast_zenoh.attacks.conflict import ConflictSelection
-from mast_zenoh.attacks.coordination import Coordination, Coordinator
-from mast_zenoh.attacks.coverage import Coverage, coverage_of
-from mast_zenoh.attacks.imitation import Exact, Imitation, VictimLike
-from mast_zenoh.attacks.knowledge import Trust
-from mast_zenoh.attacks.propagation import MarkovPropagation, Propagation, StaticPropagation, TrajectoryPropagation
-from mast_zenoh.attacks.selection import CoordinatedSelection, Selection, UncoordinatedSelection
+from mast_zenoh.attacks import phantoms, real_objects  # noqa: F401 (their classes are found by name)
+from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter, apply
+from mast_zenoh.attacks.campaign import Propagation
+from mast_zenoh.attacks.coordination import Coordination
+from mast_zenoh.attacks.imitation import Imitation
+from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import Surroundings
-from mast_zenoh.attacks.targets import ACTIONS, Changes, Tampering, Targets
+from mast_zenoh.attacks.targets import ACTIONS, Tampering, Targets
 
 __all__ = [
     "ACTIONS",
-    "AdaptiveAttack",
     "Attack",
-    "BlindSpot",
-    "Changes",
-    "ColludingSelection",
-    "Collusion",
-    "ConflictSelection",
-    "CoordinatedAttack",
-    "CoordinatedSelection",
     "Coordination",
-    "Coordinator",
-    "Coverage",
-    "Exact",
-    "Framing",
-    "GhostAhead",
     "Imitation",
-    "Lies",
-    "MarkovPropagation",
-    "Mimic",
-    "Moment",
-    "Overconfidence",
     "PassThrough",
-    "PoseDrift",
     "Propagation",
-    "Replay",
     "Selection",
-    "Sleeper",
-    "SlowDrift",
-    "StatePerturbation",
-    "StaticPropagation",
     "Surroundings",
     "Tampering",
     "Targets",
-    "TrajectoryPropagation",
-    "Trust",
     "UncoordinatedAttack",
     "UncoordinatedSelection",
-    "VictimLike",
     "alter",
     "apply",
-    "coverage_of",
 ]

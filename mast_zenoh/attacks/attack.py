@@ -1,26 +1,185 @@
-"""Attacks that follow targets: inserted, hidden and displaced objects."""
+"""Attacks: the base class, tampering with one message, and attacks that follow targets."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from mast_zenoh.arrays.geometry import within_range
-from mast_zenoh.arrays.ordering import canonical_order
-from mast_zenoh.arrays.states import Floats, ObjectStates
-from mast_zenoh.attacks.application import carry_out
-from mast_zenoh.attacks.base import Attack
-from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, check_start
-from mast_zenoh.attacks.coverage import Coverage
+from mast_zenoh.arrays.matching import greedy_matching, neighbours
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, canonical_order
+from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation, check_start
 from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.free_space import ViewForger
-from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
-from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
+from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike, typical
+from mast_zenoh.attacks.knowledge import Trust
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
-from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
-from mast_zenoh.attacks.targets import Tampering, Targets
+from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, unlimited
+from mast_zenoh.attacks.targets import Changes, Tampering, Targets, ViewForger
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.tracking.view import SensorView
+
+
+class Attack(ABC):
+    """Base class of attacks: tampers with the messages of a victim."""
+
+    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: attacks without random numbers need no streams)
+        """Set the seed and the node's name, which identify the random streams."""
+
+    def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
+        """Set the attacker's prior knowledge of the scene; called before `bind`."""
+
+    def look(self, view: SensorView, *, fused: bool) -> None:  # noqa: B027 (a hook)
+        """Set the victim's field of view for the next step.
+
+        fused: whether the objects are those of several agents
+        """
+
+    def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:  # noqa: B027 (a hook)
+        """Take note of a picture that arrived in an earlier frame: n fused objects, world frame.
+
+        For adversaries that listen to the picture (`keyexpr_maps/knowledge_picture.toml`).
+        """
+
+    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:  # noqa: B027 (a hook)
+        """Take note of the command centre's trust, which arrived in an earlier frame.
+
+        For adversaries that listen to it (`keyexpr_maps/knowledge_trust.toml`).
+        """
+
+    def counts(self) -> dict[str, int]:
+        """Numbers of selected targets (`Campaign.counts`); {} for attacks without any."""
+        return {}
+
+    @abstractmethod
+    def step(
+        self,
+        frame: int,
+        time_ns: int,
+        objects: ObjectStates,
+        agent_position: Floats,
+        directive: Targets | None = None,
+    ) -> Tampering:
+        """Tamper with the objects of one message.
+
+        frame:          index of the message's frame
+        time_ns:        ns, its time since the start of the scene
+        objects:        the victim's objects, world frame: tracks, or detections (velocity zero, ids below 0)
+        agent_position: (3,) m, the victim, world frame
+        directive:      the coordinator's newest targets from an earlier frame, if any
+
+        The result does not depend on the order of the objects.
+        """
+
+    def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
+        """The view that the victim is to claim, by default the true one.
+
+        Called after `step` for the same frame. swept: the true view
+        """
+        return swept
+
+    def forge_pose(self, frame: int, time_ns: int, position: Floats) -> Floats:
+        """The position (3,) m that the victim is to believe, by default the true one (3,) m.
+
+        Called before `step` for the same frame, or after it.
+        """
+        return position
+
+
+class PassThrough(Attack):
+    """Relays every message unchanged."""
+
+    def step(
+        self,
+        frame: int,
+        time_ns: int,
+        objects: ObjectStates,
+        agent_position: Floats,
+        directive: Targets | None = None,
+    ) -> Tampering:
+        return Tampering.nothing(len(objects))
+
+
+def alter(
+    objects: ObjectStates,
+    *,
+    insert: ObjectStates | None = None,
+    hide: Sequence[int] = (),
+    move: Sequence[int] = (),
+    offset: Floats | None = None,
+) -> Tampering:
+    """Tamper with explicit rows: insert, hide, or move by `offset` (k, 3) m.
+
+    The changes are reported with the target numbers 0, 1, …: inserted, then hidden, then moved.
+    """
+    hidden, moved = np.asarray(hide, np.int64), np.asarray(move, np.int64)
+    targets = Targets(
+        ObjectStates.empty() if insert is None else insert,
+        objects.select(hidden),
+        objects.select(moved),
+        np.zeros((len(moved), 3)) if offset is None else offset,
+    ).numbered(0)
+    return carry_out(targets, targets.add, objects, np.arange(len(objects)), hidden, moved)
+
+
+def apply(
+    targets: Targets,
+    objects: ObjectStates,
+    agent_position: Floats,
+    *,
+    max_range_m: float = 70.0,
+    assign_radius_m: float = 6.0,
+) -> Tampering:
+    """Insert, hide and displace objects of a victim at `agent_position` (3,) m.
+
+    For attacks with targets at known positions; all positions are in the world frame. False objects farther than
+    `max_range_m` from the victim (bird's-eye view) are withheld. Each target to hide or displace is matched to the
+    nearest object within `assign_radius_m`, nearest pair first. False objects get a typical covariance and score.
+    """
+    order = canonical_order(objects)
+    seen = objects.select(order)
+    target_positions = np.concatenate([targets.remove.position, targets.move.position])
+    i, j, dx, dy = neighbours(target_positions, seen.position, np.full(len(target_positions), assign_radius_m))
+    matches = greedy_matching(i, j, dx * dx + dy * dy)
+    row = np.full(len(target_positions), -1, np.int64)
+    row[i[matches]] = j[matches]
+    inserted = targets.add.select(within_range(targets.add.position, agent_position, max_range_m))
+    n = len(targets.remove)
+    return carry_out(targets, typical(inserted, seen), seen, order, row[:n], row[n:])
+
+
+def carry_out(
+    targets: Targets, inserted: ObjectStates, objects: ObjectStates, order: Ints, remove_row: Ints, move_row: Ints
+) -> Tampering:
+    """Insert false objects, and hide and displace matched objects of a victim.
+
+    All positions are in the world frame.
+    targets:    the current targets
+    inserted:   false objects as they will appear; their ids are the target numbers
+    objects:    the victim's n objects, in canonical order
+    order:      (n,) the row of each object in the message
+    remove_row, move_row: by target, the matched row of `objects`, -1 for none; no row twice
+    """
+    hides, moves = remove_row >= 0, move_row >= 0
+    hidden, displaced = remove_row[hides], move_row[moves]
+    before = objects.select(displaced)
+    moved = before
+    if len(displaced):
+        moved = before.with_(position=before.position + targets.move_offset[moves])
+    keep = np.ones(len(objects), bool)
+    keep[order[hidden]] = False
+    numbers = [inserted.id, targets.remove.id[hides], targets.move.id[moves]]
+    return Tampering(
+        keep=keep,
+        moved_index=order[displaced],
+        moved=moved,
+        added=inserted,
+        report=Changes.of(inserted, objects.select(hidden), before, moved, numbers),
+        targets=targets,
+    )
+
 
 #: m; an object within this distance of a coordinator's target (a mean of several agents' tracks) may be that target.
 ATTACH_M = 2.5

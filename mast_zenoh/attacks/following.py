@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import greedy_matching
-from mast_zenoh.arrays.neighbours import MAX_TABLE, neighbours
+from mast_zenoh.arrays.matching import MAX_TABLE, greedy_matching, neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.kernels import REFERENCES, kernel

@@ -1,25 +1,270 @@
-"""Matches the received and sent messages of one interposer on one wire."""
+"""Matches the received and sent messages of every interposer on every wire, and records its effects."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from mast_zenoh.effects.damaged import Id, find_original
-from mast_zenoh.effects.message_effects import (
-    CHANGE_FRAMES,
-    CORRUPTED,
-    DROPPED,
-    FORGED,
-    REPEATED,
-    UNSETTLED,
-    Interval,
-)
-from mast_zenoh.effects.passage_effects import PassageEffects
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.effects import rows
+from mast_zenoh.effects.rows import ChangedMessage, ObjectChanges
 from mast_zenoh.errors import MessageError
+from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.messages.schemas import same_columns
-from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.model import Passage, Wiring
 from mast_zenoh.wiring.received import Overheard
+
+#: Effects on whole messages.
+DELAYED, DROPPED, REPEATED, CORRUPTED, RESTAMPED, REFRAMED, FORGED, UNSETTLED = MESSAGE_EFFECTS = (
+    "delayed",
+    "dropped",
+    "repeated",
+    "corrupted",
+    "restamped",
+    "reframed",
+    "forged",
+    "unsettled",
+)
+
+#: Number of frames by which nodes may differ, in real time, about the time of a live wiring change.
+CHANGE_FRAMES = 2
+
+
+class MessageEffect(NamedTuple):
+    """The effect of an interposer on one message.
+
+    effect:  one of MESSAGE_EFFECTS
+    frame, seq: of the message; -1 if unreadable
+    step:    frame in which the interposer received it (forged: sent it)
+    frames_late: delay in frames
+    time_ns: ns, change of the time in its header
+    columns: names of the changed columns, except columns with a row for each object
+    """
+
+    effect: str
+    frame: int
+    seq: int
+    step: int
+    frames_late: int = 0
+    time_ns: int = 0
+    columns: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """The frames in which a passage is part of the wiring.
+
+    From `begin`, before `end` (None: to the end of the run).
+    """
+
+    begin: int
+    end: int | None = None
+
+    def contains(self, step: int) -> bool:
+        """Whether a message sent in a step passed through."""
+        return self.begin <= step and (self.end is None or step < self.end)
+
+    def near_change(self, step: int) -> bool:
+        """Whether the passage was added or removed when a message was sent."""
+        return (self.begin > 0 and step < self.begin + CHANGE_FRAMES) or (
+            self.end is not None and step >= self.end - CHANGE_FRAMES
+        )
+
+
+class Spoof(NamedTuple):
+    """A pose that an interposer changed.
+
+    Position (3,) m and quaternion (4,) in a frame, before and after.
+    """
+
+    frame: int
+    position: Floats
+    rotation: Floats
+    false_position: Floats
+    false_rotation: Floats
+
+
+#: Identifies a message of a wire's publisher: frame and sequence number.
+Id = tuple[int, int]
+
+#: Fraction of equal bytes from which one message counts as a damaged copy of another.
+SIMILAR = 0.9
+#: Number of recent messages to compare with a damaged one.
+COMPARED = 32
+
+
+def find_original(waiting: Mapping[Id, Sequence[Overheard]], damaged: Overheard) -> Id | None:
+    """The original of a damaged message.
+
+    The most similar of the newest unsent messages before it.
+
+    waiting: by number, the messages that have not been sent on yet, the newest last
+    """
+    candidates = [(id_, messages[0]) for id_, messages in waiting.items() if messages[0].step <= damaged.step]
+    similarities = [
+        (_similarity(message.payload, damaged.payload), index)
+        for index, (_, message) in enumerate(candidates[-COMPARED:])
+    ]
+    similarity, index = max(similarities, default=(0.0, 0))
+    return candidates[-COMPARED:][index][0] if similarity >= SIMILAR else None
+
+
+def _similarity(a: bytes, b: bytes) -> float:
+    """Number of equal bytes divided by the length of the longer one."""
+    longer, shorter = max(len(a), len(b)), min(len(a), len(b))
+    if shorter < SIMILAR * longer:
+        return 0.0
+    equal = np.frombuffer(a, np.uint8, shorter) == np.frombuffer(b, np.uint8, shorter)
+    return float(np.count_nonzero(equal)) / longer if longer else 1.0
+
+
+#: Changed messages that are compared at once.
+BATCH = 64
+
+#: ns; a change of a message's time by more counts for its objects, too. This applies to the message types whose
+#: receivers use the time in the header; for the others they use the frame.
+RESTAMPED_NS = 50_000_000
+TIMED = ("tracks", "picture")
+#: ns; the broker, by default, predicts tracks whose time differs by less, so that their objects move. Others count as
+#: withheld.
+PREDICTED_NS = round(MAX_AGE_S * 1e9)
+
+
+class PassageEffects:
+    """The effects of an interposer on messages of one type.
+
+    messages: effects on whole messages; objects: on the objects in them; spoofs: on poses
+
+    Bodies are compared in batches; `settle` compares the remaining ones and must be called at the end.
+    """
+
+    def __init__(self, message: str) -> None:
+        """message: the message type"""
+        self.messages: list[MessageEffect] = []
+        self.objects: list[ObjectChanges] = []
+        self.spoofs: list[Spoof] = []
+        self._type = message
+        self._pending: list[ChangedMessage] = []  # changed messages that have not been compared yet
+
+    def note(self, effect: str, message: Overheard, *, frames_late: int = 0, time_ns: int = 0) -> None:
+        """Record an effect on a message but not on its objects."""
+        header = message.header
+        self.messages.append(MessageEffect(effect, header.frame, header.seq, message.step, frames_late, time_ns))
+
+    def note_unreadable(self, effect: str, step: int) -> None:
+        """Record an effect on a message with an unreadable header."""
+        self.messages.append(MessageEffect(effect, -1, -1, step))
+
+    def note_withheld(self, effect: str, message: Overheard, frames_late: int = 0) -> None:
+        """Record a message that its subscribers got too late, unreadable or not at all."""
+        self.note(effect, message, frames_late=frames_late)
+        self._add_whole(message, received=True, frames_late=frames_late)
+
+    def note_delay(self, received: Overheard, sent: Overheard) -> int:
+        """Record the delay of a message, if any; returns it in frames."""
+        late = sent.step - received.step
+        if late > 0:
+            self.note_withheld(DELAYED, received, frames_late=late)
+        return max(0, late)
+
+    def note_renumbered(self, id_: Id, received: Overheard, sent: Overheard) -> None:
+        """Record a message that was sent on with another number than `id_`."""
+        self.messages.append(MessageEffect(REFRAMED, *id_, received.step, columns=("seq",)))
+        self.note_delay(received, sent)
+
+    def note_repeated(self, id_: Id, received_step: int, sent: Overheard) -> None:
+        """Record that a message, received in a frame and sent on, was sent again."""
+        self.messages.append(MessageEffect(REPEATED, *id_, received_step, max(0, sent.step - received_step)))
+
+    def note_forged(self, message: Overheard, rival: Overheard | None) -> None:
+        """Record a message that was sent without having been received.
+
+        Subscribers use the first message about a frame: if it pre-empts another, its `rival`, all differences count.
+        """
+        self.note(FORGED, message)
+        if rival is None:
+            self._add_whole(message, received=False)
+            return
+        header = message.header
+        try:
+            change = ChangedMessage(header.frame, header.seq, message.step, rival.body, message.body)
+        except MessageError:
+            return
+        changes, (names,) = rows.changed_objects(self._type, [change])
+        self._note_pose(change, names)
+        self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
+
+    def compare(self, received: Overheard, sent: Overheard) -> None:
+        """Record the differences of a message that was sent on with other bytes.
+
+        They may be computed in a later batch.
+        """
+        header, changed = received.header, sent.header
+        try:
+            before = received.body
+        except MessageError:  # subscribers would have rejected it anyway
+            self.note(CORRUPTED, received)
+            return
+        try:
+            after = sent.body
+        except MessageError:
+            self.note_withheld(CORRUPTED, received)
+            return
+        if changed.time_ns != header.time_ns:
+            shift_ns = changed.time_ns - header.time_ns
+            self.note(RESTAMPED, received, time_ns=shift_ns)
+            if abs(shift_ns) > RESTAMPED_NS and self._type in TIMED:
+                self._add_restamped(received, shift_ns)
+        self._pending.append(ChangedMessage(header.frame, header.seq, received.step, before, after))
+        if len(self._pending) >= BATCH:
+            self.settle()
+
+    def settle(self) -> None:
+        """Compare the bodies of the pending changed messages."""
+        if not self._pending:
+            return
+        changes, others = rows.changed_objects(self._type, self._pending)
+        self.objects.append(changes)
+        for each, names in zip(self._pending, others, strict=True):
+            self._note_pose(each, names)
+            if names:
+                self.messages.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
+        self._pending = []
+
+    def _note_pose(self, change: ChangedMessage, names: tuple[str, ...]) -> None:
+        """Record a changed pose of an agent."""
+        if names and self._type == "pose":
+            before, after = ([body[name].copy() for name in ("position", "rotation")] for body in change[3:])
+            self.spoofs.append(Spoof(change.frame, *before, *after))
+
+    def _add_restamped(self, message: Overheard, shift_ns: int) -> None:
+        """Record what a change of the time in a message's header does to its objects."""
+        if self._type != "tracks" or abs(shift_ns) > PREDICTED_NS:
+            self._add_whole(message, received=True)
+            return
+        header, body = message.header, message.body
+        predicted = {**body, "position": body["position"] - body["velocity"] * (shift_ns * 1e-9)}
+        changes, _ = rows.changed_objects(
+            self._type, [ChangedMessage(header.frame, header.seq, message.step, body, predicted)]
+        )
+        self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
+
+    def _add_whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
+        """Record the effect on all objects of a message only received, or only sent."""
+        try:
+            header, body = message.header, message.body
+        except MessageError:
+            return
+        bodies = {"received": body if received else None, "sent": None if received else body}
+        whole = rows.whole_message(
+            self._type, header.frame, header.seq, message.step, frames_late=frames_late, **bodies
+        )
+        self.objects.append(whole)
+
 
 #: Maximum number of unmatched messages of a passage; beyond that, the oldest is classified without a counterpart.
 MAX_WAITING = 4096
@@ -231,3 +476,58 @@ def _pop_first(messages: dict[Id, list[Overheard]], id_: Id) -> Overheard:
     if not same_number:
         del messages[id_]
     return first
+
+
+class Meter:
+    """Compares the sent with the received messages of every interposer on every wire.
+
+    It needs every message on the relevant keys, in any order that preserves the order on each key.
+    """
+
+    def __init__(self) -> None:
+        self._meters: list[PassageMeter] = []
+        self._active: dict[Passage, PassageMeter] = {}
+        self._into: dict[str, list[PassageMeter]] = {}
+        self._out_of: dict[str, list[PassageMeter]] = {}
+
+    @property
+    def meters(self) -> list[PassageMeter]:
+        """The meters of all passages ever in the wiring, in order of appearance."""
+        return self._meters
+
+    def keys(self) -> set[str]:
+        """The keys whose messages it needs."""
+        return self._into.keys() | self._out_of.keys()
+
+    def follow(self, wiring: Wiring, first_step: int) -> None:
+        """Use a wiring from frame `first_step` onwards."""
+        now = dict.fromkeys(wiring.passages())
+        for passage in self._active.keys() - now.keys():
+            meter = self._active.pop(passage)
+            meter.interval = replace(meter.interval, end=first_step)
+        for passage in now:
+            if passage not in self._active:
+                meter = PassageMeter(passage, Interval(first_step))
+                self._active[passage] = meter
+                self._meters.append(meter)
+                self._into.setdefault(passage.received, []).append(meter)
+                self._out_of.setdefault(passage.sent, []).append(meter)
+
+    def add(self, message: Overheard) -> None:
+        """Add a message; messages from outside the run are ignored."""
+        key, step = message.key, message.step
+        if step < 0:
+            return
+        if key in self._into:
+            for meter in self._into[key]:
+                if meter.interval.contains(step):
+                    meter.take_received(message)
+        if key in self._out_of:
+            for meter in self._out_of[key]:
+                if meter.interval.contains(step):
+                    meter.take_sent(message)
+
+    def close(self, last_step: int) -> None:
+        """End the measurement after the last frame `last_step`."""
+        for meter in self._meters:
+            meter.close(last_step)

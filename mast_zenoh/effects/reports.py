@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.effects.message_effects import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
+from mast_zenoh.effects.passages import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.boxes import Places, find, occurs, pairs_within

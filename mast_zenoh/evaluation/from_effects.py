@@ -10,8 +10,8 @@ import numpy as np
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects import EFFECTS, Effects
-from mast_zenoh.effects.episodes import insertions
-from mast_zenoh.effects.message_effects import Spoof
+from mast_zenoh.effects.passages import Spoof
+from mast_zenoh.effects.table import insertions
 from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations
 from mast_zenoh.metrics.boxes import Places, nearest, occurs
 from mast_zenoh.metrics.manipulations import COLUMNS, INSERTED, KINDS, MOVED, REMOVED

@@ -1,11 +1,19 @@
-"""The stages of a command centre: clustering, fusion and group tracking."""
+"""The stages of a command centre, and the members of clusters in an order that does not depend on their arrival."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.tracking.innovations import Innovations
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASSES, Floats, Ints, ObjectStates, row_order
+from mast_zenoh.kernels import kernel
+from mast_zenoh.tracking.base import Innovations
+from mast_zenoh.tracking.covariances import make_positive_definite
+from mast_zenoh.tracking.tracks import known_class
 
 
 class Clusterer(ABC):
@@ -63,3 +71,103 @@ class GroupTracker(ABC):
     @abstractmethod
     def reset(self) -> None:
         """Return to the initial state."""
+
+
+@dataclass(frozen=True, slots=True)
+class Members:
+    """n members of c clusters; members of the same cluster are adjacent.
+
+    states: n rows; their covariances are positive definite
+    weight: (n,) > 0, sums to 1 over a cluster
+    start:  (c,) row of each cluster's first member
+    cluster: (n,) 0 to c-1
+    label:  (c,) int64, labels of the clusters in the input
+    """
+
+    states: ObjectStates
+    weight: Floats
+    start: Ints
+    cluster: Ints
+    label: Ints
+
+    @classmethod
+    def of(cls, states: ObjectStates, labels: Ints, weights: Floats | None) -> Members:
+        """The members of clusters `labels` (n,) with positive weight; default weight 1."""
+        order = row_order(
+            states.position[:, 0], labels, ties=lambda: (states.id, *states.velocity.T, *states.position.T[:0:-1])
+        )
+        if weights is None:
+            weight = np.ones(len(order))
+        else:
+            order = order[weights[order] > 0.0]
+            weight = weights[order]
+        label = labels.take(order)
+        first = np.ones(len(label), bool)
+        first[1:] = label[1:] != label[:-1]
+        states = states.select(order)
+        states = states.with_(covariance=make_positive_definite(states.covariance))
+        return cls(states, weight, first.nonzero()[0], first.cumsum() - 1, label[first]).weighted(weight)
+
+    def weighted(self, weight: Floats) -> Members:
+        """The same members with other weights (n,), normalised in each cluster."""
+        return Members(self.states, weight / self.sum(weight)[self.cluster], self.start, self.cluster, self.label)
+
+    def sum(self, values: Floats) -> Floats:
+        """(c, ...) sums of (n, ...) values over the members of each cluster."""
+        return np.asarray(np.add.reduceat(values, self.start)) if len(self.start) else values
+
+    def fused(self, mean: Floats, covariance: Floats) -> ObjectStates:
+        """One row per cluster at `mean` (c, 9) with `covariance` (c, 9, 9).
+
+        Heading: weighted mean of the members' axes, in the direction of the greater weight. Class: weighted majority.
+        Existence: the maximum over the members, as they may share the evidence.
+        """
+        s = self.states
+        yaw, class_id, score = fused_attributes(s.yaw, s.class_id, s.score, self.weight, self.start)
+        return ObjectStates(
+            id=self.label,
+            position=mean[:, 0:3],
+            velocity=mean[:, 6:9],
+            size=mean[:, 3:6],
+            yaw=yaw,
+            covariance=covariance,
+            score=score,
+            class_id=class_id,
+        )
+
+
+@kernel
+def fused_attributes(
+    yaw: Floats, class_id: NDArray[np.uint8], score: Floats, weight: Floats, start: Ints
+) -> tuple[Floats, NDArray[np.uint8], Floats]:
+    """Headings, classes and scores (c,) of clusters from those (n,) of their members.
+
+    See `Members.fused`.
+    """
+    n = len(yaw)
+    # Doubling the angles makes opposite headings equal; the other columns are class votes.
+    terms = np.zeros((n, 2 + len(CLASSES)))
+    double = 2.0 * yaw
+    terms[:, 0], terms[:, 1] = np.cos(double), np.sin(double)
+    terms[np.arange(n), 2 + known_class(class_id)] = 1.0
+    terms *= weight[:, None]
+    sums = np.add.reduceat(terms, start)
+    axis = 0.5 * np.arctan2(sums[:, 1], sums[:, 0])
+    cluster_axis = np.repeat(axis, np.diff(start, append=n))
+    direction = np.add.reduceat(weight * np.copysign(1.0, np.cos(yaw - cluster_axis)), start)
+    heading = wrap_angle(axis + np.pi * (direction < 0.0))
+    return heading, sums[:, 2:].argmax(axis=1).astype(np.uint8), np.maximum.reduceat(score, start)
+
+
+def trusted_rows(agent: Ints, labels: Ints, weights: Floats | None) -> Ints:
+    """Rows (k,) of the tracks with positive weight, by cluster, then agent: sums then do not depend on their order.
+
+    agent, labels: (n,) of each track, at most one of an agent in a cluster; weights: (n,); None: all positive
+    """
+    rows = np.lexsort((agent, labels))
+    return rows if weights is None else rows[weights[rows] > 0.0]
+
+
+def state_vectors(states: ObjectStates) -> Floats:
+    """State vectors (n, 9) [x y z l w h vx vy vz]."""
+    return np.concatenate([states.position, states.size, states.velocity], axis=1)

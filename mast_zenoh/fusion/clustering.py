@@ -1,17 +1,99 @@
-"""Clusterers of the command centre, which group tracks by object.
+"""Clusterers of the command centre, which group tracks by object, and the gate between two tracks.
 
 Rows are first sorted by (agent, id), so the result does not depend on the order in which they arrive.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from mast_zenoh.arrays.clustering import isolated_groups, merge_pairs_apart, pairs_near
-from mast_zenoh.arrays.ordering import by_agent
-from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.fusion.base import Clusterer
-from mast_zenoh.fusion.joint_gate import BIAS_M, BIAS_MPS, SAME_ORIGIN_GATE, JointGate, motion_of
+from mast_zenoh.arrays.matching import greedy_matching, isolated_groups, merge_pairs_apart, neighbours, pairs_near
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, by_agent, within_runs
+from mast_zenoh.fusion.base import Clusterer, trusted_rows
+from mast_zenoh.tracking.covariances import make_positive_definite
+from mast_zenoh.tracking.parameters import check_positive
+from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
+
+#: Squared Mahalanobis distance that one in 10,000 of a chi-square distribution with six degrees of freedom exceeds.
+SAME_ORIGIN_GATE = 27.86
+#: m, per axis, and m/s: standard deviations of errors that no covariance contains, such as those of the agent's pose
+#: and of seeing one side of a vehicle only. As measured between honest agents, see `integrity.robust_fusion`.
+BIAS_M, BIAS_MPS = 0.3, 0.5
+
+#: Rows of a covariance that count, see `states.COVARIANCE_ORDER`: x y z vx vy vz.
+_JOINT = np.array([0, 1, 2, 6, 7, 8])
+#: Pairs that are compared at once, which limits the memory.
+_CHUNK = 1 << 16
+
+
+class JointGate:
+    """Compares tracks of different agents in position and velocity, in all three dimensions.
+
+    Test of whether two tracks have a common origin (Bar-Shalom, Li, Kirubarajan 2001, section 10; Bar-Shalom and Campo,
+    IEEE Transactions on Aerospace and Electronic Systems 22(6), 1986): the squared Mahalanobis distance of the
+    difference against a quantile of its chi-square distribution. Errors of trackers of one object share the process
+    noise, so the sum of the two covariances is an upper bound. `bias_m` and `bias_mps` widen it once per track.
+
+    gate: squared distance up to which two tracks may be of one object; infinite: no gate
+    bias_m, bias_mps: standard deviations per axis of errors that no covariance contains, m and m/s
+    """
+
+    def __init__(self, gate: float, bias_m: float, bias_mps: float) -> None:
+        check_positive({"gate": gate, "bias_m": bias_m, "bias_mps": bias_mps})
+        self.gate = gate
+        self._bias = 2.0 * np.array([bias_m**2] * 3 + [bias_mps**2] * 3)
+        #: (6,) 1/m² and s²/m²: with these weights, the sum of squared differences is at least the squared distance.
+        self.inverse_bias = 1.0 / self._bias
+
+    def apart(self, states: ObjectStates, i: Ints, j: Ints) -> Bools:
+        """(p,) whether the tracks in rows i and j (p,) cannot be of one object."""
+        joint = motion_of(states)
+        result = np.empty(len(i), np.bool_)
+        for start in range(0, len(i), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            result[part] = self._apart(states, joint, i[part], j[part])
+        return result
+
+    def _apart(self, states: ObjectStates, joint: Floats, i: Ints, j: Ints) -> Bools:
+        difference = joint.take(j, 0)
+        difference -= joint.take(i, 0)
+        # The bias alone bounds the distance from above, which decides most pairs.
+        result: Bools = (difference * difference) @ self.inverse_bias > self.gate
+        doubtful = result.nonzero()[0]
+        if len(doubtful):
+            covariance = self._covariance(states, i.take(doubtful), j.take(doubtful))
+            result[doubtful] = squared_distance(difference.take(doubtful, 0), covariance) > self.gate
+        return result
+
+    def cost(self, states: ObjectStates, i: Ints, j: Ints) -> Floats:
+        """(p,) -2 ln of the likelihood that the tracks in rows i and j (p,) are of one object, up to a constant."""
+        joint = motion_of(states)
+        covariance = self._covariance(states, i, j)
+        cost = squared_distance(joint.take(j, 0) - joint.take(i, 0), covariance)
+        return np.asarray(cost + np.linalg.slogdet(covariance)[1])
+
+    def _covariance(self, states: ObjectStates, i: Ints, j: Ints) -> Floats:
+        """(p, 6, 6) covariances of the differences."""
+        total = np.diag(self._bias) + _joint_covariance(states, i)
+        total += _joint_covariance(states, j)
+        return total
+
+
+def motion_of(states: ObjectStates) -> Floats:
+    """(n, 6) positions and velocities, m and m/s."""
+    return np.concatenate([states.position, states.velocity], axis=1)
+
+
+def _joint_covariance(states: ObjectStates, rows: Ints) -> Floats:
+    """(p, 6, 6) covariances of positions and velocities."""
+    return make_positive_definite(states.covariance.take(rows, 0)[:, _JOINT[:, None], _JOINT])
+
+
+def squared_distance(difference: Floats, covariance: Floats) -> Floats:
+    """(p,) squared Mahalanobis distances of differences (p, m), with covariances (p, m, m)."""
+    return np.asarray(np.vecdot(difference, np.linalg.solve(covariance, difference[:, :, None])[:, :, 0]))
 
 
 class SampledAssignmentClusterer(Clusterer):
@@ -126,3 +208,147 @@ def _to_nearest_core(i: Ints, j: Ints, distance: Floats, core: Bools) -> Ints:
     by_distance = np.lexsort((np.where(core[i], i, j)[pair], distance[pair], border))
     _, first = np.unique(border[by_distance], return_index=True)
     return np.asarray(pair[by_distance][first])
+
+
+#: m, in the bird's-eye view, between the middles of a cluster of believed agents and one of others of the same object.
+RADIUS_M = 2.0
+
+
+def believed_first(clusterer: Clusterer, states: ObjectStates, agent: Ints, believed: Bools) -> Ints:
+    """(n,) the cluster of each track, as `Clusterer.cluster` numbers them.
+
+    believed: (n,) tracks of agents that are believed; they are clustered as if there were no others, whose clusters
+    join the nearest of theirs
+
+    So a suspended agent cannot divide the objects of others by tracks beside them.
+    """
+    if believed.all():
+        return clusterer.cluster(states, agent)
+    labels = np.full(len(states), -1, np.int64)
+    groups = [np.flatnonzero(believed), np.flatnonzero(~believed)]
+    count = 0
+    middles: list[Floats] = []
+    for rows in groups:
+        own = clusterer.cluster(states.select(rows), agent[rows]) if len(rows) else np.zeros(0, np.int64)
+        size = int(own.max(initial=-1)) + 1
+        middle = (
+            np.stack([np.bincount(own, states.position[rows, axis], size) for axis in range(2)], axis=-1)
+            / np.maximum(np.bincount(own, minlength=size), 1)[:, None]
+        )
+        middles.append(middle)
+        labels[rows] = own + count
+        count += size
+    i, j, dx, dy = neighbours(middles[1], middles[0], np.full(len(middles[1]), RADIUS_M))
+    chosen = greedy_matching(i, j, np.hypot(dx, dy))
+    joined = np.arange(count)
+    joined[len(middles[0]) + i[chosen]] = j[chosen]
+    labels = joined[labels]
+    # Numbered by the least member, (agent, id), of each.
+    order = by_agent(states, agent)
+    _, first, inverse = np.unique(labels[order], return_index=True, return_inverse=True)
+    number = np.argsort(np.argsort(first, kind="stable"), kind="stable")
+    result = np.empty(len(states), np.int64)
+    result[order] = number[inverse.ravel()]
+    return result
+
+
+#: m, between the centres of clusters at the same place, whatever their size: two standard deviations of the difference
+#: of the errors that covariances do not contain. Boxes that overlap as one object are at the same place, too.
+SAME_PLACE_M = 2.0 * 2.0**0.5 * BIAS_M
+#: m, the farthest that the centres of two boxes at the same place are considered.
+_REACH_M = 2.0
+
+#: m^2, of a horizontal position, both axes together: what is less certain would not be reported in place of what it
+#: contradicts (a tracker's `max_std_m` of 1.2 m), and has no say.
+_MAX_VARIANCE = 1.2**2
+#: A cluster is compared with so many larger ones at its place, the largest, and by so many members of each. Only
+#: hostile sources send more, and whatever they send, a track costs at most the product of the two.
+_MAX_LARGER, _MAX_MEMBERS = 8, 32
+_FIRST = np.zeros(1, np.int64)
+_JOINT_GATE = JointGate(SAME_ORIGIN_GATE, BIAS_M, BIAS_MPS)
+
+
+def without_contradicted(states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None) -> Floats | None:
+    """Weights (n,) of tracks, 0 for those in a cluster that a larger one contradicts; `weights` if there is none.
+
+    states: n tracks; agent, labels: (n,) of each; weights: (n,) how far each is trusted, 0: it does not count
+
+    Two road users are not at the same place, but one may be above the other. Where clusters of different agents are,
+    because their velocities differ too much, one of them is wrong: the one with fewer agents, such as a track that has
+    jumped to an oncoming vehicle.
+    An agent that sees both objects is in both clusters, which then are two objects. Of two with equally many agents
+    nothing says which is wrong, and both stay. A cluster that is left out contradicts no other.
+
+    What remains: agents that together put `_MAX_LARGER` clusters around their false one, each larger than it and than
+    the true one, keep it in the picture.
+    """
+    rows = trusted_rows(agent, labels, weights)
+    variance = states.covariance[:, 0, 0] + states.covariance[:, 1, 1]
+    rows = rows[variance[rows] <= _MAX_VARIANCE]
+    if len(rows) < 3:  # one cluster of two, and one of one
+        return weights
+    label = labels.take(rows)
+    later = (label[1:] != label[:-1]).nonzero()[0] + 1
+    start, end = np.concatenate([_FIRST, later]), np.concatenate([later, [len(rows)]])
+    size = end - start
+    centre = np.add.reduceat(states.position.take(rows, 0), start) / size[:, None]
+    several = (size > 1).nonzero()[0]
+    i, j, dx, dy = neighbours(centre, centre[several], np.full(len(centre), _REACH_M))
+    j = several.take(j)
+    pairs = (size.take(j) > size.take(i)).nonzero()[0]
+    if not len(pairs):
+        return weights
+    larger, smaller, offset = j[pairs], i[pairs], np.column_stack([-dx[pairs], -dy[pairs]])
+    first = rows[start]
+    one, other = first[larger], first[smaller]
+    same = overlap(offset, states.size[one], states.yaw[one], states.size[other], states.yaw[other], ONE_OBJECT)
+    same |= np.hypot(offset[:, 0], offset[:, 1]) <= SAME_PLACE_M
+    height = 0.5 * (states.size[one, 2] + states.size[other, 2])
+    same &= np.abs(centre[larger, 2] - centre[smaller, 2]) <= height
+    larger, smaller, offset = larger[same], smaller[same], offset[same]
+    if not len(larger):
+        return weights
+    largest = np.lexsort((larger, np.vecdot(offset, offset), -size[larger], smaller))
+    rank = np.arange(len(largest)) - np.searchsorted(smaller[largest], smaller[largest])
+    compared = largest[rank < _MAX_LARGER]
+    larger, smaller = larger[compared], smaller[compared]
+    apart = _contradict(states, agent, _Clusters(rows, start, size), larger, smaller)
+    larger, smaller = larger[apart], smaller[apart]
+    wrong = set[int]()  # a larger cluster is judged before those that it contradicts
+    for k in np.lexsort((smaller, larger, -size[larger])).tolist():
+        if larger[k] not in wrong:
+            wrong.add(int(smaller[k]))
+    if not wrong:
+        return weights
+    kept: Bools = ~np.isin(labels, label[start[list(wrong)]])
+    return kept.astype(np.float64) if weights is None else weights * kept
+
+
+class _Clusters(NamedTuple):
+    """rows: (n,) tracks by cluster and agent; start, size: (c,) of each cluster in `rows`"""
+
+    rows: Ints
+    start: Ints
+    size: Ints
+
+    def members(self, clusters: Ints, most: int | None = None) -> tuple[Ints, Ints]:
+        """For each member of p clusters, at most so many of each: which of the p, and its row."""
+        size = self.size[clusters] if most is None else np.minimum(self.size[clusters], most)
+        which = np.repeat(np.arange(len(clusters)), size)
+        return which, self.rows[self.start[clusters[which]] + within_runs(size)]
+
+
+def _contradict(states: ObjectStates, agent: Ints, clusters: _Clusters, one: Ints, other: Ints) -> Bools:
+    """(p,) whether clusters have no agent in common, and tracks that cannot be of one object; one, other: (p,)"""
+    agents = int(agent.max()) + 1
+    codes = np.repeat(np.arange(len(clusters.size)), clusters.size) * agents + agent[clusters.rows]  # ascending
+    pair, row = clusters.members(other)
+    sought = one[pair] * agents + agent[row]
+    common = codes.take(np.searchsorted(codes, sought), mode="clip") == sought
+    result: Bools = np.bincount(pair[common], minlength=len(one)) == 0
+    apart = np.flatnonzero(result)
+    pair, j = clusters.members(other[apart], _MAX_MEMBERS)
+    which, i = clusters.members(one[apart][pair], _MAX_MEMBERS)
+    contradicting = _JOINT_GATE.apart(states, i, j[which])
+    result[apart] = np.bincount(pair[which[contradicting]], minlength=len(apart)) > 0
+    return result

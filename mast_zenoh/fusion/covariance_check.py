@@ -8,9 +8,9 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.fusion.members import trusted_rows
+from mast_zenoh.fusion.base import trusted_rows
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.covariance_repair import MAX_VARIANCE, symmetrise
+from mast_zenoh.tracking.covariances import MAX_VARIANCE, symmetrise
 from mast_zenoh.tracking.parameters import check_positive
 
 #: Kept pairs of a track with later ones of its cluster: limits what a hostile source costs.

@@ -6,12 +6,78 @@ from typing import Literal
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.fusion.base import Fusion
-from mast_zenoh.fusion.members import Members, state_vectors
-from mast_zenoh.fusion.volume_weights import least_volume_weights
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.fusion.base import Fusion, Members, state_vectors
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.inversion import inverse
+from mast_zenoh.tracking.covariances import inverse
+
+#: Largest ln of the ratio of a determinant to the least one: 1 %.
+TOLERANCE = 0.01
+#: The search stops after so many steps; it needed at most 8.
+_MAX_STEPS = 30
+#: Clusters are searched together with others of up to as many members; larger ones have equal weights.
+_SIZES = (8, 64)
+#: Each step aims for this share of the mean complementarity, and stops at this share of the way to the boundary.
+_CENTERING, _DAMPING = 0.1, 0.9
+
+
+def least_volume_weights(information: Floats, start: Ints) -> Floats:
+    """Weights (n,) that minimise the determinant of the fused covariance of each of c clusters.
+
+    Up to 64 members, the determinant is within 1 % of the least one; the search needed at most 8 steps and stops after
+    30. Larger clusters have equal weights.
+
+    information: (n, 9, 9) inverse covariances of the members, those of a cluster adjacent; start: (c,) its first row
+
+    Maximising ln det of sum w_i A_i over the simplex is concave (D-optimal design; Vandenberghe, Boyd, Wu, SIAM Journal
+    on Matrix Analysis 19(2), 1998). A primal-dual interior-point method (Boyd, Vandenberghe, Convex Optimization, 2004,
+    section 11.7) is applied to all clusters at once. A cluster is left alone once the largest tr(P A_i) is within
+    TOLERANCE of the 9 states, which bounds how far ln det is from its optimum (Kiefer, Wolfowitz 1960).
+    """
+    size = np.diff(start, append=len(information))
+    weight = np.repeat(1.0 / size, size)
+    smaller = 1
+    for largest in _SIZES:
+        searched = (size > smaller) & (size <= largest)
+        if searched.any():
+            rows = np.repeat(searched, size)
+            weight[rows] = _search(information[rows], size[searched])
+        smaller = largest
+    return weight
+
+
+def _search(information: Floats, size: Ints) -> Floats:
+    """Weights (n,) of clusters that have up to m members each; size: (c,)."""
+    clusters, most = len(size), int(size.max())
+    member: Bools = np.arange(most) < size[:, None]
+    A = np.zeros((clusters, most, 9, 9))
+    A[member] = information
+    flat = A.reshape(clusters, most, 81)
+    weight, slack = np.where(member, 1.0 / size[:, None], 0.0), member.astype(np.float64)
+    diagonal = np.eye(most)
+    for _ in range(_MAX_STEPS):
+        fused = inverse((weight[:, None, :] @ flat).reshape(clusters, 9, 9))
+        product = fused[:, None] @ A
+        slope = np.trace(product, axis1=2, axis2=3)
+        unsettled = (np.max(slope, axis=1, where=member, initial=0.0) - 9.0 > TOLERANCE)[:, None]
+        if not np.count_nonzero(unsettled):
+            break
+        curvature = product.reshape(clusters, most, 81) @ product.swapaxes(2, 3).reshape(clusters, most, 81).mT
+        w, z = np.where(member, weight, 1.0), np.where(member, slack, 1.0)
+        target = (_CENTERING * np.vecdot(weight, slack) / size)[:, None]
+        right = np.stack([np.where(member, slope + target / w, 0.0), member], axis=-1)
+        a, b = np.moveaxis(np.linalg.solve(curvature + diagonal * (z / w)[:, :, None], right), -1, 0)
+        step = np.where(member, a - b * (a.sum(axis=1) / b.sum(axis=1))[:, None], 0.0)
+        slack_step = np.where(member, (target - slack * step) / w - slack, 0.0)
+        weight = np.where(unsettled, weight + _length(step / w) * step, weight)
+        slack = np.where(unsettled, slack + _length(slack_step / z) * slack_step, slack)
+        weight /= weight.sum(axis=1, keepdims=True)
+    return np.asarray(weight[member])
+
+
+def _length(relative: Floats) -> Floats:
+    """(c, 1) the length of steps that keeps all values positive; relative: (c, m) steps, as shares of the values."""
+    return np.asarray(np.minimum(1.0, _DAMPING / np.maximum(-relative.min(axis=1, keepdims=True), 1e-30)))
 
 
 class CovarianceIntersectionFusion(Fusion):

@@ -1,16 +1,157 @@
-"""Group tracking: from clusters to fused objects with persistent ids."""
+"""Group tracking: from clusters to fused objects with persistent ids, which they keep when they return."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.matching import greedy_matching, neighbours
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.fusion.base import Fusion, GroupTracker
-from mast_zenoh.fusion.returning_objects import ReturningObjects
-from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
-from mast_zenoh.tracking.base import Tracker
-from mast_zenoh.tracking.innovations import Innovations
+from mast_zenoh.fusion.clustering import squared_distance
+from mast_zenoh.tracking import classes
+from mast_zenoh.tracking.association import Assignment, BipartiteAssignment
+from mast_zenoh.tracking.base import Innovations, Tracker
+from mast_zenoh.tracking.covariances import make_positive_definite
+from mast_zenoh.tracking.tracks import known_class
+
+#: Squared Mahalanobis distance that one in 1,000 of a chi-square distribution with four degrees of freedom exceeds.
+RETURN_GATE = 18.47
+#: Rows of a covariance that are compared, see `states.COVARIANCE_ORDER`: x y vx vy.
+_MOTION = np.array([0, 1, 6, 7])
+#: ns for which a tracker may continue an id that it does not report.
+_DORMANT_NS = 10_000_000_000
+
+
+class _Known(NamedTuple):
+    """An object of the tracker."""
+
+    output_id: int
+    last_seen_ns: int
+
+
+class _Lost(NamedTuple):
+    """An object that was in a row of a picture."""
+
+    last_seen_ns: int
+    picture: ObjectStates
+    row: int
+
+
+class ReturningObjects:
+    """Gives an object that returns the id that it had.
+
+    A tracker forgets an object when its position is too uncertain to find it. Here, the object is remembered for
+    longer: a new object takes its id if it is where the lost one can be by now, at a speed that it can have by now, and
+    of a class that is confused with its own. Both are predicted by the tracker's model (white acceleration). Of several
+    candidates the likeliest is taken first.
+
+    memory_s: s for which a lost object is remembered; 0: not at all
+    """
+
+    def __init__(self, memory_s: float) -> None:
+        self._memory_ns = round(memory_s * 1e9)
+        self.reset()
+
+    def reset(self) -> None:
+        self._tracker_ids, self._output_ids = np.zeros(0, np.int64), np.zeros(0, np.int64)  # of the last picture
+        self._picture, self._time_ns = ObjectStates.empty(), 0
+        self._known: dict[int, _Known] = {}  # by tracker id
+        self._lost: dict[int, _Lost] = {}  # by output id
+
+    def ids_for(self, time_ns: int, picture: ObjectStates) -> Ints:
+        """(n,) ids of the objects of the tracker's picture, sorted by the tracker's ids."""
+        if not np.array_equal(picture.id, self._tracker_ids):
+            self._output_ids = self._reassign(time_ns, picture)
+            self._tracker_ids = picture.id
+        self._picture, self._time_ns = picture, time_ns
+        return self._output_ids
+
+    def _reassign(self, time_ns: int, picture: ObjectStates) -> Ints:
+        """The ids where objects came or went."""
+        tracker_ids, before = picture.id.tolist(), self._output_ids.tolist()
+        for tracker_id, output_id in zip(self._tracker_ids.tolist(), before, strict=True):
+            self._known[tracker_id] = _Known(output_id, self._time_ns)
+        self._known = {key: known for key, known in self._known.items() if time_ns - known.last_seen_ns <= _DORMANT_NS}
+        new = [row for row, tracker_id in enumerate(tracker_ids) if tracker_id not in self._known]
+        kept = {
+            tracker_id: self._known[tracker_id].output_id for tracker_id in tracker_ids if tracker_id in self._known
+        }
+        ids = [kept.get(tracker_id, tracker_id) for tracker_id in tracker_ids]
+        self._lost |= {output_id: _Lost(self._time_ns, self._picture, row) for row, output_id in enumerate(before)}
+        present = set(kept.values())
+        self._lost = {
+            output_id: lost
+            for output_id, lost in self._lost.items()
+            if output_id not in present and time_ns - lost.last_seen_ns <= self._memory_ns
+        }
+        if new and self._lost:
+            lost_ids = sorted(self._lost)
+            for i, j in zip(*self._match_lost(time_ns, lost_ids, picture.select(np.array(new))), strict=True):
+                ids[new[j]] = lost_ids[i]
+                del self._lost[lost_ids[i]]
+        return np.array(_distinct(ids, tracker_ids), np.int64)
+
+    def _match_lost(self, time_ns: int, ids: list[int], new: ObjectStates) -> tuple[list[int], list[int]]:
+        """Rows of `ids` of lost objects, and of the new objects that they are."""
+        entries = [self._lost[output_id] for output_id in ids]
+        lost = concatenate([entry.picture.select(slice(entry.row, entry.row + 1)) for entry in entries])
+        elapsed_s = np.array([(time_ns - entry.last_seen_ns) * 1e-9 for entry in entries])
+        motion = np.concatenate([lost.position[:, :2], lost.velocity[:, :2]], axis=1)
+        motion[:, :2] += motion[:, 2:] * elapsed_s[:, None]
+        spread = _predicted(_motion_covariance(lost), elapsed_s, lost)
+        measured = _motion_covariance(new)
+        widest = float((measured[:, 0, 0] + measured[:, 1, 1]).max())
+        reach = np.sqrt(RETURN_GATE * (spread[:, 0, 0] + spread[:, 1, 1] + widest))
+        i, j, dx, dy = neighbours(motion, new.position, reach)
+        difference = np.column_stack([dx, dy, new.velocity[j, :2] - motion[i, 2:]])
+        total = spread[i] + measured[j]
+        distance = squared_distance(difference, total)
+        alike = classes.CONFUSION[known_class(lost.class_id[i]), known_class(new.class_id[j])] >= -1.0
+        near = (alike & (distance <= RETURN_GATE)).nonzero()[0]
+        i, j = i[near], j[near]
+        chosen = greedy_matching(i, j, distance[near] + np.linalg.slogdet(total[near])[1])
+        return i[chosen].tolist(), j[chosen].tolist()
+
+
+def _motion_covariance(states: ObjectStates) -> Floats:
+    """(n, 4, 4) covariances of horizontal position and velocity."""
+    return make_positive_definite(states.covariance[:, _MOTION[:, None], _MOTION])
+
+
+def _predicted(covariance: Floats, elapsed_s: Floats, states: ObjectStates) -> Floats:
+    """(n, 4, 4) covariances of horizontal motion after some time, see `kalman.process_noise`."""
+    t, eye = elapsed_s[:, None, None], np.eye(2)
+    move = np.broadcast_to(np.eye(4), (len(t), 4, 4)).copy()
+    move[:, :2, 2:] = t * eye
+    result = move @ covariance @ move.mT
+    density = classes.ACCELERATION[known_class(states.class_id)][:, None, None]
+    result[:, :2, :2] += density * t**3 / 3.0 * eye
+    result[:, :2, 2:] += density * t**2 / 2.0 * eye
+    result[:, 2:, :2] += density * t**2 / 2.0 * eye
+    result[:, 2:, 2:] += density * t * eye
+    return np.asarray(result)
+
+
+def _distinct(ids: list[int], tracker_ids: list[int]) -> list[int]:
+    """The ids, each once.
+
+    Two objects would have the same if the tracker has continued one that was lost and has returned. Then the later
+    takes the tracker's id, or the lowest of the tracker's that is free.
+    """
+    if len(set(ids)) == len(ids):
+        return ids
+    free, used = set(tracker_ids) - set(ids), set[int]()
+    result = []
+    for output_id, tracker_id in zip(ids, tracker_ids, strict=True):
+        if output_id in used:
+            output_id = tracker_id if tracker_id in free else min(free)
+            free.remove(output_id)
+        result.append(output_id)
+        used.add(output_id)
+    return result
+
 
 _BIPARTITE = BipartiteAssignment()
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.kernels import kernel
 
 #: What the command centre thinks of an agent; trust messages contain indices into this tuple.
 STATES = ("unknown", "trusted", "faulty", "suspended")
@@ -221,3 +222,100 @@ def trust_columns(
         "contradicting": of_objects(of_clusters.contradicting),
         "withheld": withheld.astype(np.uint8),
     }
+
+
+#: m², side of a car that a sensor sees least of: width times height.
+_CAR_M2 = 1.8 * 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClusterBoxes:
+    """Median boxes of `c` clusters (circular mean of the axes), world frame.
+
+    position: (c, 3) m, velocity: (c, 3) m/s, size: (c, 3) m, yaw: (c,) rad, of the length axis, in either direction
+
+    A member shifts the mean of two by half its error, which the clusterer's radius limits.
+    """
+
+    position: Floats
+    velocity: Floats
+    size: Floats
+    yaw: Floats
+
+    @classmethod
+    def of(cls, batch: Batch, use: Bools | None = None) -> ClusterBoxes:
+        """The median boxes of the clusters of a batch.
+
+        use: (c, a) which agents' tracks count; None: all. A cluster without any uses all its members.
+        """
+        states = batch.states
+        present: Bools = batch.reported
+        if use is not None:
+            used = present & use
+            present = np.asarray(np.where(used.any(axis=1, keepdims=True), used, present), np.bool_)
+        return cls(*median_boxes(states.position, states.velocity, states.size, states.yaw, batch.member, present))
+
+    def sight_range(self, range_m: float) -> Floats:
+        """(c,) m up to which a box gives a lidar as many returns as a car does at `range_m`, at most `range_m`.
+
+        The number of returns goes with the area of the smaller side over the squared distance.
+        """
+        area = np.minimum(self.size[:, 0], self.size[:, 1]) * self.size[:, 2]
+        return np.asarray(range_m * np.sqrt(np.clip(area / _CAR_M2, 0.0, 1.0)))
+
+
+@kernel
+def median_boxes(
+    position: Floats, velocity: Floats, size: Floats, yaw: Floats, member: Ints, present: Bools
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Medians of the positions, velocities and sizes (c, 3) of the members of c clusters, and their mean yaws (c,).
+
+    member: (c, a) rows of n tracks; present: (c, a) which count, at least one in each cluster
+    """
+    count = present.sum(axis=1)
+    # Summed by agent, so that rounding does not depend on the order of the rows.
+    double = np.where(present[..., None], np.stack([np.cos(2.0 * yaw), np.sin(2.0 * yaw)], axis=-1)[member], 0.0)
+    east, north = (double.sum(axis=1) / count[:, None]).T
+    values = np.concatenate([position, velocity, size], axis=1)
+    ordered = np.sort(np.where(present[..., None], values[member], np.inf), axis=1)
+    low, high = ((count - 1) // 2)[:, None, None], (count // 2)[:, None, None]
+    middle = 0.5 * (np.take_along_axis(ordered, low, axis=1) + np.take_along_axis(ordered, high, axis=1))[:, 0]
+    return middle[:, :3].copy(), middle[:, 3:6].copy(), middle[:, 6:].copy(), 0.5 * np.arctan2(north, east)
+
+
+_AGENTS = {"mean": (), "log_odds": (), "state": (), "offset": (2,), "turn": (), "delay": (), "loss": ()}
+_COUNTS = ("expected", "confirming", "contradicting")
+
+
+def problem_of(assessment: Assessment, n: int, a: int, c: int) -> str:
+    """What is wrong with an assessment of n tracks of a agents in c clusters; "" if nothing is."""
+    weights, agents, objects = assessment.weights, assessment.agents, assessment.objects
+    columns = {
+        **{f"agents.{name}": (getattr(agents, name), (a, *more)) for name, more in _AGENTS.items()},
+        **{f"objects.{name}": (getattr(objects, name), (c,)) for name in ("trust", *_COUNTS, "withheld")},
+    }
+    if weights is not None:
+        columns["weights"] = weights, (n,)
+    for name, (values, shape) in columns.items():
+        if values.shape != shape:
+            return f"{name} has the shape {values.shape}, expected {shape}"
+        if values.dtype.kind == "f" and not np.isfinite(values.sum()):
+            return f"{name} has numbers that are not finite"
+    if weights is not None and (weights < 0.0).any():
+        return "a weight is below 0"
+    if len(agents.reason) != a:
+        return f"found {len(agents.reason)} reasons, expected {a}"
+    if (agents.state >= len(STATES)).any():
+        return "a state is not an index into STATES"
+    for name, values in (("agents.mean", agents.mean), ("objects.trust", objects.trust)):
+        if len(values) and not 0.0 <= values.min() <= values.max() <= 1.0:
+            return f"{name} is not from 0 to 1"
+    for name in _COUNTS:
+        counts = getattr(objects, name)
+        if counts.dtype != np.int64:
+            return f"objects.{name} is {counts.dtype}, expected int64"
+        if len(counts) and not 0 <= counts.min() <= counts.max() <= a:
+            return f"objects.{name} is not from 0 to {a}, all agents"
+    if objects.withheld.dtype != np.bool_:
+        return f"objects.withheld is {objects.withheld.dtype}, expected bool"
+    return ""

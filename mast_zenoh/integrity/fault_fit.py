@@ -1,13 +1,20 @@
-"""Fits a pose error and a time offset to how an agent's tracks differ from those of other agents."""
+"""Fits a pose error and a time offset to how an agent's tracks differ from those of other agents.
+
+A fault is (4,): x and y in m, a turn in rad, and a lead in s, by which its tracks are ahead; it moves all tracks of the
+agent alike.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mast_zenoh.arrays.neighbours import neighbours
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.arrays.geometry import rotation_from_yaw
+from mast_zenoh.arrays.matching import neighbours
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.integrity.calibration import MAX_STEP_S, SAMPLES_PER_S
+from mast_zenoh.integrity.views import SweptView
 
 #: m, farthest from a track of another agent that the same object may be reported, by an agent with a fault.
 GATE_M = 6.0
@@ -185,3 +192,108 @@ def solved(
         start = np.asarray(solution, np.float64)
     assert start is not None
     return start, total
+
+
+#: Mean of Huber's loss of a displacement up to which a fit is good.
+FIT = 1.2
+#: Difference of the sums of Huber's loss from which a batch shows another fault than those before.
+CHANGED = 5.0
+
+
+@dataclass(slots=True)
+class FaultEstimate:
+    """Sums and fault of one agent.
+
+    time_ns: ns, of the last fit, or of the first batch
+    fault: see `faults`; statistic: twice the log-likelihood that it gains
+    share: of the tracks in the last fit that the fault explains; others: agents that reported them, too
+    applied: whether the agent's tracks are corrected
+    excused_until_ns: ns, until when no further fault excuses what the agent did before it was found
+    loss: 0 to 1, share of frames in which nothing of the agent arrived
+    """
+
+    time_ns: int
+    information: Floats = field(default_factory=lambda: np.zeros((4, 4)))
+    score: Floats = field(default_factory=lambda: np.zeros(4))
+    fault: Floats = field(default_factory=lambda: np.zeros(4))
+    statistic: float = 0.0
+    share: float = 0.0
+    others: int = 0
+    applied: bool = False
+    excused_until_ns: int = 0
+    loss: float = 0.0
+
+    @property
+    def known(self) -> Floats:
+        """(4,) the fault that is corrected; zeros: none."""
+        return self.fault * self.applied
+
+    def update(self, time_ns: int, found: Displacements, memory_s: float) -> None:
+        """Add the displacements of a batch. memory_s: s, after which they count 1/e"""
+        elapsed_s = (time_ns - self.time_ns) * 1e-9
+        samples = SAMPLES_PER_S * min(elapsed_s, MAX_STEP_S)
+        keep = np.exp(-elapsed_s / memory_s)
+        self.time_ns = time_ns
+        past = keep * self.information, keep * self.score
+        fault, total = solved(found, samples, past, self.fault, self.known)
+        self.others = found.others
+        if self.others and misfit(found, fault) > FIT * len(found.offset):
+            # What was known does not explain this batch. It may be a new fault: fitted to this batch alone.
+            anew, sums = solved(found, samples, NOTHING, None, np.zeros(4), steps=3)
+            if misfit(found, anew) < misfit(found, fault) - CHANGED:
+                fault, total = anew, sums
+        self.fault, (self.information, self.score) = fault, total
+        self.statistic = float(self.score @ fault)
+        self.share = explained(found, fault)
+
+    def forget(self) -> None:
+        """Forget the sums, but not a fault that is corrected."""
+        self.fault = self.known
+        self.information, self.score = NOTHING
+        self.statistic = 0.0
+
+
+#: m, m/s: a track by which turns and delays are compared with displacements.
+ARM_M, SPEED_MPS = 30.0, 10.0
+
+
+def without_fault(states: ObjectStates, rows: Bools, fault: Floats, pivot: Floats) -> ObjectStates:
+    """Tracks without the fault (4,) of an agent.
+
+    rows: (n,) of the agent; pivot: (2,) m
+    """
+    x, y, turn, lead = fault.tolist()
+    position, velocity, yaw = states.position.copy(), states.velocity.copy(), states.yaw.copy()
+    arm = position[rows, :2] - pivot
+    moved = np.column_stack([x - turn * arm[:, 1], y + turn * arm[:, 0]]) + lead * velocity[rows, :2]
+    position[rows, :2] -= moved
+    vx, vy = velocity[rows, :2].T
+    velocity[rows, :2] = np.column_stack([vx + turn * vy, vy - turn * vx])
+    yaw[rows] -= turn
+    return states.with_(position=position, velocity=velocity, yaw=yaw)
+
+
+def displacement_m(fault: Floats) -> float:
+    """m, by which a fault (4,) moves a track that is ARM_M away and drives at SPEED_MPS."""
+    x, y, turn, lead = fault.tolist()
+    return float(max(np.hypot(x, y), ARM_M * abs(turn), SPEED_MPS * abs(lead)))
+
+
+def described(fault: Floats) -> str:
+    """A fault (4,) in words, as far as it shows: "all its tracks are shifted by 0.8 m, turned by -0.6°"."""
+    x, y, turn, lead = fault.tolist()
+    shift, degrees = float(np.hypot(x, y)), float(np.degrees(turn))
+    parts = [
+        f"shifted by {shift:.1f} m" if round(shift, 1) else "",
+        f"turned by {degrees:.1f}°" if round(degrees, 1) else "",
+        f"{abs(lead):.2f} s {'early' if lead > 0.0 else 'late'}" if round(lead, 2) else "",
+    ]
+    return f"all its tracks are {', '.join(part for part in parts if part) or 'slightly off'}"
+
+
+def view_without_fault(view: SweptView, fault: Floats) -> SweptView:
+    """A view without the fault (4,) of its agent; its sensor is the pivot of the turn."""
+    position = view.view.position - np.array([fault[0], fault[1], 0.0])
+    return replace(
+        view, view=replace(view.view, position=position, rotation=rotation_from_yaw(-fault[2]) @ view.view.rotation)
+    )

@@ -7,12 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from mast_zenoh.arrays.ordering import by_agent
-from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, by_agent
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED, Assessment, Batch, Integrity
-from mast_zenoh.integrity.fault_estimate import FaultEstimate
-from mast_zenoh.integrity.fault_fit import agreeing, displacements
-from mast_zenoh.integrity.faults import described, displacement_m, view_without_fault, without_fault
+from mast_zenoh.integrity.fault_fit import (
+    FaultEstimate,
+    agreeing,
+    described,
+    displacement_m,
+    displacements,
+    view_without_fault,
+    without_fault,
+)
 from mast_zenoh.integrity.sequential import MAX_NAMES, SequentialConsistency
 from mast_zenoh.integrity.views import SweptView
 

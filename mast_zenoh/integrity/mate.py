@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
-from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.memory import AgentMemory, ObjectMemory
 from mast_zenoh.integrity.visibility import sightings
-from mast_zenoh.tracking.assignment import BipartiteAssignment
+from mast_zenoh.tracking.association import BipartiteAssignment
 
 #: alpha and beta of new agents and objects, to which trust returns without evidence.
 PRIOR = 0.5

@@ -1,4 +1,4 @@
-"""What a stage remembers of objects and agents from batch to batch.
+"""What a stage remembers of objects and agents from batch to batch, and how often agents' claims have held up.
 
 Both memories give each object or agent a row. The rows of the next batch may be others: `carry` takes a stage's own
 arrays along.
@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.matching import greedy_matching
-from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.matching import greedy_matching, neighbours
 from mast_zenoh.arrays.states import Floats, Ints
 
 #: Most objects that are remembered besides those of the latest batch.
@@ -157,3 +156,52 @@ def _newest(seen_ns: Ints, since_ns: int, most: int) -> Ints:
     if len(rows) > most:
         rows = np.sort(rows[np.argsort(-seen_ns[rows], kind="stable")[:most]])
     return rows
+
+
+#: s between independent pieces of evidence about one object: consecutive offsets of two honest tracks correlate at 0.8
+#: at 10 Hz, which leaves about one independent sample a second.
+INDEPENDENT_S = 1.0
+
+
+class BetaReputation:
+    """Beta record of each agent: claims upheld and refuted, with forgetting.
+
+    The mean is (1 + upheld) / (2 + upheld + refuted), so that a new agent has 0.5.
+
+    memory_s: s, after which a claim counts 1/e
+    """
+
+    def __init__(self, *, memory_s: float) -> None:
+        if not memory_s > 0.0:
+            raise ValueError(f"record_s: found {memory_s}, expected more than 0")
+        self._memory_s = memory_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the initial state."""
+        self._agents = AgentMemory()
+        self._counts: Floats = np.zeros((0, 2))
+        self._last_ns: int | None = None
+
+    def mean(self, names: tuple[str, ...]) -> Floats:
+        """(a,) the present mean of agents; 0.5 for unknown ones."""
+        known = dict(zip(self._agents.names, _mean(self._counts).tolist(), strict=True))
+        return np.array([known.get(name, 0.5) for name in names], np.float64)
+
+    def update(self, time_ns: int, names: tuple[str, ...], upheld: Floats, refuted: Floats) -> Floats:
+        """(a,) the mean after a batch.
+
+        upheld, refuted: (a,) numbers of claims in the batch; each counts for the time since the last batch, at most
+        INDEPENDENT_S, so that an object counts once a second however often it is reported.
+        """
+        elapsed = 0.0 if self._last_ns is None else (time_ns - self._last_ns) * 1e-9
+        self._last_ns = time_ns
+        rows = self._agents.meet(time_ns, names)
+        self._counts = self._agents.carry(self._counts, 0.0) * np.exp(-elapsed / self._memory_s)
+        self._counts[rows] += np.column_stack([upheld, refuted]) * min(elapsed / INDEPENDENT_S, 1.0)
+        return _mean(self._counts)[rows]
+
+
+def _mean(counts: Floats) -> Floats:
+    """(m,) means of (m, 2) counts of upheld and refuted claims."""
+    return np.asarray((1.0 + counts[:, 0]) / (2.0 + counts.sum(axis=1)))

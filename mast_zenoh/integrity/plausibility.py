@@ -6,16 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
-from mast_zenoh.integrity.claims import possible
-from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.memory import ObjectMemory
-from mast_zenoh.integrity.rays import TOLERANCES
-from mast_zenoh.integrity.reputation import INDEPENDENT_S, BetaReputation
+from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
+from mast_zenoh.integrity.disputes import possible
+from mast_zenoh.integrity.memory import INDEPENDENT_S, BetaReputation, ObjectMemory
 from mast_zenoh.integrity.views import SweptView
-from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
+from mast_zenoh.integrity.visibility import TOLERANCES
+from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
 
 #: Standard deviations that an error may have.
 _SIGMAS = 3.0

@@ -12,16 +12,15 @@ from mast_zenoh.integrity.base import (
     AgentTrust,
     Assessment,
     Batch,
+    ClusterBoxes,
     Integrity,
 )
-from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.cumulative import EXCUSED_S, MAX_STEP_S, Tail, accumulate, discoveries
+from mast_zenoh.integrity.calibration import EXCUSED_S, MAX_STEP_S, Tail, accumulate, discoveries
 from mast_zenoh.integrity.disputes import Disputes, disputes
-from mast_zenoh.integrity.existence import Existence, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
-from mast_zenoh.integrity.offset_sums import OffsetSums
-from mast_zenoh.integrity.offsets import offsets
+from mast_zenoh.integrity.offsets import OffsetSums, offsets
 from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
+from mast_zenoh.integrity.voting import Existence, ExistenceVotes
 
 #: Names of agents that are remembered at most.
 MAX_NAMES = 1024

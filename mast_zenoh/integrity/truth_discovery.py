@@ -12,11 +12,11 @@ from mast_zenoh.integrity.base import (
     AgentTrust,
     Assessment,
     Batch,
+    ClusterBoxes,
     Integrity,
     ObjectTrust,
 )
-from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.cumulative import EXCUSED_S, MAX_STEP_S, SAMPLES_PER_S
+from mast_zenoh.integrity.calibration import EXCUSED_S, MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.disputes import clear
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.visibility import RayEvidence, Sightings, current, lenient_sightings, rays_at

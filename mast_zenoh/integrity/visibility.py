@@ -1,17 +1,162 @@
-"""Visibility of objects: which sensors should see them, and which see through them."""
+"""Visibility of objects: which sensors should see them, and which see through them.
+
+A box is sampled by points. A ray reaches a point if its direction is free as far as the point, and passes it if it is
+free beyond.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.integrity.base import Batch
-from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.rays import TOLERANCES, box_visibility, ray_evidence
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.kernels import kernel
+
+#: Sample points of a box, in half lengths and half widths, and in half heights.
+_ACROSS = (-1.0, 0.0, 1.0)
+_UP = (-0.3, 0.4)
+#: The same, closer together, for the share of a box and of the space around it that is free.
+_AROUND = (-1.0, -0.5, 0.0, 0.5, 1.0)
+
+
+class Tolerances(NamedTuple):
+    """How exactly rays show where an object is.
+
+    inside_m, outside_m: m, by which the sample points for visibility lie inside the box, and those for seeing through
+        it outside: an object whose position is wrong by less is not seen through
+    behind_m: m, beyond a point: a sensor that sees farther than this sees through it
+    before_m: m, before a point: a sensor that sees no farther than this does not see it
+    own_m, far_m: m, on the ground: nearer to a sensor is its own carrier, and farther away its rays miss small objects
+    in_view: share of the points inside an object that must be in view
+    max_age_s: s; an older view shows where objects were, not where they are
+    """
+
+    inside_m: float = 0.4
+    outside_m: float = 0.8
+    behind_m: float = 1.5
+    before_m: float = 1.5
+    own_m: float = 4.0
+    far_m: float = 70.0
+    in_view: float = 0.6
+    max_age_s: float = 0.05
+
+
+TOLERANCES = Tolerances()
+
+
+@kernel
+def box_visibility(
+    position: Floats,
+    size: Floats,
+    yaw: Floats,
+    error_m: Floats,
+    views: Sequence[SweptView | None],
+    only: Ints | None,
+    tolerances: Tolerances,
+) -> tuple[Bools, Bools, Floats]:
+    """Which of c boxes each of a sensors has in view (c, a), and sees through (c, a), and their distances (c, a) m.
+
+    position: (c, 3) m, size: (c, 3) m, yaw: (c,) rad, world frame
+    error_m: (c,) m, by which each position may be wrong, besides `outside_m`
+    views: (a), None: sees nothing;  only: (c,) the one view that is asked about each box, then a is 1; None: all
+    """
+    c, a = len(position), len(views) if only is None else 1
+    in_view, swept = np.zeros((c, a), np.bool_), np.zeros((c, a), np.bool_)
+    distance = np.full((c, a), np.inf)
+    inner = sample_points(position, size, yaw, np.full(c, -tolerances.inside_m), _ACROSS)
+    outer = sample_points(position, size, yaw, tolerances.outside_m + error_m, _ACROSS)
+    for rows, column, view in _asked(c, views, only):
+        if abs(view.age_s) > tolerances.max_age_s:
+            continue
+        ranges, free, inside = view.ranges(inner[rows].reshape(-1, 3))
+        away = _distance(position[rows], view)
+        with np.errstate(invalid="ignore"):
+            reached = inside & ~(free < ranges - tolerances.before_m)
+        share = reached.reshape(len(rows), -1).mean(axis=1)
+        visible = (away > tolerances.own_m) & (share >= tolerances.in_view)
+        ranges, free, inside = view.ranges(outer[rows].reshape(-1, 3))
+        with np.errstate(invalid="ignore"):
+            through = free > ranges + tolerances.behind_m
+        passed = (through | ~inside).reshape(len(rows), -1).all(axis=1)
+        passed &= through.reshape(len(rows), -1).any(axis=1)
+        in_view[rows, column] = visible
+        swept[rows, column] = visible & (away <= tolerances.far_m) & passed
+        distance[rows, column] = away
+    return in_view, swept, distance
+
+
+@kernel
+def ray_evidence(
+    position: Floats,
+    velocity: Floats,
+    size: Floats,
+    yaw: Floats,
+    views: Sequence[SweptView | None],
+    only: Ints | None,
+    tolerances: Tolerances,
+) -> tuple[Bools, Bools]:
+    """Through which of c boxes most rays of each of a sensors pass (c, a), and at which they end (c, a).
+
+    velocity: (c, 3) m/s, of the boxes: a view that is older than them shows the places where they were then; the others
+    as in `box_visibility`
+
+    A box that is displaced by `outside_m` or less, e, still hides a share of w / (w + e) of its surroundings, w half
+    its width, from any side. It is seen through if less than half as much is hidden.
+    """
+    c, a = len(position), len(views) if only is None else 1
+    through, ends = np.zeros((c, a), np.bool_), np.zeros((c, a), np.bool_)
+    points = sample_points(position, size, yaw, np.full(c, tolerances.outside_m), _AROUND)
+    half_width = 0.5 * np.minimum(size[:, 0], size[:, 1])
+    needed = 1.0 - 0.5 * half_width / (half_width + tolerances.outside_m)
+    half = 0.5 * np.hypot(size[:, 0], size[:, 1])
+    for rows, column, view in _asked(c, views, only):
+        if view.free.size == 0:
+            continue
+        moved = velocity[rows] * view.age_s
+        ranges, free, _ = view.ranges((points[rows] - moved[:, None, :]).reshape(-1, 3))
+        with np.errstate(invalid="ignore"):
+            share = (free > ranges + tolerances.behind_m).reshape(len(rows), -1).mean(axis=1)
+        away = _distance(position[rows] - moved, view)
+        near = (away > tolerances.own_m) & (away <= tolerances.far_m)
+        through[rows, column] = (share > needed[rows]) & near
+        ranges, free, _ = view.ranges(position[rows])
+        with np.errstate(invalid="ignore"):
+            reached = free >= ranges - half[rows] - tolerances.before_m
+            ends[rows, column] = reached & (free <= ranges + half[rows] + tolerances.behind_m)
+    return through, ends
+
+
+def _asked(c: int, views: Sequence[SweptView | None], only: Ints | None) -> Iterator[tuple[Ints, int, SweptView]]:
+    """Views with the rows of the boxes that each is asked about, and the column of its answers."""
+    for number, view in enumerate(views):
+        rows = np.arange(c) if only is None else np.flatnonzero(only == number)
+        if view is not None and len(rows):
+            yield rows, number if only is None else 0, view
+
+
+def _distance(position: Floats, view: SweptView) -> Floats:
+    """(k,) m on the ground from a sensor to positions (k, 3)."""
+    return np.asarray(np.hypot(*(position[:, :2] - view.view.position[:2]).T))
+
+
+def sample_points(position: Floats, size: Floats, yaw: Floats, margin_m: Floats, grid: Sequence[float]) -> Floats:
+    """(c, p, 3) sample points of boxes that are larger by `margin_m` (c,) on each side.
+
+    grid: of the points, in half lengths and in half widths
+    """
+    x, y, z = (axis.ravel() for axis in np.meshgrid(grid, grid, _UP, indexing="ij"))
+    half = 0.5 * size
+    flat = np.maximum(half[:, :2] + margin_m[:, None], 0.0)
+    along, across = flat[:, :1] * x, flat[:, 1:] * y
+    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    offset: Floats = np.stack([along * cos - across * sin, along * sin + across * cos, half[:, 2:] * z], axis=-1)
+    return position[:, None, :] + offset
+
 
 #: m, farther away the rays of a sensor miss small objects.
 FAR_M = TOLERANCES.far_m

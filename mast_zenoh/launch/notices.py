@@ -21,7 +21,7 @@ from mast_zenoh.metrics.record import LOCAL
 from mast_zenoh.metrics.user_metrics import label_of
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
-from mast_zenoh.tracking.innovations import OVERCONFIDENT, Innovations
+from mast_zenoh.tracking.base import OVERCONFIDENT, Innovations
 from mast_zenoh.wiring.model import Wiring
 
 #: Other counters of a broker, and what they count.

@@ -8,8 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.ordering import ascending, row_order, within_runs
-from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ascending, row_order, within_runs
 from mast_zenoh.kernels import kernel
 
 

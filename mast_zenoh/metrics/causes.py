@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.ordering import within_runs
-from mast_zenoh.arrays.states import Bools, Ints
+from mast_zenoh.arrays.states import Bools, Ints, within_runs
 from mast_zenoh.metrics.boxes import Places
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.scores import Scores, Texts

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.arrays.ordering import row_order
-from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.arrays.states import Bools, Floats, Ints, row_order
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, SetDistance
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
 from mast_zenoh.metrics.record import Record, Series, TruthTable

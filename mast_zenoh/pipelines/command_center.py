@@ -10,14 +10,12 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer, GroupTracker
-from mast_zenoh.fusion.believed_first import believed_first
-from mast_zenoh.fusion.contradicted import without_contradicted
+from mast_zenoh.fusion.clustering import believed_first, without_contradicted
 from mast_zenoh.fusion.covariance_check import CheckedCovariances, CovarianceCheck
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
-from mast_zenoh.integrity.base import SUSPENDED
-from mast_zenoh.integrity.soundness import problem_of
-from mast_zenoh.tracking.covariance_repair import make_positive_definite
-from mast_zenoh.tracking.innovations import Innovations
+from mast_zenoh.integrity.base import SUSPENDED, problem_of
+from mast_zenoh.tracking.base import Innovations
+from mast_zenoh.tracking.covariances import make_positive_definite
 
 
 class Pipeline(ABC):

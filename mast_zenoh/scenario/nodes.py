@@ -13,7 +13,7 @@ from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.metrics.achievement import ALL
-from mast_zenoh.pipelines.agent_sensor import DUE, IDLE
+from mast_zenoh.pipelines.agent import DUE, IDLE
 from mast_zenoh.scenario.reconnaissance import surroundings_of
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.measurements import NO_MEASUREMENT

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.errors import nearest
-from mast_zenoh.sensing.camera import Camera
-from mast_zenoh.sensing.lidar import LidarSensor
+from mast_zenoh.sensing.sensors import Camera, LidarSensor
 
 #: Kinds of sensors.
 KINDS = ("lidar", "camera", "radar")

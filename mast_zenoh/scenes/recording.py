@@ -54,7 +54,7 @@ class Recording:
     detection_truth_id: (D,) int64, id of the object detected, -1 for clutter; for scoring only, never an input
     buildings:          B outlines, each (k, 2) m, world frame, closed without repeating the first corner
     building_height:    (B,) m, z of each building's top in the world frame
-    sweeps:             for each agent (F, bands, sectors) float32, m, of its first sensor, see `sensing.sweep`; ():
+    sweeps:             for each agent (F, bands, sectors) float32, m, of its first sensor, see `sensing.raycast`; ():
                         unknown
     measurements:       when the sensors measured; None: in every frame, at its time
     """

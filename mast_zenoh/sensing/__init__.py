@@ -1,12 +1,8 @@
 """Sensing: lidar visibility, detection models and sensor frames."""
 
-from mast_zenoh.sensing.camera import Camera
-from mast_zenoh.sensing.detection_model import DetectionModel
-from mast_zenoh.sensing.detector import CleanDetector, Detector
-from mast_zenoh.sensing.frames import sensor_pose, to_sensor, to_world
-from mast_zenoh.sensing.lasting_errors import LastingErrors
-from mast_zenoh.sensing.lidar import LidarSensor, in_view
+from mast_zenoh.sensing.detection_model import CleanDetector, DetectionModel, Detector, LastingErrors
 from mast_zenoh.sensing.raycast import Walls, lidar_points
+from mast_zenoh.sensing.sensors import Camera, LidarSensor, in_view, sensor_pose, to_sensor, to_world
 
 __all__ = [
     "Camera",

@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView
-from mast_zenoh.integrity.soundness import problem_of
+from mast_zenoh.integrity.base import problem_of
 from mast_zenoh.integrity.views import UNKNOWN_SPACE
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.comparison import expect, expect_finite, expect_same, unchanged

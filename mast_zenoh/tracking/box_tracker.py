@@ -3,25 +3,188 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import CLASSES, Bools, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking import classes, existence, kalman, parameters, tracks
-from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
-from mast_zenoh.tracking.base import Tracker
-from mast_zenoh.tracking.detection_noise import DetectionNoise
-from mast_zenoh.tracking.duplicates import duplicated, duplicates
-from mast_zenoh.tracking.evidence import ScoreEvidence, report_columns
-from mast_zenoh.tracking.gating import AssociationModel, Match, near_pairs
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_headings_and_store
-from mast_zenoh.tracking.initiation import created
-from mast_zenoh.tracking.innovations import Innovations
-from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
-from mast_zenoh.tracking.matched import matched_tracks
-from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import CONFIRMED, ODDS, ROW, SCORE
+from mast_zenoh.tracking.association import (
+    Assignment,
+    AssociationModel,
+    BipartiteAssignment,
+    Match,
+    Measured,
+    gaussian,
+    near_pairs,
+)
+from mast_zenoh.tracking.base import Innovations, Tracker
+from mast_zenoh.tracking.classes import FIRST_SPEED, first_covariance
+from mast_zenoh.tracking.existence import FIRST_DUE, ScoreEvidence, add_scores, report_columns, update_detected
+from mast_zenoh.tracking.kalman import constrain_lateral_speed
+from mast_zenoh.tracking.tracks import (
+    AGE,
+    CONFIRMED,
+    COVARIANCE,
+    FORWARD,
+    ODDS,
+    ROW,
+    SCORE,
+    TURN_LIMIT,
+    XX,
+    XY,
+    YY,
+    correct_heading,
+    duplicated,
+    duplicates,
+    resolve_headings_and_store,
+    update_class,
+)
 from mast_zenoh.tracking.view import SensorView
+
+#: Number of pairs over which the estimate averages, and weight of the default in pairs.
+MEMORY, PRIOR = 1000.0, 200.0
+#: Ratio to the default variance up to which the default is used: half as much again in standard deviation.
+TOLERANCE = 1.5**2
+#: Largest ratio to the default variance.
+LARGEST = 5.0**2
+
+
+class DetectionNoise:
+    """Variances of the detections of one source that gives no covariances.
+
+    The mean squared innovation of a filter is the variance of its prediction plus that of the measurement, so their
+    difference estimates the latter (covariance matching: Mehra, IEEE Transactions on Automatic Control, 1972). Only the
+    horizontal position is estimated, the same for both axes.
+
+    The default is kept to the bit while the estimate is near or below it: errors that last are in the tracks too, and
+    their innovations are too small. Above, the estimate is used, up to a limit.
+
+    variance: (6,) m^2, of x y z l w h, currently used
+    """
+
+    def __init__(self, default: Floats) -> None:
+        self._default = self.variance = default
+        self._sum, self._weight = PRIOR * float(default[0]), PRIOR
+
+    def learn(self, excess: float, count: int) -> None:
+        """Learn from `count` matched pairs; excess: m^2, see `excess_sum`."""
+        if count == 0:
+            return
+        keep = math.exp(-count / MEMORY)
+        self._sum, self._weight = max(keep * self._sum + 0.5 * excess, 0.0), keep * self._weight + count
+        ratio = self._sum / (self._weight * float(self._default[0]))
+        self.variance = self._default
+        if ratio > TOLERANCE:
+            self.variance = self._default.copy()
+            self.variance[:2] *= min(ratio, LARGEST)
+
+
+def created(explained: Bools, measured: Measured, first_id: int, yaw_variance: float, odds: float) -> Floats:
+    """New tracks (k, WIDTH) for the measurements that are not explained (m,).
+
+    first_id: of the first one, the others follow; yaw_variance: rad^2; odds: of existence
+    """
+    return new_tracks(explained, measured, first_id, (yaw_variance, odds, FIRST_DUE), FIRST_SPEED)
+
+
+@kernel
+def new_tracks(
+    explained: Bools,
+    measured: tuple[Any, ...],
+    first_id: int,
+    constants: tuple[float, float, float],
+    speed: tuple[Floats, Floats, float],
+) -> Floats:
+    """New tracks (k, WIDTH) for the measurements that are not explained (m,).
+
+    measured: the fields of `Measured`
+    constants: yaw_variance, odds and FIRST_DUE; speed: `classes.FIRST_SPEED`, where velocities are not measured
+    """
+    row, state, noise, yaw, class_id, score = (column[~explained] for column in measured)
+    new = tracks.empty(len(row))
+    new[:, : state.shape[1]] = state
+    P = noise if state.shape[1] == 9 else first_covariance(noise, yaw, class_id)
+    new[:, tracks.COVARIANCE] = P.reshape(len(row), 81)
+    new[:, tracks.ID] = np.arange(first_id, first_id + len(row))
+    new[:, tracks.YAW_VARIANCE], new[:, tracks.ODDS], new[:, tracks.DUE] = constants
+    new[:, tracks.TURN] = new[:, tracks.HITS] = 1.0
+    new[:, tracks.YAW], new[:, tracks.ROW], new[:, tracks.SCORE] = yaw, row, score
+    tracks.update_class(new, class_id)
+    return new
+
+
+@kernel
+def matched_tracks(
+    tracks: Floats,
+    match: tuple[Ints, Ints, Floats, Floats],
+    detected: Floats,
+    measured: tuple[Any, ...],
+    yaw_variance: float,
+    most: float,
+) -> tuple[Floats, Floats, Floats, Floats, tuple[float, int], tuple[float, int]]:
+    """The k matched ones of n tracks and their measurements, ready for the Kalman correction.
+
+    match: rows of the tracks and of the measurements, log density ratios to clutter, and variances of jumps m^2: (k,)
+    detected: (n,) detection probabilities; measured: the fields of `Measured`
+    yaw_variance: rad^2, of a measured heading; most: upper limit of the odds
+
+    Returns a copy (k, WIDTH) of the tracks, updated by their measurements except for mean and covariance; the states
+    and noises of the measurements; innovations (k, 2) m; `innovation_sum` and `excess_sum`. Where the measurements are
+    full states, which are estimates themselves, covariances of both are wider, see `widen`.
+    """
+    track, measurement, log_ratio, jump = match
+    row, state, noise, yaw, class_id, score = (column.take(measurement, 0) for column in measured)
+    updated = tracks.take(track, 0)
+    updated[:, XX] += jump
+    updated[:, YY] += jump
+    correct_heading(updated, yaw, yaw_variance)
+    update_class(updated, class_id)
+    update_detected(updated, detected.take(track), log_ratio, most)
+    add_scores(updated, score)
+    updated[:, AGE], updated[:, ROW] = 0.0, row
+    if state.shape[1] == 9:
+        widen(updated, noise)
+    innovation = state[:, :2] - updated[:, :2]
+    steady = jump == 0.0
+    sums = innovation_sum(updated, innovation, noise, steady), excess_sum(updated, innovation, steady)
+    return updated, state, noise, innovation, *sums
+
+
+def widen(tracks: Floats, noise: Floats) -> None:
+    """Widen the covariances of k tracks and of their measurements (k, 9, 9) so that correlated errors count once.
+
+    Successive outputs of a filter are correlated. Covariance intersection of track and measurement avoids double
+    counting; weights by the trace of the position covariance (Niehsen, FUSION 2002).
+    """
+    track_variance, measured_variance = tracks[:, XX] + tracks[:, YY], noise[:, 0, 0] + noise[:, 1, 1]
+    weight = (measured_variance / (track_variance + measured_variance))[:, None]
+    tracks[:, COVARIANCE] /= weight
+    noise /= 1.0 - weight[:, None]
+
+
+def innovation_sum(tracks: Floats, innovation: Floats, noise: Floats, steady: Bools) -> tuple[float, int]:
+    """Sum of normalised innovations squared of k matched pairs, and how many they are.
+
+    Of the horizontal position; pairs with a sudden displacement are left out.
+    tracks: (k, WIDTH) predicted; innovation: (k, 2) m; noise: (k, m, m), the first two rows and columns are x and y
+    steady: (k,) whether there is no sudden displacement
+    """
+    a, b, c = tracks[:, XX] + noise[:, 0, 0], tracks[:, XY] + noise[:, 0, 1], tracks[:, YY] + noise[:, 1, 1]
+    distance = gaussian(innovation[:, 0], innovation[:, 1], a, b, c)[1]
+    return float(distance[steady].sum()), int(np.count_nonzero(steady))
+
+
+def excess_sum(tracks: Floats, innovation: Floats, steady: Bools) -> tuple[float, int]:
+    """Squared innovations of confirmed tracks beyond the variances of their predictions, m^2, and how many they are.
+
+    See `innovation_sum`. The velocity of tracks that are not confirmed is not known yet.
+    """
+    rows = (steady & (tracks[:, CONFIRMED] > 0.0)).nonzero()[0]
+    innovation, t = innovation.take(rows, 0), tracks.take(rows, 0)
+    return float(np.square(innovation).sum() - t[:, XX].sum() - t[:, YY].sum()), len(rows)
+
 
 #: rad/sqrt(s), drift of a heading.
 YAW_DRIFT = 0.3
@@ -200,7 +363,7 @@ class KalmanBoxTracker3D(Tracker):
     def _matched_tracks(
         self, match: Match, measurements: Measured, detected: Floats
     ) -> tuple[Floats, Floats, Floats, Floats, tuple[float, int]]:
-        """The matched tracks before the Kalman correction, and their measurements, see `matched.matched_tracks`."""
+        """The matched tracks before the Kalman correction, and their measurements, see `matched_tracks`."""
         pairs = match.track, match.measurement, match.log_ratio, match.jump
         matched, state, noise, innovation, total, excess = matched_tracks(
             self._tracks, pairs, detected, measurements, self._yaw_noise, existence.MAX_ODDS
@@ -247,3 +410,53 @@ class KalmanBoxTracker3D(Tracker):
             likely = keep & (t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)
             self.innovations.silent += bool((t[likely, ROW] >= 0.0).any())
         return reported
+
+
+if TYPE_CHECKING:
+    from filterpy.kalman import KalmanFilter
+
+
+class FilterpyFilter(kalman.BoxFilter):
+    """One filterpy filter per track and call."""
+
+    def predict(self, t: Floats, dt: float, noise: Floats) -> None:
+        transition = np.eye(9)
+        transition[kalman.POSITION, kalman.VELOCITY] = dt * np.eye(3)
+        for row, Q in zip(t, noise[tracks.classes_of(t)], strict=True):
+            box_filter = _filter(row, 1)
+            box_filter.predict(F=transition, Q=Q)
+            _store(box_filter, row)
+
+    def correct(self, t: Floats, measured: Floats, noise: Floats) -> None:
+        m = measured.shape[1]
+        for row, z, R in zip(t, measured, noise, strict=True):
+            box_filter = _filter(row, m)
+            box_filter.update(z, R=R, H=np.eye(9)[:m])
+            _store(box_filter, row)
+
+    def correct_speed(self, t: Floats, direction: Floats, noise: Floats) -> None:
+        for row, (x, y), variance in zip(t, direction, noise, strict=True):
+            observation = np.zeros((1, 9))
+            observation[0, 6:8] = x, y
+            box_filter = _filter(row, 1)
+            box_filter.update(np.zeros(1), R=np.array([[variance]]), H=observation)
+            _store(box_filter, row)
+
+
+class FilterpyBoxTracker3D(KalmanBoxTracker3D):
+    """`KalmanBoxTracker3D` with `filterpy.kalman.KalmanFilter`, one track at a time."""
+
+    filter = FilterpyFilter()
+
+
+def _filter(track: Floats, measured: int) -> KalmanFilter:
+    # Imported here because filterpy imports matplotlib, which takes half a second.
+    from filterpy.kalman import KalmanFilter
+
+    box_filter = KalmanFilter(dim_x=9, dim_z=measured)
+    box_filter.x, box_filter.P = track[tracks.MEAN].copy(), track[tracks.COVARIANCE].reshape(9, 9).copy()
+    return box_filter
+
+
+def _store(box_filter: KalmanFilter, track: Floats) -> None:
+    track[tracks.MEAN], track[tracks.COVARIANCE] = box_filter.x, box_filter.P.ravel()

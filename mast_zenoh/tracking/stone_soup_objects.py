@@ -18,7 +18,7 @@ from stonesoup.types.track import Track
 
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASSES, COVARIANCE_ORDER, Floats, Ints, ObjectStates
-from mast_zenoh.tracking.measured import Measured
+from mast_zenoh.tracking.association import Measured
 
 _EPOCH = datetime(1970, 1, 1)
 #: (m/s)^2 horizontally and vertically: variances of a velocity that was not measured.

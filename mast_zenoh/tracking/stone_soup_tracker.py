@@ -12,8 +12,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import COVARIANCE_ORDER, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.tracking.association import Measured
 from mast_zenoh.tracking.base import Tracker
-from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.view import SensorView
 
 #: What to do without Stone Soup.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.arrays.neighbours import MAX_TABLE
+from mast_zenoh.arrays.matching import MAX_TABLE
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.kernels import kernel
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.arrays.ordering import canonical_order, row_order
-from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.arrays.states import ObjectStates, canonical_order, row_order
 
 
 @settings(max_examples=100)

@@ -13,8 +13,9 @@ from tiny_world import Run
 from mast_zenoh import scenario
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
 from mast_zenoh.arrays.states import Bools, Ints, ObjectStates
-from mast_zenoh.attacks import Coverage, Surroundings
-from mast_zenoh.attacks.ego_path import path_ahead
+from mast_zenoh.attacks import Surroundings
+from mast_zenoh.attacks.regions import path_ahead
+from mast_zenoh.attacks.surroundings import Coverage
 from mast_zenoh.integrity import SweptView, sightings
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.tracking.view import SensorView

@@ -11,19 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
-from mast_zenoh.attacks import (
-    ACTIONS,
-    CoordinatedAttack,
-    CoordinatedSelection,
-    Coordinator,
-    Exact,
-    MarkovPropagation,
-    PassThrough,
-    StaticPropagation,
-    Targets,
-    UncoordinatedAttack,
-    UncoordinatedSelection,
-)
+from mast_zenoh.attacks import ACTIONS, PassThrough, Targets, UncoordinatedAttack, UncoordinatedSelection
+from mast_zenoh.attacks.attack import CoordinatedAttack
+from mast_zenoh.attacks.campaign import MarkovPropagation, StaticPropagation
+from mast_zenoh.attacks.coordination import Coordinator
+from mast_zenoh.attacks.imitation import Exact
+from mast_zenoh.attacks.selection import CoordinatedSelection
 from mast_zenoh.attacks.targets import INSERTED
 
 PERIOD = SECOND // 10

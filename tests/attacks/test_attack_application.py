@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import ACTIONS, Targets, alter, apply
-from mast_zenoh.attacks.application import carry_out
+from mast_zenoh.attacks.attack import carry_out
 from mast_zenoh.messages.schemas import SCHEMAS
 
 NONE = ObjectStates.empty()

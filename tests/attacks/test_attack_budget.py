@@ -9,20 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import propagate
-from mast_zenoh.attacks import (
-    AdaptiveAttack,
-    BlindSpot,
-    Framing,
-    Lies,
-    Moment,
-    Overconfidence,
-    Replay,
-    Sleeper,
-    SlowDrift,
-    StatePerturbation,
-    Surroundings,
-)
-from mast_zenoh.attacks.adaptive.budget import SAVED_S, Budget
+from mast_zenoh.attacks import Surroundings
+from mast_zenoh.attacks.adaptive import SAVED_S, AdaptiveAttack, Budget, Lies, Moment
+from mast_zenoh.attacks.phantoms import BlindSpot, Sleeper
+from mast_zenoh.attacks.real_objects import Framing, Overconfidence, Replay, SlowDrift, StatePerturbation
 from mast_zenoh.testing import check_attack
 
 

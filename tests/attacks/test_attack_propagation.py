@@ -9,8 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.geometry import wrap_angle
-from mast_zenoh.attacks import MarkovPropagation, StaticPropagation, TrajectoryPropagation
-from mast_zenoh.attacks.propagation import MAX_ACCELERATION_MPS2, MAX_YAW_RATE
+from mast_zenoh.attacks.campaign import (
+    MAX_ACCELERATION_MPS2,
+    MAX_YAW_RATE,
+    MarkovPropagation,
+    StaticPropagation,
+    TrajectoryPropagation,
+)
 from mast_zenoh.streams import stream
 
 

@@ -11,17 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
-from mast_zenoh.attacks import (
-    CoordinatedAttack,
-    CoordinatedSelection,
-    Coordinator,
-    Selection,
-    UncoordinatedAttack,
-    UncoordinatedSelection,
-    coverage_of,
-)
-from mast_zenoh.attacks.clusters import cluster_centres
-from mast_zenoh.attacks.selection import ground_height
+from mast_zenoh.attacks import Selection, UncoordinatedAttack, UncoordinatedSelection
+from mast_zenoh.attacks.attack import CoordinatedAttack
+from mast_zenoh.attacks.coordination import Coordinator
+from mast_zenoh.attacks.selection import CoordinatedSelection, cluster_centres, ground_height
+from mast_zenoh.attacks.surroundings import coverage_of
 from mast_zenoh.streams import stream
 
 TRIALS = 2000

@@ -7,8 +7,7 @@ from attack_worlds import SECOND, at, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.arrays.ordering import canonical_order
-from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.arrays.states import ObjectStates, canonical_order
 from mast_zenoh.attacks.following import Follower
 
 PERIOD = SECOND // 10

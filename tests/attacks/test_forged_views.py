@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import alter
-from mast_zenoh.attacks.free_space import ViewForger, blocked, opened
+from mast_zenoh.attacks.targets import ViewForger, blocked, opened
 from mast_zenoh.integrity import SweptView, sightings
 from mast_zenoh.tracking.view import SensorView
 

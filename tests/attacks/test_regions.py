@@ -9,11 +9,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
-from mast_zenoh.attacks import ConflictSelection, Coordinator, Coverage, Surroundings, UncoordinatedSelection
-from mast_zenoh.attacks.coverage import touching
-from mast_zenoh.attacks.ego_path import path_ahead
-from mast_zenoh.attacks.propagation import TrajectoryPropagation
-from mast_zenoh.attacks.regions import max_speed_within
+from mast_zenoh.attacks import Surroundings, UncoordinatedSelection
+from mast_zenoh.attacks.campaign import TrajectoryPropagation
+from mast_zenoh.attacks.coordination import Coordinator
+from mast_zenoh.attacks.regions import max_speed_within, path_ahead
+from mast_zenoh.attacks.selection import ConflictSelection
+from mast_zenoh.attacks.surroundings import Coverage, touching
 from mast_zenoh.streams import stream
 
 LEVEL = np.eye(3).ravel().tolist()

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from attack_worlds import SECOND, world
 
-from mast_zenoh.attacks import Attack, BlindSpot, Collusion, Sleeper, SlowDrift, Surroundings, Trust
-from mast_zenoh.attacks.knowledge import TrustWatch
+from mast_zenoh.attacks import Attack, Surroundings
+from mast_zenoh.attacks.coordination import Collusion
+from mast_zenoh.attacks.knowledge import Trust, TrustWatch
+from mast_zenoh.attacks.phantoms import BlindSpot, Sleeper
+from mast_zenoh.attacks.real_objects import SlowDrift
 from mast_zenoh.integrity import STATES
 
 ORIGIN = np.zeros(3)

@@ -33,7 +33,7 @@ from mast_zenoh.config import loading
 from mast_zenoh.deploy import remote_node
 for file in sorted(pathlib.Path({nodes!r}).glob("*.py")):
     loading.module(file)
-import filterpy.kalman, mcap.writer, mast_zenoh.security.diagnosis, mast_zenoh.tracking.filterpy_tracker
+import filterpy.kalman, mcap.writer, mast_zenoh.security.diagnosis, mast_zenoh.tracking.box_tracker
 """
 
 

@@ -14,7 +14,7 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.integrity import STATES, Integrity
-from mast_zenoh.integrity.cumulative import discoveries
+from mast_zenoh.integrity.calibration import discoveries
 from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, FALSE_ALARMS_PER_HOUR, OFFSET_TAIL
 
 PAGE = (Path(__file__).parents[2] / "docs" / "defences.md").read_text(encoding="utf-8")

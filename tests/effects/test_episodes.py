@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.effects import EFFECTS, Effects
-from mast_zenoh.effects.episodes import MAX_GAP_S, insertions
+from mast_zenoh.effects.table import MAX_GAP_S, insertions
 
 PERIOD_S = 0.1
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.effects.message_effects import Interval
-from mast_zenoh.effects.passages import KNOWN_FRAMES, REMEMBERED, PassageMeter
+from mast_zenoh.effects.passages import KNOWN_FRAMES, REMEMBERED, Interval, PassageMeter
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.wiring.model import Input, Passage

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion import SampledAssignmentClusterer
-from mast_zenoh.fusion.believed_first import believed_first
+from mast_zenoh.fusion.clustering import believed_first
 
 
 def tracks(random: np.random.Generator, n: int) -> tuple[ObjectStates, np.ndarray]:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.arrays import clustering, neighbours
+from mast_zenoh.arrays import matching
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion import Clusterer, DBSCANClusterer, SampledAssignmentClusterer
 
@@ -114,8 +114,8 @@ def test_many_tracks_are_clustered_like_few(clusterer: Clusterer, monkeypatch: p
     random = np.random.default_rng(0)
     objects = ObjectStates.of(random.uniform(-40, 40, (400, 3)), id=np.arange(400) // 5)
     few = clusterer.cluster(objects, np.arange(400) % 5)
-    monkeypatch.setattr(neighbours, "MAX_TABLE", 100)
-    monkeypatch.setattr(clustering, "MAX_TABLE", 100)
+    monkeypatch.setattr(matching, "MAX_TABLE", 100)
+    monkeypatch.setattr(matching, "MAX_TABLE", 100)
     np.testing.assert_array_equal(clusterer.cluster(objects, np.arange(400) % 5), few)
 
 

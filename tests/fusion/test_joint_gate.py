@@ -13,7 +13,7 @@ from mast_zenoh.fusion import (
     GroupTrackerWrapper,
     SampledAssignmentClusterer,
 )
-from mast_zenoh.fusion.contradicted import without_contradicted
+from mast_zenoh.fusion.clustering import without_contradicted
 from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D
 

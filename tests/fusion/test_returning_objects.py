@@ -5,7 +5,7 @@ import pytest
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, ObjectStates, concatenate
 from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
-from mast_zenoh.fusion.returning_objects import RETURN_GATE, ReturningObjects
+from mast_zenoh.fusion.group_tracking import RETURN_GATE, ReturningObjects
 from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D, classes
 from mast_zenoh.tracking.kalman import process_noise

@@ -3,8 +3,8 @@
 import numpy as np
 from integrity_batches import batch
 
-from mast_zenoh.integrity.claims import about, of_tracks, possible, repeated
-from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.base import ClusterBoxes
+from mast_zenoh.integrity.disputes import about, of_tracks, possible, repeated
 
 AGENTS = ("a", "b")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from integrity_batches import Track, batch, view
 
-from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.disputes import disputes
 from mast_zenoh.integrity.offsets import offsets
 from mast_zenoh.integrity.visibility import lenient_sightings, rays_at

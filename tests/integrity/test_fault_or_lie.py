@@ -7,8 +7,8 @@ from integrity_batches import CAR, STEP_NS, VARIANCE
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity import Batch, FaultOrLie
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED
+from mast_zenoh.integrity.fault_fit import without_fault
 from mast_zenoh.integrity.fault_or_lie import largest_groups
-from mast_zenoh.integrity.faults import without_fault
 
 AGENTS = ("a", "b", "c", "d")
 

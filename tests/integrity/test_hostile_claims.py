@@ -9,13 +9,12 @@ from integrity_batches import CAR, STEP_NS, Track, batch, view
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import registry
 from mast_zenoh.integrity import FaultOrLie, FreeSpace, SequentialConsistency, TruthDiscovery
-from mast_zenoh.integrity.base import SUSPENDED, Batch, Integrity
-from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.existence import ExistenceVotes
+from mast_zenoh.integrity.base import SUSPENDED, Batch, ClusterBoxes, Integrity
 from mast_zenoh.integrity.fault_fit import displacements
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.views import MAX_CELLS, check_view, collated_columns, view_columns
 from mast_zenoh.integrity.visibility import rays_at, sightings
+from mast_zenoh.integrity.voting import ExistenceVotes
 from mast_zenoh.messages.layout import MAX_ROWS
 from mast_zenoh.pipelines import Pipeline
 

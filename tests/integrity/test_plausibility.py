@@ -7,7 +7,7 @@ import pytest
 from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import Assessment, Batch, Plausibility
-from mast_zenoh.integrity.clusters import ClusterBoxes
+from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.plausibility import overlapping
 
 AGENTS = ("a", "b", "c")

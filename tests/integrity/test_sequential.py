@@ -6,9 +6,8 @@ from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.base import SUSPENDED
-from mast_zenoh.integrity.cumulative import Tail, accumulate, discoveries, fitted_tail
-from mast_zenoh.integrity.offset_sums import OffsetSums
-from mast_zenoh.integrity.offsets import Offsets
+from mast_zenoh.integrity.calibration import Tail, accumulate, discoveries, fitted_tail
+from mast_zenoh.integrity.offsets import Offsets, OffsetSums
 
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 PHANTOM, CAR = (0.0, 0.0), (9.0, 9.0)

@@ -9,8 +9,8 @@ import pytest
 from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
-from mast_zenoh.integrity.clusters import ClusterBoxes
-from mast_zenoh.integrity.reputation import BetaReputation
+from mast_zenoh.integrity.base import ClusterBoxes
+from mast_zenoh.integrity.memory import BetaReputation
 from mast_zenoh.integrity.visibility import seen_through
 
 AGENTS = ("a", "b", "c", "d")

@@ -23,17 +23,17 @@ from hypothesis import strategies as st
 
 import mast_zenoh
 from mast_zenoh import kernels
-from mast_zenoh.arrays import clustering
+from mast_zenoh.arrays import matching
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import following
-from mast_zenoh.integrity.rays import Tolerances
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.integrity.visibility import Tolerances
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS, limit_of
 from mast_zenoh.messages.schemas import SCHEMAS, Header
 from mast_zenoh.pipelines import mission
-from mast_zenoh.tracking import SensorView, classes, gating, tracks
-from mast_zenoh.tracking.score_calibration import STAGES_S
+from mast_zenoh.tracking import SensorView, association, classes, tracks
+from mast_zenoh.tracking.existence import STAGES_S
 
 for package in ("tracking", "fusion", "pipelines", "metrics", "sensing", "attacks", "integrity"):
     for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):
@@ -122,14 +122,14 @@ def gated_pairs(random, n, m):
     i, j = pairs(random, n, m)
     dx, dy = (position[j, axis] - t[i, axis] for axis in (0, 1))
     boxes = position, covariances(random, m, 6), random.integers(0, 7, m)
-    model = gating.AssociationModel(random.uniform(0, 2, 7), -4.6, -9.9, classes.CONFUSION)
-    return t, random.uniform(0.1, 0.98, n), boxes, (i, j, dx, dy), gating.GATE, model
+    model = association.AssociationModel(random.uniform(0, 2, 7), -4.6, -9.9, classes.CONFUSION)
+    return t, random.uniform(0.1, 0.98, n), boxes, (i, j, dx, dy), association.GATE, model
 
 
 def near_pairs(random, n):
     """Tracks of agents, and all or some of the pairs of them within a radius."""
     position, agent, radius = places(random, n)[:, :2], random.integers(0, 9, n), random.choice([0.5, 2.0, 9.0])
-    i, j, squared = clustering.pairs_near(position, radius)
+    i, j, squared = matching.pairs_near(position, radius)
     some = random.random(len(i)) < random.choice([0.7, 1.0])
     return position, agent, i[some], j[some], squared[some], random.choice([radius, np.inf])
 

@@ -13,8 +13,9 @@ from hypothesis.extra import numpy as arrays
 from tiny_world import Bench, Run, pose, tiny, tracks
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.attacks import ACTIONS, Attack, Tampering, Targets, Trust, alter
-from mast_zenoh.attacks.free_space import ViewForger
+from mast_zenoh.attacks import ACTIONS, Attack, Tampering, Targets, alter
+from mast_zenoh.attacks.knowledge import Trust
+from mast_zenoh.attacks.targets import ViewForger
 from mast_zenoh.errors import ConfigurationError, WiringError
 from mast_zenoh.integrity import SweptView
 from mast_zenoh.wiring.model import Wiring

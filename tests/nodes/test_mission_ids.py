@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.pipelines import MissionEstimator, OwnAndPicture, PictureFirst
-from mast_zenoh.pipelines.mission_ids import FORGOTTEN_NS, MAX_LOST
+from mast_zenoh.pipelines.mission import FORGOTTEN_NS, MAX_LOST
 
 PERIOD_NS = 100_000_000
 ESTIMATORS = pytest.mark.parametrize("estimator_type", [OwnAndPicture, PictureFirst])

@@ -15,8 +15,7 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitc
 from mast_zenoh.arrays.states import Detections
 from mast_zenoh.launch.tables import write_table
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
-from mast_zenoh.sensing.camera import Camera
-from mast_zenoh.sensing.lidar import LidarSensor
+from mast_zenoh.sensing.sensors import Camera, LidarSensor
 
 FRAMES, ATTACK_START, EGO_ID = 40, 15, 100
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")

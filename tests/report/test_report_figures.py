@@ -21,7 +21,7 @@ from mast_zenoh.report.figures.style import png
 from mast_zenoh.report.figures.view import FrameView, frame_view
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import score_table
-from mast_zenoh.sensing.camera import Camera
+from mast_zenoh.sensing.sensors import Camera
 from mast_zenoh.viewer.palette import ADVERSARY, OUTCOME_COLOURS
 
 COLOURS = OUTCOME_COLOURS | {"adversary": ADVERSARY}

@@ -8,7 +8,7 @@ from tiny_world import PERIOD_NS, Bench, Run, detections, pose, states, tiny
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.effects.message_effects import RESTAMPED
+from mast_zenoh.effects.passages import RESTAMPED
 from mast_zenoh.messages.schemas import text
 
 FRAMES, WRONG = 30, 20

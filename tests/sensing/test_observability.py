@@ -8,7 +8,7 @@ import pytest
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.sensing import LidarSensor, Walls, lidar_points
-from mast_zenoh.sensing.observability import PlacedSensor, observable
+from mast_zenoh.sensing.raycast import PlacedSensor, observable
 
 ROOF = PlacedSensor(LidarSensor(), np.array([0.0, 0.0, 1.8]), np.eye(3))
 CAR = np.array([[4.5, 1.8, 1.5]])

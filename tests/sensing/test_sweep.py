@@ -5,7 +5,7 @@ import pytest
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.sensing import LidarSensor, Walls
-from mast_zenoh.sensing.sweep import SweepRays
+from mast_zenoh.sensing.raycast import SweepRays
 
 HERE, LEVEL = np.array([0.0, 0.0, 1.8]), np.eye(3)
 NO_WALLS = Walls.of_buildings((), np.zeros(0))

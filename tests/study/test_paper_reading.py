@@ -7,12 +7,11 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.attacks import Coordinator
-from mast_zenoh.attacks.coverage import Coverage
-from mast_zenoh.attacks.propagation import StaticPropagation
+from mast_zenoh.attacks.campaign import StaticPropagation
+from mast_zenoh.attacks.coordination import Coordinator
 from mast_zenoh.attacks.regions import REGIONS, Shape
 from mast_zenoh.attacks.selection import CoordinatedSelection
-from mast_zenoh.attacks.surroundings import Surroundings, unlimited
+from mast_zenoh.attacks.surroundings import Coverage, Surroundings, unlimited
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.study import definition
 

@@ -6,7 +6,7 @@ from tracking_worlds import detected, matched, nanoseconds
 
 from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.tracking import Innovations, KalmanBoxTracker3D
-from mast_zenoh.tracking.detection_noise import DetectionNoise
+from mast_zenoh.tracking.box_tracker import DetectionNoise
 
 FRAMES, CARS = 150, 12
 

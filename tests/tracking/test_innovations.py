@@ -14,7 +14,7 @@ from mast_zenoh.arrays.states import Detections, Floats, ObjectStates
 from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
 from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import FilterpyBoxTracker3D, Innovations, KalmanBoxTracker3D, Tracker
-from mast_zenoh.tracking.gating import GATE
+from mast_zenoh.tracking.association import GATE
 
 STANDARD_M = KalmanBoxTracker3D.__init__.__kwdefaults__["position_std_m"]
 

@@ -11,8 +11,19 @@ from tracking_worlds import detected, joined, matched, nanoseconds
 
 from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.tracking import KalmanBoxTracker3D, tracks
-from mast_zenoh.tracking.evidence import DOUBTFUL, FIRST_DUE, MOVING, ScoreEvidence, ScorePrior
-from mast_zenoh.tracking.score_calibration import INTERVALS, MEMORY, STAGES, STAGES_S, ScoreCalibration, isotonic
+from mast_zenoh.tracking.existence import (
+    DOUBTFUL,
+    FIRST_DUE,
+    INTERVALS,
+    MEMORY,
+    MOVING,
+    STAGES,
+    STAGES_S,
+    ScoreCalibration,
+    ScoreEvidence,
+    ScorePrior,
+    isotonic,
+)
 
 FRAMES, OBJECTS = 200, 12
 Map = Callable[[np.ndarray], np.ndarray]

@@ -26,7 +26,7 @@ from mast_zenoh.launch.file_server import files_for_node
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.tracking import StoneSoupTracker
-from mast_zenoh.tracking.measured import Measured
+from mast_zenoh.tracking.association import Measured
 
 pytest.importorskip("stonesoup", reason="Stone Soup is not installed")
 from stonesoup.dataassociator.neighbour import GNNWith2DAssignment

@@ -11,13 +11,11 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.tracking import BipartiteAssignment, GreedyAssignment, SensorView
+from mast_zenoh.tracking.box_tracker import FilterpyFilter
 from mast_zenoh.tracking.classes import first_covariance
-from mast_zenoh.tracking.covariance_repair import make_positive_definite
-from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
-from mast_zenoh.tracking.filterpy_tracker import FilterpyFilter
-from mast_zenoh.tracking.inversion import inverse
+from mast_zenoh.tracking.covariances import inverse, make_positive_definite
 from mast_zenoh.tracking.kalman import BatchedFilter, process_noise
-from mast_zenoh.tracking.tracks import CLASS, COVARIANCE, MEAN, covariances, empty
+from mast_zenoh.tracking.tracks import CLASS, COVARIANCE, MEAN, ONE_OBJECT, covariances, empty, overlap
 
 # -- assignment
 

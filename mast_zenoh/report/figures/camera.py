@@ -14,7 +14,7 @@ from mast_zenoh.arrays.geometry import along_and_across, box_corners, heading, t
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.report.figures.style import BUILDING, GROUND
 from mast_zenoh.report.figures.view import Boxes, FrameView
-from mast_zenoh.sensing.camera import Camera
+from mast_zenoh.sensing.sensors import Camera
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS
 
 

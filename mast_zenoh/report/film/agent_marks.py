@@ -19,7 +19,7 @@ from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.film.theme import Theme
 from mast_zenoh.report.playback.conduct import node_absences
 from mast_zenoh.report.trust_facts import states_at
-from mast_zenoh.sensing.lidar import LidarSensor
+from mast_zenoh.sensing.sensors import LidarSensor
 
 #: Of a sensor's outline: its points, how opaque it is, and the number of agents above which it is fainter.
 _POINTS, _OPACITY, _MANY = 49, 0.35, 6

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import sensor_pose
-from mast_zenoh.sensing.raycast import Walls
-from mast_zenoh.sensing.sweep import SweepRays
+from mast_zenoh.sensing.raycast import SweepRays, Walls
 
 
 def with_sweeps(recording: Recording) -> Recording:

@@ -1,13 +1,65 @@
-"""Lidar geometry: beam directions and field of view."""
+"""Lidars and cameras: beam directions, fields of view, calibration, and transforms between sensor, agent and world."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mast_zenoh.arrays import geometry
 from mast_zenoh.arrays.geometry import to_local
-from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.arrays.states import Bools, Detections, Floats
+from mast_zenoh.kernels import kernel
+
+
+def sensor_pose(
+    agent_position: Floats, agent_rotation: Floats, mount_position: Floats, mount_rotation: Floats
+) -> tuple[Floats, Floats]:
+    """Position (3,) m and active rotation (3, 3) of a sensor in the world.
+
+    The agent's pose, followed by the mount.
+    """
+    return agent_position + agent_rotation @ mount_position, agent_rotation @ mount_rotation
+
+
+def to_world(detections: Detections, sensor_position: Floats, sensor_rotation: Floats) -> Detections:
+    """Transform detections from a sensor's frame to the world.
+
+    sensor_position: (3,) m; sensor_rotation: (3, 3) active
+
+    The yaw of a detection is about the world's vertical in both frames (`states.Detections`), so only the sensor's
+    heading is added, even if the sensor is pitched.
+    """
+    position, yaw, covariance = rigid_transform(
+        detections.position, detections.yaw, detections.covariance, sensor_position, sensor_rotation
+    )
+    return Detections(position, detections.size, yaw, detections.score, detections.class_id, covariance)
+
+
+@kernel
+def rigid_transform(
+    position: Floats, yaw: Floats, covariance: Floats, origin: Floats, rotation: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Transform positions (n, 3), yaws (n,) and covariances (n, 3, 3).
+
+    The source frame is at `origin` (3,) with `rotation` (3, 3).
+    """
+    return (
+        geometry.to_world(position, origin, rotation),
+        geometry.wrap_angle(yaw + geometry.heading(rotation)),
+        rotation @ covariance @ rotation.T,
+    )
+
+
+def to_sensor(detections: Detections, sensor_position: Floats, sensor_rotation: Floats) -> Detections:
+    """Transform detections from the world to a sensor's frame; inverse of `to_world`."""
+    return replace(
+        detections,
+        position=geometry.to_local(detections.position, sensor_position, sensor_rotation),
+        yaw=geometry.wrap_angle(detections.yaw - geometry.heading(sensor_rotation)),
+        covariance=sensor_rotation.T @ detections.covariance @ sensor_rotation,
+    )
+
 
 #: Limits on what can be simulated.
 MAX_CHANNELS, MAX_BEAMS, MAX_RANGE_M = 4096, 10_000_000, 10_000.0
@@ -95,3 +147,35 @@ def in_view(points_world: Floats, sensor_position: Floats, sensor_rotation: Floa
         & (elevation <= lidar.elevation_max_deg)
         & (sector_angle <= lidar.azimuth_max_deg - lidar.azimuth_min_deg)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera that looks along the x axis of its own frame (y left, z up).
+
+    mount_position: (3,) m, of the camera in the agent's frame
+    mount_rotation: (3, 3), active, camera to agent
+    width, height:  px
+    focal:          px; 400 px at 800 px width is a field of view of 90 degrees
+    """
+
+    mount_position: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.6]))
+    mount_rotation: Floats = field(default_factory=lambda: np.eye(3))
+    width: int = 800
+    height: int = 600
+    focal: float = 400.0
+
+    def project(self, points_world: Floats, agent_position: Floats, agent_rotation: Floats) -> tuple[Floats, Floats]:
+        """Pixels (n, 2) and depth (n,) m of world points (n, 3) for an agent's pose.
+
+        agent_position: (3,) m; agent_rotation: (3, 3)
+
+        Pixels count u to the right and v down from the upper left corner. A point behind the camera has a depth <= 0
+        and NaN pixels; a point outside the image has pixels outside [0, width) x [0, height).
+        """
+        position = geometry.to_world(self.mount_position[None], agent_position, agent_rotation)[0]
+        local = geometry.to_local(np.asarray(points_world, np.float64), position, agent_rotation @ self.mount_rotation)
+        depth = local[:, 0]
+        scale = self.focal / np.where(depth > 0.0, depth, np.nan)
+        pixels = np.stack([self.width / 2 - scale * local[:, 1], self.height / 2 - scale * local[:, 2]], axis=1)
+        return pixels, depth

@@ -1,17 +1,88 @@
-"""Gating: candidate pairs of tracks and measurements, and their likelihoods."""
+"""Association of measurements with tracks: their order, gates, likelihoods, and one-to-one assignment."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.neighbours import neighbours
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.matching import greedy_matching, min_cost_matching, neighbours, uncontested
+from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints, ObjectStates, row_order
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, planar
+from mast_zenoh.tracking.covariances import MAX_VARIANCE, MIN_VARIANCE
+from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, known_class, planar
+
+
+class Measured(NamedTuple):
+    """m measurements.
+
+    row: (m,) int64, row in the input
+    state: (m, 6) boxes x y z l w h, or (m, 9) with vx vy vz; noise: (m, k, k) their covariances
+    yaw: (m,) rad; class_id: (m,) int64; score: (m,)
+    """
+
+    row: Ints
+    state: Floats
+    noise: Floats
+    yaw: Floats
+    class_id: Ints
+    score: Floats
+
+    @classmethod
+    def detections(cls, d: Detections, variance: Floats) -> Measured:
+        """Measurements of boxes; variance: (6,) defaults for unspecified noise."""
+        order = row_order(d.position[:, 0], ties=lambda: (d.score, d.class_id, *d.size.T, d.yaw, *d.position.T[:0:-1]))
+        columns = d.position, d.size, d.yaw, d.class_id, d.score, d.covariance
+        return cls(order, *ordered_boxes(order, columns, variance, MIN_VARIANCE, MAX_VARIANCE))
+
+    @classmethod
+    def states(cls, s: ObjectStates) -> Measured:
+        """Measurements of full states."""
+        order = row_order(s.id, s.position[:, 0])
+        state = np.concatenate([s.position, s.size, s.velocity], axis=1).take(order, 0)
+        class_id = known_class(s.class_id.take(order))
+        return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), class_id, s.score.take(order))
+
+
+@kernel
+def ordered_boxes(
+    order: Ints, columns: tuple[Any, ...], variance: Floats, least: float, most: float
+) -> tuple[Floats, Floats, Floats, Ints, Floats]:
+    """The fields of `Measured` of m boxes, except `row`: the rows `order` of n boxes.
+
+    columns: position, size (n, 3) m, yaw (n,) rad, class_id (n,) uint8, score (n,) and position covariance (n, 3, 3)
+        m^2, all zero if unknown
+    variance: (6,) m^2, defaults; least, most: m^2, MIN_VARIANCE, MAX_VARIANCE
+    """
+    position, size, yaw, class_id, score, covariance = columns
+    box = np.concatenate([position, size], axis=1).take(order, 0)
+    noise = _box_noise(covariance, order, variance, least, most)
+    return box, noise, yaw.take(order), known_class(class_id.take(order)), score.take(order)
+
+
+def _box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
+    """Noise covariances (m, 6, 6) of boxes in `order`.
+
+    covariance: (m, 3, 3) m^2, reported position covariances, all zero if unknown
+    variance: (6,) m^2, defaults; least, most: m^2, MIN_VARIANCE, MAX_VARIANCE
+
+    Correlations between horizontal and vertical position are ignored. The result is positive definite for any input.
+    """
+    m = len(order)
+    noise = np.zeros((m, 36))
+    noise[:, ::7] = variance
+    if covariance.any():
+        reported = covariance.reshape(m, 9).take(order, 0)
+        diagonal = reported[:, ::4]
+        diagonal = np.minimum(np.maximum(np.where(diagonal > 0.0, diagonal, variance[:3]), least), most)
+        noise[:, :15:7] = diagonal
+        diagonal -= 0.5 * least
+        bound = np.sqrt(diagonal[:, 0] * diagonal[:, 1])
+        noise[:, 1] = noise[:, 6] = np.minimum(np.maximum(reported[:, 1], -bound), bound)
+    return noise.reshape(m, 6, 6)
+
 
 LOG_2_PI = math.log(2.0 * math.pi)
 
@@ -169,3 +240,70 @@ class Match(NamedTuple):
     jump: Floats
     near: Pairs
     contested: bool
+
+
+#: Largest number of rows times columns for an optimal assignment, whose run time grows with its power of 3/2.
+MAX_PAIRS = 1_000_000
+
+
+class Assignment(ABC):
+    """Chooses pairs such that every row and every column is used at most once."""
+
+    def match(self, row: Ints, column: Ints, cost: Floats) -> Ints:
+        """(k,) int64, ascending: rows of the chosen pairs among p.
+
+        row, column: (p,) int64 >= 0, no pair twice; cost: (p,), cost of choosing the pair relative to
+        leaving both unassigned. Pairs with cost >= 0 are never chosen.
+        """
+        useful, chosen = useful_pairs(row, column, cost)
+        contested_rows = (~chosen).nonzero()[0]
+        if len(contested_rows) == 0:
+            return useful
+        contested = useful[contested_rows]
+        chosen[contested_rows] = self._choose(row[contested], column[contested], cost[contested])
+        matches: Ints = useful[chosen]
+        return matches
+
+    @abstractmethod
+    def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
+        """(p,) bool: which of p contested pairs with negative cost to choose."""
+
+
+@kernel
+def useful_pairs(row: Ints, column: Ints, cost: Floats) -> tuple[Ints, Bools]:
+    """Pairs (k,) with negative cost, and which of them (k,) are uncontested.
+
+    The indices are ascending. Uncontested pairs share no row or column; most pairs are, and they are always chosen.
+    """
+    useful: Ints = (cost < 0.0).nonzero()[0]
+    return useful, uncontested(row[useful], column[useful])
+
+
+class BipartiteAssignment(Assignment):
+    """Minimises the total cost, see `matching.min_cost_matching`.
+
+    Falls back to greedy assignment above MAX_PAIRS possible pairs; only a hostile source sends so many.
+    """
+
+    def __init__(self) -> None:
+        pass
+
+    def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
+        if _count_distinct(row) * _count_distinct(column) > MAX_PAIRS:
+            return greedy_matching(row, column, cost)
+        return min_cost_matching(row, column, cost)
+
+
+class GreedyAssignment(Assignment):
+    """Chooses the cheapest pair first, see `matching.greedy_matching`."""
+
+    def __init__(self) -> None:
+        pass
+
+    def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
+        return greedy_matching(row, column, cost)
+
+
+def _count_distinct(values: Ints) -> int:
+    """Number of distinct values; values >= 0."""
+    return int(np.count_nonzero(np.bincount(values)))

@@ -1,0 +1,252 @@
+"""Votes of agents about objects: by reports (KOfN) and by the space that sensors sweep (FreeSpace)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
+from mast_zenoh.integrity.memory import AgentMemory, BetaReputation, ObjectMemory
+from mast_zenoh.integrity.visibility import FAR_M, RayEvidence, Sightings, rays_at, sightings, silent_about
+
+#: s, over which the votes about an object are averaged.
+MEMORY_S = 0.5
+#: Agents that must confirm an object at one time, so that it is believed when only suspended agents report it later.
+WITNESSES = 2
+#: s, for which it is believed then.
+ESTABLISHED_S = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Existence:
+    """What is believed of the c clusters of a batch.
+
+    objects: their trust; kept: (n,) weights of their tracks, 0 for those of agents that are not believed
+    """
+
+    objects: ObjectTrust
+    kept: Floats
+
+
+class VoteMemory:
+    """Follows objects, and averages the votes about them.
+
+    memory_s: s, after which a vote counts 1/e; forget_s: s, after which an object without a cluster is forgotten
+
+    objects: the memory; balance: (m,) of each remembered object, mean of votes for it less votes against it
+    """
+
+    def __init__(self, memory_s: float, forget_s: float = 2.0) -> None:
+        self.objects = ObjectMemory(forget_s=forget_s)
+        self.balance: Floats = np.zeros(0)
+        self._memory_s = memory_s
+        self._time_ns: int | None = None
+        self._kept = 1.0  # share of the balance before
+
+    def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
+        """(c,) rows of the objects of a batch's clusters in the memory. boxes: of the clusters"""
+        elapsed = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
+        self._time_ns = time_ns
+        self._kept = np.exp(-elapsed / self._memory_s)
+        rows = self.objects.follow(time_ns, boxes.position, boxes.velocity)
+        self.balance = self.objects.carry(self.balance, np.nan)
+        return rows
+
+    def vote(self, rows: Ints, balance: Floats) -> Floats:
+        """(c,) mean votes for each object of a batch less votes against it, with those of this batch.
+
+        rows: (c,) of the objects; balance: (c,) votes of this batch, which count in full for a new object
+        """
+        before = self.balance[rows]
+        after: Floats = np.where(np.isnan(before), balance, self._kept * before + (1.0 - self._kept) * balance)
+        self.balance[rows] = after
+        return after
+
+
+class ExistenceVotes:
+    """Counts the votes about each object, with a short memory.
+
+    An agent that reports an object, or whose rays end at it, votes for it; one that sees through its place votes
+    against it, even if it reports it. The votes are weighted by trust.
+
+    An object is withheld while the votes against it weigh more, or while only suspended agents report it, unless an
+    agent that is not suspended has confirmed it together with another one, or it was known before the agents began to
+    lie: then it stays for ESTABLISHED_S.
+
+    agents: the memory of agents; it is updated by the caller
+    """
+
+    def __init__(self, agents: AgentMemory) -> None:
+        self._agents = agents
+        self._votes = VoteMemory(MEMORY_S)
+        self._rows: Ints = np.zeros(0, np.int64)  # of the clusters of the last batch
+        self._witnessed: Bools = np.zeros((0, 0), np.bool_)  # (m, k) which agents confirmed an object with another one
+        self._known: Bools = np.zeros(0, np.bool_)  # whether nobody lied yet when it appeared
+        self._claimed_ns = np.zeros(0, np.int64)  # time, ns, at which a believed agent reported it last
+
+    def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
+        """(c,) numbers of the objects of a batch's clusters, which they keep, see `ObjectMemory`."""
+        self._rows = self._votes.follow(time_ns, boxes)
+        objects = self._votes.objects
+        self._known = objects.carry(self._known, False)
+        self._claimed_ns = objects.carry(self._claimed_ns, time_ns)
+        self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
+        return objects.number[self._rows]
+
+    def count(
+        self,
+        batch: Batch,
+        boxes: ClusterBoxes,
+        seen: Sightings,
+        rays: RayEvidence,
+        impossible: Bools,
+        believed: Bools,
+        agent_rows: Ints,
+    ) -> Existence:
+        """The votes of a batch whose objects are followed.
+
+        boxes, seen, rays: of its clusters, see `visibility`; impossible: (c, a) reports that are none
+        believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
+        """
+        reported, rows, voter = batch.reported, self._rows, believed[agent_rows]
+        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, FAR_M)
+        claims = reported & ~clear & ~impossible & voter
+        votes = voter.astype(np.float64)
+        confirming, contradicting = (claims | silent) @ votes, clear @ votes
+        balance = self._votes.vote(rows, confirming - contradicting)
+        together = claims.sum(axis=1) >= WITNESSES
+        self._witnessed[rows[:, None], agent_rows] |= claims & together[:, None]
+        claimed = claims.any(axis=1)
+        self._claimed_ns[rows] = np.where(claimed, batch.time_ns, self._claimed_ns[rows])
+        recent = batch.time_ns - self._claimed_ns[rows] <= ESTABLISHED_S * 1e9
+        established = self._known[rows] | (self._witnessed[rows] & believed).any(axis=1)
+        withheld = (balance < 0.0) | ~(claimed | (established & recent))
+        kept = claims | ~claims.any(axis=1, keepdims=True)  # else the object could not be tracked on
+        objects = ObjectTrust(
+            (1.0 + confirming) / (2.0 + confirming + contradicting),
+            (seen.in_view | reported).sum(axis=1),
+            claims.sum(axis=1),
+            (clear & voter).sum(axis=1),
+            withheld,
+        )
+        return Existence(objects, kept[batch.labels, batch.agent].astype(np.float64))
+
+    def keep_known(self, before_ns: int) -> None:
+        """Believe the objects that were known before a time, regardless of which agents report them later.
+
+        For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
+        """
+        self._known |= self._votes.objects.first_ns < before_ns
+
+
+class KOfN(Integrity):
+    """Withholds objects that fewer than k of the agents that should see them report.
+
+    The k-out-of-n rule of distributed detection (Viswanathan and Varshney, Proceedings of the IEEE 1997, section III).
+    An agent votes for an object that it reports, and against one whose place it sees through. The votes for an object
+    must exceed those against it by k, or, if fewer than k agents should see it, those of all of them.
+
+    k: number of agents
+    range_m: m, up to which an agent must see a car in its field of view that nothing hides, and smaller objects up to
+        the distance at which they give as many returns
+    record_s: s, after which the outcome of an agent's vote counts 1/e in its trust
+
+    Weaknesses: an object that one agent alone should see needs no other witness; k colluding agents are believed, and
+    k - 1 silent ones of n = k hide an object; each frame is decided anew, so that objects flicker. Without views every
+    object is accepted. Agents are never excluded.
+    """
+
+    def __init__(self, *, k: int = 2, range_m: float = FAR_M, record_s: float = 30.0) -> None:
+        if k < 1:
+            raise ValueError(f"k: found {k}, expected 1 or more")
+        if not range_m > 0.0:
+            raise ValueError(f"range_m: found {range_m}, expected more than 0")
+        self._k = k
+        self._range_m = range_m
+        self._record = BetaReputation(memory_s=record_s)
+
+    def assess(self, batch: Batch) -> Assessment:
+        boxes = ClusterBoxes.of(batch)
+        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
+        reported = batch.reported
+        expected = reported | (seen.in_view & (seen.distance <= boxes.sight_range(self._range_m)[:, None]))
+        confirming, contradicting, should = (votes.sum(axis=1) for votes in (reported, seen.fully_clear, expected))
+        withheld = confirming - contradicting < np.minimum(self._k, should)
+        corroborated = ~withheld & (confirming > 1)
+        upheld, refuted = (
+            (reported & each[:, None]).sum(axis=0, dtype=np.float64) for each in (corroborated, withheld)
+        )
+        mean = self._record.update(batch.time_ns, batch.agents, upheld, refuted)
+        trust = (1.0 + confirming) / (2.0 + np.maximum(should, confirming + contradicting))
+        return Assessment(
+            None, AgentTrust.of(mean), ObjectTrust(trust, should, confirming, contradicting, np.asarray(withheld))
+        )
+
+    def reset(self) -> None:
+        self._record.reset()
+
+
+class FreeSpace(Integrity):
+    """Withholds objects whose place more agents see through than report or see occupied.
+
+    The idea of CAD (Zhang et al., USENIX Security 2024): an object inside free space is spoofed, and occupied space
+    that an agent reports no object in shows a removal. A claim that its agent's own sweep contradicts does not count,
+    and its track is left out of the fusion. An agent whose rays end at an object counts for it, even if it reports
+    none: then its silence is evidence of a removal and counts against it, as do claims in free space.
+
+    memory_s: s, after which what was seen of an object counts 1/e: an object that was seen through stays withheld for
+        a while where nobody can tell, and one that was confirmed is kept when rays pass it for a moment
+    range_m: m, up to which silence about a car that the rays end at counts against an agent; for smaller objects, the
+        distance at which they give as many returns
+    record_s: s, after which evidence counts 1/e in an agent's trust
+
+    An agent sees through an object if most of the box and of 0.8 m around it is in the agent's free space. CAD, too,
+    compares areas: `Sightings.fully_clear`, all of that space, misses a quarter of the phantoms in traffic. A dispute
+    of one agent that reports and one that sees through counts against neither (TrustFlip, arXiv 2605.22122).
+
+    Weaknesses: a liar that forges its view, too, needs as many honest views against it as liars report the object; a
+    phantom that no other agent sees the place of is accepted, as are displacements below the tolerance; liars that
+    claim free space at an object remove it where they outnumber its witnesses. Agents are never excluded.
+    """
+
+    def __init__(self, *, memory_s: float = 2.0, range_m: float = FAR_M, record_s: float = 30.0) -> None:
+        for name, value in (("memory_s", memory_s), ("range_m", range_m)):
+            if not value > 0.0:
+                raise ValueError(f"{name}: found {value}, expected more than 0")
+        self._memory_s = memory_s
+        self._range_m = range_m
+        self._record = BetaReputation(memory_s=record_s)
+        self.reset()
+
+    def reset(self) -> None:
+        self._record.reset()
+        self._votes = VoteMemory(self._memory_s, forget_s=self._memory_s)
+
+    def assess(self, batch: Batch) -> Assessment:
+        boxes = ClusterBoxes.of(batch)
+        seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
+        reported = batch.reported
+        rays = rays_at(batch, boxes, batch.views)
+        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, self._range_m)
+        claims = reported & ~clear
+        confirming, contradicting = (claims | silent).sum(axis=1), clear.sum(axis=1)
+        withheld = self._votes.vote(self._votes.follow(batch.time_ns, boxes), confirming - contradicting) < 0.0
+        # A removal needs two agents that report the object: a lone claim cannot accuse those that are silent about it.
+        removed = silent & (claims.sum(axis=1) > 1)[:, None]
+        spoofed = reported & withheld[:, None]
+        agreed = claims & (confirming > 1)[:, None] & ~withheld[:, None]
+        mean = self._record.update(
+            batch.time_ns,
+            batch.agents,
+            agreed.sum(axis=0, dtype=np.float64),
+            (spoofed | removed).sum(axis=0, dtype=np.float64),
+        )
+        trust = (1.0 + confirming) / (2.0 + confirming + contradicting)
+        expected = (seen.in_view | reported).sum(axis=1)
+        objects = ObjectTrust(trust, expected, confirming, contradicting, withheld)
+        # A cluster that nobody's view supports keeps all members: it is tracked on, in case it is real.
+        kept = claims | ~claims.any(axis=1, keepdims=True)
+        weights = kept[batch.labels, batch.agent].astype(np.float64)
+        return Assessment(weights, AgentTrust.of(mean), objects)
