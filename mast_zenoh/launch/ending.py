@@ -144,3 +144,37 @@ def _sentence(error: BaseException, activity: str) -> str:
     reason = error.strerror or str(error)
     reason = f"{error.filename}: {reason}" if error.filename else reason
     return f"{activity}: {reason}" if activity else reason
+
+
+class Stop:
+    """Request to stop a run, with its time, reason and error.
+
+    now_s:   a monotonic clock, s
+    since:   time of the request, s; None: not requested
+    problem: the first error; the run ends with it
+    """
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self.since: float | None = None
+        self.reason = "end"
+        self.problem: RunError | None = None
+        self._now_s = now_s
+
+    @property
+    def requested(self) -> bool:
+        """Whether all nodes are asked to finish."""
+        return self.since is not None
+
+    def request(self, reason: str = "end") -> None:
+        """Ask all nodes to finish from now on; only the first request counts."""
+        if self.since is None:
+            self.since, self.reason = self._now_s(), reason
+
+    def note(self, problem: RunError) -> None:
+        """Note the error with which the run will end; only the first counts."""
+        self.problem = self.problem or problem
+
+    def fail(self, problem: RunError, reason: str) -> None:
+        """Note an error, and ask all nodes to finish."""
+        self.note(problem)
+        self.request(reason)

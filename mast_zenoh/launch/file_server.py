@@ -24,10 +24,10 @@ import zenoh
 from mast_zenoh import version
 from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.control import codec, control_prefix, files
-from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import described
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
+from mast_zenoh.launch.context import RunContext
 from mast_zenoh.runtime.file_client import files_written_by
 from mast_zenoh.scenes.recording import Recording
 
@@ -40,29 +40,20 @@ Request = files.Join | files.Clock | files.Piece | files.Written
 class FileServer:
     """Serves the files of all nodes of one run, in its own thread, until it is closed.
 
-    resolved: returns the scenario with which a node begins now
-    mismatch: called when a node of another version has been refused
-    invalid: counts refused requests
+    context: its refused requests are counted, and a node of another version is noted as the run's error
     started: whether a node is to run now; one that asks before gets no files, and asks again
     last_received_s: when the last piece of a file was received, on the monotonic clock
     """
 
     def __init__(
-        self,
-        session: zenoh.Session,
-        run: str,
-        folder: Path,
-        resolved: Callable[[str], Resolved],
-        mismatch: Callable[[VersionMismatch], None],
-        invalid: InvalidMessages,
-        started: Callable[[str], bool] = lambda node: True,
+        self, session: zenoh.Session, context: RunContext, started: Callable[[str], bool] = lambda node: True
     ) -> None:
         self.last_received_s = float("-inf")
-        self._folder = folder
-        self._resolved = resolved
+        self._folder = context.folder
+        self._resolved = context.resolved_for
         self._started = started
-        self._mismatch = mismatch
-        self._invalid = invalid
+        self._mismatch = context.stop.note
+        self._invalid = context.invalid
         self._waiting: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._closed = False
@@ -70,7 +61,7 @@ class FileServer:
         self._contents: dict[str, dict[str, bytes | Path]] = {}
         self._requests: queue.SimpleQueue[tuple[zenoh.Query, Request, int] | None] = queue.SimpleQueue()
         handler: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
-        base = control_prefix(run)
+        base = control_prefix(context.run_id)
         self._declared = [session.declare_queryable(f"{base}/{kind}/*", handler) for kind in ("fetch", "file")]
         self._thread = threading.Thread(target=self._run, name="file-server")
         self._thread.start()

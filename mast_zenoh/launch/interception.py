@@ -21,7 +21,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
-from mast_zenoh.control import codec, control_prefix, prefix
+from mast_zenoh.control import codec, control_prefix
 from mast_zenoh.control import interception as control
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.interception import answer_of, place_json
@@ -35,9 +35,7 @@ from mast_zenoh.errors import (
     nearest,
 )
 from mast_zenoh.launch import liveness
-from mast_zenoh.launch.context import RunContext
-from mast_zenoh.launch.launcher_protocol import LauncherActions
-from mast_zenoh.launch.live_interception import Interceptions
+from mast_zenoh.launch.launcher_protocol import Interceptions, LauncherActions
 from mast_zenoh.node import Node
 from mast_zenoh.run_files import check_plain, read_json
 from mast_zenoh.runtime.mesh.session import open_client
@@ -70,25 +68,23 @@ class InterceptionServer:
     """Passes requests to change a run's wiring to `interceptions`, and refuses malformed ones."""
 
     def __init__(
-        self, context: RunContext, session: zenoh.Session, interceptions: Interceptions, actions: LauncherActions
+        self, folder: Path, base: str, session: zenoh.Session, interceptions: Interceptions, actions: LauncherActions
     ) -> None:
         self._interceptions = interceptions
         self._actions = actions
         self._secret = secrets.token_bytes(32)
-        self._secret_file = context.folder / SECRET_FILE
+        self._secret_file = folder / SECRET_FILE
         self._secret_file.touch(mode=0o600)
         self._secret_file.write_bytes(self._secret)
         on_query: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         presence: Any = zenoh.handlers.Callback(self._note_presence, indirect=False)
-        base = prefix(context.run_id)
         self._declared: list[Any] = [
             session.declare_queryable(f"{base}/@control/intercept", on_query),
             session.liveliness().declare_subscriber(f"{base}/alive/*", presence, history=True),
         ]
 
     def close(self) -> None:
-        """End the service: refuse the requests that have not been served."""
-        self._interceptions.finish()
+        """End the service."""
         for entity in self._declared:
             entity.undeclare()
         self._secret_file.unlink(missing_ok=True)

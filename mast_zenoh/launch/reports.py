@@ -7,7 +7,7 @@ import queue
 import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import zenoh
 
@@ -17,6 +17,7 @@ from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import MAX_HANDLERS, Entry, decode_failure, merged
 from mast_zenoh.control.results import decode_result
 from mast_zenoh.errors import MessageError
+from mast_zenoh.launch.launcher_protocol import Report
 from mast_zenoh.launch.supervisor import Child
 
 #: Reports of one node in the queue; an honest node sends results one at a time.
@@ -24,13 +25,6 @@ MAX_WAITING = {"result": 2, "failed": 1000}
 
 #: Processes of one node, one after the other, that may report failures.
 MAX_PROCESSES = 64
-
-
-class Report(NamedTuple):
-    """A node's report: the first failure of a handler in its process, or its results."""
-
-    node: str
-    failure: Entry | None = None
 
 
 class Reports:
@@ -147,7 +141,7 @@ class Reports:
         self._entries_of(node, outcome["process"]).update({entry["handler"]: entry for entry in outcome["failures"]})
         self.outcomes[node], self._digests[node] = outcome, digest
         child.handed_in = True
-        yield Report(node)
+        yield Report(node, stop_reason=outcome.get("stop_reason"))
 
     def _entries_of(self, node: str, process: str) -> dict[str, Entry]:
         """The failures in one of a node's processes, by handler."""

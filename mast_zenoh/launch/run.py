@@ -94,6 +94,20 @@ class NodeLogs(logging.Handler):
             self.failure = self.failure or error
 
 
+def check_steps(resolved: Resolved, where: str, *, unplugs: bool) -> None:
+    """Raise BackendError for steps that are impossible where the nodes live.
+
+    where: in words; unplugs: whether nodes can be disconnected from their networks there
+    """
+    for step in resolved.steps:
+        if step.action == "disconnect" and not unplugs:
+            raise BackendError(
+                f"Unplug of {step.node!r} (before frame {step.frame}): only the containers of engine compose can be "
+                f"disconnected from their networks (mast deploy up --engine compose), found {where}; use Partition, or "
+                "on this machine `hosts` with HostPartition"
+            )
+
+
 @dataclass
 class Run:
     """A run that has ended: its folder, its run.json, and why it failed, if it did."""
@@ -148,7 +162,7 @@ def run(
     console = console or Console(quiet=True)
     where = f"engine {engine.name}" if engine else "one process" if runtime == "inproc" else "processes of this machine"
     ensure_descriptors(len(resolved.nodes) if runtime == "mesh" else 0)
-    mesh_run.check_steps(resolved, where, unplugs=engine is not None and engine.unplugs)
+    check_steps(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)
     user_types.use(resolved.messages)

@@ -19,8 +19,8 @@ from mast_zenoh.control.codec import MAX_KEYS, OTHERS, InvalidMessages, encode
 from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer
-from mast_zenoh.launch.launcher_protocol import Steps
-from mast_zenoh.launch.mesh_run import StepRequests, Watch
+from mast_zenoh.launch.launcher_protocol import Report
+from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.protocol.timetable import Timetable
@@ -313,12 +313,14 @@ def test_a_node_that_repeatedly_leaves_and_returns_ends_the_run_by_name(driver: 
 # -- the launcher ----------------------------------------------------------------------------------------------------
 
 
-def requests_of(context: RunContext, steps: Steps) -> StepRequests:
-    return StepRequests(steps, context.signatures, context.invalid)
+def launcher_of(context: RunContext) -> MeshLauncher:
+    """A launcher with no node and no mesh."""
+    return MeshLauncher(context, Mesh(MagicMock(), MagicMock(children={}, newly_ended=list, running=list)), MagicMock())
 
 
-def no_steps() -> Steps:
-    return Steps(MagicMock(children={}), RESOLVED.nodes, frozenset(), MagicMock(), RESOLVED.steps, lambda: 0.0)
+def act(launcher: MeshLauncher, payload: bytes) -> None:
+    """Have a request for process steps arrive."""
+    launcher._on_act(MagicMock(payload=MagicMock(to_bytes=lambda: payload)))
 
 
 @pytest.mark.parametrize(
@@ -333,44 +335,36 @@ def no_steps() -> Steps:
     ],
 )
 def test_an_act_that_is_not_in_the_scenario_costs_the_launcher_one_message(context: RunContext, payload: bytes) -> None:
-    steps = no_steps()
-    requests = requests_of(context, steps)
-    requests.take(payload)
-    requests.serve(0.0)
+    launcher = launcher_of(context)
+    act(launcher, payload)
+    launcher.advance()
     assert context.invalid.counts == {"act": 1}
-    assert steps.done == []
-    assert steps._supervisor.method_calls == []
+    assert launcher._protocol.steps.done == []
+    assert launcher._supervisor.method_calls == []
 
 
 def test_a_step_of_the_scenario_is_carried_out_once(context: RunContext) -> None:
-    steps = no_steps()
-    requests = requests_of(context, steps)
+    launcher = launcher_of(context)
     for _ in range(2):
-        requests.take(flow.encode_act(5, [("start", "ego")]))
-        requests.serve(0.0)
-    assert steps.done == [{"frame": 5, "action": "start", "node": "ego"}]
+        act(launcher, flow.encode_act(5, [("start", "ego")]))
+        launcher.advance()
+    assert launcher._protocol.steps.done == [{"frame": 5, "action": "start", "node": "ego"}]
     assert context.invalid.counts == {"act": 1}
 
 
 def test_a_request_of_the_driver_is_ignored_when_the_run_is_stopping(context: RunContext) -> None:
-    steps = no_steps()
-    requests = requests_of(context, steps)
-    requests.take(flow.encode_act(5, [("start", "ego")]))
-    requests.serve(0.0, stopping=True)
-    requests.serve(0.0)
-    assert steps.done == []
-
-
-def watch_of(context: RunContext, **parts: Any) -> Watch:
-    """The launcher's loop with only these parts real."""
-    parts = dict.fromkeys(("steps", "actions", "requests", "reports", "interceptions"), MagicMock()) | parts
-    return Watch(context, Mesh(MagicMock(), MagicMock()), MagicMock(), **parts)
+    launcher = launcher_of(context)
+    act(launcher, flow.encode_act(5, [("start", "ego")]))
+    context.stop.request()
+    launcher.advance()
+    assert launcher._protocol.steps.done == []
 
 
 def take_result_of_driver(context: RunContext, stop_reason: str) -> None:
     """Have the launcher receive the driver's result with the reason for its stop."""
-    report, outcomes = MagicMock(node="sim", failure=None), {"sim": {"stop_reason": stop_reason}}
-    watch_of(context, reports=MagicMock(take=lambda: [report], outcomes=outcomes)).take_reports()
+    launcher = launcher_of(context)
+    launcher._reports = MagicMock(take=lambda: [Report("sim", stop_reason=stop_reason)])
+    launcher.advance()
 
 
 def test_the_drivers_reason_becomes_an_error_that_names_the_node(context: RunContext) -> None:
@@ -396,7 +390,7 @@ def test_a_run_stopped_by_the_launcher_keeps_its_own_error(context: RunContext) 
 @pytest.fixture
 def file_server(tmp_path: Path, context: RunContext) -> Any:
     (tmp_path / "scenario.json").write_text("{}")
-    server = FileServer(MagicMock(), "x", tmp_path, lambda node: RESOLVED, lambda error: None, context.invalid)
+    server = FileServer(MagicMock(), context)
     server._contents["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
     yield server
     server.close()
@@ -458,7 +452,8 @@ def test_unknown_nodes_get_no_answer_and_share_one_count(file_server: FileServer
 def test_a_dead_file_server_ends_the_run_and_is_named(
     file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    watch = watch_of(context, file_server=file_server)
+    watch = launcher_of(context)
+    watch._file_server = file_server
     watch._check_file_server()
     assert context.stop.problem is None
     monkeypatch.setattr(file_server, "_refuse", MagicMock(side_effect=SystemExit))

@@ -15,24 +15,22 @@ from mast_zenoh.control.codec import encode
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.file_server import FileServer
 from mast_zenoh.launch.interception import InterceptionServer, seal
-from mast_zenoh.launch.mesh_run import MeshActions, StepRequests
 
 context, file_server = findings.context, findings.file_server  # fixtures
 
 
 def test_malformed_steps_leave_room_for_valid_ones(context: RunContext) -> None:
-    steps = MagicMock()
-    requests = StepRequests(steps, context.signatures, context.invalid)
-    for payload in [*RUBBISH * 200, flow.encode_act(3, [("kill", "ego")])]:
-        requests.take(payload)
-    requests.serve(0.0)
-    steps.carry_out.assert_called_once_with(3, (("kill", "ego"),))
+    launcher = findings.launcher_of(context)
+    for payload in [*RUBBISH * 200, flow.encode_act(5, [("start", "ego")])]:
+        findings.act(launcher, payload)
+    launcher.advance()
+    assert launcher._protocol.steps.done == [{"frame": 5, "action": "start", "node": "ego"}]
     assert context.invalid.counts == {"act": len(RUBBISH) * 200}
 
 
 def test_malformed_requests_leave_room_for_valid_ones(context: RunContext) -> None:
-    interceptions, actions = MagicMock(), MeshActions(context, MagicMock(), MagicMock())
-    server = InterceptionServer(context, MagicMock(), interceptions, actions)
+    interceptions, launcher = MagicMock(), findings.launcher_of(context)
+    server = InterceptionServer(context.folder, "mast/x", MagicMock(), interceptions, launcher)
     sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, server._secret))
     forged = [Query("intercept", payload) for payload in [*RUBBISH * 20, seal({"do": "release"}, b"guessed")]]
     for query in [*forged, sound]:

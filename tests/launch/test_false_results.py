@@ -24,8 +24,7 @@ from mast_zenoh.errors import MastError
 from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import Mesh, RunContext
-from mast_zenoh.launch.mesh_run import Watch, conclude
-from mast_zenoh.launch.reports import Reports
+from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.report import html, terminal
 from mast_zenoh.report.runfolder import RunFolder
@@ -62,14 +61,12 @@ def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dic
     context = RunContext(resolved(), lambda line: None, time.monotonic, folder=folder, record=record, secure=secure)
     supervisor = MagicMock(children={name: Ended(name, spec) for name, spec in resolved().nodes.items()})
     supervisor.to_json = functools.partial(Supervisor.to_json, supervisor)
-    reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, context.invalid)
-    parts = dict.fromkeys(("steps", "actions", "requests", "interceptions"), MagicMock())
-    watch = Watch(context, Mesh(MagicMock(), supervisor), MagicMock(), reports=reports, **parts)
+    launcher = MeshLauncher(context, Mesh(MagicMock(), supervisor), MagicMock())
     query = MagicMock(to_bytes=lambda: payload)
-    reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=query))
+    launcher._reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=query))
     try:
-        watch.take_reports()
-        conclude(context, supervisor, reports, time.monotonic())
+        launcher._protocol.finish()
+        launcher.conclude(time.monotonic())
     except MastError as error:
         record["message"] = str(error)
     if error := ending.of_run(None, record, str(folder)):

@@ -39,25 +39,21 @@ def started(server: ForkServer, folder: Path, *words: str) -> Forked:
         return server.start([*COMMAND, *words], folder, log)
 
 
-def test_the_exit_code_and_the_output_are_those_of_the_command(server: ForkServer, tmp_path: Path) -> None:
-    node = started(server, tmp_path, "nodes/agent.py")
+def test_nodes_are_processes_with_the_exit_code_and_the_output_of_their_commands(
+    server: ForkServer, tmp_path: Path
+) -> None:
+    (tmp_path / "other").mkdir()
+    node, other = started(server, tmp_path, "nodes/agent.py"), started(server, tmp_path / "other", "--help")
+    assert node.pid != other.pid
     assert node.wait(30) == node.poll() == 2
+    assert other.wait(30) == 0
+    assert "--run-folder" in (tmp_path / "other" / "node.log").read_text()
     alone = subprocess.run([*COMMAND, "nodes/agent.py"], capture_output=True, text=True, check=False)
     assert alone.returncode == 2
     last_lines = [
         text.splitlines()[-1].partition("error:")[2] for text in ((tmp_path / "node.log").read_text(), alone.stderr)
     ]
     assert last_lines[0] == last_lines[1] != ""
-
-
-def test_nodes_are_processes_with_their_own_log(server: ForkServer, tmp_path: Path) -> None:
-    nodes = []
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        nodes.append(started(server, tmp_path / name, "--help"))
-    assert len({node.pid for node in nodes}) == 2
-    assert [node.wait(30) for node in nodes] == [0, 0]
-    assert all("--run-folder" in (tmp_path / name / "node.log").read_text() for name in ("one", "two"))
 
 
 def test_a_node_has_a_session_a_folder_a_name_and_signals_of_its_own(server: ForkServer, tmp_path: Path) -> None:
@@ -76,13 +72,7 @@ def test_a_node_has_a_session_a_folder_a_name_and_signals_of_its_own(server: For
         assert process.cwd() == str(tmp_path)
         node.send_signal(signal.SIGKILL)
         assert node.wait(30) == -signal.SIGKILL
-
-
-def test_a_node_that_is_killed_has_the_signal_as_its_exit_code(server: ForkServer, tmp_path: Path) -> None:
-    node = started(server, tmp_path, "nodes/agent.py", "--run-folder", str(tmp_path), "--help")
-    node.kill()
-    assert node.wait(30) in (-signal.SIGKILL, 0), "it may have ended before"
-    node.kill()  # again, without effect
+        node.kill()  # again, without effect
 
 
 def test_nodes_import_nothing_after_they_are_forked(tmp_path: Path) -> None:
@@ -99,22 +89,15 @@ def test_nodes_import_nothing_after_they_are_forked(tmp_path: Path) -> None:
     assert run.stdout.split() == []
 
 
-def kill(server: ForkServer) -> None:
+def test_after_the_server_ended_nodes_go_on_and_starting_one_raises_start_error(
+    server: ForkServer, tmp_path: Path
+) -> None:
+    node = started(server, tmp_path, "nodes/agent.py")
     server._process.kill()
     server._process.wait()
-
-
-def test_starting_a_node_after_the_server_ended_raises_start_error(server: ForkServer, tmp_path: Path) -> None:
-    started(server, tmp_path, "--help").wait(30)
-    kill(server)
+    assert node.wait(30) == 2
     with pytest.raises(StartError, match="the process that starts the nodes has ended"):
         started(server, tmp_path, "--help")
-
-
-def test_exit_codes_do_not_depend_on_the_server(server: ForkServer, tmp_path: Path) -> None:
-    node = started(server, tmp_path, "nodes/agent.py")
-    kill(server)
-    assert node.wait(30) == 2
 
 
 def test_starting_a_node_raises_start_error_if_the_server_does_not_answer(

@@ -21,7 +21,7 @@ from mast_zenoh.config.settings import nested
 from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
 from mast_zenoh.launch.interception import intercept, plan, release, seal, unseal
-from mast_zenoh.launch.live_interception import Interceptions
+from mast_zenoh.launch.launcher_protocol import Interceptions
 from mast_zenoh.messages import Schema
 from mast_zenoh.scenario.nodes import add_surroundings
 
@@ -281,6 +281,6 @@ def test_a_wire_is_healed_if_its_node_died_and_not_if_it_left_at_the_end_of_the_
 ) -> None:
     context = MagicMock(folder=tmp_path, record={}, run_id="a", stop=MagicMock(requested=False))
     child = MagicMock(exit=exit, exit_expected=False, handed_in=handed_in)
-    server = Interceptions(context, MagicMock(children={"mallory": child}), MagicMock(), MagicMock())
+    server = Interceptions(context, MagicMock(children={"mallory": child}), MagicMock())
     server._inserted.add("mallory")
     assert (server._next() is not None) == heals

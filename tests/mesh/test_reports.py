@@ -18,7 +18,8 @@ from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import MAX_HANDLERS
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.results import MAX_RESULT
-from mast_zenoh.launch.reports import Report, Reports
+from mast_zenoh.launch.launcher_protocol import Report
+from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 
@@ -139,7 +140,7 @@ def test_oversized_results_are_refused_with_the_reason(mesh: Mesh) -> None:
 
 def test_only_the_driver_can_report_why_the_run_stops(mesh: Mesh) -> None:
     mesh.ask("sim", results.pack(DRIVEN))
-    assert list(mesh.reports.take()) == [Report("sim")]
+    assert list(mesh.reports.take()) == [Report("sim", stop_reason="end")]
     assert mesh.reports.outcomes["sim"]["stop_reason"] == "end"
 
 

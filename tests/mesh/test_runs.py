@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import re
-import shutil
+from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 from launched import Launched, Observer
@@ -29,8 +29,10 @@ def in_process(out: Path, name: str, *settings: str, frames: int = FRAMES, seed:
     return outcome.folder
 
 
-def test_every_role_runs_in_its_own_process_and_the_output_is_plain_lines_without_a_terminal(launch) -> None:
-    run: Launched = launch("uncoordinated", "--set", "n_adversaries=2", *SHORT)
+def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_plain_output(
+    launch, tmp_path: Path
+) -> None:
+    run: Launched = launch("uncoordinated", "--set", "n_adversaries=2", *SHORT, "--seed", "3")
     code, output = run.end()
     assert code == 0, output
     record = run.record()
@@ -42,74 +44,47 @@ def test_every_role_runs_in_its_own_process_and_the_output_is_plain_lines_withou
     assert all(node["ended"] == "ok" and node["last_frame"] == FRAMES - 1 for node in record["nodes"].values())
     assert record["status"] == "ok"
     assert record["timings"]["frames_per_second"] > 0
-    assert {
-        "scenario.json",
-        "wiring.json",
-        "metrics.json",
-        "metrics.parquet",
-        "objects.parquet",
-        "attacks.parquet",
-        "messages.mcap",
-    } <= {path.name for path in run.out.iterdir()}
+    tables = {f"{name}.parquet" for name in ("metrics", "objects", "attacks")}
+    files = {path.name for path in run.out.iterdir()}
+    assert {"scenario.json", "wiring.json", "metrics.json", "messages.mcap", *tables} <= files
     assert (run.out / "logs" / "ego.log").is_file()
     assert "\x1b[" not in output
     assert "FN" in output
     assert str(run.out) in output.replace("\n", "")
+    assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", "uncoordinated", "n_adversaries=2", seed=3))
 
 
-def test_metrics_on_the_mesh_equal_those_in_one_process_exactly(launch, tmp_path: Path) -> None:
-    run: Launched = launch("coordinated", "--frames", "60", "--seed", "3")
-    code, output = run.end()
-    assert code == 0, output
-    assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", "coordinated", frames=60, seed=3))
-
-
-def test_interposers_that_change_nothing_leave_no_trace(launch, tmp_path: Path) -> None:
+def test_simultaneous_runs_do_not_interfere_and_interposers_that_change_nothing_leave_no_trace(
+    launch, tmp_path: Path
+) -> None:
     """Key, encoding, attachment, payload (header and number), order and QoS."""
-    seen = []
-    for name in ("baseline", "passthrough"):
-        run: Launched = launch(name, *SHORT)
-        observer = Observer(run.started())
+    runs: list[Launched] = [launch(name, *SHORT, "--seed", "1") for name in ("baseline", "passthrough")]
+    observers = [Observer(run.started()) for run in runs]
+    heard: list[dict[str, list[tuple[Any, ...]]]] = []
+    for run, observer in zip(runs, observers, strict=True):
         try:
             code, output = run.end()
         finally:
             observer.close()
         assert code == 0, output
-        by_key: dict[str, list] = {}
+        assert not any(node["foreign"] or node["rejected"] for node in run.record()["nodes"].values())
+        by_key = defaultdict(list)
         for key, s in observer.samples:
-            by_key.setdefault(key, []).append(
-                (
-                    str(s.encoding),
-                    s.attachment.to_bytes() if s.attachment else None,
-                    s.payload.to_bytes(),
-                    s.kind,
-                    s.priority,
-                    s.congestion_control,
-                    s.express,
-                    s.timestamp,
-                    s.source_info,
-                )
-            )
+            content = s.payload.to_bytes(), s.attachment.to_bytes() if s.attachment else None
+            quality = s.priority, s.congestion_control, s.express
+            by_key[key].append((str(s.encoding), s.kind, s.timestamp, s.source_info, *quality, *content))
         assert len(by_key["clock"]) == FRAMES, "the observer was connected from the first frame"
-        seen.append((by_key, metrics(run.out)))
-    (plain, plain_metrics), (tapped, tapped_metrics) = seen
+        heard.append(by_key)
+    plain, tapped = heard
     assert plain.keys() == tapped.keys()
     for key in plain:
         assert plain[key] == tapped[key], key
-    measured, expected = json.loads(tapped_metrics), json.loads(plain_metrics)
+    assert metrics(runs[0].out) == metrics(in_process(tmp_path / "alone", "baseline", seed=1))
+    expected, measured = (json.loads(metrics(run.out)) for run in runs)
     assert all(interposer["effects"] == {} for interposer in measured.pop("interposers").values())
     assert not any(each["success_centre"] or each["success_ego"] for each in measured.pop("achieved").values())
     assert (expected.pop("interposers"), expected.pop("achieved")) == ({}, {})
     assert measured == expected
-
-
-def test_simultaneous_runs_do_not_interfere(launch, tmp_path: Path) -> None:
-    runs = [launch("baseline", *SHORT, "--seed", "1") for _ in range(2)]
-    for run in runs:
-        code, output = run.end()
-        assert code == 0, output
-        assert not any(node["foreign"] or node["rejected"] for node in run.record()["nodes"].values())
-    assert metrics(runs[0].out) == metrics(runs[1].out) == metrics(in_process(tmp_path / "alone", "baseline", seed=1))
     assert runs[0].record()["id"] != runs[1].record()["id"]
 
 
@@ -175,39 +150,3 @@ def test_a_user_defined_node_next_to_the_scenario_takes_part(launch, tmp_path: P
     agents = json.loads(metrics(run.out))["agents"]
     assert agents["infra_2"]["local"]["tp"]["mean"] == 0
     assert agents["infra_1"]["local"]["tp"]["mean"] > 0
-
-
-def test_a_node_that_dies_beyond_the_last_recorded_frame_is_named_with_its_frame(launch, tmp_path: Path) -> None:
-    shutil.copy(Path(__file__).parents[1] / "support" / "live" / "simulator.py", tmp_path)
-    (tmp_path / "mortal.py").write_text(
-        "import os\n"
-        "from mast_zenoh.node import Node\n"
-        "class Mortal(Node):\n"
-        "    role = 'adversary'\n"
-        "    inputs = {'clock': 'clock', 'detections': 'detections'}\n"
-        "    outputs = {'detections_out': 'detections'}\n"
-        "    def __init__(self, agent: str):\n"
-        "        self.agent = agent\n"
-        "    def on_clock(self, received, context):\n"
-        "        if received.frame == 25:\n"
-        "            os._exit(9)\n"
-        "    def on_detections(self, received, context):\n"
-        "        context.relay('detections_out', received)\n"
-    )
-    (tmp_path / "longer.py").write_text(
-        "from mast_zenoh.config import loading\n"
-        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
-        "def scenario():\n"
-        "    return baseline(n_infrastructure=1) | dict(\n"
-        "        adversaries=dict(mallory=dict(file='mortal.py', agent='infra_1', on_exit='fail')),\n"
-        "        keyexpr=dict(map='testbed.toml', rewrites=['on_detections.toml']),\n"
-        "    )\n"
-    )
-    run: Launched = launch(str(tmp_path / "longer.py"), "--frames", "10", "--no-record")
-    code, output = run.end()
-    assert code == 22, output
-    died = re.search(r"mallory exit code 9 at frame (\d+)", output)
-    assert died, output
-    assert int(died[1]) >= 25
-    frames = [int(frame) for frame in re.findall(r"frame (\d+) of 10", output)]
-    assert max(frames) <= 10, "beyond the recording the length is unknown"

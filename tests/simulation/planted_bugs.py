@@ -374,8 +374,8 @@ def a_loss_after_the_end_is_not_told(patch: pytest.MonkeyPatch) -> None:
     original = launcher_protocol.churn_of
 
     def driver_only(outcomes: Any, state: Any) -> Any:
-        launcher_protocol.restarted.clear()
-        return original(outcomes, launcher_protocol)
+        state.restarted.clear()
+        return original(outcomes, state)
 
     patch.setattr(simulation, "churn_of", driver_only)
 

@@ -12,7 +12,7 @@ import pytest
 from planted_bugs import PLANTS
 from test_found_schedules import FOUND
 
-from mast_zenoh.launch import launcher_protocol, live_interception
+from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.mesh import zenoh_process
 from mast_zenoh.runtime.protocol import driver, membership, node, pacer, receiving, rewiring, wiring_follower
@@ -23,7 +23,6 @@ from mast_zenoh.testing.simulation.simulation import Simulation
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
 MODULES = (
     launcher_protocol,
-    live_interception,
     host,
     driver,
     membership,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
@@ -11,10 +11,9 @@ from mast_zenoh.control import failures, flow
 from mast_zenoh.control.interception import Intercept, Release
 from mast_zenoh.control.results import decode_result
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.launch.launcher_protocol import DRIVER_TIMEOUT_S, Endings, LauncherActions, RunState, Steps
-from mast_zenoh.launch.live_interception import Interceptions
+from mast_zenoh.errors import MessageError
+from mast_zenoh.launch.launcher_protocol import DRIVER_TIMEOUT_S, LauncherActions, LauncherProtocol, Report, RunState
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
-from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess, SimulatedSupervisor
 
 _POLL_S = 0.01
@@ -40,11 +39,9 @@ class SimulatedLauncher(LauncherActions):
         self.refused: list[str] = []
         self.state = RunState(resolved, self.notes.append, lambda: mesh.time.now_ns * 1e-9)
         self.supervisor = SimulatedSupervisor(mesh)
-        absent = Timetable(resolved, lockstep=resolved.mode == "lockstep").absent
-        self.steps = Steps(self.supervisor, resolved.nodes, absent, self, resolved.steps, self.state.now_s)
-        self.interceptions = Interceptions(self.state, self.supervisor, self, lambda: Signatures(mesh.run))
-        self.endings = Endings(self.state, self.supervisor, self.steps, self, take_reports=self._take_reports)
-        self._reports: deque[tuple[SimulatedProcess, bytes | None, bytes]] = deque()  # failures, results
+        self.protocol = LauncherProtocol(self.state, self.supervisor, self)
+        self.interceptions = self.protocol.interceptions
+        self._waiting: deque[tuple[SimulatedProcess, bytes | None, bytes]] = deque()  # failures, results
         self._acts: deque[flow.Act] = deque()
         self._arrived: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()  # while it is suspended
         self._suspended = False
@@ -52,36 +49,25 @@ class SimulatedLauncher(LauncherActions):
 
     def begin(self) -> None:
         """Start the nodes that are present from the beginning."""
-        self.steps.start_all()
+        self.protocol.steps.start_all()
         self._time.after(_POLL_S, self._look)
 
     def _look(self) -> None:
         """One iteration of the launcher's loop."""
         if not self.alive or self.over or self._suspended:
             return
-        if self._acts:
-            act = self._acts.popleft()
-            if not self.state.stop.requested:
-                self.steps.carry_out(*act)
-        over = self.endings.advance()
-        self.interceptions.advance()
-        if over:
-            self._conclude()
+        self.over = self.protocol.advance(self._acts.popleft() if self._acts else None)
+        if self.over:
+            self.supervisor.end(1.0)
+            self.protocol.finish()
         else:
             self._time.after(0.0 if self._acts else _POLL_S, self._look)
 
-    def _conclude(self) -> None:
-        self.over = True
-        self.supervisor.end(1.0)
-        self.interceptions.finish()
-        self._take_reports()
-
-    def _take_reports(self) -> None:
-        while self._reports:
-            process, failure, results = self._reports.popleft()
+    def reports(self) -> Iterator[Report]:
+        while self._waiting:
+            process, failure, results = self._waiting.popleft()
             if failure is not None:
-                _, entry = failures.decode_failure(failure)
-                self.endings.handler_failed(process.name, entry)
+                yield Report(process.name, failures.decode_failure(failure)[1])
                 continue
             child = self.supervisor.children.get(process.name)
             if child is None or child.process is not process or child.handed_in:
@@ -89,7 +75,7 @@ class SimulatedLauncher(LauncherActions):
             drives = child.spec.role == DRIVER_ROLE
             self.outcomes[process.name] = outcome = decode_result(results, process.name, drives=drives)
             child.handed_in = True
-            self.endings.handed_in(process.name, outcome.get("stop_reason"))
+            yield Report(process.name, stop_reason=outcome.get("stop_reason"))
 
     # -- what arrives ------------------------------------------------------------------------------------------------
 
@@ -105,13 +91,13 @@ class SimulatedLauncher(LauncherActions):
             if key == "act":
                 self._take_in(self._acts.append, flow.decode_act(payload))
             else:
-                self._take_in(self._reports.append, (source, payload, b""))
+                self._take_in(self._waiting.append, (source, payload, b""))
 
     def arrive_result(self, source: SimulatedProcess, results: bytes, answer: Callable[[str | None], None]) -> None:
         """Let results of a node arrive, and answer."""
 
         def take() -> None:
-            self._reports.append((source, None, results))
+            self._waiting.append((source, None, results))
             self._mesh.network.send((self, source, "result"), "", source.name, answer, "")
 
         if self._time.now_ns <= source.lost_after_ns:
@@ -160,7 +146,8 @@ class SimulatedLauncher(LauncherActions):
     def leave(self, node: str, reason: str) -> None:
         self._mesh.network.broadcast(None, f"leave/{node}", reason.encode())
 
-    def rewire(self, payload: bytes, answered: Callable[[bytes | None], None]) -> None:
+    def rewire(self, request: bytes, answered: Callable[[bytes | None], None]) -> None:
+        payload = Signatures(self._mesh.run).sign("rewire", request)
         answers: list[bytes | None] = []
 
         def finish(answer: bytes | None) -> None:
@@ -179,6 +166,9 @@ class SimulatedLauncher(LauncherActions):
 
     def refuse(self, query: Any, error: Exception) -> None:
         self.refused.append(f"{type(error).__name__}: {error}")
+
+    def note_invalid(self, kind: str, error: MessageError) -> None:
+        raise error
 
     def adopt(self, resolved: Resolved, joining: tuple[str, Resolved] | None) -> None:
         """Processes read the state."""
