@@ -88,7 +88,7 @@ class Reports:
             try:
                 drives = self._child("result", node).spec.role == DRIVER_ROLE
                 outcome = decode_result(payload, node, drives=drives)
-                self._put("result", node, (outcome, hashlib.sha256(payload).digest()))
+                self._put("result", node, (outcome, hashlib.sha256(payload).digest(), self._children[node].restarts))
             except MessageError as error:
                 self._refuse("result", node, error)
                 query.reply_err(files.encode_refusal(error))
@@ -128,12 +128,15 @@ class Reports:
         if first:
             yield Report(node, entry)
 
-    def _take_result(self, node: str, outcome: dict[str, Any], digest: bytes) -> Iterator[Report]:
+    def _take_result(self, node: str, outcome: dict[str, Any], digest: bytes, restarts: int) -> Iterator[Report]:
         """Take a node's results, once per process.
 
-        The same results again are ignored: the node repeats them if the reply got lost.
+        The same results again are ignored: the node repeats them if the reply got lost. So are those of a process that
+        was replaced after they arrived. restarts: of the node by then
         """
         child = self._children[node]
+        if child.restarts != restarts:
+            return
         if child.handed_in:
             if self._digests.get(node) != digest:
                 raise MessageError("result: it has handed in its results before")

@@ -13,10 +13,12 @@ from pathlib import Path
 
 import psutil
 import pytest
+from launched import eventually
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import StartError
-from mast_zenoh.launch.processes import Forked, ForkServer, can_fork_nodes
+from mast_zenoh.launch.processes import Forked, ForkServer, Processes, can_fork_nodes
 
 pytestmark = [
     pytest.mark.mesh,
@@ -121,3 +123,21 @@ def test_nodes_draw_different_numbers_from_numpys_global_generator(server: ForkS
     for _ in range(2):
         assert started(server, tmp_path, str(file), *words).wait(30) == 0
     assert len(set((tmp_path / "node.log").read_text().split())) == 2
+
+
+class Stubborn(Processes):
+    """Its nodes take no notice of being asked to leave."""
+
+    def command(self, name: str, spec: NodeSpec) -> list[str]:
+        ignoring = "import signal, time; signal.signal(15, signal.SIG_IGN); print('there', flush=True); time.sleep(60)"
+        return [sys.executable, "-c", ignoring]
+
+
+def test_a_node_that_does_not_leave_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    processes = Stubborn(tmp_path, "one", "tcp/127.0.0.1:1")
+    processes.start("ego", NodeSpec("agent", "", "", {}, "continue"))
+    eventually(lambda: (tmp_path / "logs" / "ego.log").read_text(), "it has begun")
+    processes.end(0.1)
+    (child,) = processes.children.values()
+    assert child.ended == "told to leave by terminate; told to leave by kill; killed by signal 9 (SIGKILL)"

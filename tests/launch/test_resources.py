@@ -14,7 +14,6 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.errors import NodeFileError, ResourcesExhausted
 from mast_zenoh.launch import ending, run
-from mast_zenoh.launch import run as launcher
 from mast_zenoh.run_files import read_json
 
 CODE = ResourcesExhausted.exit_code
@@ -30,7 +29,7 @@ def test_a_table_that_cannot_be_written_for_want_of_memory_fails_the_run(
     monkeypatch.setattr("mast_zenoh.launch.tables.write_table", fail)
     path, loaded = scenario.load("baseline", [])
     resolved = scenario.resolve(path, loaded, frames=2)
-    ended = launcher.run(resolved, runtime="inproc", out=tmp_path / "run")
+    ended = run.run(resolved, runtime="inproc", out=tmp_path / "run")
     assert isinstance(ended.error, ResourcesExhausted)
     assert read_json(tmp_path / "run" / "run.json")["status"] == "failed"
 

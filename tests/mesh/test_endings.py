@@ -194,16 +194,6 @@ def test_a_killed_launcher_leaves_no_nodes_running(launch) -> None:
     assert "killed" in (run.out / "report.html").read_text()
 
 
-def test_a_hanging_node_is_killed(launch, tmp_path: Path) -> None:
-    run: Launched = launch(*BASELINE, *PACED)
-    record = at_frame(run, 5)
-    os.kill(record["nodes"]["infra_2"]["pid"], signal.SIGSTOP)
-    run.process.send_signal(signal.SIGINT)
-    code, output = run.end()
-    assert code == 130, output
-    assert "kill" in run.record()["nodes"]["infra_2"]["ended"]
-
-
 def test_a_node_that_cannot_start_is_named_with_its_last_output(launch, tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(
         "import os\n"
@@ -230,12 +220,3 @@ def test_a_node_that_cannot_start_is_named_with_its_last_output(launch, tmp_path
     assert "no licence found" in output
     others = [node["ended"] for name, node in run.record()["nodes"].items() if name != "mallory"]
     assert set(others) == {"ok"}, "starting nodes also received the stop"
-
-
-def test_a_non_empty_folder_is_not_written_to(launch, tmp_path: Path) -> None:
-    (tmp_path / "run_0").mkdir()
-    (tmp_path / "run_0" / "thesis.txt").write_text("precious")
-    code, output = launch(*BASELINE, *PACED).end()
-    assert code == 15
-    assert "is not empty" in output
-    assert [path.name for path in (tmp_path / "run_0").iterdir()] == ["thesis.txt"]

@@ -44,33 +44,21 @@ def recorded_frame(folder: Path) -> int:
         return -1
 
 
-def test_nodes_suspended_for_longer_than_any_lease_are_waited_for(launch, undisturbed: Path) -> None:
-    run: Launched = launch("baseline", *FRAMES)
-    nodes = at_frame(run, 5)["nodes"]
+def test_nodes_suspended_with_full_queues_for_longer_than_any_lease_are_waited_for(launch, tmp_path: Path) -> None:
+    """Zenoh's default closes a link on which a message has waited for 5 s."""
+    words = ("baseline", "--set", "n_infrastructure=12", *FRAMES)
+    run: Launched = launch(*words)
+    nodes = at_frame(run, 1)["nodes"]
     victims = [nodes[name]["pid"] for name in ("recorder", "command_center")]
     for pid in victims:
         os.kill(pid, signal.SIGSTOP)
     with pytest.raises(subprocess.TimeoutExpired):  # the other nodes wait for them
-        run.process.wait(4.5)
+        run.process.wait(8.0)
     for pid in victims:
         os.kill(pid, signal.SIGCONT)
     code, output = run.end()
     assert code == 0, output
-    assert compare(run.out, undisturbed).first is None
     assert run.record()["churn"] == []
-
-
-def test_a_suspended_listener_with_full_queues_is_waited_for(launch, tmp_path: Path) -> None:
-    """Zenoh's default closes a link on which a message has waited for 5 s."""
-    words = ("baseline", "--set", "n_infrastructure=12", *FRAMES)
-    run: Launched = launch(*words)
-    pid = at_frame(run, 1)["nodes"]["recorder"]["pid"]
-    os.kill(pid, signal.SIGSTOP)
-    with pytest.raises(subprocess.TimeoutExpired):
-        run.process.wait(8.0)
-    os.kill(pid, signal.SIGCONT)
-    code, output = run.end()
-    assert code == 0, output
     twin = tmp_path / "twin"
     command = [*MAST, "run", *words, "--runtime", "inproc", "--no-report", "--out", str(twin)]
     subprocess.run(command, check=True, capture_output=True)
@@ -96,16 +84,6 @@ def test_a_node_lost_in_lock_step_fails_the_run_by_name(launch, undisturbed: Pat
     assert f"not comparable from frame {lost['frame'] - 1} onwards: infra_2 was lost" in process.stdout + process.stderr
     subprocess.run([*MAST, "report", str(run.out)], check=True, capture_output=True)
     assert "infra_2 was lost" in (run.out / "report.html").read_text()
-
-
-def test_allowed_churn_is_reported_but_does_not_fail_the_run(launch) -> None:
-    run: Launched = launch("baseline", *FRAMES, "--allow-churn")
-    os.kill(at_frame(run, 15)["nodes"]["infra_2"]["pid"], signal.SIGKILL)
-    code, output = run.end()
-    assert code == 0, output
-    assert run.record()["status"] == "ok"
-    assert [(each["node"], each["what"]) for each in run.record()["churn"]] == [("infra_2", "lost")]
-    assert "infra_2 was lost before frame" in output
 
 
 def test_a_recording_that_lost_its_recorder_is_marked_incomplete(launch, undisturbed: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +29,9 @@ def failures(record: dict[str, Any]) -> dict[str, Any]:
     return {name: node["failures"] for name, node in record["nodes"].items() if node["failures"]}
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("attack", "eve.on_detections failed 7 times in 7 frames (5 to 11): ValueError: no [plan] for frame 5 ("),
-        ("evaluator", "evaluator.finish failed once in frame 11: ZeroDivisionError: division by zero ("),
-    ],
-)
-def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(
-    launch, tmp_path: Path, name: str, message: str
-) -> None:
-    path = failing.write(name, tmp_path)
+def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(launch, tmp_path: Path) -> None:
+    message = "evaluator.finish failed once in frame 11: ZeroDivisionError: division by zero ("
+    path = failing.write("evaluator", tmp_path)
     run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record")
     code, output = run.end()
     assert code == 30, output
@@ -50,36 +41,22 @@ def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(
     (node,) = failures(record)
     assert str(run.out / "logs" / f"{node}.log") in output
     assert failures(record) == failures(in_process(path, tmp_path / "inproc"))
-    assert (run.out / "metrics.json").is_file() == (name != "evaluator"), "the results are kept as evidence"
+    assert not (run.out / "metrics.json").is_file()
 
 
-@pytest.mark.parametrize("error", ["GeneratorExit", "CancelledError"])
-def test_a_node_that_fails_to_start_ends_the_run_on_a_mesh_and_in_one_process(
-    launch, tmp_path: Path, error: str
-) -> None:
+def test_a_node_that_fails_to_start_ends_the_run_on_a_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
     path = failing.write("start", tmp_path)
     node = tmp_path / "idle.py"
-    imported = "from asyncio import CancelledError\n" if error == "CancelledError" else ""
-    node.write_text(imported + node.read_text().replace("FileNotFoundError", error))
+    node.write_text(node.read_text().replace("FileNotFoundError", "GeneratorExit"))
     run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record", "--allow-failures")
     code, output = run.end()
     assert code == 21, output
-    message = f"eve.start failed once before the first frame: {error}: no weights ("
+    message = "eve.start failed once before the first frame: GeneratorExit: no weights ("
     assert f"StartError: {message}" in output
     record = in_process(path, tmp_path / "inproc")
     assert record["status"] == run.record()["status"] == "failed"
     assert record["message"].startswith(message)
     assert failures(record) == failures(run.record())
-
-
-def test_allowed_failures_are_a_warning(launch, tmp_path: Path) -> None:
-    path = failing.write("attack", tmp_path)
-    run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record", "--allow-failures")
-    code, output = run.end()
-    assert code == 0, output
-    assert "warning: handlers failed, so the numbers may be wrong:\n  eve.on_detections failed 7 times" in output
-    assert run.record()["status"] == "ok"
-    assert failures(run.record())["eve"][0]["count"] == 7
 
 
 def test_failures_of_a_killed_node_are_kept(launch, tmp_path: Path) -> None:
@@ -131,14 +108,3 @@ def test_a_node_that_exits_with_0_before_the_first_frame_fails_the_run(launch, t
     assert f"counter {what}" in output or f"other {what}" in output
     ended = {name: node["ended"] for name, node in run.record()["nodes"].items()}
     assert "ok" not in (ended["counter"], ended["other"])
-
-
-def test_a_run_slower_than_real_time_is_reported(launch) -> None:
-    run: Launched = launch("baseline", "--mode", "realtime", "--rate", "2000", "--frames", "60", "--no-record")
-    code, output = run.end()
-    assert code == 0, output
-    line = next(line for line in output.splitlines() if line.startswith("behind: "))
-    assert "did not keep up with real time" in line
-    assert "instead of 20000.0" in line
-    assert "lower --rate" in line
-    assert "behind" in {notice["kind"] for notice in json.loads((run.out / "run.json").read_text())["notices"]}
