@@ -1,11 +1,45 @@
-"""Importing the package changes nothing in a user's process."""
+"""Commands and nodes load only the packages that they need: loading takes most of the time of a short run."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
-PROGRAM = """
+import pytest
+
+NODES = Path(__file__).parents[2] / "nodes"
+#: What only the launcher or a report needs.
+SLOW = {"asyncssh", "cryptography", "dask", "jinja2", "matplotlib", "PIL", "pyarrow", "rich", "typer"}
+
+
+def loaded_by(code: str) -> set[str]:
+    """The modules that a new process has after some code."""
+    program = f"{code}\nimport sys\nprint('loaded:', *sys.modules)"
+    process = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True)
+    return set(process.stdout.splitlines()[-1].removeprefix("loaded: ").split())
+
+
+@pytest.mark.parametrize("name", ["simulator", "broker", "recorder", "link"])
+def test_a_node_without_a_pipeline_loads_no_scipy(name: str) -> None:
+    loaded = loaded_by(f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.main, {name}")
+    assert not {"scipy", "filterpy", *SLOW} & loaded
+
+
+@pytest.mark.parametrize("name", ["agent", "adversary", "command_center", "coordinator", "evaluator"])
+def test_a_node_loads_nothing_that_only_the_launcher_needs(name: str) -> None:
+    loaded = loaded_by(f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.main, {name}")
+    assert not SLOW & loaded
+
+
+def test_a_run_without_a_report_loads_no_drawing_library(tmp_path: Path) -> None:
+    words = ("run", "baseline", "--runtime", "inproc", "--frames", "2", "--no-report", "--out", str(tmp_path / "run"))
+    loaded = loaded_by(f"from mast_zenoh.cli import app\napp.app({list(words)!r}, standalone_mode=False)")
+    assert (tmp_path / "run" / "objects.parquet").is_file()
+    assert not {"matplotlib", "PIL", "jinja2", "pandas", "pyarrow.compute"} & loaded
+
+
+IMPORTED = """
 import gc, signal, sys, threading
 
 def state():
@@ -21,5 +55,5 @@ sys.exit(f"{before} became {state()}" if before != state() else 0)
 
 
 def test_importing_the_package_leaves_garbage_collection_signals_and_threads_as_they_are() -> None:
-    process = subprocess.run([sys.executable, "-P", "-c", PROGRAM], capture_output=True, text=True, check=False)
+    process = subprocess.run([sys.executable, "-P", "-c", IMPORTED], capture_output=True, text=True, check=False)
     assert process.returncode == 0, process.stderr

@@ -134,15 +134,6 @@ def test_which_attack_of_a_file_must_be_clear(resolved: Resolved, tmp_path: Path
         plan(resolved, TRACKS, chosen.format(file))
 
 
-def test_an_adversary_on_the_picture_receives_the_pose_of_its_target_agent(
-    resolved: Resolved,
-) -> None:
-    settings = ("attack.type=PassThrough", "agent=ego")
-    _, _, place = plan(resolved, "cc/picture", "adversary.py", settings=settings)
-    assert (place.wire, place.input, place.output) == ("cc/picture", "picture", "picture_out")
-    assert place.other_inputs == {"clock": "clock", "agent/ego/pose": "pose"}
-
-
 def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Path) -> None:
     two = node_file(tmp_path, {"a": "tracks", "b": "tracks"}, {"out": "tracks"})
     with pytest.raises(NodeFileError, match="the inputs a, b: choose one with --input"):
@@ -242,6 +233,7 @@ def test_a_run_that_cannot_be_changed_gives_the_reason(tmp_path: Path, record: d
         (TRACKS, "tracks", {"clock", "agent/infra_1/pose"}),
         ("agent/infra_1/view", "view", {"clock", "agent/infra_1/pose"}),
         ("agent/infra_1/pose", "pose", {"clock"}),
+        ("cc/picture", "picture", {"clock", "agent/ego/pose"}),
     ],
 )
 def test_the_shipped_adversary_gets_its_agents_pose_and_overhears_nothing(
@@ -250,15 +242,11 @@ def test_the_shipped_adversary_gets_its_agents_pose_and_overhears_nothing(
     (tmp_path / "mine.py").touch()
     views = SCENARIO | dict(keyexpr=dict(rewrites=["views.toml"]))
     resolved = scenario.resolve(tmp_path / "mine.py", views, frames=2)
-    _, _, place = plan(resolved, wire, "adversary.py", settings=ATTACK)
+    settings = (*ATTACK, "agent=ego") if wire == "cc/picture" else ATTACK
+    _, _, place = plan(resolved, wire, "adversary.py", settings=settings)
     assert (place.input, place.output) == (input, f"{input}_out")
     assert set(place.other_inputs) == others
     assert {own.key for own in place.published_wires} == {"attack/adversary_1/report"}
-
-
-def test_the_shipped_adversary_on_the_picture_needs_no_choice_of_a_port(resolved: Resolved) -> None:
-    _, _, place = plan(resolved, "cc/picture", "adversary.py", settings=(*ATTACK, "agent=ego"))
-    assert (place.input, place.output) == ("picture", "picture_out")
 
 
 def test_code_of_the_run_that_is_not_trusted_is_neither_run_nor_needed_for_another_node(

@@ -63,47 +63,53 @@ def test_numpy_arrays_and_numbers_become_plain_json(tmp_path: Path) -> None:
     assert back == {"n": 3, "yes": True, "x": [[1.0, None]], "names": ["a"]}
 
 
-@pytest.mark.parametrize(
-    "name", ["../metrics", "/nowhere/metrics", "a/b", "..", ".hidden", "", "a\\b", "x" * 65, "a\nb", "a\0b", 7, "ä"]
-)
+BAD_NAMES = ["../metrics", "/nowhere/metrics", "a/b", "..", ".hidden", "", "a\\b", "x" * 65, "a\nb", "a\0b", 7, "ä"]
+
+
 @pytest.mark.parametrize("node", ["evaluator", "other"])
-def test_a_table_name_that_leads_outside_the_folder_is_refused_and_reported(
-    tmp_path: Path, node: str, name: Any
-) -> None:
-    results = {node: {"tables": {name: TABLE, "good": TABLE}}}
-    refused, files = written(results, tmp_path / "run")
-    assert len(refused) == 1
-    assert refused[0].startswith(f"{node}: table {name!r:.80}")
+def test_a_table_name_that_leads_outside_the_folder_is_refused_and_reported(tmp_path: Path, node: str) -> None:
+    refused, files = written({node: {"tables": dict.fromkeys([*BAD_NAMES, "good"], TABLE)}}, tmp_path / "run")
+    assert len(refused) == len(BAD_NAMES)
+    for sentence, name in zip(refused, BAD_NAMES, strict=True):
+        assert sentence.startswith(f"{node}: table {name!r:.80}")
     assert {path.rpartition("/")[2] for path in files} == {"good.parquet"}
     assert {path.name for path in tmp_path.iterdir()} == {"run"}
 
 
-def test_a_node_whose_name_leads_outside_the_folder_writes_nothing(tmp_path: Path) -> None:
-    refused, files = written({"..": {"metrics": METRICS, "tables": {"metrics": TABLE}}}, tmp_path / "run")
-    assert len(refused) == 1
-    assert files == set()
+INVALID = ({"a": [1, 2], "b": [1]}, {"a": np.zeros((2, 2))}, [1, 2], {"a": 3}, {1: [1]}, {"a": [[1], [2, 3]]})
 
 
-@pytest.mark.parametrize(
-    "table", [{"a": [1, 2], "b": [1]}, {"a": np.zeros((2, 2))}, [1, 2], {"a": 3}, {1: [1]}, {"a": [[1], [2, 3]]}]
-)
-def test_an_invalid_table_is_refused_and_the_others_are_written(tmp_path: Path, table: Any) -> None:
-    results = {"node": {"tables": {"bad": table, "good": TABLE}, "n": 1}}
-    refused, files = written(results, tmp_path / "run")
-    assert len(refused) == 1
-    assert refused[0].startswith("node: table 'bad': ")
+def test_an_invalid_table_is_refused_and_the_others_are_written(tmp_path: Path) -> None:
+    tables = {f"bad{number}": table for number, table in enumerate(INVALID)}
+    refused, files = written({"node": {"tables": tables | {"good": TABLE}, "n": 1}}, tmp_path / "run")
+    assert [sentence[:20] for sentence in refused] == [f"node: table 'bad{i}':" for i in range(len(INVALID))]
     assert files == {"results/node/good.parquet", "results/node/results.json"}
 
 
-def test_tables_that_are_not_a_dict_are_refused(tmp_path: Path) -> None:
-    refused, files = written({"evaluator": {"tables": [1], "metrics": METRICS}}, tmp_path / "run")
-    assert refused == ["evaluator: tables: found a list, expected a dict of tables"]
-    assert files == {"metrics.json"}
-
-
-def test_metrics_that_are_not_a_dict_are_kept_as_a_result(tmp_path: Path) -> None:
-    _, files = written({"evaluator": {"metrics": 3}}, tmp_path / "run")
-    assert files == {"results/evaluator/results.json"}
+@pytest.mark.parametrize(
+    ("results", "refusals", "expected"),
+    [
+        ({"..": {"metrics": METRICS, "tables": {"metrics": TABLE}}}, ["'..': expected a name"], set()),
+        (
+            {"evaluator": {"tables": [1], "metrics": METRICS}},
+            ["evaluator: tables: found a list, expected a dict of tables"],
+            {"metrics.json"},
+        ),
+        ({"evaluator": {"metrics": 3}}, [], {"results/evaluator/results.json"}),
+        (
+            {"evaluator": {"tables": {"mine": TABLE, "objects": TABLE}}},
+            [],
+            {"results/evaluator/mine.parquet", "objects.parquet"},
+        ),
+    ],
+    ids=["a node's name leads outside", "tables are no dict", "metrics are no dict", "an unknown table"],
+)
+def test_results_in_another_form_are_refused_or_kept_as_they_are(
+    tmp_path: Path, results: dict[str, Any], refusals: list[str], expected: set[str]
+) -> None:
+    refused, files = written(results, tmp_path / "run")
+    assert [text.startswith(start) for text, start in zip(refused, refusals, strict=True)] == [True] * len(refusals)
+    assert files == expected
 
 
 def test_metrics_and_tables_of_another_node_do_not_replace_the_evaluators(tmp_path: Path) -> None:
@@ -141,35 +147,36 @@ def test_an_attack_without_targets_or_positions_is_reported(
         assert counts["placed"] < counts["wanted"]
 
 
-def test_unknown_tables_of_the_evaluator_go_to_its_own_folder(tmp_path: Path) -> None:
-    refused, files = written({"evaluator": {"tables": {"mine": TABLE, "objects": TABLE}}}, tmp_path / "run")
-    assert refused == []
-    assert files == {"results/evaluator/mine.parquet", "objects.parquet"}
-
-
 def test_a_node_writes_at_most_a_hundred_tables(tmp_path: Path) -> None:
     refused, files = written({"node": {"tables": {f"t{i}": {"a": [i]} for i in range(103)}}}, tmp_path / "run")
     assert refused == ["node: tables: found 103, expected at most 100; only the first 100 are written"]
     assert len(files) == 100
 
 
-@pytest.mark.parametrize("recorded", [{"messages": 7, "lost": 0}, [1], "none", {"messages": "many"}, None])
-def test_recorded_counts_come_only_from_a_recorder_and_must_be_numbers(tmp_path: Path, recorded: Any) -> None:
-    specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("ego", "agent"))}
-    record: dict[str, Any] = {"message": ""}
-    others = {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}
-    conclusion.note_recording(tmp_path, record, others, specs)
-    nothing = {"complete": False, "from_frame": 0}
-    assert record == {"message": "", "recording": nothing}, "the recorder has returned nothing"
-    conclusion.note_recording(tmp_path, record, {"rec": {"recorded": recorded}}, specs)
-    valid = recorded == {"messages": 7, "lost": 0}
-    assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if valid else {})
+SPECS = {
+    name: NodeSpec(role, "", "", {}, "continue")
+    for name, role in (("rec", "recorder"), ("ego", "agent"), ("sim", "simulator"))
+}
+
+
+def noted(folder: Path, message: str, **recorded: Any) -> dict[str, Any]:
+    """run.json after these nodes have returned what they recorded."""
+    record: dict[str, Any] = {"message": message}
+    conclusion.note_recording(folder, record, {name: {"recorded": counts} for name, counts in recorded.items()}, SPECS)
+    return record
+
+
+def test_recorded_counts_come_only_from_a_recorder_and_must_be_numbers(tmp_path: Path) -> None:
+    valid: dict[str, int] = {"messages": 7, "lost": 0}
+    for recorded in (valid, [1], "none", {"messages": "many"}, None):
+        nothing = {"complete": False, "from_frame": 0}
+        assert noted(tmp_path, "", ego=recorded, stranger=recorded) == {"message": "", "recording": nothing}
+        counts = {"recorded": recorded} if recorded == valid else {}
+        assert noted(tmp_path, "", rec=recorded) == {"message": "", "recording": {"complete": True}} | counts
 
 
 def test_lost_messages_are_reported(tmp_path: Path) -> None:
-    specs = {"rec": NodeSpec("recorder", "", "", {}, "continue")}
-    record: dict[str, Any] = {"message": "so far"}
-    conclusion.note_recording(tmp_path, record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
+    record = noted(tmp_path, "so far", rec={"messages": 7, "lost": 2})
     assert record["message"] == "so far; 2 messages could not be recorded"
     assert record["recording"] == {"complete": False, "from_frame": 0}, "no recording exists here"
 
@@ -197,12 +204,11 @@ def test_one_long_text_does_not_widen_the_others(tmp_path: Path) -> None:
 def test_completeness_in_real_time_is_measured_from_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("sim", "simulator"))}
     node_results = {"rec": {"recorded": {"messages": 7, "lost": 0}}}
     for mode, gap, expected in (("realtime", 185, False), ("realtime", None, True), ("lockstep", 185, True)):
         monkeypatch.setattr(conclusion, "first_missing_frame", lambda folder, publisher, gap=gap: gap)
         record: dict[str, Any] = {"message": "", "mode": mode}
-        conclusion.note_recording(tmp_path, record, node_results, specs)
+        conclusion.note_recording(tmp_path, record, node_results, SPECS)
         assert record["recording"]["complete"] is expected
 
 

@@ -41,33 +41,6 @@ def at_frame(run: Launched, frame: int) -> dict:
     return record
 
 
-def test_a_killed_agent_does_not_end_the_run(launch) -> None:
-    run: Launched = launch(*BASELINE, *PACED)
-    record = at_frame(run, 15)
-    os.kill(record["nodes"]["infra_2"]["pid"], signal.SIGKILL)
-    code, output = run.end()
-    assert code == 0, output
-    record = run.record()
-    assert record["status"] == "ok"
-    assert record["nodes"]["infra_2"]["ended"] == "killed by signal 9 (SIGKILL)"
-    assert record["nodes"]["infra_1"]["ended"] == "ok"
-    assert "infra_2" in record["message"]
-    assert "infra_2 killed by signal 9" in output
-    assert json.loads((run.out / "metrics.json").read_text())["frames"] == record["frames"]
-
-
-def test_a_stopped_run_keeps_the_results_obtained_so_far(launch) -> None:
-    run: Launched = launch(*BASELINE, *PACED)
-    at_frame(run, 20)
-    run.process.send_signal(signal.SIGTERM)
-    code, output = run.end()
-    record = run.record()
-    assert (record["status"], code) == ending("signal while the scene is played"), output
-    assert all(node["exit"] == 0 for node in record["nodes"].values()), record["nodes"]
-    # In real time, the last frames may still be on their way to the evaluator.
-    assert 15 <= json.loads((run.out / "metrics.json").read_text())["frames"] < 60
-
-
 def test_a_second_signal_ends_nodes_at_once_and_leaves_a_readable_recording(launch) -> None:
     run: Launched = launch(*BASELINE, *PACED)
     at_frame(run, 10)
