@@ -139,16 +139,12 @@ def json_or_empty(path: Path) -> dict[str, Any]:
         return {}
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of Python, platform, kernels and packages."""
-    host = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
-    return host | _package_versions()
-
-
-@cache
-def _package_versions() -> dict[str, str]:
     packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
-    return {package: version(package) for package in packages}
+    host = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
+    return host | {package: version(package) for package in packages}
 
 
 def finite(value: Any) -> Any:

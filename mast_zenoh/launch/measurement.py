@@ -52,13 +52,11 @@ def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
     name:     a node of that scenario that receives every key
     path:     the recording, or the folder of the run
 
-    Recordings of earlier versions contain neither changes of the run nor the frame in which a message was sent: the
-    initial nodes and wiring are assumed throughout, and each message to have been sent in its own frame.
     Raises RunFolderError for a recording that is missing or damaged, and HandlerFailed if the node fails.
     """
     path = file_of(path)
-    changes = deque(events(path) or _initial_events(resolved))
-    if changes[0].what != REWIRED:
+    changes = deque(events(path))
+    if not changes or changes[0].what != REWIRED:
         raise RunFolderError(f"{path}: the first event is not the wiring that the run began with")
     user_types.use(resolved.messages)
     node = build_node(resolved.nodes[name], name)
@@ -154,12 +152,6 @@ def _wiring(event: Event, overhearers: Sequence[Endpoint], path: Path) -> Wiring
         raise RunFolderError(f"{path}: the wiring of frame {event.frame} cannot be read: {error!r}") from None
     added = [end for end in overhearers if end not in wiring.overhearers]
     return Wiring(wiring.wires, (*wiring.overhearers, *added))
-
-
-def _initial_events(resolved: Resolved) -> list[Event]:
-    """The events of a run that does not change."""
-    joined = [Event(JOINED, -1, node, spec.role) for node, spec in resolved.nodes.items()]
-    return [Event(REWIRED, -1, wiring=resolved.wiring), *joined]
 
 
 METRICS = "metrics.json"

@@ -50,27 +50,20 @@ def of_run(
     refused:    a sentence for each result that was refused
     """
     nodes = record["nodes"]
-    parts = [
-        _late(measured["late"]),
-        *(_dropped(name, collations) for name in _DROPPED),
-        _rejected(nodes),
-        _foreign(list(nodes.values())),
-        _control(record),
-        _behind(resolved, record, measured),
-        _churned(record),
-        _first(of_recording(record)),
-        _first(record.get("disconnected", ())),
-        (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
+    parts: list[tuple[str, int, str]] = [
+        *(("replay", 1, text) for text in record.get("replay", {}).get("notices", ())),
+        ("late", *_late(measured["late"])),
+        *((name, *_dropped(name, collations)) for name in _DROPPED),
+        ("rejected", *_rejected(nodes)),
+        ("foreign", *_foreign(list(nodes.values()))),
+        ("control", *_control(record)),
+        ("behind", *_behind(resolved, record, measured)),
+        ("churn", *_churned(record)),
+        ("recording", *_first(of_recording(record))),
+        ("disconnected", *_first(record.get("disconnected", ()))),
+        ("results", len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
-    tail = ("rejected", "foreign", "control", "behind", "churn", "recording", "disconnected", "results")
-    kinds = ("late", *_DROPPED, *tail)
-    of_nodes = [
-        {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
-    ]
-    return [
-        *({"kind": "replay", "count": 1, "text": text} for text in record.get("replay", {}).get("notices", ())),
-        *of_nodes,
-    ]
+    return [{"kind": kind, "count": count, "text": text} for kind, count, text in parts if count]
 
 
 def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> list[dict[str, Any]]:
