@@ -21,7 +21,6 @@ pytestmark = pytest.mark.heavy
 
 STAGED = (sys.executable, "-m", "at_stage")  # as a module, like MAST: Python ends scripts differently
 RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "12", "--no-report", "--out")
-SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class FinishedCommand:
@@ -71,11 +70,6 @@ def file_size_limit(size: int) -> Callable[[], None]:
     return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
-def test_a_signal_before_the_run_folder_exists_leaves_nothing(out: Path) -> None:
-    FinishedCommand(out, at("loading", "SIGTERM")).assert_matches(ending("signal before the run folder exists"))
-    assert not out.exists()
-
-
 INTERRUPTED_CLASS = """
 import signal, sys
 from unittest import mock
@@ -98,41 +92,36 @@ def test_a_signal_while_a_class_is_created_prints_one_line(out: Path, when: str)
     assert "error: Interrupted" in outcome.text
 
 
-def test_a_signal_while_nodes_start(out: Path) -> None:
-    FinishedCommand(out, at("starting", "SIGHUP")).assert_matches(ending("signal while nodes start"))
-
-
-@pytest.mark.parametrize("name", SIGNALS)
-def test_a_signal_while_the_scene_is_played_keeps_results_and_draws_the_report(out: Path, name: str) -> None:
-    run = with_report() if name == "SIGINT" else RUN
-    FinishedCommand(out, at("playing", name, run=run)).assert_matches(ending("signal while the scene is played"))
-    assert json.loads((out / "metrics.json").read_text())["frames"] == 3
-    assert (out / "report.html").is_file() == (name == "SIGINT")
-
-
-@pytest.mark.parametrize("names", [("SIGINT", "SIGINT"), ("SIGHUP", "SIGTERM", "SIGINT")])
-def test_a_second_signal_while_the_scene_is_played(out: Path, names: tuple[str, ...]) -> None:
-    FinishedCommand(out, at("playing", *names)).assert_matches(ending("second signal while the scene is played"))
-    assert json.loads((out / "run.json").read_text())["recording"] == {"complete": False, "from_frame": 0}, (
-        "the first chunk of the recording was not yet written"
-    )
-
-
-@pytest.mark.parametrize("names", [("SIGTERM",), ("SIGINT", "SIGTERM")])
-def test_a_signal_while_results_are_collected_skips_the_report(out: Path, names: tuple[str, ...]) -> None:
-    FinishedCommand(out, at("collecting", *names, run=with_report())).assert_matches(
-        ending("signal while results are collected")
-    )
-    assert (out / "metrics.parquet").is_file()
-    assert not (out / "report.html").exists()
-
-
-def test_a_signal_while_the_report_is_drawn_skips_the_report(out: Path) -> None:
-    outcome = FinishedCommand(out, at("reporting", "SIGINT", run=with_report()))
-    outcome.assert_matches(ending("signal while the report is drawn"))
-    assert f"mast report {out}" in outcome.text.replace("\n", "")
-    assert (out / "metrics.json").is_file()
-    assert not (out / "report.html").exists()
+@pytest.mark.parametrize(
+    ("stage", "signals", "case", "kept", "absent"),
+    [
+        ("loading", "SIGTERM", "signal before the run folder exists", (), (".",)),
+        ("starting", "SIGHUP", "signal while nodes start", (), ("metrics.json",)),
+        *(
+            ("playing", name, "signal while the scene is played", ("metrics.json", "report.html"), ())
+            for name in ("SIGINT", "SIGTERM", "SIGHUP")
+        ),
+        ("playing", "SIGINT SIGINT", "second signal while the scene is played", (), ("report.html",)),
+        ("playing", "SIGHUP SIGTERM SIGINT", "second signal while the scene is played", (), ("report.html",)),
+        ("collecting", "SIGTERM", "signal while results are collected", ("metrics.parquet",), ("report.html",)),
+        ("collecting", "SIGINT SIGTERM", "signal while results are collected", ("metrics.parquet",), ("report.html",)),
+        ("reporting", "SIGINT", "signal while the report is drawn", ("metrics.json",), ("report.html",)),
+    ],
+)
+def test_a_signal_at_any_stage_ends_the_run_as_documented(
+    out: Path, stage: str, signals: str, case: str, kept: tuple[str, ...], absent: tuple[str, ...]
+) -> None:
+    outcome = FinishedCommand(out, at(stage, *signals.split(), run=with_report()))
+    outcome.assert_matches(ending(case))
+    assert all((out / name).exists() for name in kept)
+    assert not any((out / name).exists() for name in absent)
+    if case == "signal while the scene is played":
+        assert json.loads((out / "metrics.json").read_text())["frames"] == 3
+    if case == "second signal while the scene is played":
+        recording = json.loads((out / "run.json").read_text())["recording"]
+        assert recording == {"complete": False, "from_frame": 0}, "the first chunk was not yet written"
+    if stage == "reporting":
+        assert f"mast report {out}" in outcome.text.replace("\n", "")
 
 
 @pytest.mark.parametrize(
