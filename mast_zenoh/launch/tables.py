@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +22,26 @@ from mast_zenoh.unpacking.text import check_expanded
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
 
 
+class _NoPandas(MetaPathFinder):
+    """Hides pandas, as if it were not installed."""
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> None:
+        if fullname == "pandas":
+            raise ModuleNotFoundError("pandas is not needed here", name=fullname)
+
+
 def _hide_pandas() -> None:
     """Keep pyarrow from loading pandas, which takes 0.3 s and is not needed here.
 
     pyarrow looks for pandas at its first conversion, and again when it is really needed.
     """
     if "pandas" not in sys.modules:
-        sys.modules["pandas"] = None  # type: ignore[assignment]  # importing it raises ModuleNotFoundError
+        finder = _NoPandas()
+        sys.meta_path.insert(0, finder)
         try:
             pyarrow.array([0])
         finally:
-            del sys.modules["pandas"]
+            sys.meta_path.remove(finder)
 
 
 _hide_pandas()
