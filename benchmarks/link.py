@@ -43,7 +43,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
-from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import Wiring
@@ -134,7 +134,7 @@ def link(endpoint: str, path: str) -> None:
         resolved = Resolved("link", 0, "realtime", 1.0, 1, PERIOD_NS, nodes, wiring().to_json(), {})
         process = ZenohProcess(path, resolved, "link_ego", node, session, Signatures(path))
         process.protocol.note_arrivals()
-        gc.freeze()  # as runtime/mesh/main.py does
+        gc.freeze()  # as runtime/mesh/hosting.py does
         gc.set_threshold(50_000, 20, 20)
         process.run()
 

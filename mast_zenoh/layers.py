@@ -19,7 +19,7 @@ LAYERS: dict[str, str] = {
     "replay": "puts a recorded run back on a mesh: recorded nodes before a cut, live nodes after it",
     "launch": "starts, watches and ends the processes of a run; launcher_protocol: what it decides; netns/: its hosts",
     "checks": "invariants of finished runs",
-    "runtime": "hosts nodes: host (one node), protocol/ (a process as a state machine), inproc, mesh/ played/",
+    "runtime": "hosts nodes: host (one node), protocol/ (a process as a state machine), inproc, mesh/ player",
     "scenario": "validates and resolves scenario files",
     "control": "control messages: schemas and validation",
     "faults": "faults of nodes and networks on a timeline",

@@ -17,7 +17,7 @@ from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import AgentPipeline, AgentSensor, Pose
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.sensing import LidarSensor
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.wiring.subjects import part_of

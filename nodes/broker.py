@@ -16,7 +16,7 @@ from mast_zenoh.gather import MAX_AGE_S, MAX_TRACK_VALUE, CollationBuffer
 from mast_zenoh.integrity.views import check_view, collated_columns
 from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
 
 

@@ -11,7 +11,7 @@ from mast_zenoh.integrity.views import SweptView, views_of
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 
 #: Views that wait for their batches, at most; the oldest are dropped.
 MAX_WAITING = 64

@@ -17,7 +17,7 @@ from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.view import SensorView
 
 

@@ -20,7 +20,7 @@ from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, 
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.wiring.model import ANY, Wiring
 from mast_zenoh.wiring.subjects import agent_of

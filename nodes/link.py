@@ -33,7 +33,7 @@ from mast_zenoh.links import (
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.subjects import part_of
 
 

@@ -13,7 +13,7 @@ from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.model import ANY
 
 

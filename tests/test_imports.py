@@ -135,7 +135,7 @@ DECISIONS_OF_THE_LAUNCHER = ("launcher_protocol.py", "supervisor.py", "ending.py
 PROTOCOL = [
     *PACKAGE.glob("*/protocol/*.py"),
     *(PACKAGE / "testing" / "simulation").glob("*.py"),
-    *(PACKAGE / "runtime" / name for name in ("host.py", "held.py", "delayed.py", "limits.py")),
+    *(PACKAGE / "runtime" / name for name in ("host.py", "waiting.py")),
     *(PACKAGE / "launch" / name for name in DECISIONS_OF_THE_LAUNCHER),
 ]
 #: The simulation draws its delays, from a seed.

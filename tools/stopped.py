@@ -48,7 +48,7 @@ from mast_zenoh.errors import (
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.runtime.mesh.session import open_observer
-from mast_zenoh.runtime.protocol.stamp import stamp_of
+from mast_zenoh.runtime.protocol.traffic import stamp_of
 
 FRAMES, WATCHED_FRAMES = 150, 300  # a watched run lasts until its watcher is there, and longer
 LATEST = 0.9  # of the frames of a watched run: the latest at which its watcher is suspended

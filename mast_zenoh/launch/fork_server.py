@@ -28,7 +28,7 @@ gc.disable()  # what is imported stays: searching it for garbage delays the star
 import numpy as np  # noqa: E402
 
 from mast_zenoh.config import bundle, loading  # noqa: E402
-from mast_zenoh.runtime.mesh.main import main, wake_when_orphaned  # noqa: E402
+from mast_zenoh.runtime.mesh.hosting import main, wake_when_orphaned  # noqa: E402
 
 #: Most bytes of a request.
 _MAX_REQUEST = 1 << 16

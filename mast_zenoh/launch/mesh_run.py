@@ -29,7 +29,7 @@ from mast_zenoh.launch.local_mesh import BlockingClients
 from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.observation import Observation
 from mast_zenoh.launch.reports import Reports
-from mast_zenoh.runtime.protocol.stamp import stamp_of
+from mast_zenoh.runtime.protocol.traffic import stamp_of
 from mast_zenoh.wiring.model import Wiring
 
 MAX_ACTS = 1000  #: requests of the driver for process steps in the queue

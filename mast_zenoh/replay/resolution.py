@@ -25,7 +25,7 @@ from mast_zenoh.replay import findings, ports
 from mast_zenoh.replay.cut import Cut, Place, cut
 from mast_zenoh.replay.live import Live, live_nodes
 from mast_zenoh.replay.scripts import read_scripts
-from mast_zenoh.runtime.played import player
+from mast_zenoh.runtime import player
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.insertion import never_inserted
 from mast_zenoh.wiring.model import ANY, Wiring

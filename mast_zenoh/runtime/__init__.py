@@ -1,8 +1,9 @@
 """Hosts nodes: one host for all of them, and a runtime for each way to run it.
 
 host         one node, without I/O: checks, holds, counts, numbers and delays its messages
-             held: messages that wait for their clock;  delayed: messages sent later;  limits: their number and size
-inproc       all nodes in one process;  played: nodes that send what was recorded
+waiting      messages held for their clock or delayed, and limits on their number and size
+inproc       all nodes in one process
+player       nodes that send what was recorded
 protocol/    what the processes of a run do, as state machines without I/O
 mesh/        one node as a process on a Zenoh mesh
 file_client  transfers the files of a node on a host without the run folder

@@ -4,6 +4,6 @@ import gc
 
 gc.disable()  # until the node is hosted: what is imported stays, and searching it for garbage delays the start
 
-from mast_zenoh.runtime.mesh.main import main  # noqa: E402
+from mast_zenoh.runtime.mesh.hosting import main  # noqa: E402
 
 main()

@@ -23,9 +23,7 @@ from mast_zenoh.messages.row_limits import NO_LIMITS
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
-from mast_zenoh.runtime.delayed import Delayed
-from mast_zenoh.runtime.held import Held, HeldMessages
-from mast_zenoh.runtime.limits import DELAYED, HELD, Room
+from mast_zenoh.runtime.waiting import DELAYED, HELD, Delayed, Held, HeldMessages, Room
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, NO_WIRING, Input, Ports, Wiring
 

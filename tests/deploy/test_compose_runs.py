@@ -18,7 +18,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.runtime.mesh.launcher_watch import UP
+from mast_zenoh.runtime.mesh.hosting import UP
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]
 SMALL = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1")

@@ -24,7 +24,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import flow, results
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

@@ -22,13 +22,17 @@ def loaded_by(code: str) -> set[str]:
 
 @pytest.mark.parametrize("name", ["simulator", "broker", "recorder", "link"])
 def test_a_node_without_a_pipeline_loads_no_scipy(name: str) -> None:
-    loaded = loaded_by(f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.main, {name}")
+    loaded = loaded_by(
+        f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.hosting, {name}"
+    )
     assert not {"scipy", "filterpy", *SLOW} & loaded
 
 
 @pytest.mark.parametrize("name", ["agent", "adversary", "command_center", "coordinator", "evaluator"])
 def test_a_node_loads_nothing_that_only_the_launcher_needs(name: str) -> None:
-    loaded = loaded_by(f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.main, {name}")
+    loaded = loaded_by(
+        f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.hosting, {name}"
+    )
     assert not SLOW & loaded
 
 

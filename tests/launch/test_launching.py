@@ -13,7 +13,7 @@ from tiny_world import tiny
 from mast_zenoh.launch import mesh_run, run, stop_signals
 from mast_zenoh.launch.context import Mesh
 from mast_zenoh.launch.mesh_run import MeshLauncher
-from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
 
 WAIT_S = 0.05
 

@@ -13,7 +13,7 @@ from launched import Launched, Observer, eventually
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
 
 pytestmark = pytest.mark.mesh
 MESSAGES, LAST = 30, 149

@@ -12,7 +12,7 @@ import zenoh
 from launched import eventually
 
 from mast_zenoh.control import control_prefix
-from mast_zenoh.runtime.mesh.launcher_watch import UP, LauncherWatch
+from mast_zenoh.runtime.mesh.hosting import UP, LauncherWatch
 from mast_zenoh.runtime.mesh.session import open_router
 
 pytestmark = pytest.mark.mesh

@@ -21,7 +21,7 @@ from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.runtime.protocol.stamp import ATTACHMENT
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 LIVE = Path(__file__).parents[1] / "support" / "live"

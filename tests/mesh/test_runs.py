@@ -118,7 +118,7 @@ def test_a_user_defined_node_next_to_the_scenario_takes_part(launch, tmp_path: P
     (tmp_path / "deaf.py").write_text(
         "import gc\n"
         "from mast_zenoh.node import Node\n"
-        "from mast_zenoh.runtime.mesh.main import main\n"
+        "from mast_zenoh.runtime.mesh.hosting import main\n"
         "class Deaf(Node):\n"
         "    role = 'adversary'\n"
         "    inputs = {'clock': 'clock', 'detections': 'detections'}\n"

@@ -15,7 +15,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message, text
 from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
 from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.limits import Limit
+from mast_zenoh.runtime.waiting import Limit
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, Input, Ports
 
@@ -244,7 +244,7 @@ def status() -> dict[str, np.ndarray]:
 
 
 def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mast_zenoh.runtime.held.HELD", Limit(5, 10**6))
+    monkeypatch.setattr("mast_zenoh.runtime.waiting.HELD", Limit(5, 10**6))
     host = listening()
     for frame in range(1, 9):
         host.deliver("agent/a/tracks", tracks_payload("a", frame), frame)

@@ -16,9 +16,9 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.limits import DELAYED, EARLY, HELD, INBOX, Limit, Room
-from mast_zenoh.runtime.protocol.inbox import Inbox, Item
 from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
+from mast_zenoh.runtime.protocol.traffic import Inbox, Item
+from mast_zenoh.runtime.waiting import DELAYED, EARLY, HELD, INBOX, Limit, Room
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 MIB = 1 << 20

@@ -16,7 +16,7 @@ from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime import host as host_module
 from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.limits import Limit
+from mast_zenoh.runtime.waiting import Limit
 from mast_zenoh.wiring.model import Input, Ports
 
 PERIOD_NS = 10**8

@@ -14,8 +14,8 @@ import pytest
 from mast_zenoh.control.flow import END
 from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
-from mast_zenoh.runtime.protocol import driver, membership, node, outlets, pacer, receiving, wiring_follower
-from mast_zenoh.runtime.protocol.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol import driver, node, pacer, rewiring, traffic
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
 from mast_zenoh.testing.simulation import simulation
 
 Plant = Callable[[pytest.MonkeyPatch], None]
@@ -28,32 +28,32 @@ def counts_go_on_at_a_join(patch: pytest.MonkeyPatch) -> None:
 
 def early_messages_are_delivered_twice(patch: pytest.MonkeyPatch) -> None:
     """Messages that wait for their epoch are delivered when it begins, and once more."""
-    original = receiving.Receiving.deliver_early
+    original = traffic.Receiving.deliver_early
 
-    def twice(self: receiving.Receiving) -> None:
+    def twice(self: traffic.Receiving) -> None:
         waiting = list(self._early)
         original(self)
         for message in waiting:
             self.deliver(*message)
 
-    patch.setattr(receiving.Receiving, "deliver_early", twice)
+    patch.setattr(traffic.Receiving, "deliver_early", twice)
 
 
 def early_messages_are_lost(patch: pytest.MonkeyPatch) -> None:
     """Messages of an epoch that the node has not entered yet are lost."""
-    patch.setattr(receiving.Receiving, "_keep", lambda self, message: None)
+    patch.setattr(traffic.Receiving, "_keep", lambda self, message: None)
 
 
 def a_new_process_handles_what_was_sent_before_it_joined(patch: pytest.MonkeyPatch) -> None:
     """A process handles messages of epochs before its first, and answers before its publishers are matched."""
-    original = receiving.Receiving.enter_epoch
+    original = traffic.Receiving.enter_epoch
 
-    def keep_all(self: receiving.Receiving, epoch: int) -> None:
+    def keep_all(self: traffic.Receiving, epoch: int) -> None:
         waiting = list(self._early)
         original(self, epoch)
         self._early = waiting
 
-    patch.setattr(receiving.Receiving, "enter_epoch", keep_all)
+    patch.setattr(traffic.Receiving, "enter_epoch", keep_all)
 
 
 def the_stamp_is_of_an_older_step(patch: pytest.MonkeyPatch) -> None:
@@ -67,19 +67,17 @@ def the_stamp_is_of_an_older_step(patch: pytest.MonkeyPatch) -> None:
         def pack(mark: bytes, epoch: int, step: int) -> bytes:
             return original(MARK, epoch, max(-1, step - 1))
 
-    patch.setattr(outlets, "ATTACHMENT", Late)
+    patch.setattr(traffic, "ATTACHMENT", Late)
 
 
 def the_epoch_of_the_stamp_is_old(patch: pytest.MonkeyPatch) -> None:
     """Messages have the stamp of the node's first epoch."""
-    original = outlets.Outlets.send
+    original = traffic.Outlets.send
 
-    def old(self: outlets.Outlets, message: Any) -> None:
-        epoch, self.epoch = self.epoch, min(self.epoch, 1)
-        original(self, message)
-        self.epoch = epoch
+    def old(self: traffic.Outlets, message: Any, epoch: int) -> None:
+        original(self, message, min(epoch, 1))
 
-    patch.setattr(outlets.Outlets, "send", old)
+    patch.setattr(traffic.Outlets, "send", old)
 
 
 def counts_of_an_older_epoch_are_taken(patch: pytest.MonkeyPatch) -> None:
@@ -145,14 +143,14 @@ def a_dead_node_is_waited_for(patch: pytest.MonkeyPatch) -> None:
 
 def a_node_that_returns_at_once_is_not_noticed(patch: pytest.MonkeyPatch) -> None:
     """A node that dies and returns while a frame lasts never takes part again."""
-    original = membership.Membership._lose
+    original = pacer.Membership._lose
 
-    def forget(self: membership.Membership, *arguments: Any) -> str:
+    def forget(self: pacer.Membership, *arguments: Any) -> str:
         problem = original(self, *arguments)
         self.replaced.clear()
         return problem
 
-    patch.setattr(membership.Membership, "_lose", forget)
+    patch.setattr(pacer.Membership, "_lose", forget)
 
 
 def publishers_do_not_wait_for_subscribers(patch: pytest.MonkeyPatch) -> None:
@@ -163,10 +161,10 @@ def publishers_do_not_wait_for_subscribers(patch: pytest.MonkeyPatch) -> None:
 def a_wiring_change_reaches_one_side_only(patch: pytest.MonkeyPatch) -> None:
     """An inserted node subscribes to its new key, but the publisher keeps the old one."""
 
-    def keep(self: wiring_follower.WiringFollower, update: Any) -> None:
+    def keep(self: rewiring.WiringFollower, update: Any) -> None:
         self.wiring = update.wiring
 
-    patch.setattr(wiring_follower.WiringFollower, "_switch", keep)
+    patch.setattr(rewiring.WiringFollower, "_switch", keep)
 
 
 def the_wiring_changes_before_all_are_ready(patch: pytest.MonkeyPatch) -> None:
@@ -176,24 +174,24 @@ def the_wiring_changes_before_all_are_ready(patch: pytest.MonkeyPatch) -> None:
 
 def a_drain_ends_early(patch: pytest.MonkeyPatch) -> None:
     """A node that is released says that it has forwarded everything while it still keeps messages."""
-    patch.setattr(wiring_follower.WiringFollower, "_forwarded", lambda self, key, frame: True)
+    patch.setattr(rewiring.WiringFollower, "_forwarded", lambda self, key, frame: True)
     patch.setattr(host.Host, "flush", lambda self: None)
 
 
 def messages_are_not_held_back(patch: pytest.MonkeyPatch) -> None:
     """A publisher bypasses a released node before this has forwarded everything; both orders are possible."""
-    patch.setattr(wiring_follower, "taps_into", lambda wiring, nodes: {})
+    patch.setattr(rewiring, "taps_into", lambda wiring, nodes: {})
 
 
 def held_back_messages_are_lost(patch: pytest.MonkeyPatch) -> None:
     """What a publisher has held back is lost when it moves."""
-    original = outlets.Outlets.move
+    original = traffic.Outlets.move
 
-    def forget(self: outlets.Outlets, outlet: outlets.Outlet, key: str) -> int:
+    def forget(self: traffic.Outlets, outlet: traffic.Outlet, key: str) -> int:
         outlet.held = None
         return original(self, outlet, key)
 
-    patch.setattr(outlets.Outlets, "move", forget)
+    patch.setattr(traffic.Outlets, "move", forget)
 
 
 def all_nodes_begin_with_the_planned_wiring(patch: pytest.MonkeyPatch) -> None:
@@ -207,7 +205,7 @@ def all_nodes_begin_with_the_planned_wiring(patch: pytest.MonkeyPatch) -> None:
 
 def dropped_messages_are_not_counted(patch: pytest.MonkeyPatch) -> None:
     """A full inbox drops messages, and the driver is not told."""
-    patch.setattr(receiving.Receiving, "note_dropped", lambda self, dropped: None)
+    patch.setattr(traffic.Receiving, "note_dropped", lambda self, dropped: None)
 
 
 def a_node_reports_before_it_has_handled(patch: pytest.MonkeyPatch) -> None:
@@ -250,16 +248,16 @@ def a_node_that_may_end_ends_the_run(patch: pytest.MonkeyPatch) -> None:
 
 def another_node_is_told_as_lost(patch: pytest.MonkeyPatch) -> None:
     """The loss of a node is noted under the driver's name."""
-    original = membership.Membership._lose
+    original = pacer.Membership._lose
 
-    def mistaken(self: membership.Membership, *arguments: Any) -> str:
+    def mistaken(self: pacer.Membership, *arguments: Any) -> str:
         known = len(self.churn)
         problem = original(self, *arguments)
         for event in self.churn[known:]:
             event["node"] = self.own
         return problem
 
-    patch.setattr(membership.Membership, "_lose", mistaken)
+    patch.setattr(pacer.Membership, "_lose", mistaken)
 
 
 def a_step_that_came_too_late_is_undone(patch: pytest.MonkeyPatch) -> None:

@@ -15,23 +15,13 @@ from test_found_schedules import FOUND
 from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.mesh import zenoh_process
-from mast_zenoh.runtime.protocol import driver, membership, node, pacer, receiving, rewiring, wiring_follower
+from mast_zenoh.runtime.protocol import driver, node, pacer, rewiring, traffic
 from mast_zenoh.testing.simulation import World, play, random_schedule
 from mast_zenoh.testing.simulation.processes import SimulatedProcess
 from mast_zenoh.testing.simulation.simulation import Simulation
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
-MODULES = (
-    launcher_protocol,
-    host,
-    driver,
-    membership,
-    node,
-    pacer,
-    receiving,
-    rewiring,
-    wiring_follower,
-)
+MODULES = (launcher_protocol, host, driver, node, pacer, rewiring, traffic)
 
 
 def section(title: str) -> str:

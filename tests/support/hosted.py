@@ -11,8 +11,8 @@ from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
-from mast_zenoh.runtime.protocol.inbox import Inbox, Item
 from mast_zenoh.runtime.protocol.node import NodeProtocol
+from mast_zenoh.runtime.protocol.traffic import Inbox, Item
 from mast_zenoh.wiring.model import Wiring
 
 

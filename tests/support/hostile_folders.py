@@ -173,7 +173,7 @@ def a_folder_called_nodes(place: Place) -> None:
 
 @case
 def a_folder_called_as_the_package(place: Place) -> None:
-    file = place.folder / "mast_zenoh" / "runtime" / "played" / "player.py"
+    file = place.folder / "mast_zenoh" / "runtime" / "player.py"
     file.parent.mkdir(parents=True)
     file.write_text(place.code)
     set_in(place, "scenario.json", "nodes/command_center/file", str(file))

@@ -2,7 +2,7 @@
 
 from mast_zenoh.gather import Gather
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 
 
 class Shadow(Node):

@@ -15,7 +15,7 @@ from mast_zenoh.control import prefix
 from mast_zenoh.deploy import credentials
 from mast_zenoh.deploy.compose import document
 from mast_zenoh.errors import EngineError
-from mast_zenoh.runtime.mesh.launcher_watch import UP
+from mast_zenoh.runtime.mesh.hosting import UP
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Wiring

@@ -21,7 +21,7 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy.image import BASE, USER, launcher_tag
 from mast_zenoh.deploy.yamltext import Anchored, Interpolated, Merged, dump, quoted
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.runtime.mesh.launcher_watch import UP
+from mast_zenoh.runtime.mesh.hosting import UP
 from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, CONTROL, KEY
 

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-_UP = "mast-up"  # mast_zenoh.runtime.mesh.launcher_watch.UP; that module is not imported: the warden stays small
+_UP = "mast-up"  # mast_zenoh.runtime.mesh.hosting.UP; that module is not imported: the warden stays small
 _PR_SET_PDEATHSIG = 1
 
 

@@ -26,8 +26,7 @@ from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
-from mast_zenoh.runtime.protocol.inbox import Inbox, Item
-from mast_zenoh.runtime.protocol.stamp import stamp_of
+from mast_zenoh.runtime.protocol.traffic import Inbox, Item, stamp_of
 
 T = TypeVar("T")
 

@@ -6,7 +6,8 @@ a node that dies is dropped immediately, and one that joins or returns takes par
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections import Counter
+from collections.abc import Callable, Generator
 from enum import Enum
 from typing import Any
 
@@ -17,16 +18,14 @@ from mast_zenoh.control.flow import END, MAX_TEXT, StopKind, StopReason, decode_
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.row_limits import RowLimits
-from mast_zenoh.node import Node, Source
+from mast_zenoh.node import Context, Node, Source
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
-from mast_zenoh.runtime.protocol.inbox import Event, Inbox
-from mast_zenoh.runtime.protocol.membership import Membership, Presence
-from mast_zenoh.runtime.protocol.node import NodeProtocol
-from mast_zenoh.runtime.protocol.pacer import Pacer, waits_for_listeners
+from mast_zenoh.runtime.protocol.node import MAX_FRAMES, NodeProtocol
+from mast_zenoh.runtime.protocol.pacer import Membership, Pacer, Presence, waits_for_listeners
 from mast_zenoh.runtime.protocol.rewiring import Rewiring
-from mast_zenoh.runtime.protocol.scene_frames import SceneFrames
 from mast_zenoh.runtime.protocol.timetable import Timetable
+from mast_zenoh.runtime.protocol.traffic import Event, Inbox
 from mast_zenoh.wiring.model import Wiring
 
 #: How long the driver of a real-time run waits for the last messages before it stops all nodes.
@@ -110,7 +109,7 @@ class DriverProtocol(NodeProtocol):
         **options: Any,
     ) -> None:
         super().__init__(name, node, wiring, seed, actions, inbox, clocks, **options)
-        self.scene = SceneFrames(node, self.host, self.outlets.send, clocks.wall_ns)
+        self.scene = SceneFrames(node, self.host, super()._emit, clocks.wall_ns)
         self.pacer = Pacer(wiring)
         self.membership = Membership(name, expected)
         self.timetable = timetable
@@ -382,3 +381,48 @@ class DriverProtocol(NodeProtocol):
         """Also the duration of the run, when each frame was sent, and which nodes were lost."""
         facts = {"frames": self.frames, "wall_s": self.wall_s, "stop_reason": self.stop_reason}
         return super()._outcome() | facts | {"sent_ns": self.scene.sent_ns, "churn": self.membership.churn}
+
+
+class SceneFrames:
+    """Prepares each frame while the mesh handles the previous one.
+
+    Until it is sent, a frame is only bytes in this process: no node can act on it too early.
+
+    send:    sends a message;  wall_ns: the wall clock
+    sent:    messages of the current epoch, by key
+    sent_ns: times when the newest frames were sent, ns on the wall clock
+    """
+
+    def __init__(
+        self, source: Source, context: Context, send: Callable[[Outgoing], None], wall_ns: Callable[[], int]
+    ) -> None:
+        self.sent: Counter[str] = Counter()
+        self.sent_ns: dict[int, int] = {}
+        self._source = source
+        self._context = context
+        self._send = send
+        self._wall_ns = wall_ns
+        self._ready: list[Outgoing] | None = None
+
+    def keep(self, message: Outgoing) -> None:
+        """Keep what the source publishes until its frame is sent."""
+        assert self._ready is not None
+        self._ready.append(message)
+
+    def prepare(self) -> None:
+        """Prepare the next frame; at the end of the scene it has no messages."""
+        self._ready = []
+        self._source.advance(self._context)
+
+    def send(self, number: int) -> bool:
+        """Send the prepared frame as frame `number`; False if there is none."""
+        if self._ready is None:
+            self.prepare()
+        if not self._ready:
+            return False
+        self.sent_ns[number] = self._wall_ns()
+        self.sent_ns.pop(number - MAX_FRAMES, None)
+        for message in self._ready:
+            self._send(message)
+            self.sent[message.key] += 1
+        return True

@@ -22,11 +22,9 @@ from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
-from mast_zenoh.runtime.protocol.inbox import Event, Inbox
-from mast_zenoh.runtime.protocol.outlets import Outlets
 from mast_zenoh.runtime.protocol.pacer import waits_for_listeners
-from mast_zenoh.runtime.protocol.receiving import Receiving
-from mast_zenoh.runtime.protocol.wiring_follower import WiringFollower
+from mast_zenoh.runtime.protocol.rewiring import WiringFollower
+from mast_zenoh.runtime.protocol.traffic import Event, Inbox, Outlets, Receiving
 from mast_zenoh.wiring.model import Wiring
 
 #: Source of clocks in the inbox, where other messages of their publisher take none of their room: without its clock, a
@@ -83,7 +81,6 @@ class NodeProtocol:
         self.clocks = clocks
         self.signatures = signatures
         self.lockstep = lockstep
-        self.epoch = 0
         self.members: dict[str, str] = {}
         self.stop_reason: str | None = None
         self.on_kill: Callable[[], None] | None = None  # ends the process at once
@@ -121,6 +118,11 @@ class NodeProtocol:
             lockstep=lockstep,
             now_ns=clocks.monotonic_ns,
         )
+
+    @property
+    def epoch(self) -> int:
+        """The current epoch; 0 before the first."""
+        return self.receiving.epoch
 
     @property
     def state(self) -> State:
@@ -251,7 +253,7 @@ class NodeProtocol:
     # -- inside ----------------------------------------------------------------------------------------------------
 
     def _emit(self, message: Any) -> None:
-        self.outlets.send(message)
+        self.outlets.send(message, self.receiving.epoch)
 
     def _send_counts(self, counts: bytes) -> None:
         self.actions.control(f"counts/{self.name}", counts)
@@ -280,7 +282,7 @@ class NodeProtocol:
     def _enter_epoch(self, epoch: int, members: dict[str, str], update: WiringUpdate | None = None) -> None:
         if epoch <= self.epoch or self.name not in members or self._results is not None:
             return
-        previous, self.members, self.epoch, self.outlets.epoch = self.members, members, epoch, epoch
+        previous, self.members = self.members, members
         first = not self.receiving.started
         self.receiving.enter_epoch(epoch)
         if first:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable
 from random import Random
 from typing import Any, Generic, Protocol, TypeVar
 
-from mast_zenoh.runtime.protocol.inbox import Event
+from mast_zenoh.runtime.protocol.traffic import Event
 from mast_zenoh.testing.simulation.schedule import Schedule
 
 S = 1_000_000_000  #: ns in a second

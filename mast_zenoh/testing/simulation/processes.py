@@ -14,7 +14,6 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.runtime.limits import Limit, Room
 from mast_zenoh.runtime.protocol.actions import (
     DOZE_S,
     DRAIN_TIMEOUT_S,
@@ -24,9 +23,9 @@ from mast_zenoh.runtime.protocol.actions import (
     Clocks,
 )
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
-from mast_zenoh.runtime.protocol.inbox import Event, Inbox, Item
 from mast_zenoh.runtime.protocol.node import CLOCK
-from mast_zenoh.runtime.protocol.stamp import ATTACHMENT
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, Event, Inbox, Item
+from mast_zenoh.runtime.waiting import Limit, Room
 from mast_zenoh.testing.simulation.network import Network, VirtualTime
 from mast_zenoh.testing.simulation.world import World
 

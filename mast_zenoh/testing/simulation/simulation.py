@@ -14,7 +14,7 @@ from mast_zenoh.control.interception import Release
 from mast_zenoh.launch.launcher_protocol import churn_of
 from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
-from mast_zenoh.runtime.protocol.inbox import Event
+from mast_zenoh.runtime.protocol.traffic import Event
 from mast_zenoh.testing.simulation.launcher import SimulatedLauncher
 from mast_zenoh.testing.simulation.network import LEASE_NS, Network, S, VirtualTime
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from mast_zenoh.runtime.protocol.stamp import stamp_of
+from mast_zenoh.runtime.protocol.traffic import stamp_of
 
 #: Messages of a key that wait in its ring, and that are kept after they were taken from it.
 KEPT = 16

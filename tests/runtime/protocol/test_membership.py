@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mast_zenoh.runtime.protocol.membership import MAX_LOSSES, Membership, Presence
+from mast_zenoh.runtime.protocol.pacer import MAX_LOSSES, Membership, Presence
 
 MEMBERS = {"driver": "simulator", "a": "agent"}
 GONE, THERE, REPLACED = Presence(True, False), Presence(False, True), Presence(True, True)

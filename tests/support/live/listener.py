@@ -3,7 +3,7 @@
 from typing import Any
 
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.model import ANY
 
 
