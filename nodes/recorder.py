@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
+from mast_zenoh.messagelog.format import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
 from mast_zenoh.node import Context, Node, Overheard

@@ -15,7 +15,8 @@ import numpy as np
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.links import FATES, WIRES
-from mast_zenoh.messagelog import channels, reader
+from mast_zenoh.messagelog import reader
+from mast_zenoh.messagelog.format import MALFORMED
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.run_files import read_object
@@ -94,7 +95,7 @@ class Evidence:
         scores = read_object(metrics) if metrics.is_file() else {}
         evidence = cls(folder, resolved, Wiring.from_json(resolved.wiring), run, scores)
         for message in reader.read(folder):
-            key = message.key.removesuffix(f"/{channels.MALFORMED}")
+            key = message.key.removesuffix(f"/{MALFORMED}")
             if message.malformed:
                 evidence.malformed[key] += 1
                 continue

@@ -208,8 +208,7 @@ def diff(
     Exits with 0 if they are equal, 1 if they differ, 2 if they cannot be compared.
     """
     from mast_zenoh.messagelog.churn import comparable
-    from mast_zenoh.messagelog.difference import compare
-    from mast_zenoh.messagelog.explain import explain
+    from mast_zenoh.messagelog.difference import compare, explain
 
     try:
         before, reason = comparable(run_a, run_b)

@@ -15,8 +15,8 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog.script import Script
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import user_types
+from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Schema
-from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
 from mast_zenoh.run_files import read_object
 from mast_zenoh.wiring.model import Wiring

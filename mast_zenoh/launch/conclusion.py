@@ -17,7 +17,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import notices
 from mast_zenoh.messagelog import churn
-from mast_zenoh.messagelog.completeness import first_incomplete_frame, first_missing_frame
+from mast_zenoh.messagelog.reader import first_incomplete_frame, first_missing_frame
 from mast_zenoh.run_files import subfolder
 from mast_zenoh.wiring.model import Wire, Wiring
 

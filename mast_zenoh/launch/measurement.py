@@ -16,12 +16,12 @@ from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import HandlerFailed, RunFolderError
 from mast_zenoh.launch import conclusion, notices
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.messagelog import channels, reader
-from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
+from mast_zenoh.messagelog import reader
+from mast_zenoh.messagelog.format import JOINED, LEFT, MALFORMED, REWIRED, Event
 from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.messages import user_types
-from mast_zenoh.messages.row_limits import RowLimits
+from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.run_files import read_json, read_object
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
@@ -93,7 +93,7 @@ def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
     for step, message in _in_order_sent(_by_step(read(path)), [event.frame for event in changes]):
         while changes and step > changes[0].frame:
             change(changes.popleft())
-        host.deliver(message.key.removesuffix(f"/{channels.MALFORMED}"), message.payload, message.step, counted=False)
+        host.deliver(message.key.removesuffix(f"/{MALFORMED}"), message.payload, message.step, counted=False)
     for event in changes:
         change(event)
     results = host.finish()

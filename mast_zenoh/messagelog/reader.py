@@ -1,4 +1,4 @@
-"""Reads messages.mcap, also if truncated, a few chunks at a time.
+"""Reads messages.mcap, also if truncated, a few chunks at a time; from where on it is incomplete; why there is none.
 
 Messages are ordered by (frame, time, wire, publisher, sequence number): a measurement made between two frames comes
 before the other messages of its frame.
@@ -7,30 +7,32 @@ before the other messages of its frame.
 from __future__ import annotations
 
 import heapq
+import shlex
 import struct
-from collections.abc import Iterator, Mapping
+import zlib
+from collections import defaultdict
+from collections.abc import Container, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import accumulate
+from itertools import accumulate, count
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.records import Schema as SchemaRecord
 from mcap.writer import MCAP0_MAGIC
 
 from mast_zenoh.errors import MessageError, RunFolderError
-from mast_zenoh.messagelog import channels as channel_data
-from mast_zenoh.messagelog import chunks
-from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
-from mast_zenoh.messagelog.missing import without_recording
+from mast_zenoh.messagelog.format import EVENT, ORDER, STEPS, Event, user_schema
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
+from mast_zenoh.run_files import read_object
 
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
@@ -230,7 +232,7 @@ def _messages(
     """The messages of a chunk; its new channels and user types go into the dicts."""
     file.seek(index.byte)
     try:
-        records = chunks.records(file, index.length)
+        records = _chunk_records(file, index.length)
     except (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError) as error:
         raise RunFolderError(f"{path}: byte {index.byte}: a damaged chunk: {error}") from None
     count = 0
@@ -239,7 +241,7 @@ def _messages(
             channels[record.id] = record
         elif isinstance(record, SchemaRecord):
             try:
-                schema = channel_data.user_schema(record.data)
+                schema = user_schema(record.data)
             except ValueError as error:
                 raise RunFolderError(f"{path}: byte {index.byte}: schema {record.name!r:.80}: {error}") from None
             if schema is not None:
@@ -287,3 +289,128 @@ def _recorded(
         rank,
         schema,
     )
+
+
+#: Limits on a chunk, unpacked. The writer begins a new one after 1 MiB or CHUNK_MESSAGES, and a message has 16 MiB at
+#: most.
+MAX_CHUNK_BYTES = 64 << 20
+MAX_CHUNK_MESSAGES = 200_000
+
+
+def _chunk_records(file: IO[bytes], length: int) -> list[McapRecord]:
+    """The channels, schemas and messages in the chunk that begins here.
+
+    length: of the chunk in the file, bytes
+    Raises ValueError if they exceed a limit; ZstdError, McapError, struct.error or OverflowError if it is damaged.
+    """
+    if length > MAX_CHUNK_BYTES:
+        raise ValueError(f"found {length} bytes, expected at most {MAX_CHUNK_BYTES}")
+    chunk = Chunk.read(ReadDataStream(BytesIO(file.read(length))))
+    content = _unpacked(chunk)
+    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+        raise ValueError("its checksum is not that of its content")
+    stream, records, messages = ReadDataStream(BytesIO(content)), list[McapRecord](), 0
+    while stream.count < len(content):
+        opcode, length = stream.read1(), stream.read8()
+        if opcode == Opcode.MESSAGE:
+            messages += 1
+            if messages > MAX_CHUNK_MESSAGES:
+                raise ValueError(f"found more than {MAX_CHUNK_MESSAGES} messages, expected at most as many")
+            records.append(Message.read(stream, length))
+        elif opcode == Opcode.CHANNEL:
+            records.append(Channel.read(stream))
+        elif opcode == Opcode.SCHEMA:
+            records.append(SchemaRecord.read(stream))
+        else:
+            stream.read(length)
+    return records
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """The content of a chunk. Raises ValueError before more memory is used than MAX_CHUNK_BYTES."""
+    if chunk.uncompressed_size > MAX_CHUNK_BYTES:  # zeros compress to almost nothing
+        raise ValueError(f"found {chunk.uncompressed_size} bytes in one chunk, expected at most {MAX_CHUNK_BYTES}")
+    if chunk.compression not in ("zstd", ""):
+        raise ValueError(f"found compression {chunk.compression!r:.20}, expected 'zstd', as recordings are written")
+    size = len(chunk.data)
+    if chunk.compression:
+        size = zstandard.frame_content_size(chunk.data)  # the decompressor allocates this much; -1: it is not given
+    if size not in (-1, chunk.uncompressed_size):
+        raise ValueError(f"found {size} bytes in one chunk, which claims to have {chunk.uncompressed_size}")
+    if not chunk.compression:
+        return chunk.data
+    return zstandard.decompress(chunk.data, chunk.uncompressed_size)
+
+
+def without_recording(folder: Path) -> str:
+    """Why a folder has no recording, as text."""
+    if not (folder / "run.json").exists():
+        return f"{folder} is not the folder of a run"
+    run: dict[str, Any] = {}
+    with suppress(RunFolderError):
+        run = read_object(folder / "run.json")
+    if messages := (run.get("recorded") or {}).get("messages"):
+        return f"the run was recorded, and run.json counts {messages} messages: expected the recording in {folder}"
+    return f"{folder} is a run that was not recorded: {_how_to_record(run)}"
+
+
+def _how_to_record(run: dict[str, Any]) -> str:
+    """The command that repeats a run with a recording; in general words if run.json does not say what started it."""
+    command = run.get("command")
+    if isinstance(command, str) and command.startswith("mast_zenoh.run(") and command.isprintable():
+        return f"repeat it with record=True: {command:.500}"
+    if isinstance(command, list) and all(isinstance(word, str) and word.isprintable() for word in command):
+        program, *words = command or [""]
+        if program.rpartition("/")[2] == "mast" and len(words) > 1 and words[0] in ("run", "replay"):
+            recorded = [word for word in words if word != "--no-record"]
+            # Without that option it was the scenario that asked for no recording.
+            recorded += ["--set", "run.record=true"] if recorded == words and words[0] == "run" else []
+            return f"repeat it in a new folder with a recording: {shlex.join(['mast', *_without_out(recorded)])}"
+    return "repeat it without --no-record, or its study with --record"
+
+
+def _without_out(words: list[str]) -> list[str]:
+    """The words of a command without its output folder, which is in use."""
+    named = {index for index, word in enumerate(words) if word in ("--out", "-o")}
+    return [
+        word
+        for index, word in enumerate(words)
+        if index not in named and index - 1 not in named and not word.startswith("--out=")
+    ]
+
+
+def first_incomplete_frame(path: Path) -> int:
+    """The first frame that may be incomplete: the one before the first without truth.
+
+    0 for a recording that cannot be read.
+    """
+    try:
+        frames = {message.frame for message in read(file_of(path)) if message.message == "truth"}
+    except RunFolderError:
+        return 0
+    return max(0, _first_absent(frames) - 1)
+
+
+def first_missing_frame(path: Path, publisher: str) -> int | None:
+    """The first frame without a message of `publisher`; None if none is missing.
+
+    A missing message is a gap in the sequence numbers of its wire.
+    A message counts as recorded if it was recorded on any leg of its wire. Missing messages after the last recorded one
+    are not detected. 0 for a recording that cannot be read.
+    """
+    recorded: defaultdict[str, dict[int, int]] = defaultdict(dict)  # by wire: sequence number to frame
+    try:
+        for message in read(file_of(path)):
+            if message.publisher == publisher and not message.malformed:
+                recorded[message.wire][message.seq] = message.frame
+    except RunFolderError:
+        return 0
+    missing = [
+        frames.get(seq - 1, -1) + 1 for frames in recorded.values() if (seq := _first_absent(frames)) < len(frames)
+    ]
+    return min(missing, default=None)
+
+
+def _first_absent(numbers: Container[int]) -> int:
+    """The smallest number from 0 that is absent."""
+    return next(number for number in count() if number not in numbers)

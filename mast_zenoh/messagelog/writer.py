@@ -10,8 +10,19 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
-from mast_zenoh.messagelog import channels
-from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
+from mast_zenoh.messagelog.format import (
+    ENCODING,
+    EVENT,
+    MALFORMED,
+    ORDER,
+    PROFILE,
+    SCHEMA_ENCODING,
+    STEPS,
+    Event,
+    json_schema,
+    metadata,
+    wire_and_key,
+)
 from mast_zenoh.messages.schemas import SCHEMAS, Header
 from mast_zenoh.run_files import EXPECTED_NAME, is_name
 from mast_zenoh.wiring.model import Input
@@ -117,7 +128,7 @@ class MessageLog:
 
         frame, time_ns: of the latest clock when it arrived;  step: as in `add`
         """
-        name = f"{key}/{channels.MALFORMED}"
+        name = f"{key}/{MALFORMED}"
         if name not in self._channels:
             self._channels[name] = self._channel(key, malformed=True)
         self._n_malformed[key] += 1
@@ -144,17 +155,17 @@ class MessageLog:
 
         self._file = self.path.open("xb")
         self._writer: Writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
-        self._writer.start(channels.PROFILE)
+        self._writer.start(PROFILE)
         self._schemas = {name: self._schema(name) for name in sorted({input_.message for input_ in inputs.values()})}
         self._inputs = inputs
         #: The rank of a key among all, by wire and leg, which orders messages of the same time.
-        self._ranks = {key: rank for rank, key in enumerate(sorted(inputs, key=channels.wire_and_key))}
+        self._ranks = {key: rank for rank, key in enumerate(sorted(inputs, key=wire_and_key))}
         self._channels = {key: self._channel(key) for key in self._ranks}
         self._file.flush()  # a run that is killed at once leaves a valid recording without messages
 
     def _schema(self, name: str) -> int:
-        content = channels.json_schema(SCHEMAS[name]).encode()
-        return int(self._writer.register_schema(f"{name}.{SCHEMAS[name].version}", channels.SCHEMA_ENCODING, content))
+        content = json_schema(SCHEMAS[name]).encode()
+        return int(self._writer.register_schema(f"{name}.{SCHEMAS[name].version}", SCHEMA_ENCODING, content))
 
     def _channel(self, key: str, *, malformed: bool = False) -> int:
         input_ = self._inputs[key]
@@ -162,10 +173,10 @@ class MessageLog:
             self._schemas[input_.message] = self._schema(input_.message)
         return int(
             self._writer.register_channel(
-                f"{key}/{channels.MALFORMED}" if malformed else key,
-                "" if malformed else channels.ENCODING,
+                f"{key}/{MALFORMED}" if malformed else key,
+                "" if malformed else ENCODING,
                 0 if malformed else self._schemas[input_.message],
-                channels.metadata(key, input_.message, input_.source, malformed=malformed),
+                metadata(key, input_.message, input_.source, malformed=malformed),
             )
         )
 

@@ -8,7 +8,8 @@ Arrays are raw little-endian bytes in C order; decoding returns read-only views 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from math import prod
 from typing import Any
 
 import msgpack
@@ -16,21 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import validation
 from mast_zenoh.messages.layout import (
+    DTYPE_NAME,
     LAYOUTS,
     MAX_BYTES,
+    MAX_MAGNITUDE,
     MAX_ROWS,
+    MAX_SQUARES,
     MAX_TEXT,
     TEXT,
     WIRE_DTYPE,
     exact_columns,
     has_dtype,
     layout_of,
+    limit_of,
     split_header,
 )
-from mast_zenoh.messages.row_limits import NO_LIMITS, RowLimits
-from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Message, Schema
+from mast_zenoh.messages.limits import NO_LIMITS, RowLimits
+from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Header, Message, Schema
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
 _HEADER_NAMES = frozenset(_HEADER_KEYS)
@@ -46,7 +50,7 @@ def conform(header: Header, body: Body) -> Message:
     """
     schema = SCHEMAS[header.schema]
     if len(body) != len(schema.columns):
-        raise MessageError(validation.names_differ(schema.name, body, schema.columns))
+        raise MessageError(_names_differ(schema.name, body, schema.columns))
     layout = LAYOUTS[schema.name]
     sizes: dict[str, int] = {}
     try:
@@ -61,7 +65,7 @@ def conform(header: Header, body: Body) -> Message:
     for index, column in enumerate(schema.columns):
         name, wire = column.name, WIRE_DTYPE.get(column.dtype)
         if name not in body:
-            raise MessageError(validation.names_differ(schema.name, body, schema.columns))
+            raise MessageError(_names_differ(schema.name, body, schema.columns))
         array = body[name]
         if wire is not None:
             if not (has_dtype(array, wire) and array.ndim and array.flags.c_contiguous):
@@ -70,7 +74,7 @@ def conform(header: Header, body: Body) -> Message:
                 array = array.view()
                 array.setflags(write=False)
         if not shapes or array.shape != shapes[index]:
-            validation.check_shape(schema.name, column, array.shape, sizes)
+            _check_shape(schema.name, column, array.shape, sizes)
         columns[name] = array
     return Message(header, columns)
 
@@ -100,7 +104,7 @@ def check_values(message: Message, limits: RowLimits = NO_LIMITS) -> None:
         raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
     if not layout.is_sound(kept):
         _check_columns(layout.schema, kept)
-    validation.check_references(message)
+    _check_references(message)
 
 
 def limited(message: Message, limits: RowLimits, limit_of: str | None = None) -> Message:
@@ -141,13 +145,13 @@ def decode(
     if header is None or columns is None:
         header, body = _unpack(payload, schema)
         if not isinstance(body, dict) or len(body) != len(schema.columns):
-            raise MessageError(validation.names_differ(schema.name, body, schema.columns))
+            raise MessageError(_names_differ(schema.name, body, schema.columns))
         columns = layout.unpack(body, len(payload) - place if place else 0) or _columns(schema, body)
     kept = limits.shortened(schema.name, columns, limit_of or schema.name)
     if not layout.is_sound(kept):
         _check_columns(schema, kept)
     message = Message(header, kept)
-    validation.check_references(message)
+    _check_references(message)
     return message
 
 
@@ -245,8 +249,8 @@ def _columns(schema: Schema, body: Mapping[str, Any]) -> Body:
     sizes: dict[str, int] = {}
     for column in schema.columns:
         if column.name not in body:
-            raise MessageError(validation.names_differ(schema.name, body, schema.columns))
-        columns[column.name] = validation.array_of(schema.name, column, body[column.name], sizes)
+            raise MessageError(_names_differ(schema.name, body, schema.columns))
+        columns[column.name] = _array_of(schema.name, column, body[column.name], sizes)
     return columns
 
 
@@ -254,8 +258,8 @@ def _check_columns(schema: Schema, columns: Body) -> None:
     """Check the values of each column, so that an error names it."""
     for column in schema.columns:
         if column.dtype == "str":
-            validation.check_strings(schema.name, column, columns[column.name])
-        validation.check_values(schema.name, column, columns[column.name])
+            _check_strings(schema.name, column, columns[column.name])
+        _check_column(schema.name, column, columns[column.name])
 
 
 def _check_header(header: Header) -> None:
@@ -268,3 +272,80 @@ def _check_header(header: Header) -> None:
     for name, value in (("frame", frame), ("time_ns", time_ns), ("seq", seq)):
         if type(value) is not int or not 0 <= value < _HEADER_LIMIT:
             raise MessageError(f"{schema}: {name} is {str(value)[:40]}, expected a whole number from 0")
+
+
+def _array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) -> NDArray[Any]:
+    """The array of a column packed as [dtype, shape, data]; sizes: see `check_shape`."""
+    if not isinstance(packed, list) or len(packed) != 3:
+        raise MessageError(f"{schema}.{column.name}: not [dtype, shape, data]")
+    dtype, shape, data = packed
+    if dtype != DTYPE_NAME[column.dtype]:
+        raise MessageError(f"{schema}.{column.name}: dtype {str(dtype)[:20]}, expected {DTYPE_NAME[column.dtype]}")
+    if not isinstance(shape, list) or not all(type(size) is int for size in shape):
+        raise MessageError(f"{schema}.{column.name}: shape is not a list of whole numbers")
+    _check_shape(schema, column, tuple(shape), sizes)
+    if column.dtype == "str":
+        if not isinstance(data, list) or [len(data)] != shape:
+            raise MessageError(f"{schema}.{column.name}: not a list of {shape[0]} short strings")
+        _check_strings(schema, column, data)
+        strings = np.empty(len(data), dtype=object)
+        strings[:] = data
+        return strings
+    wire = WIRE_DTYPE[column.dtype]
+    if not isinstance(data, bytes) or len(data) != prod(shape) * wire.itemsize:
+        raise MessageError(f"{schema}.{column.name}: data do not fill the shape {shape}")
+    return np.frombuffer(data, dtype=wire).reshape(shape)
+
+
+def _check_shape(schema: str, column: Column, shape: tuple[int, ...], sizes: dict[str, int]) -> None:
+    """Check a shape against the schema; adds the sizes of its letters to `sizes`."""
+    if len(shape) == len(column.shape):
+        for size, expected_size in zip(shape, column.shape, strict=True):
+            if not 0 <= size <= MAX_ROWS:
+                break
+            if size != (sizes.setdefault(expected_size, size) if isinstance(expected_size, str) else expected_size):
+                break
+        else:
+            return
+    known = ", ".join(f"{name} = {size}" for name, size in sizes.items())
+    expected = f"({', '.join(map(str, column.shape))})" + (f" with {known}" if known else "")
+    raise MessageError(f"{schema}.{column.name}: shape {shape}, expected {expected}")
+
+
+def _check_strings(schema: str, column: Column, strings: Sequence[object] | NDArray[Any]) -> None:
+    """Check that all items are text of at most MAX_TEXT characters."""
+    if not all(isinstance(item, str) and len(item) <= MAX_TEXT for item in strings):
+        raise MessageError(f"{schema}.{column.name}: not a list of {len(strings)} short strings")
+
+
+def _check_column(schema: str, column: Column, array: NDArray[Any]) -> None:
+    """Check values: finite and plausible numbers, quaternions not zero, valid indices."""
+    if column.dtype == "float64":
+        # One pass without temporaries: the sum of squares is not finite, or too large, if any value is.
+        # The mean is limited, not the sum, so that a message collated from many valid ones is valid.
+        flat = array.reshape(-1)
+        squares = np.vdot(flat, flat)
+        if not squares <= MAX_SQUARES * max(len(flat), 1):
+            raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")
+        if squares < limit_of(column):
+            raise MessageError(f"{schema}.{column.name}: a quaternion of length 0 is not a rotation")
+    elif column.dtype == "uint8" and array.size and int(array.max()) >= column.below:
+        raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {column.below}")
+
+
+def _check_references(message: Message) -> None:
+    """Check relations between columns: row numbers exist, ids are unique."""
+    schema, body = message.header.schema, message.body
+    if schema == "collated":
+        agent, rows = body["agent"], len(body["agents"])
+        if agent.size and not (agent.min() >= 0 and agent.max() < rows):
+            raise MessageError(f"collated.agent: a row outside `agents`, which has {rows}")
+    elif schema in ("tracks", "picture") and len(set(body["id"].tolist())) != len(body["id"]):
+        raise MessageError(f"{schema}.id: an id occurs twice")
+
+
+def _names_differ(schema: str, body: Any, columns: tuple[Column, ...]) -> str:
+    """An error message that lists the missing and the unknown columns of a body."""
+    expected = {column.name for column in columns}
+    actual = set(map(str, body)) if isinstance(body, Mapping) else set()
+    return f"{schema}: columns missing: {sorted(expected - actual)}, unknown: {sorted(actual - expected)[:8]}"

@@ -1,6 +1,6 @@
 """Valid columns of each schema: dtypes, shapes and limits of values.
 
-Nearly all messages are valid, so all columns are checked at once. `validation` explains what is wrong with the others.
+Nearly all messages are valid, so all columns are checked at once. `codec` explains what is wrong with the others.
 """
 
 from __future__ import annotations

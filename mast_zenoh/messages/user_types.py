@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from mast_zenoh.messages.definition import MAX_COLUMNS
 from mast_zenoh.messages.layout import LAYOUTS, Layout
-from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Column, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, MAX_COLUMNS, SCHEMAS, Column, Schema
 
 
 def use(schemas: Iterable[Schema]) -> None:

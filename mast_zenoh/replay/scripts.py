@@ -10,7 +10,7 @@ from pathlib import Path
 from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.links import WIRES
-from mast_zenoh.messagelog import channels
+from mast_zenoh.messagelog.format import MALFORMED
 from mast_zenoh.messagelog.reader import Recorded, is_whole, read
 from mast_zenoh.messagelog.script import Output, Script, path_of
 from mast_zenoh.messagelog.writer import FILE
@@ -49,7 +49,7 @@ class Messages:
                 self.times_ns.setdefault(message.frame, message.time_ns)
             elif message.message == "truth":
                 self.truths.add(message.frame)
-        key = message.key.removesuffix(f"/{channels.MALFORMED}")
+        key = message.key.removesuffix(f"/{MALFORMED}")
         self.sent[key].append((message.step, (message.frame, message.rank), message.payload))
 
 

@@ -18,10 +18,9 @@ import numpy as np
 from mast_zenoh.control import results
 from mast_zenoh.control.failures import Failure
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
-from mast_zenoh.messages import codec, row_limits
-from mast_zenoh.messages.row_limits import NO_LIMITS
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.limits import NO_LIMITS, Shortened, Timespan, excess
 from mast_zenoh.messages.schemas import Body, Header, Message
-from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
 from mast_zenoh.runtime.waiting import DELAYED, HELD, Delayed, Held, HeldMessages, Room
 from mast_zenoh.streams import stream
@@ -289,8 +288,8 @@ class Host:
         except MessageError as error:
             self._reject(key, str(error), counted)
             return
-        if type(message.body) is row_limits.Shortened:
-            self._count_rejected(key, row_limits.excess(message.body))
+        if type(message.body) is Shortened:
+            self._count_rejected(key, excess(message.body))
         if self.observe:
             self.observe(key, message.header)
         received = Received(message, port_input.subject, payload if isinstance(payload, bytes) else None, step)

@@ -18,7 +18,7 @@ from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control.failures import Entry, described, lines, location, merged
 from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.messages import user_types
-from mast_zenoh.messages.row_limits import RowLimits
+from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.protocol.timetable import Timetable

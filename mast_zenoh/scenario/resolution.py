@@ -14,9 +14,9 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, NodeFileError, WiringError, nearest
-from mast_zenoh.messages import row_limits, user_types
+from mast_zenoh.messages import user_types
+from mast_zenoh.messages.limits import LEEWAY_S, limits_for
 from mast_zenoh.messages.schemas import Schema
-from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
 from mast_zenoh.scenario.builders import load_builders
 from mast_zenoh.scenario.names import checked_name, name_of_file
@@ -141,7 +141,7 @@ def _max_rows(recording: Recording, per_agent: int | None) -> dict[str, int]:
     counts = np.diff(recording.detection_start).reshape(-1, sum(sensors))
     by_agent = np.add.reduceat(counts, np.cumsum([0, *sensors[:-1]]), axis=1)
     objects = int(np.diff(recording.truth_start).max(initial=0))
-    return row_limits.limits_for(by_agent, objects, per_agent)
+    return limits_for(by_agent, objects, per_agent)
 
 
 def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:

@@ -14,8 +14,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.failures import lines
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.node import Node, handler_names

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.row_limits import NO_LIMITS, OVERHEARD, RowLimits
+from mast_zenoh.messages.limits import NO_LIMITS, OVERHEARD, RowLimits, Timespan
 from mast_zenoh.messages.schemas import Body, Header, Message, same_columns
-from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.wiring.model import Input
 
 

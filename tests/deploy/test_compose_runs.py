@@ -15,8 +15,7 @@ from launched import MAST, Launched, eventually
 from mast_zenoh import scenario
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.runtime.mesh.hosting import UP
 

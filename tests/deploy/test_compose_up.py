@@ -16,8 +16,7 @@ from mast_zenoh.deploy.compose.engine import command
 from mast_zenoh.deploy.compose.examples import EXAMPLES
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]
 

@@ -15,8 +15,7 @@ from mast_zenoh.errors import HandlerFailed, VersionMismatch
 from mast_zenoh.launch import conclusion
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.file_server import files_for_node
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

@@ -22,8 +22,7 @@ from ssh_hosts import NAMES, SshHosts
 from mast_zenoh.deploy import wheel
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messagelog.reader import read
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(300)]

@@ -23,8 +23,7 @@ from mast_zenoh.deploy.swarm.engine import Swarm
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.run import Run
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(420)]
 

@@ -20,6 +20,9 @@ def loaded_by(code: str) -> set[str]:
     return set(process.stdout.splitlines()[-1].removeprefix("loaded: ").split())
 
 
+IMPORT_NODE = f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.hosting, "
+
+
 @pytest.mark.parametrize("name", ["simulator", "broker", "recorder", "link"])
 def test_a_node_without_a_pipeline_loads_no_scipy(name: str) -> None:
     loaded = loaded_by(

@@ -14,8 +14,7 @@ from simulated_runs import CHURN, resolve
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 

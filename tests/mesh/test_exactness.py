@@ -11,8 +11,7 @@ from launched import Launched
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messagelog.reader import read
 
 pytestmark = pytest.mark.mesh

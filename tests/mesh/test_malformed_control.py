@@ -26,8 +26,7 @@ from test_flood import LIMIT_MB, peak_mb
 
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.interception import SECRET_FILE
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

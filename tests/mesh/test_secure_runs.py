@@ -14,8 +14,7 @@ from launched import Launched, eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.security.authority import Authority
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from recordings import TAP, small_run, write
 
-from mast_zenoh.messagelog.completeness import first_missing_frame
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messagelog.reader import first_missing_frame, read
 
 
 def without(path: Path, *missing: tuple[str, int]) -> Path:

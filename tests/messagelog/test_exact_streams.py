@@ -11,8 +11,7 @@ import pytest
 from recordings import run
 from tiny_world import Run, tiny
 
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messagelog.reader import read
 
 pytestmark = pytest.mark.heavy

@@ -21,7 +21,7 @@ from recordings import HEARS, PERIOD_NS, TAP, payload, small_run, write
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog import writer
-from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
+from mast_zenoh.messagelog.format import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.reader import events, read
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
@@ -252,7 +252,7 @@ def test_a_chunk_with_an_impossible_size_is_refused_before_it_is_unpacked(
     path = write(tmp_path / "run.mcap", small_run())
     unpacked = MagicMock()
     monkeypatch.setattr("zstandard.decompress", unpacked)
-    monkeypatch.setattr("mast_zenoh.messagelog.chunks.MAX_CHUNK_BYTES", 100)
+    monkeypatch.setattr("mast_zenoh.messagelog.reader.MAX_CHUNK_BYTES", 100)
     with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: a damaged chunk: found \d+ bytes, expected"):
         list(read(path))
     unpacked.assert_not_called()

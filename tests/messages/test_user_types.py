@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 
 from mast_zenoh.effects import rows
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messagelog import channels
+from mast_zenoh.messagelog.format import DEFINITION, user_schema
 from mast_zenoh.messages import codec, user_types
-from mast_zenoh.messages.definition import DTYPES
 from mast_zenoh.messages.layout import LAYOUTS, WIRE_DTYPE
-from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Column, Header, Message, Schema, text
+from mast_zenoh.messages.schemas import BUILT_IN, DTYPES, SCHEMAS, Column, Header, Message, Schema, text
 from mast_zenoh.node import Node
 
 LETTERS = ("n", "m", "rows")
@@ -268,9 +267,9 @@ def test_values_that_a_column_can_represent_are_converted() -> None:
 def test_a_forged_definition_in_a_recording_is_refused(changed: dict[str, Any]) -> None:
     definition = user_types.to_json(Schema("gauge", 1, "", (Column("level", "int64", ("n",)),))) | changed
     with pytest.raises(ValueError, match=r"expected|columns"):
-        channels.user_schema(json.dumps({channels.DEFINITION: definition}).encode())
+        user_schema(json.dumps({DEFINITION: definition}).encode())
     with pytest.raises(ValueError, match="nested more than 64 levels deep"):
-        channels.user_schema(b'{"definition": ' + b"[" * 100_000)
+        user_schema(b'{"definition": ' + b"[" * 100_000)
 
 
 def test_a_type_whose_rows_vary_in_size_has_no_objects_to_compare_but_those_of_fixed_size() -> None:

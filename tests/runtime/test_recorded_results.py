@@ -17,7 +17,7 @@ from mast_zenoh.launch import measurement
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.measurement import results_of
 from mast_zenoh.launch.tables import read_table
-from mast_zenoh.messagelog.events import REWIRED, Event
+from mast_zenoh.messagelog.format import REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.report import html, terminal
 

@@ -12,8 +12,9 @@ from tiny_world import Bench, tiny, tracks
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch import notices
-from mast_zenoh.messages import codec, row_limits
-from mast_zenoh.messages.row_limits import OVERHEARD, RowLimits
+from mast_zenoh.messages import codec
+from mast_zenoh.messages import limits as row_limits
+from mast_zenoh.messages.limits import OVERHEARD, RowLimits
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inproc import InProcess

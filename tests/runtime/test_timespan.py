@@ -9,8 +9,8 @@ from test_host import CLOCK, OUTPUTS, TRACKS, Listener, clock, tracks, tracks_pa
 from mast_zenoh.errors import MessageError
 from mast_zenoh.links import ClockSkew
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring.model import Ports
 from mast_zenoh.wiring.received import Overheard

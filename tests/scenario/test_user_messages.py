@@ -18,7 +18,7 @@ from mast_zenoh.errors import ConfigurationError, MastError, WiringError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.file_server import files_for_node
 from mast_zenoh.messagelog import difference
-from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.difference import explain
 from mast_zenoh.messages import user_types
 
 FRAMES = 4

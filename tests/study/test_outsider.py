@@ -19,7 +19,7 @@ from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.timespan import Timespan
+from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.study import definition
 from mast_zenoh.study.outsider import comparison
 from mast_zenoh.study.outsider.attacked_run import Detour, attacker_errors

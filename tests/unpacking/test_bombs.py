@@ -18,7 +18,7 @@ from pyarrow import parquet as arrow_parquet
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.tables import from_arrow, read_table
-from mast_zenoh.messagelog import chunks, reader
+from mast_zenoh.messagelog import reader
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
@@ -113,7 +113,7 @@ def test_compressions_that_recordings_never_use_are_refused(tmp_path: Path) -> N
 
 
 def test_a_chunk_of_too_many_messages_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chunks, "MAX_CHUNK_MESSAGES", 2)
+    monkeypatch.setattr(reader, "MAX_CHUNK_MESSAGES", 2)
     message = bytes([Opcode.MESSAGE]) + (22).to_bytes(8, "little") + bytes(22)
     data = message * 3
     with pytest.raises(RunFolderError, match="found more than 2 messages"):

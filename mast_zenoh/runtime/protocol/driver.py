@@ -17,7 +17,7 @@ from mast_zenoh.control import flow
 from mast_zenoh.control.flow import END, MAX_TEXT, StopKind, StopReason, decode_reason, encode_reason
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages.row_limits import RowLimits
+from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.node import Context, Node, Source
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query

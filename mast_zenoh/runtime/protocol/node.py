@@ -17,8 +17,8 @@ from mast_zenoh.control.failures import Failure, encode_failure
 from mast_zenoh.control.flow import WiringUpdate
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
+from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query

@@ -12,7 +12,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.row_limits import RowLimits
+from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.runtime.host import Host
