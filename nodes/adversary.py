@@ -36,7 +36,7 @@ from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.wiring.subjects import agent_of, part_of
+from mast_zenoh.wiring.model import agent_of, part_of
 
 
 class Adversary(Node):

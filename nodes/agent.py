@@ -20,7 +20,7 @@ from mast_zenoh.pipelines import AgentPipeline, AgentSensor, Pose
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.sensing import LidarSensor
 from mast_zenoh.tracking.kalman import predicted
-from mast_zenoh.wiring.subjects import part_of
+from mast_zenoh.wiring.model import part_of
 
 #: Frame of reference of states in the world frame.
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}

@@ -22,8 +22,7 @@ from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
-from mast_zenoh.wiring.model import ANY, Wiring
-from mast_zenoh.wiring.subjects import agent_of
+from mast_zenoh.wiring.model import ANY, Wiring, agent_of
 
 #: Number of steps within which a message that is forwarded unchanged is recognised.
 RECOGNISED = 32

@@ -34,7 +34,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.wiring.subjects import part_of
+from mast_zenoh.wiring.model import part_of
 
 
 class Event(NamedTuple):

@@ -14,7 +14,7 @@ from mast_zenoh.node import Context, Source
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.scenes.measurements import NO_MEASUREMENT
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.wiring.subjects import subject_of
+from mast_zenoh.wiring.model import subject_of
 
 
 class Simulator(Source):

@@ -19,7 +19,7 @@ from mast_zenoh.api.plots import Plots
 from mast_zenoh.api.scenes import PreparedAgent
 from mast_zenoh.api.surface import BASE_CLASSES, base_class
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.deploy.compose.examples import EXAMPLES, example
+from mast_zenoh.deploy.compose_inside import EXAMPLES, example
 from mast_zenoh.layers import LAYERS
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.study.interface import carry_out

@@ -22,8 +22,7 @@ from mast_zenoh.run_files import read_json
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.raycast import PlacedSensor, observable
-from mast_zenoh.wiring.model import Wiring
-from mast_zenoh.wiring.subjects import agent_of
+from mast_zenoh.wiring.model import Wiring, agent_of
 
 #: Lidar returns from which an agent sees an object.
 MIN_RETURNS = 5

@@ -18,8 +18,8 @@ from mast_zenoh.integrity.views import SweptView, check_view
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
 from mast_zenoh.tracking.view import SensorView
+from mast_zenoh.wiring.model import agent_of
 from mast_zenoh.wiring.received import Received
-from mast_zenoh.wiring.subjects import agent_of
 
 POSES_KEPT = 16  #: frames by which a message may be late and still be attacked
 

@@ -76,7 +76,8 @@ def up(
 ) -> None:
     """Run a scenario in containers or on other hosts, collect results and clean up."""
     from mast_zenoh import scenario
-    from mast_zenoh.deploy import engines, space
+    from mast_zenoh.deploy import engines
+    from mast_zenoh.deploy.engine import check_space, needed_space
     from mast_zenoh.launch import run
 
     path, loaded = scenario.load(scenario_file, settings or ())
@@ -86,7 +87,7 @@ def up(
     parameters = {name: value for name, value in options.items() if value is not None}
     _check_options(kind, parameters)
     chosen = engines.make(kind, parameters | engines.options(kind, option or ()))
-    space.check(out or Path("runs"), space.needed(resolved))
+    check_space(out or Path("runs"), needed_space(resolved))
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
     finished = run.run(resolved, out, engine=chosen, secure=secure, **allowed, console=_out)
     conclude(finished, report=report)
@@ -106,19 +107,20 @@ def write(
 ) -> None:
     """Print a compose file that plays a scenario by itself with `docker-compose up`."""
     from mast_zenoh import scenario
-    from mast_zenoh.deploy import image as images
-    from mast_zenoh.deploy.compose import document, inside
+    from mast_zenoh.deploy import compose_inside as inside
+    from mast_zenoh.deploy import documents
+    from mast_zenoh.deploy.docker import TAG
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, frames=frames, record=True)
     inside.check_steps(resolved)
     own = scenario_file.endswith(".py")
-    launcher = document.Launcher(
+    launcher = documents.Launcher(
         str(path) if own else scenario_file, tuple(settings or ()), folder=str(path.parent) if own else None
     )
     options: dict[str, Any] = {"secure": secure, "patience_s": inside.PATIENCE_S, "launcher": launcher}
     name = resolved.name if run is None else scenario.checked_name(run, "--run")
-    typer.echo(document.text(resolved, name, image=image or images.TAG, **options), nl=False)
+    typer.echo(documents.compose_text(resolved, name, image=image or TAG, **options), nl=False)
 
 
 @app.command(hidden=True)
@@ -133,7 +135,8 @@ def join(
 ) -> None:
     """Play a run whose nodes Compose has started: the launcher of a compose file."""
     from mast_zenoh import scenario
-    from mast_zenoh.deploy.compose import document, inside
+    from mast_zenoh.deploy import compose_inside as inside
+    from mast_zenoh.deploy import documents
     from mast_zenoh.launch import run as launch
 
     path, loaded = scenario.load(scenario_file, settings or ())
@@ -144,8 +147,8 @@ def join(
         try:
             conclude(finished, report=True)
         finally:
-            name = document.container(run, document.LAUNCHER)
-            _out.print(f"results: volume {document.project(run)}-results; get them by", highlight=False)
+            name = documents.container(run, documents.LAUNCHER)
+            _out.print(f"results: volume {documents.project(run)}-results; get them by", highlight=False)
             _out.print(f"  docker cp {name}:{finished.folder} .", highlight=False)
 
 
@@ -158,12 +161,12 @@ def certificates(
 ) -> None:
     """Make the credentials of all services of a compose file, and keep them in memory."""
     from mast_zenoh import scenario
-    from mast_zenoh.deploy.compose import document
-    from mast_zenoh.deploy.compose.certificates import make_credentials
+    from mast_zenoh.deploy import documents
+    from mast_zenoh.deploy.compose_inside import make_credentials
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, frames=1, record=True)
-    make_credentials(resolved, run, secure, Path(document.KEYS))
+    make_credentials(resolved, run, secure, Path(documents.KEYS))
 
 
 @app.command()
@@ -214,14 +217,14 @@ def image(
     ] = False,
 ) -> None:
     """Build the image for nodes in containers."""
-    from mast_zenoh.deploy import image as images
+    from mast_zenoh.deploy import docker as images
 
     base = base or images.BASE
-    built = images.build(tag or images.TAG, base)
+    built = images.build_image(tag or images.TAG, base)
     added_mb = images.size_over_base(built, base) / 1e6
     _out.print(f"image: {built}, {added_mb:.0f} MB over {base}", highlight=False)
     if launcher:
-        _out.print(f"image: {images.build(tag or images.TAG, base, launcher=True)}", highlight=False)
+        _out.print(f"image: {images.build_image(tag or images.TAG, base, launcher=True)}", highlight=False)
 
 
 def doctor(

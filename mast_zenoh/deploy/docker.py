@@ -1,14 +1,38 @@
-"""The `docker` command, with errors that say what to do if it is missing or fails."""
+"""The `docker` command, the image of the nodes, and what the engines that use them share."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
+import tempfile
+from abc import abstractmethod
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
+from mast_zenoh import kernels, version
+from mast_zenoh.config import bundle
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.deploy import wheel
+from mast_zenoh.deploy.engine import CREDENTIALS, DeploymentEngine
 from mast_zenoh.errors import EngineError
 
+BASE = "python:3.12-slim"
+TAG = f"mast-zenoh:{version.__version__}"
+
+#: The default user (UID:GID) of processes in containers of the image.
+USER = "10001:10001"
+
+#: The label with the fingerprint of the sources in an image.
+LABEL = "org.mast-zenoh.code"
+
+#: Commands to the Docker engine at a time.
+AT_A_TIME = 4
+
 _TIMEOUT_S = 120.0
+_BUILD_S = 1200.0
+_LOG_S = 60.0
 
 
 def docker(*words: str, timeout: float = _TIMEOUT_S, check: bool = True) -> str:
@@ -49,3 +73,125 @@ def check() -> str:
         raise EngineError(
             f"the Docker engine cannot be reached ({error}): start it, or get permission to use it"
         ) from None
+
+
+def exit_code(code: int) -> int:
+    """Docker's exit code in Python's form: negative for a signal instead of plus 128."""
+    return code if code <= 128 else 128 - code
+
+
+def launcher_tag(tag: str = TAG) -> str:
+    """The image of the launcher that belongs to an image of nodes."""
+    return f"{tag}-launcher"
+
+
+def build_image(tag: str = TAG, base: str = BASE, *, launcher: bool = False) -> str:
+    """Build the image of the nodes; returns its tag. Raises EngineError.
+
+    base: an image that has Python 3.11 or newer with venv
+    launcher: whether to build the image of the launcher instead, `launcher_tag(tag)`
+    """
+    program = "import sys, platform; print(*sys.version_info[:2], platform.machine())"
+    answer = docker("run", "--rm", "--network=none", "--entrypoint=python3", base, "-c", program, timeout=_BUILD_S)
+    major, minor, machine = answer.split()
+    python = f"{major}.{minor}"
+    target, tag = ("launcher", launcher_tag(tag)) if launcher else ("node", tag)
+    with tempfile.TemporaryDirectory(prefix="mast-image-") as folder:
+        context = Path(folder)
+        wheels = {"third_party": wheel.requirements()}
+        if launcher:
+            wheels["launcher_party"] = wheel.launcher_requirements()
+        for part, required in wheels.items():
+            (context / part).mkdir()
+            for path in wheel.third_party(wheel.cache(python, machine), python, machine, required):
+                shutil.copyfile(path, context / part / path.name)
+        wheel.build(context)
+        (context / "deploy").mkdir()
+        for name in ("Dockerfile", wheel.REQUIREMENTS):
+            shutil.copyfile(bundle.ROOT / "deploy" / name, context / "deploy" / name)
+        options = ["--tag", tag, "--build-arg", f"BASE={base}", "--build-arg", f"CODE={_code()}", "--target", target]
+        before = docker("image", "ls", "--quiet", tag).strip()
+        dockerfile = context / "deploy" / "Dockerfile"
+        docker("build", "--quiet", *options, "--file", str(dockerfile), str(context), timeout=_BUILD_S)
+        if before and before != docker("image", "ls", "--quiet", tag).strip():
+            docker("image", "rm", before, check=False)  # now untagged; running containers keep using it
+    return tag
+
+
+def check_image(tag: str = TAG) -> None:
+    """Raise EngineError if the image is missing or was built from other sources."""
+    ids = docker("image", "ls", "--format", "{{.ID}}", tag)
+    if not ids.strip():
+        raise EngineError(f"there is no image {tag}: build it with `mast deploy image`")
+    code = docker("image", "inspect", "--format", f'{{{{index .Config.Labels "{LABEL}"}}}}', tag).strip()
+    if code != _code():
+        raise EngineError(
+            f"the image {tag} holds mast-zenoh {version.__version__} (sources {code or 'unknown'}), expected "
+            f"{version.version_string()}: rebuild it with `mast deploy image`"
+        )
+
+
+def _code() -> str:
+    """The value of LABEL: the sources' fingerprint, and whether kernels are compiled."""
+    return version.fingerprint() + ("+kernels" if kernels.COMPILED else "")
+
+
+def size_over_base(tag: str = TAG, base: str = BASE) -> int:
+    """Size of the image minus the size of its base, bytes."""
+    sizes = [int(docker("image", "inspect", "--format", "{{.Size}}", name)) for name in (tag, base)]
+    return sizes[0] - sizes[1]
+
+
+class DockerEngine(DeploymentEngine):
+    """An engine whose nodes run in containers of an image.
+
+    image:      image of the containers, see `build_image`
+    patience_s: how long they run without the launcher, s
+    """
+
+    def __init__(self, image: str = TAG, patience_s: float = 10.0) -> None:
+        self.image = image
+        self.patience_s = patience_s
+
+    def check(self, resolved: Resolved, secure: str) -> None:
+        check()
+        self.check_platform(resolved)
+        check_image(self.image)
+
+    @abstractmethod
+    def check_platform(self, resolved: Resolved) -> None:
+        """Raise EngineError if the run is impossible with this Docker engine."""
+
+    @classmethod
+    @abstractmethod
+    def log_command(cls, record: dict[str, Any], node: str) -> list[str]:
+        """The command that prints a node's log."""
+
+    @classmethod
+    @abstractmethod
+    def remove(cls, record: dict[str, Any]) -> None:
+        """Remove everything of a run that Docker still has."""
+
+    @classmethod
+    def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
+        """Print logs; those of containers that are gone are in the run folder."""
+        existing = [row["node"] for row in cls.status(folder, record)]
+        files = {path.stem: path for path in (folder / "logs").glob("*.log")}
+        for name in [node] if node else sorted({*existing, *files}):
+            lines: list[str] = []
+            if name in existing:
+                command = cls.log_command(record, name)
+                if follow and node:
+                    subprocess.run([*command, "--follow"], check=False, stdin=subprocess.DEVNULL)
+                    return
+                pipe, both = subprocess.PIPE, subprocess.STDOUT
+                done = subprocess.run(command, check=False, text=True, stdout=pipe, stderr=both, timeout=_LOG_S)
+                lines = done.stdout.splitlines()
+            if not lines and name in files:
+                lines = files[name].read_text(errors="replace").splitlines()
+            sys.stdout.writelines(f"{name}  {line}\n" for line in lines)
+
+    @classmethod
+    def down(cls, folder: Path, record: dict[str, Any]) -> None:
+        shutil.rmtree(folder / CREDENTIALS, ignore_errors=True)
+        cls.remove(record)

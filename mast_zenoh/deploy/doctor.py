@@ -13,12 +13,10 @@ from typing import NamedTuple
 from mast_zenoh import kernels
 from mast_zenoh import version as release
 from mast_zenoh.deploy import docker as engine
-from mast_zenoh.deploy import image
-from mast_zenoh.deploy.compose.engine import command
-from mast_zenoh.deploy.swarm.engine import check_manager
-from mast_zenoh.deploy.swarm.placement import machines
+from mast_zenoh.deploy.compose import command
+from mast_zenoh.deploy.swarm import check_manager, machines
 from mast_zenoh.errors import BackendError, EngineError
-from mast_zenoh.launch.netns import machine
+from mast_zenoh.launch.netns import shaping
 from mast_zenoh.launch.netns.namespaces import Owner
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import explain
@@ -104,10 +102,10 @@ def swarm() -> Finding:
 def node_image() -> Finding:
     """Whether the image exists and was built from these sources."""
     try:
-        image.check()
+        engine.check_image()
     except EngineError as error:
         return Finding("image", None, str(error), "mast deploy image")
-    return Finding("image", True, image.TAG)
+    return Finding("image", True, engine.TAG)
 
 
 def ssh() -> Finding:
@@ -122,7 +120,7 @@ def namespaces() -> Finding:
     """Whether hosts of a scenario can be network namespaces of this machine."""
     try:
         wanted = {need: ["hosts"] for need in ("partition", "loss", "bandwidth", "delay")}
-        means = machine.delays_by(wanted, Owner.this_process())
+        means = shaping.delays_by(wanted, Owner.this_process())
     except BackendError as error:
         return Finding("namespaces", None, str(error), "see docs/network.md")
     return Finding("namespaces", True, f"yes, delays by {means}")

@@ -1,7 +1,7 @@
 """Finds deployment engines: built-in ones by name, a user's by its file.
 
-A built-in engine is a folder here with an engine.py, loaded only when it is used: its dependencies may be missing.
-One of a user is a subclass of `Engine` in a file: FILE.py, or FILE.py:CLASS if there are several.
+A built-in engine is loaded only when it is used: its dependencies may be missing. One of a
+user is a subclass of `Engine` in a file: FILE.py, or FILE.py:CLASS if there are several.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from mast_zenoh.config import loading, registry, settings
 from mast_zenoh.errors import ConfigurationError, EngineError, nearest
 from mast_zenoh.launch.engine import Engine
 
+_BUILT_IN = {"compose": ("compose", "Compose"), "ssh": ("ssh.engine", "Ssh"), "swarm": ("swarm", "Swarm")}
 _FILE = re.compile(r"(.*\.py)(?::(\w+))?")
 
 
 def names() -> tuple[str, ...]:
     """The names of our engines."""
-    return tuple(sorted(file.parent.name for file in Path(__file__).parent.glob("*/engine.py")))
+    return tuple(_BUILT_IN)
 
 
 def load(name: str) -> type[Engine]:
@@ -35,7 +36,8 @@ def load(name: str) -> type[Engine]:
         return _of_file(Path(match[1]), match[2])
     if name not in names():
         raise EngineError(f"there is no engine {name!r}{nearest(name, names())}")
-    (engine,) = _defined_in(import_module(f"mast_zenoh.deploy.{name}.engine")).values()
+    module, kind = _BUILT_IN[name]
+    engine: type[Engine] = getattr(import_module(f"mast_zenoh.deploy.{module}"), kind)
     return engine
 
 

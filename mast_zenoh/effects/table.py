@@ -18,8 +18,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.effects.passages import MESSAGE_EFFECTS, PassageMeter
 from mast_zenoh.effects.rows import UNCHANGED
 from mast_zenoh.metrics.manipulations import KINDS, MOVED
-from mast_zenoh.wiring.model import Passage
-from mast_zenoh.wiring.subjects import agent_of
+from mast_zenoh.wiring.model import Passage, agent_of
 
 #: All effects, by their code in `Effects`: on objects, then on whole messages.
 EFFECTS = KINDS + MESSAGE_EFFECTS

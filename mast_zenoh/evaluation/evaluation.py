@@ -48,7 +48,7 @@ from mast_zenoh.metrics.ranking import rankings
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import COLUMNS
 from mast_zenoh.metrics.trust import Fault, TrustUpdate
-from mast_zenoh.wiring.subjects import agent_of
+from mast_zenoh.wiring.model import agent_of
 
 _PERIOD_S = 0.1  #: assumed frame period of a run with a single frame
 

@@ -24,8 +24,7 @@ from mast_zenoh.metrics.record import (
     RECEIVED,
     TruthTable,
 )
-from mast_zenoh.wiring.model import Passage
-from mast_zenoh.wiring.subjects import agent_of
+from mast_zenoh.wiring.model import Passage, agent_of
 
 _FROM_CENTER = (PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
 _FROM_DOWNLINK = (PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)

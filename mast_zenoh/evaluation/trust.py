@@ -23,7 +23,7 @@ from mast_zenoh.metrics.trust import (
     object_table,
     summary,
 )
-from mast_zenoh.wiring.subjects import agent_of
+from mast_zenoh.wiring.model import agent_of
 
 #: Ports of what an agent sends to the command centre, and of what its own tracks depend on.
 UPSTREAM = ("detections", "pose", "sweep", "tracks", "view", "status")

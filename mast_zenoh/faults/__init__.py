@@ -1,37 +1,41 @@
 """Faults on a timeline and their effects on links, processes and the host network.
 
-    base         base class of faults
-    impairments  faults of messages
-    sensors      faults of detections
-    churn        faults of processes
-    targets      nodes and links that a fault acts on
-    plan         conversion of faults to link rules, process steps and bands of the timeline
-    network      hosts and their links
-    schedule     random lists of faults
+    base      the faults: of messages, of detections, of processes
+    plan      conversion of faults to link rules, process steps and bands of the timeline
+    network   hosts and their links
+    schedule  random lists of faults
 
 Pure: these modules start, kill and send nothing. See docs/faults.md.
 """
 
 from mast_zenoh.config.process_steps import ACTIONS, ProcessStep
-from mast_zenoh.faults.base import Fault
-from mast_zenoh.faults.churn import Join, Kill, Leave, Pause, ProcessFault, Restart, Unplug
-from mast_zenoh.faults.impairments import (
+from mast_zenoh.faults.base import (
     BandwidthLimit,
+    BlindSector,
     BurstLoss,
     Corrupt,
     Delay,
     Duplicate,
+    Fault,
     Flood,
+    GhostDetections,
     Impair,
+    Join,
+    Kill,
+    Leave,
     LinkFault,
     Loss,
     Partition,
+    Pause,
+    ProcessFault,
     Reorder,
+    Restart,
+    SensorFault,
     SlowNode,
+    Unplug,
 )
 from mast_zenoh.faults.plan import Plan, plan
 from mast_zenoh.faults.schedule import random_schedule
-from mast_zenoh.faults.sensors import BlindSector, GhostDetections, SensorFault
 
 __all__ = [
     "ACTIONS",

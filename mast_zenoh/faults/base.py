@@ -1,11 +1,14 @@
-"""Base class of faults: a time, targets, and effects on links or processes."""
+"""Faults on a timeline: of messages, of detections and of processes."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
+
+from mast_zenoh.errors import nearest
+from mast_zenoh.links.transit import FLOOD_COPIES, QUEUE_S
 
 #: (scene time in s, action): the action is one of process_steps.ACTIONS.
 Event = tuple[float, str]
@@ -72,3 +75,406 @@ def check_after(at: float, until: float | None) -> None:
     """Raise ValueError unless `until` is later than `at` or None."""
     if until is not None and not at < until <= LATEST_S:
         raise ValueError(f"until: found {until}, expected more than `at` ({at})")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkFault(Fault):
+    """A fault of links, exact in lock-step, on the wall clock in real time.
+
+    until:     s of scene time at which it ends; None: at the end of the run
+    direction: "up" (to the command centre), "down" (from it) or "both"
+
+    Targets may also be keys of wires: agent/infra_1/tracks (published by infra_1), cc/picture (received by all agents).
+    """
+
+    until: float | None = None
+    direction: str = "both"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_after(self.at, self.until)
+        if self.direction not in (*DIRECTIONS, "both"):
+            hint = nearest(self.direction, (*DIRECTIONS, "both"))
+            raise ValueError(f"direction: found {self.direction!r}{hint}")
+
+    @property
+    def over(self) -> float | None:
+        return self.until
+
+    def ways(self, role: str) -> Sequence[str]:
+        return DIRECTIONS if self.direction == "both" else (self.direction,)
+
+    def rules(self, lockstep: bool) -> Sequence[Rule]:
+        return (self.as_rule(),)
+
+    @abstractmethod
+    def as_rule(self) -> Rule:
+        """The link rule: dict(type=…), see docs/links.md."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Partition(LinkFault):
+    """Cuts off its targets. For the command centre, all agents are cut off."""
+
+    def as_rule(self) -> Rule:
+        return {"type": "Cut"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss(LinkFault):
+    """Loses each message independently with this probability.
+
+    probability: of losing a message, 0 to 1
+    """
+
+    probability: float
+
+    def as_rule(self) -> Rule:
+        return {"type": "Loss", "probability": self.probability}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BurstLoss(LinkFault):
+    """Loses messages in bursts (Gilbert-Elliott).
+
+    good_to_bad, bad_to_good: probability of a change from one message to the next, 0 to 1
+    loss_good, loss_bad:      probability of losing a message in the good, or in the bad state, 0 to 1
+    """
+
+    good_to_bad: float
+    bad_to_good: float
+    loss_good: float = 0.0
+    loss_bad: float = 1.0
+
+    def as_rule(self) -> Rule:
+        names = ("good_to_bad", "bad_to_good", "loss_good", "loss_bad")
+        return {"type": "GilbertElliott", **{name: getattr(self, name) for name in names}}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delay(LinkFault):
+    """Delays messages by mean_s with standard deviation jitter_s.
+
+    mean_s, jitter_s: mean and standard deviation of the delay
+    """
+
+    mean_s: float
+    jitter_s: float = 0.0
+
+    def as_rule(self) -> Rule:
+        return {"type": "Delay", "mean_s": self.mean_s, "jitter_s": self.jitter_s}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlowNode(LinkFault):
+    """Delays the messages that a node publishes, but not the messages that it receives.
+
+    delay_s: delay of each message
+
+    For the broker and the command centre, this is the picture.
+    """
+
+    delay_s: float
+
+    def ways(self, role: str) -> Sequence[str]:
+        return ("up",) if role == "agent" else ("down",)
+
+    def as_rule(self) -> Rule:
+        return {"type": "Delay", "mean_s": self.delay_s}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BandwidthLimit(LinkFault):
+    """Limits the bandwidth; messages that would wait longer than queue_s are lost.
+
+    bits_per_s: bandwidth;  queue_s: maximum waiting time of a message
+    """
+
+    bits_per_s: float
+    queue_s: float = QUEUE_S
+
+    def as_rule(self) -> Rule:
+        return {"type": "Bandwidth", "bits_per_s": self.bits_per_s, "queue_s": self.queue_s}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corrupt(LinkFault):
+    """Flips `flips` bits of a message with this probability.
+
+    probability: that a message is corrupted, 0 to 1;  flips: number of flipped bits
+    """
+
+    probability: float
+    flips: int = 1
+
+    def as_rule(self) -> Rule:
+        return {"type": "Corrupt", "probability": self.probability, "flips": self.flips}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Duplicate(LinkFault):
+    """Repeats a message with this probability, `copies` times.
+
+    probability: that a message is repeated, 0 to 1;  copies: number of additional copies
+    """
+
+    probability: float
+    copies: int = 1
+
+    def as_rule(self) -> Rule:
+        return {"type": "Duplicate", "probability": self.probability, "copies": self.copies}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flood(LinkFault):
+    """Repeats every message `copies` times.
+
+    copies: number of additional copies
+    """
+
+    copies: int = FLOOD_COPIES
+
+    def as_rule(self) -> Rule:
+        return {"type": "Flood", "copies": self.copies}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reorder(LinkFault):
+    """Delays a message by by_s with this probability, so that others overtake it.
+
+    probability: that a message is delayed, 0 to 1;  by_s: its delay
+    """
+
+    probability: float
+    by_s: float = 0.1
+
+    def as_rule(self) -> Rule:
+        return {"type": "Reorder", "probability": self.probability, "by_s": self.by_s}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Impair(LinkFault):
+    """Applies any link rule, built-in or user-defined: rule=dict(type="PoseError", …).
+
+    rule: dict(type="PoseError", …), see `mast list links`
+    """
+
+    rule: dict[str, Any]
+
+    def as_rule(self) -> Rule:
+        return dict(self.rule)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFault(Fault):
+    """A fault of the detections of agents, exact in lock-step, on the wall clock in real time.
+
+    until: s of scene time at which it ends; None: at the end of the run
+
+    An agent stands for its first sensor. The agent's claimed view is unchanged. Targets may also be keys of wires:
+    agent/infra_1/detections, agent/infra_1/detections/radar.
+    """
+
+    until: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_after(self.at, self.until)
+
+    @property
+    def over(self) -> float | None:
+        return self.until
+
+    def ways(self, role: str) -> Sequence[str]:
+        return (SENSOR,) if role == "agent" else ()
+
+    def rules(self, lockstep: bool) -> Sequence[Rule]:
+        return (self.as_rule(),)
+
+    @abstractmethod
+    def as_rule(self) -> Rule:
+        """The link rule: dict(type=…), see docs/links.md."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindSector(SensorFault):
+    """Loses all detections in a sector, which the agent still claims to see.
+
+    azimuth_min_deg: deg, at which the sector begins, in the sensor's frame
+    azimuth_max_deg: deg, at which it ends, counter-clockwise from there
+    """
+
+    azimuth_min_deg: float
+    azimuth_max_deg: float
+
+    def as_rule(self) -> Rule:
+        limits = {"azimuth_min_deg": self.azimuth_min_deg, "azimuth_max_deg": self.azimuth_max_deg}
+        return {"type": "BlindSector", **limits}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GhostDetections(SensorFault):
+    """Detects objects that are not there, again and again at the same places.
+
+    places: m, (x, y, z) of each: x ahead and y left of the sensor, or in the world; z is always that in the world
+    frame:  "sensor": the ghosts move with the sensor; "world": they stay
+    probability: that a ghost is detected in a frame
+    size:    m, length, width and height
+    yaw_rad: rad, heading: less the sensor's, or in the world
+    kind:    class
+    """
+
+    places: tuple[tuple[float, float, float], ...]
+    frame: str = "world"
+    probability: float = 0.9
+    size: tuple[float, float, float] = (4.5, 1.8, 1.5)
+    yaw_rad: float = 0.0
+    kind: str = "car"
+
+    def as_rule(self) -> Rule:
+        names = ("places", "frame", "probability", "size", "yaw_rad", "kind")
+        return {"type": "GhostDetections", **{name: getattr(self, name) for name in names}}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessFault(Fault):
+    """A fault of the processes of its targets, always after the first frame.
+
+    begins, ends: the actions (process_steps.ACTIONS) at `at` and at its end; a subclass with other actions overrides
+    `events`
+    """
+
+    begins: ClassVar[str]
+    ends: ClassVar[str] = "start"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.at == 0.0:
+            raise ValueError(
+                "at: found 0.0, expected a time after the first frame; use Join for nodes that start later"
+            )
+
+    def events(self) -> Sequence[Event]:
+        first = (self.at, self.begins)
+        return [first] if self.over is None else [first, (self.over, self.ends)]
+
+
+def _check_wait(name: str, value: float | None) -> None:
+    if value is not None and not 0.0 < value <= LATEST_S:
+        raise ValueError(f"{name}: found {value}, expected more than 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kill(ProcessFault):
+    """Kills its targets, which report no results.
+
+    restart_after: s until they are restarted; None: never.
+    """
+
+    begins = "kill"
+    restart_after: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_wait("restart_after", self.restart_after)
+
+    @property
+    def over(self) -> float | None:
+        return None if self.restart_after is None else self.at + self.restart_after
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leave(ProcessFault):
+    """Stops its targets as at the end of a run.
+
+    return_after: s until they return; None: never.
+    """
+
+    begins = "leave"
+    return_after: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_wait("return_after", self.return_after)
+
+    @property
+    def over(self) -> float | None:
+        return None if self.return_after is None else self.at + self.return_after
+
+
+@dataclass(frozen=True, kw_only=True)
+class Restart(ProcessFault):
+    """Stops its targets properly and restarts them.
+
+    down_s: s in between, at least a frame.
+    """
+
+    begins = "leave"
+    down_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_wait("down_s", self.down_s)
+
+    @property
+    def over(self) -> float | None:
+        return self.at + self.down_s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Join(ProcessFault):
+    """Starts its targets at this time instead of at the beginning."""
+
+    @property
+    def over(self) -> float | None:
+        return self.at
+
+    def events(self) -> Sequence[Event]:
+        return [(self.at, "start")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pause(ProcessFault):
+    """Suspends its targets; then they process all messages that have arrived.
+
+    until: s of scene time at which they resume
+
+    In real time their processes are stopped and continued. In lock-step all nodes would wait for them; there links hold
+    their messages in both directions and then deliver them in order.
+    """
+
+    begins, ends = "pause", "resume"
+    until: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_after(self.at, self.until)
+
+    @property
+    def over(self) -> float | None:
+        return self.until
+
+    def rules(self, lockstep: bool) -> Sequence[Rule]:
+        return ({"type": "Hold"},) if lockstep else ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unplug(ProcessFault):
+    """Disconnects its targets from their networks; then they reconnect by themselves.
+
+    until: s of scene time at which they are connected again
+
+    Only in real time, and only if nodes have their own networks: in the containers of engine compose. Elsewhere, use
+    Partition.
+    """
+
+    begins, ends = "disconnect", "connect"
+    until: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_after(self.at, self.until)
+
+    @property
+    def over(self) -> float | None:
+        return self.until

@@ -44,8 +44,7 @@ from mast_zenoh.scenario.resolution import modules_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.insertion import Place, insert
-from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring
-from mast_zenoh.wiring.subjects import agent_of
+from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring, agent_of
 
 SECRET_FILE = "control.key"
 

@@ -1,4 +1,4 @@
-"""The sequence of rules of one wire: determines copies and delays of its messages."""
+"""The sequence of rules of one wire, and profiles of rules."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import copy
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.links.base import NANOSECONDS, Passage, Rule
-from mast_zenoh.links.copies import MAX_COPIES
+from mast_zenoh.links.transit import MAX_COPIES
 
 _BLOCK = 256
 _MAX_DELAY_NS = 3_600_000_000_000
@@ -142,3 +144,33 @@ class _Draws:
             self._rows = self._rule.sample(self._stream, _BLOCK).tolist()
         row = self._rows[number - self._begin]
         return self._rule.sample_copy(row, self._rng(*self._purpose, number, copy_)) if copy_ else row
+
+
+#: Rules for messages from an agent (up) and to it (down), as in a scenario.
+PROFILES: dict[str, dict[str, list[dict[str, Any]]]] = {
+    "perfect": {"up": [], "down": []},
+    "wired": {
+        direction: [
+            dict(type="Bandwidth", bits_per_s=1e9, queue_s=0.05),
+            dict(type="Delay", mean_s=0.002, jitter_s=0.0005, distribution="gamma"),
+            dict(type="Loss", probability=1e-5),
+        ]
+        for direction in ("up", "down")
+    },
+    "wireless_v2x": {
+        direction: [
+            dict(type="RangeLimit", range_m=320.0),
+            dict(type="Bandwidth", bits_per_s=6e6, queue_s=0.1),
+            dict(type="GilbertElliott", good_to_bad=0.02, bad_to_good=0.4, loss_good=0.01, loss_bad=1.0),
+            dict(type="Delay", mean_s=0.02, jitter_s=0.01, distribution="gamma"),
+        ]
+        for direction in ("up", "down")
+    },
+}
+
+
+def profile(name: str) -> dict[str, list[dict[str, Any]]]:
+    """A copy of a profile's rules by direction; raises ConfigurationError if unknown."""
+    if name not in PROFILES:
+        raise ConfigurationError(f"no link profile {name!r}{nearest(name, PROFILES)}")
+    return copy.deepcopy(PROFILES[name])

@@ -4,12 +4,21 @@ A run folder is data, and may come from anybody: what is in it neither runs, nor
 write elsewhere. JSON and plain files of a run folder are read and rewritten through this package.
 
 shapes   names, and the types in JSON files
-reading  JSON and plain files within bounds;  writing: never through a link
+files    JSON and plain files: read within bounds, and written never through a link
 """
 
-from mast_zenoh.run_files.reading import check_plain, open_plain, parse_json, read_json, read_object, reading
+from mast_zenoh.run_files.files import (
+    check_plain,
+    open_plain,
+    parse_json,
+    read_json,
+    read_object,
+    reading,
+    replacing,
+    subfolder,
+    write_bytes,
+)
 from mast_zenoh.run_files.shapes import EXPECTED_NAME, MAX_NAME, REFUSED, check_shape, is_name
-from mast_zenoh.run_files.writing import replacing, subfolder, write_bytes
 
 __all__ = [
     "EXPECTED_NAME",

@@ -26,8 +26,7 @@ from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, normalis
 from mast_zenoh.scenario.timeline import rewrites, timeline_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import endpoints, maps
-from mast_zenoh.wiring.model import ANY, Wiring
-from mast_zenoh.wiring.subjects import subject_of
+from mast_zenoh.wiring.model import ANY, Wiring, subject_of
 
 #: s, limit on what a node may add to times: a century.
 _MAX_RESTAMPS_S = 3e9

@@ -6,8 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from mast_zenoh.errors import WiringError, nearest
-from mast_zenoh.wiring.model import Endpoint
-from mast_zenoh.wiring.subjects import agent_of
+from mast_zenoh.wiring.model import Endpoint, agent_of
 
 #: Roles that a map may name even where a scenario has no such node.
 ROLES = (

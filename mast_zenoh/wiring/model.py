@@ -298,3 +298,22 @@ def to_mermaid(wiring: Wiring) -> str:
         lines += [f'    {leg.publisher.node} {arrow}|"{leg.key}"| {end.node}' for end in leg.subscribers]
         lines += [f'    {leg.publisher.node} --o|"{leg.key}"| {end.node}' for end in wire.listeners_of(leg)]
     return "\n".join([*lines, "    classDef inserted fill:#c0392b,color:#fff"])
+
+
+# The subject of a wire is the names in its key: that of agent/infra_1/pose is "infra_1". A wire of one of several
+# sensors, agent/infra_1/detections/radar, has two names in its key: its subject is "infra_1/radar".
+
+
+def agent_of(subject: str) -> str:
+    """The agent in a subject: its first name."""
+    return subject.partition("/")[0]
+
+
+def part_of(subject: str) -> str:
+    """The part of the agent in a subject: its second name; empty without one."""
+    return subject.partition("/")[2]
+
+
+def subject_of(agent: str, part: str) -> str:
+    """The subject of a part of an agent, or of the agent itself if `part` is empty."""
+    return f"{agent}/{part}" if part else agent

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.launch.netns import machine
+from mast_zenoh.launch.netns import shaping
 from mast_zenoh.launch.netns.namespaces import Namespace, Owner
 
 NAMES = ("alpha", "beta", "gamma")
@@ -26,7 +26,7 @@ def require() -> None:
     """Skip without namespaces or an SSH server; fail if MAST_TEST_NETWORK is set."""
     reason = "" if Path(SSHD).exists() else f"{SSHD} is missing: install openssh-server"
     try:
-        machine.delays_by({"partition": ["this test"]}, Owner.this_process())
+        shaping.delays_by({"partition": ["this test"]}, Owner.this_process())
     except BackendError as error:
         reason = str(error)
     if reason:

@@ -13,7 +13,7 @@ from typing import Any
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.deploy.swarm.engine import Swarm
+from mast_zenoh.deploy.swarm import Swarm
 from mast_zenoh.launch import run
 
 

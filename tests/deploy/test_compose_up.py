@@ -12,8 +12,8 @@ import pytest
 from containers import built, mast, remnants_of
 
 from mast_zenoh import scenario
-from mast_zenoh.deploy.compose.engine import command
-from mast_zenoh.deploy.compose.examples import EXAMPLES
+from mast_zenoh.deploy.compose import command
+from mast_zenoh.deploy.compose_inside import EXAMPLES
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare, explain

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from mast_zenoh.deploy import remote_node
-from mast_zenoh.deploy.compose import engine
-from mast_zenoh.deploy.image import USER
+from mast_zenoh.deploy.compose import hand_over
+from mast_zenoh.deploy.docker import USER
 from mast_zenoh.deploy.ssh import onhost
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
@@ -41,7 +41,7 @@ def test_only_their_user_can_read_the_credentials_of_containers(tmp_path: Path, 
     with Deployment(
         level, "r", WIRING, ["a", "b"], prefix="mast/r", driver="a", hosts=["router"], folder=folder
     ) as deployment:
-        engine._hand_over(folder, deployment.router, USER if not os.getuid() else f"{os.getuid()}:{os.getgid()}")
+        hand_over(folder, deployment.router, USER if not os.getuid() else f"{os.getuid()}:{os.getgid()}")
         permissions = modes(folder)
         assert {"a/ca.pem", "b", "router/router.json", "router"} <= permissions.keys()
         assert ("a/key.pem" in permissions) == (level != "tls")

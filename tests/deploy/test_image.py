@@ -12,7 +12,8 @@ import pytest
 from containers import base, built
 
 from mast_zenoh import version
-from mast_zenoh.deploy import image, wheel
+from mast_zenoh.deploy import docker as image
+from mast_zenoh.deploy import wheel
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.errors import EngineError
 

@@ -18,8 +18,8 @@ from launched import Launched, eventually
 from mast_zenoh import scenario
 from mast_zenoh.config import bundle
 from mast_zenoh.deploy.docker import docker
-from mast_zenoh.deploy.swarm import document, stack
-from mast_zenoh.deploy.swarm.engine import Swarm
+from mast_zenoh.deploy.engine import CREDENTIALS
+from mast_zenoh.deploy.swarm import Swarm, remaining_parts, remove_stack
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.run import Run
@@ -72,7 +72,7 @@ def test_a_secure_run_equals_the_one_in_one_process_and_reveals_no_key(tmp_path:
     for name, node in there.record["nodes"].items():
         assert node["service"] == f"{there.record['deployment']['stack']}_{name}"
         assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
-    assert not (there.folder / document.CREDENTIALS).exists()
+    assert not (there.folder / CREDENTIALS).exists()
     for path in there.folder.rglob("*"):
         assert path.is_dir() or b"PRIVATE KEY" not in path.read_bytes(), path
 
@@ -163,7 +163,7 @@ def launch(image: str, start: Callable[..., Launched]) -> Callable[..., Launched
 
 def remove(run: Launched) -> None:
     if deployment := run.record().get("deployment"):
-        stack.remove(deployment["stack"])
+        remove_stack(deployment["stack"])
 
 
 def test_a_stopped_real_time_run_keeps_its_results_and_leaves_nothing_running(
@@ -192,7 +192,7 @@ def test_a_stopped_real_time_run_keeps_its_results_and_leaves_nothing_running(
     assert record["status"] == "interrupted"
     assert {name: node["exit"] for name, node in record["nodes"].items()} == dict.fromkeys(record["nodes"], 0)
     assert json.loads((run.out / "metrics.json").read_text())["frames"] > 10
-    assert stack.remaining_parts(record["deployment"]["stack"]) == {}
+    assert remaining_parts(record["deployment"]["stack"]) == {}
 
 
 def test_services_of_a_killed_launcher_end_and_down_removes_the_rest(
@@ -207,10 +207,10 @@ def test_services_of_a_killed_launcher_end_and_down_removes_the_rest(
         return all(entry["state"] not in ("running", "starting") for entry in Swarm.status(run.out, record))
 
     eventually(gone, "all tasks have ended by themselves")
-    assert stack.remaining_parts(record["deployment"]["stack"]).keys() == {"service", "network", "secret", "container"}
+    assert remaining_parts(record["deployment"]["stack"]).keys() == {"service", "network", "secret", "container"}
     for _ in range(2):
         Swarm.down(run.out, record)
-        assert stack.remaining_parts(record["deployment"]["stack"]) == {}
+        assert remaining_parts(record["deployment"]["stack"]) == {}
     assert Swarm.status(run.out, record) == []
 
 

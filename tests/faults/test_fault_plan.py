@@ -13,9 +13,8 @@ from mast_zenoh import links
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import Fault, Plan, ProcessStep, plan
-from mast_zenoh.faults.impairments import LinkFault
-from mast_zenoh.faults.plan import frame_at
-from mast_zenoh.faults.targets import draw_agents
+from mast_zenoh.faults.base import LinkFault
+from mast_zenoh.faults.plan import draw_agents, frame_at
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 ROLES = {

@@ -12,14 +12,14 @@ from tempfile import gettempdir
 import pytest
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.launch.netns import machine
+from mast_zenoh.launch.netns import shaping
 from mast_zenoh.launch.netns.namespaces import NAMESPACES, Owner
 
 
 def require(*needs: str) -> None:
     """Skip the test, or fail if MAST_TEST_NETWORK is set, unless all needs are met."""
     try:
-        machine.delays_by({need: ["this test"] for need in needs}, Owner.this_process())
+        shaping.delays_by({need: ["this test"] for need in needs}, Owner.this_process())
     except BackendError as error:
         if os.environ.get("MAST_TEST_NETWORK"):
             raise

@@ -10,14 +10,14 @@ import subprocess
 import pytest
 from launched import MAST
 
-from mast_zenoh.deploy import docker, image
+from mast_zenoh.deploy import docker
 from mast_zenoh.errors import EngineError
 
 TAG = "mast-zenoh:test"
 
 #: Set where the container tests must not be skipped, as in CI.
 MUST = "MAST_TEST_DOCKER"
-BASES = ("mast-base:bookworm", image.BASE)
+BASES = ("mast-base:bookworm", docker.BASE)
 
 
 def base() -> str:
@@ -39,9 +39,9 @@ def built(*, launcher: bool = False) -> str:
     """The image of these sources, built if missing; with `launcher`, also that of the launcher."""
     on = base()
     try:
-        image.check(TAG)
+        docker.check_image(TAG)
     except EngineError:
-        image.build(TAG, on)
+        docker.build_image(TAG, on)
     if launcher:
         _launcher_built(on)
     return TAG
@@ -50,7 +50,7 @@ def built(*, launcher: bool = False) -> str:
 @functools.cache
 def _launcher_built(on: str) -> str:
     """The launcher's image, built once: its label says nothing of the launcher's sources."""
-    return image.build(TAG, on, launcher=True)
+    return docker.build_image(TAG, on, launcher=True)
 
 
 def remnants_of(run: str) -> dict[str, list[str]]:

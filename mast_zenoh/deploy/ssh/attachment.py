@@ -1,4 +1,4 @@
-"""The launcher's connection to one host's warden, which is restored after a loss."""
+"""The launcher's connections to wardens: one that stays, and single commands."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import asyncio
 import contextlib
 import itertools
 import json
+import os
 import secrets
 import shlex
+import signal
 import threading
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from mast_zenoh.deploy.ssh.connection import connected, messages_of
 from mast_zenoh.deploy.ssh.hostsfile import Host
-from mast_zenoh.deploy.ssh.relay import NOT_THERE
+from mast_zenoh.deploy.ssh.warden import NOT_THERE
 from mast_zenoh.errors import EngineError
+
+LEAVE_S = 20.0  #: for a host to end what it still runs and to remove its folder
 
 _ALIVE_EVERY_S = 2.0
 _AGAIN_S = 0.5
@@ -25,31 +28,48 @@ _NOT_STARTED = 127  # as from a shell
 
 def attaching(place: Mapping[str, Any]) -> str:
     """The command that attaches to a warden; place: the host's entry in run.json."""
-    words = [place["python"], "-m", "mast_zenoh.deploy.ssh.relay", place["run_folder"]]
+    words = [place["python"], "-m", "mast_zenoh.deploy.ssh.warden", place["run_folder"]]
     return shlex.join(["env", f"PYTHONPATH={place['release']}", *words])
 
 
+async def ask_warden(host: Host, place: Mapping[str, Any], do: str, **more: Any) -> dict[str, Any] | None:
+    """The warden's answer; None without a warden or installation. Raises EngineError."""
+    import asyncssh
+
+    answer: dict[str, Any] | None = None
+    try:
+        async with connected(host) as ssh, ssh.create_process(attaching(place)) as process:
+            process.stdin.write(json.dumps({"id": os.urandom(8).hex(), "do": do, **more}) + "\n")
+            async with asyncio.timeout(LEAVE_S):
+                async for message in messages_of(process):
+                    answer = message if "answer" in message else answer
+                    if answer and do != "leave":  # a leaving warden ends the connection itself, at its end
+                        break
+                else:
+                    await process.wait()
+                    if process.exit_status is None:
+                        raise EngineError(f"{host.called}: the connection was lost")
+            return answer
+    except (asyncssh.Error, OSError, TimeoutError) as error:
+        raise EngineError(f"{host.called}: {error or type(error).__name__}") from None
+
+
 class Attachment:
-    """The launcher's view of one warden. Commands are repeated until it has answered.
+    """The launcher's view of one warden. Commands are repeated until it has answered; a lost connection is restored.
 
     command: the command from `attaching`
     changed: notified after every change of the known state; shared by all hosts of a run
     on_log:  called with new output of a process: name, offset in its log, bytes
     reattached: number of reconnections; trouble: why it is not attached, if known
-    lost_since: when the connection was lost, on the monotonic clock; None while connected; gone: there is no warden
+    attached: whether there is a connection now; gone: there is no warden
     """
 
     def __init__(
-        self,
-        host: Host,
-        command: str,
-        changed: threading.Condition,
-        on_log: Callable[[str, int, bytes], None],
+        self, host: Host, command: str, changed: threading.Condition, on_log: Callable[[str, int, bytes], None]
     ) -> None:
         self.host = host
         self.states: dict[str, dict[str, Any]] = {}
-        self.lost_since: float | None = time.monotonic()
-        self.gone = False
+        self.attached = self.gone = False
         self.reattached = -1
         self.trouble = ""
         self._command = command
@@ -63,7 +83,7 @@ class Attachment:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._last = ""
 
-    # -- from the launcher's thread ------------------------------------------------------------------------------
+    # From the launcher's thread:
 
     def tell(self, do: str, **more: Any) -> str:
         """Queue a command for the warden; returns the command's id."""
@@ -77,7 +97,7 @@ class Attachment:
     def answer(self, command_id: str, seconds: float) -> dict[str, Any] | None:
         """The answer to a command; None after `seconds`, or if the warden is gone."""
         with self._changed:
-            self._changed.wait_for(lambda: command_id in self._answers or self.gone, seconds)
+            self._changed.wait_for(lambda: command_id in self._answers or self.gone, max(0.0, seconds))
             return self._answers.get(command_id)
 
     def leave(self, grace_s: float) -> None:
@@ -92,20 +112,22 @@ class Attachment:
     def state(self, name: str, start: str) -> dict[str, Any] | None:
         """The known state of a process, if the command with the id `start` has started it."""
         with self._changed:
-            state_ = self.states.get(name)
-            if state_ is not None and state_["start"] == start:
-                return state_
+            state = self.states.get(name)
+            if state is not None and state["start"] == start:
+                return state
             answer = self._answers.get(start)
         if answer is None:
             return None
         return {"pid": answer.get("pid"), "exit": _NOT_STARTED if "error" in answer else None}
 
-    @property
-    def attached(self) -> bool:
-        """Whether there is a connection now."""
-        return self.lost_since is None
+    def exit(self, name: str, start: str) -> int | None:
+        """Exit code of a process; killed if the host has lost its warden."""
+        state = self.state(name, start)
+        if state is not None and state["exit"] is not None:
+            return int(state["exit"])
+        return -int(signal.SIGKILL) if self.gone else None
 
-    # -- in the event loop ---------------------------------------------------------------------------------------
+    # In the event loop:
 
     async def stay(self) -> None:
         """Keep the connection until it is cancelled or the warden is gone."""
@@ -119,8 +141,7 @@ class Attachment:
             except (EngineError, OSError, asyncssh.Error) as error:
                 self.trouble = str(error)
             with self._changed:
-                if self.lost_since is None:
-                    self.lost_since = time.monotonic()
+                self.attached = False
                 self._changed.notify_all()
             await asyncio.sleep(_AGAIN_S)
 
@@ -164,8 +185,8 @@ class Attachment:
                 self._offsets[message["log"]] = message["offset"] + len(piece)
                 self._on_log(message["log"], message["offset"], piece)
         with self._changed:
-            if self.lost_since is not None:
-                self.lost_since = None
+            if not self.attached:
+                self.attached = True
                 self.reattached += 1
             if "node" in message:
                 self.states[message["node"]] = message

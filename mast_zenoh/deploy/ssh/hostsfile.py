@@ -111,6 +111,11 @@ class Hosts:
                 host_of[name] = next(by_role.get(spec.role, remaining_hosts))
         return {name: host_of[name] for name in nodes}
 
+    def used(self, nodes: Mapping[str, NodeSpec]) -> dict[str, Host]:
+        """The hosts that run nodes or the router."""
+        names = {*self.placed(nodes).values(), self.router_on}
+        return {name: host for name, host in self.hosts.items() if name in names}
+
     def _claims(self, nodes: Mapping[str, NodeSpec]) -> dict[str, list[str]]:
         roles = {*ROLES, *(spec.role for spec in nodes.values())}
         claims: dict[str, list[str]] = {}

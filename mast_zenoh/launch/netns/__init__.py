@@ -2,8 +2,7 @@
 
 hosts        sets up the namespaces, plays faults, and removes everything
 namespaces   network namespaces; removes namespaces of killed launchers
-shaping      a link's state as nftables rules and queueing disciplines
-machine      which of these this machine supports
+shaping      a link as nftables rules and queueing disciplines, and which of them this machine supports
 relay        a process between two TUN devices that delays packets
 router       the process of the router at the centre
 """

@@ -24,7 +24,7 @@ from typing import Any
 from mast_zenoh.errors import BackendError
 from mast_zenoh.faults import network
 from mast_zenoh.faults.network import LinkState
-from mast_zenoh.launch.netns import machine, relay, shaping
+from mast_zenoh.launch.netns import relay, shaping
 from mast_zenoh.launch.netns.namespaces import Namespace, Owner, sweep
 
 CENTRE = "10.77.0.1"
@@ -111,7 +111,7 @@ class Hosts:
     def _set_up(self) -> None:
         sweep()
         owner = Owner.this_process()
-        delays_by = machine.delays_by(network.needs(self.spec), owner)
+        delays_by = shaping.delays_by(network.needs(self.spec), owner)
         self._centre = self._namespace(owner.name("centre"))
         self._centre.ip("address", "add", f"{CENTRE}/32", "dev", "lo")
         for number, (name, host) in enumerate(self.spec["hosts"].items(), 1):

@@ -1,0 +1,252 @@
+"""Generated compose and stack files: readable, valid for Docker, reproducible."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import string
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from mast_zenoh import scenario
+from mast_zenoh.cli.app import app
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.deploy import documents, swarm
+from mast_zenoh.deploy.compose_inside import EXAMPLES, check_steps, example
+from mast_zenoh.deploy.documents import dump
+from mast_zenoh.errors import BackendError, ConfigurationError
+
+FOLDER = Path(__file__).parents[2] / "deploy" / "compose"
+RUN = "uncoordinated-00c0ffee"
+CREDENTIALS = {"ca.pem", "certificate.pem", "key.pem", "control.json"}
+
+TEXT = st.text(st.characters(exclude_categories=["Cs"]))
+PLAIN = st.one_of(st.booleans(), st.integers(-5, 5), st.floats(allow_nan=False, allow_infinity=False), TEXT)
+KEYS = TEXT.filter(bool)
+NESTED = st.recursive(
+    st.one_of(PLAIN, st.lists(PLAIN, max_size=3)),
+    lambda inner: st.one_of(
+        st.dictionaries(KEYS, inner, max_size=3),
+        st.lists(st.dictionaries(KEYS, inner, min_size=1, max_size=3), max_size=3),
+    ),
+    max_leaves=5,
+)
+
+#: Keys of a service that Compose 1.29 and 2 both accept: those of the Compose specification that the files use.
+SERVICE = {
+    *("build", "image", "user", "environment", "init", "read_only", "tmpfs", "cap_drop", "security_opt", "restart"),
+    *("cpus", "mem_limit", "pids_limit", "healthcheck", "container_name", "labels", "depends_on", "command"),
+    *("networks", "network_mode", "volumes", "working_dir", "stop_grace_period"),
+}
+
+
+@settings(max_examples=50)
+@given(st.dictionaries(KEYS, NESTED, max_size=4))
+def test_dumped_values_are_read_back_unchanged(content: dict[str, Any]) -> None:
+    def doubled(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {doubled(key): doubled(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [doubled(item) for item in value]
+        return value.replace("$", "$$") if isinstance(value, str) else value
+
+    assert yaml.safe_load(dump(content)) == doubled(content)
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r", "\x85", "\u2028", "\u2029"])
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_name_adds_no_line_to_the_file(newline: str, inside: bool) -> None:
+    def written(name: str) -> str:
+        launcher = documents.Launcher("baseline") if inside else None
+        return documents.compose_text(replace(resolve("baseline"), name=name), name, image="mast", launcher=launcher)
+
+    hostile = written(f"plain{newline}services: {{}}")
+    assert len(hostile.splitlines()) == len(written("plain").splitlines())
+    assert yaml.safe_load(hostile).keys() == yaml.safe_load(written("plain")).keys()
+
+
+def test_a_name_of_a_run_that_is_not_one_is_refused() -> None:
+    result = CliRunner().invoke(app, ["deploy", "write", "baseline", "--run", "a\nservices: {}"])
+    assert isinstance(result.exception, ConfigurationError)
+    assert "--run: found 'a\\nservices: {}', expected at most 100 characters" in str(result.exception)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_shipped_file_is_the_generators_output_valid_and_needs_nothing_from_outside(name: str) -> None:
+    path = FOLDER / f"{name}.yml"
+    written = path.read_text(encoding="utf-8")
+    assert written == example(name), "run `make docs`"
+    assert "`mast deploy image --launcher`" in written
+    assert "--base IMAGE" in written
+    paths = re.sub(r"/tmp(/mast-up|:)", "", written)
+    assert not re.search(r"/(home|root|work|tmp|Users)\b", paths), "no paths of this machine"
+    content = yaml.safe_load(written)
+    assert set(content) == {"x-node", "services", "networks", "volumes"}
+    services = content["services"]
+    nodes = set(services) - {"launcher", "certificates"}
+    assert set(services["launcher"]["depends_on"]) == nodes, "it starts last"
+    for service in services.values():
+        assert set(service) <= SERVICE
+        assert service["cap_drop"] == ["ALL"], "the settings of all nodes are merged in"
+        assert "networks" not in service or "network_mode" not in service
+        assert set(service.get("build", {})) <= {"context", "dockerfile", "target", "args"}
+        needs = service.get("depends_on", [])
+        conditions = {need["condition"] for need in needs.values()} if isinstance(needs, dict) else set()
+        assert conditions <= {"service_started", "service_healthy"}
+        assert {volume.partition(":")[0] for volume in service.get("volumes", ())} <= set(content["volumes"])
+    assert all(set(network) <= {"internal", "labels", "name"} for network in content["networks"].values())
+    assert all(set(volume) <= {"driver_opts", "labels", "name"} for volume in content["volumes"].values())
+    if EXAMPLES[name][1] != "open":
+        assert all(services[node]["depends_on"]["certificates"] == {"condition": "service_healthy"} for node in nodes)
+        for service in nodes | {"launcher"}:
+            keys = [volume for volume in services[service]["volumes"] if "keys-" in volume]
+            assert keys == [f"keys-{service}:/run/secrets:ro"], "only its own"
+    if shutil.which("docker-compose"):
+        words = ["docker-compose", "--file", str(path), "config", "--quiet"]
+        process = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert process.returncode == 0, process.stderr
+
+
+def resolve(name: str = "uncoordinated", *chosen: str, **more: Any) -> Resolved:
+    path, loaded = scenario.load(name, chosen)
+    options = {key: more.pop(key) for key in ("mode", "frames") if key in more}
+    return scenario.resolve(path, loaded | more, record=True, **({"frames": 2} | options))
+
+
+@pytest.mark.parametrize(("name", "problem"), [("launcher", "the launcher's name"), ("router", "the router's name")])
+def test_a_node_cannot_have_the_name_of_another_service(name: str, problem: str) -> None:
+    nodes = {name: dict(role="recorder", log="other.mcap")}
+    with pytest.raises(ConfigurationError, match=f"'{name}': {problem}"):
+        documents.check_names(resolve("baseline", "n_infrastructure=1", nodes=nodes), inside=True)
+
+
+def test_a_complete_file_is_refused_for_steps_that_need_docker() -> None:
+    faults = [dict(type="Pause", at=0.5, until=2.0, node="infra_1")]
+    with pytest.raises(BackendError, match=r"pause of 'infra_1' .* no access to Docker"):
+        check_steps(resolve("baseline", "n_infrastructure=1", faults=faults, frames=20, mode="realtime"))
+
+
+def test_mobile_agents_and_their_interposers_are_on_the_wireless_network() -> None:
+    services = documents.compose(resolve("realistic_network", "n_mobile=1"), "r", image="i")["services"]
+    on = {name: service["networks"] for name, service in services.items()}
+    assert on["router"] == ["launcher", "wired", "wireless"]
+    wireless = [name for name, networks in on.items() if networks == ["wireless"]]
+    assert wireless == ["ego", "mobile_1", "link_ego", "link_mobile_1"]
+    assert all(networks == ["wired"] for name, networks in on.items() if name.startswith(("infra", "link_infra", "cc")))
+
+
+def test_every_node_gets_only_its_own_credentials() -> None:
+    content = documents.compose(resolve(), "r", image="i", secure="acl")
+    for name, service in content["services"].items():
+        names = {"router.json"} if name == "router" else CREDENTIALS
+        assert {secret["source"] for secret in service["secrets"]} == {f"{name}_{file}" for file in names}
+        assert {secret["target"] for secret in service["secrets"]} == names
+    assert content["secrets"]["ego_key.pem"] == {"file": "./credentials/ego/key.pem"}
+    opened = documents.compose(resolve(), "r", image="i")
+    assert "secrets" not in opened
+    assert not any("secrets" in service for service in opened["services"].values())
+
+
+def test_a_disconnected_node_waits_longer_for_the_launcher() -> None:
+    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
+    loaded |= dict(faults=[dict(type="Unplug", at=0.5, until=4.5, node="infra_1")])
+    unplugged = scenario.resolve(path, loaded, frames=60, mode="realtime", rate=0.5)
+    services = documents.compose(unplugged, "a-run", image="any", patience_s=10.0)["services"]
+    waits = {name: service["command"][-1] for name, service in services.items()}
+    assert waits.pop("infra_1") == "18", "4 s of scene time at half speed"
+    assert set(waits.values()) == {"10"}
+
+
+# -- stack files -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def resolved() -> Resolved:
+    made = resolve("uncoordinated", "n_infrastructure=2", "n_adversaries=1", "n_mobile=1")
+    return replace(made, nodes=made.nodes | {"infra_2": replace(made.nodes["infra_2"], on_exit="restart")})
+
+
+def stacked(resolved: Resolved, **options: Any) -> dict[str, Any]:
+    return documents.stack(resolved, RUN, image="sha256:1", port=7000, here="id-here", **options)
+
+
+def test_every_node_is_a_service_with_one_task_and_a_limit(resolved: Resolved) -> None:
+    content = stacked(resolved, absent=["infra_1"], secure="acl", environment={"OPENBLAS_CORETYPE": "Haswell"})
+    composed = documents.compose(resolved, RUN, image="sha256:1", secure="acl")["services"]
+    known = {"image", "user", "init", "read_only", "cap_drop", "healthcheck", "volumes", "stop_grace_period"}
+    known |= {"command", "networks", "ports", "secrets", "deploy", "environment", "<<"}
+    assert set(content["x-node"]) <= known, "no key of Compose alone"
+    assert content["x-node"]["environment"] == {"OPENBLAS_CORETYPE": "Haswell"}
+    assert content["services"].keys() == {"router", *resolved.nodes}
+    for name, service in content["services"].items():
+        assert set(service) <= known
+        assert (service["command"], service["networks"]) == (composed[name]["command"], composed[name]["networks"])
+        deploy = service["deploy"]
+        assert deploy["replicas"] == (0 if name == "infra_1" else 1)
+        assert deploy["endpoint_mode"] == "dnsrr", "a kernel without IPVS has no virtual addresses"
+        assert deploy["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
+        names = {"router.json"} if name == "router" else CREDENTIALS
+        assert {secret["target"] for secret in service["secrets"]} == names
+        assert {(s["uid"], s["gid"], s["mode"]) for s in service["secrets"]} == {("10001", "10001", 0o600)}
+        assert all(content["secrets"][secret["source"]]["file"].startswith("./") for secret in service["secrets"])
+    assert "secrets" not in stacked(resolved)
+
+
+def test_docker_restarts_only_nodes_with_a_restart_policy_and_the_router_only_in_real_time(resolved: Resolved) -> None:
+    policies = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
+    assert policies.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
+    assert {policy["condition"] for policy in policies.values()} == {"none"}
+    router = stacked(replace(resolved, mode="realtime"))["services"]["router"]
+    assert router["deploy"]["restart_policy"]["condition"] == "on-failure"
+
+
+def test_mobile_agents_have_their_own_network_and_no_node_has_external_access(resolved: Resolved) -> None:
+    content = stacked(resolved)
+    assert {network["driver"] for network in content["networks"].values()} == {"overlay"}
+    assert content["networks"]["wired"]["internal"]
+    assert content["networks"]["wireless"]["internal"]
+    networks_by_node = {name: service["networks"] for name, service in content["services"].items()}
+    assert networks_by_node.pop("router") == ["launcher", "wired", "wireless"]
+    assert {name for name, networks in networks_by_node.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
+
+
+def test_the_router_and_nodes_killed_by_the_scenario_are_on_the_launchers_machine(resolved: Resolved) -> None:
+    steps = (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"), ProcessStep(4, "leave", "broker"))
+    place = swarm.placement({"infra_*": "west"}, resolved.nodes)
+    services = stacked(resolved, place=place, pinned=swarm.pinned(steps))["services"]
+    constraints = {name: s["deploy"].get("placement", {}).get("constraints", []) for name, s in services.items()}
+    west = "node.labels.mast.host == west"
+    assert constraints["router"] == ["node.id == id-here"]
+    assert constraints["infra_1"] == ["node.id == id-here", west]
+    assert constraints["infra_2"] == [west]
+    assert constraints["broker"] == [], "a node to be disconnected may run on any machine"
+
+
+def test_the_router_is_checked_often_because_its_name_resolves_only_when_healthy(resolved: Resolved) -> None:
+    stack_file = stacked(resolved)
+    assert stack_file["services"]["router"]["healthcheck"]["interval"] == "2s"
+    assert stack_file["services"]["router"]["healthcheck"]["test"] == stack_file["x-node"]["healthcheck"]["test"]
+    read = yaml.safe_load(documents.stack_text(resolved, RUN, image="sha256:1", port=7000, here="id-here"))
+    assert read["services"]["ego"]["image"] == "sha256:1", "the settings of all nodes are merged in"
+
+
+@given(name=st.text(alphabet=string.ascii_letters + string.digits + "_-.é ", min_size=1, max_size=60))
+def test_every_accepted_name_is_a_valid_dns_label(resolved: Resolved, name: str) -> None:
+    one = replace(resolved, nodes={name: resolved.nodes["broker"]})
+    label = documents.service_name(RUN, name)
+    with contextlib.suppress(ConfigurationError):
+        documents.check_service_names(one)
+        assert len(label) <= 63
+        assert label.replace("_", "").replace("-", "").isascii()
+        assert label.replace("_", "").replace("-", "").isalnum()
+        assert label[-1].isalnum()
