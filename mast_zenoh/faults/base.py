@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, cast
 
 from mast_zenoh.errors import nearest
 from mast_zenoh.links.transit import FLOOD_COPIES, QUEUE_S
@@ -78,31 +78,21 @@ def check_after(at: float, until: float | None) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkFault(Fault):
-    """A fault of links, exact in lock-step, on the wall clock in real time.
+class RuleFault(Fault):
+    """A fault that adds a rule to links while it lasts, exact in lock-step, on the wall clock in real time.
 
-    until:     s of scene time at which it ends; None: at the end of the run
-    direction: "up" (to the command centre), "down" (from it) or "both"
-
-    Targets may also be keys of wires: agent/infra_1/tracks (published by infra_1), cc/picture (received by all agents).
+    until: s of scene time at which it ends; None: at the end of the run
     """
 
     until: float | None = None
-    direction: str = "both"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_after(self.at, self.until)
-        if self.direction not in (*DIRECTIONS, "both"):
-            hint = nearest(self.direction, (*DIRECTIONS, "both"))
-            raise ValueError(f"direction: found {self.direction!r}{hint}")
 
     @property
     def over(self) -> float | None:
         return self.until
-
-    def ways(self, role: str) -> Sequence[str]:
-        return DIRECTIONS if self.direction == "both" else (self.direction,)
 
     def rules(self, lockstep: bool) -> Sequence[Rule]:
         return (self.as_rule(),)
@@ -112,16 +102,48 @@ class LinkFault(Fault):
         """The link rule: dict(type=…), see docs/links.md."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Partition(LinkFault):
-    """Cuts off its targets. For the command centre, all agents are cut off."""
+class _OwnParameters:
+    """A fault whose own fields are the parameters of its rule; rule_type: of the rule, default: of the fault."""
+
+    rule_type: ClassVar[str] = ""
 
     def as_rule(self) -> Rule:
-        return {"type": "Cut"}
+        fault = cast("RuleFault", self)
+        common = {field.name for field in fields(LinkFault)}
+        own = {field.name: getattr(fault, field.name) for field in fields(fault) if field.name not in common}
+        return {"type": self.rule_type or type(self).__name__, **own}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loss(LinkFault):
+class LinkFault(RuleFault):
+    """A fault of links between agents and command centre.
+
+    direction: "up" (to the command centre), "down" (from it) or "both"
+
+    Targets may also be keys of wires: agent/infra_1/tracks (published by infra_1), cc/picture (received by all agents).
+    """
+
+    direction: str = "both"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.direction not in (*DIRECTIONS, "both"):
+            hint = nearest(self.direction, (*DIRECTIONS, "both"))
+            raise ValueError(f"direction: found {self.direction!r}{hint}")
+
+    def ways(self, role: str) -> Sequence[str]:
+        return DIRECTIONS if self.direction == "both" else (self.direction,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Partition(_OwnParameters, LinkFault):
+    """Cuts off its targets. For the command centre, all agents are cut off."""
+
+    rule_type = "Cut"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss(_OwnParameters, LinkFault):
     """Loses each message independently with this probability.
 
     probability: of losing a message, 0 to 1
@@ -129,30 +151,24 @@ class Loss(LinkFault):
 
     probability: float
 
-    def as_rule(self) -> Rule:
-        return {"type": "Loss", "probability": self.probability}
-
 
 @dataclass(frozen=True, kw_only=True)
-class BurstLoss(LinkFault):
+class BurstLoss(_OwnParameters, LinkFault):
     """Loses messages in bursts (Gilbert-Elliott).
 
     good_to_bad, bad_to_good: probability of a change from one message to the next, 0 to 1
     loss_good, loss_bad:      probability of losing a message in the good, or in the bad state, 0 to 1
     """
 
+    rule_type = "GilbertElliott"
     good_to_bad: float
     bad_to_good: float
     loss_good: float = 0.0
     loss_bad: float = 1.0
 
-    def as_rule(self) -> Rule:
-        names = ("good_to_bad", "bad_to_good", "loss_good", "loss_bad")
-        return {"type": "GilbertElliott", **{name: getattr(self, name) for name in names}}
-
 
 @dataclass(frozen=True, kw_only=True)
-class Delay(LinkFault):
+class Delay(_OwnParameters, LinkFault):
     """Delays messages by mean_s with standard deviation jitter_s.
 
     mean_s, jitter_s: mean and standard deviation of the delay
@@ -160,9 +176,6 @@ class Delay(LinkFault):
 
     mean_s: float
     jitter_s: float = 0.0
-
-    def as_rule(self) -> Rule:
-        return {"type": "Delay", "mean_s": self.mean_s, "jitter_s": self.jitter_s}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,21 +197,19 @@ class SlowNode(LinkFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BandwidthLimit(LinkFault):
+class BandwidthLimit(_OwnParameters, LinkFault):
     """Limits the bandwidth; messages that would wait longer than queue_s are lost.
 
     bits_per_s: bandwidth;  queue_s: maximum waiting time of a message
     """
 
+    rule_type = "Bandwidth"
     bits_per_s: float
     queue_s: float = QUEUE_S
 
-    def as_rule(self) -> Rule:
-        return {"type": "Bandwidth", "bits_per_s": self.bits_per_s, "queue_s": self.queue_s}
-
 
 @dataclass(frozen=True, kw_only=True)
-class Corrupt(LinkFault):
+class Corrupt(_OwnParameters, LinkFault):
     """Flips `flips` bits of a message with this probability.
 
     probability: that a message is corrupted, 0 to 1;  flips: number of flipped bits
@@ -207,12 +218,9 @@ class Corrupt(LinkFault):
     probability: float
     flips: int = 1
 
-    def as_rule(self) -> Rule:
-        return {"type": "Corrupt", "probability": self.probability, "flips": self.flips}
-
 
 @dataclass(frozen=True, kw_only=True)
-class Duplicate(LinkFault):
+class Duplicate(_OwnParameters, LinkFault):
     """Repeats a message with this probability, `copies` times.
 
     probability: that a message is repeated, 0 to 1;  copies: number of additional copies
@@ -221,12 +229,9 @@ class Duplicate(LinkFault):
     probability: float
     copies: int = 1
 
-    def as_rule(self) -> Rule:
-        return {"type": "Duplicate", "probability": self.probability, "copies": self.copies}
-
 
 @dataclass(frozen=True, kw_only=True)
-class Flood(LinkFault):
+class Flood(_OwnParameters, LinkFault):
     """Repeats every message `copies` times.
 
     copies: number of additional copies
@@ -234,12 +239,9 @@ class Flood(LinkFault):
 
     copies: int = FLOOD_COPIES
 
-    def as_rule(self) -> Rule:
-        return {"type": "Flood", "copies": self.copies}
-
 
 @dataclass(frozen=True, kw_only=True)
-class Reorder(LinkFault):
+class Reorder(_OwnParameters, LinkFault):
     """Delays a message by by_s with this probability, so that others overtake it.
 
     probability: that a message is delayed, 0 to 1;  by_s: its delay
@@ -247,9 +249,6 @@ class Reorder(LinkFault):
 
     probability: float
     by_s: float = 0.1
-
-    def as_rule(self) -> Rule:
-        return {"type": "Reorder", "probability": self.probability, "by_s": self.by_s}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,38 +265,19 @@ class Impair(LinkFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorFault(Fault):
-    """A fault of the detections of agents, exact in lock-step, on the wall clock in real time.
-
-    until: s of scene time at which it ends; None: at the end of the run
+class SensorFault(RuleFault):
+    """A fault of the detections of agents.
 
     An agent stands for its first sensor. The agent's claimed view is unchanged. Targets may also be keys of wires:
     agent/infra_1/detections, agent/infra_1/detections/radar.
     """
 
-    until: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_after(self.at, self.until)
-
-    @property
-    def over(self) -> float | None:
-        return self.until
-
     def ways(self, role: str) -> Sequence[str]:
         return (SENSOR,) if role == "agent" else ()
 
-    def rules(self, lockstep: bool) -> Sequence[Rule]:
-        return (self.as_rule(),)
-
-    @abstractmethod
-    def as_rule(self) -> Rule:
-        """The link rule: dict(type=…), see docs/links.md."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class BlindSector(SensorFault):
+class BlindSector(_OwnParameters, SensorFault):
     """Loses all detections in a sector, which the agent still claims to see.
 
     azimuth_min_deg: deg, at which the sector begins, in the sensor's frame
@@ -307,13 +287,9 @@ class BlindSector(SensorFault):
     azimuth_min_deg: float
     azimuth_max_deg: float
 
-    def as_rule(self) -> Rule:
-        limits = {"azimuth_min_deg": self.azimuth_min_deg, "azimuth_max_deg": self.azimuth_max_deg}
-        return {"type": "BlindSector", **limits}
-
 
 @dataclass(frozen=True, kw_only=True)
-class GhostDetections(SensorFault):
+class GhostDetections(_OwnParameters, SensorFault):
     """Detects objects that are not there, again and again at the same places.
 
     places: m, (x, y, z) of each: x ahead and y left of the sensor, or in the world; z is always that in the world
@@ -330,10 +306,6 @@ class GhostDetections(SensorFault):
     size: tuple[float, float, float] = (4.5, 1.8, 1.5)
     yaw_rad: float = 0.0
     kind: str = "car"
-
-    def as_rule(self) -> Rule:
-        names = ("places", "frame", "probability", "size", "yaw_rad", "kind")
-        return {"type": "GhostDetections", **{name: getattr(self, name) for name in names}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -359,13 +331,29 @@ class ProcessFault(Fault):
         return [first] if self.over is None else [first, (self.over, self.ends)]
 
 
-def _check_wait(name: str, value: float | None) -> None:
-    if value is not None and not 0.0 < value <= LATEST_S:
-        raise ValueError(f"{name}: found {value}, expected more than 0")
+@dataclass(frozen=True, kw_only=True)
+class _Absence(ProcessFault):
+    """A fault after which its targets may come back."""
+
+    @property
+    @abstractmethod
+    def absence(self) -> tuple[str, float | None]:
+        """Name and value of the parameter: s until they are started again; None: never."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        name, seconds = self.absence
+        if seconds is not None and not 0.0 < seconds <= LATEST_S:
+            raise ValueError(f"{name}: found {seconds}, expected more than 0")
+
+    @property
+    def over(self) -> float | None:
+        seconds = self.absence[1]
+        return None if seconds is None else self.at + seconds
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kill(ProcessFault):
+class Kill(_Absence):
     """Kills its targets, which report no results.
 
     restart_after: s until they are restarted; None: never.
@@ -374,17 +362,13 @@ class Kill(ProcessFault):
     begins = "kill"
     restart_after: float | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_wait("restart_after", self.restart_after)
-
     @property
-    def over(self) -> float | None:
-        return None if self.restart_after is None else self.at + self.restart_after
+    def absence(self) -> tuple[str, float | None]:
+        return "restart_after", self.restart_after
 
 
 @dataclass(frozen=True, kw_only=True)
-class Leave(ProcessFault):
+class Leave(_Absence):
     """Stops its targets as at the end of a run.
 
     return_after: s until they return; None: never.
@@ -393,17 +377,13 @@ class Leave(ProcessFault):
     begins = "leave"
     return_after: float | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_wait("return_after", self.return_after)
-
     @property
-    def over(self) -> float | None:
-        return None if self.return_after is None else self.at + self.return_after
+    def absence(self) -> tuple[str, float | None]:
+        return "return_after", self.return_after
 
 
 @dataclass(frozen=True, kw_only=True)
-class Restart(ProcessFault):
+class Restart(_Absence):
     """Stops its targets properly and restarts them.
 
     down_s: s in between, at least a frame.
@@ -412,13 +392,9 @@ class Restart(ProcessFault):
     begins = "leave"
     down_s: float = 0.5
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_wait("down_s", self.down_s)
-
     @property
-    def over(self) -> float | None:
-        return self.at + self.down_s
+    def absence(self) -> tuple[str, float | None]:
+        return "down_s", self.down_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -459,7 +435,7 @@ class Pause(ProcessFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unplug(ProcessFault):
+class Unplug(Pause):
     """Disconnects its targets from their networks; then they reconnect by themselves.
 
     until: s of scene time at which they are connected again
@@ -469,12 +445,6 @@ class Unplug(ProcessFault):
     """
 
     begins, ends = "disconnect", "connect"
-    until: float
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_after(self.at, self.until)
-
-    @property
-    def over(self) -> float | None:
-        return self.until
+    def rules(self, lockstep: bool) -> Sequence[Rule]:
+        return ()

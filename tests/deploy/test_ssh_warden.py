@@ -179,11 +179,10 @@ def test_nodes_that_do_not_exit_are_killed_after_the_grace_period_even_if_stoppe
     for _ in range(2):
         attached.wait(lambda event: event.get("text") == "up\n")
     attached.request("stop", "signal", names=["still"], number=int(signal.SIGSTOP))
-    attached.request("end", "end", grace_s=0.5)
+    attached.request("leave", "leave", grace_s=0.5)
     codes = {event["node"]: event["exit"] for event in attached.heard if "node" in event}
     assert codes == {"deaf": -signal.SIGKILL, "still": -signal.SIGTERM}
     assert all(wait_for_exit(pid) for pid in pids)
-    attached.request("leave", "leave", grace_s=1.0)
     attached.close()
 
 

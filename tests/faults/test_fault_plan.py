@@ -53,52 +53,45 @@ def test_frames_need_not_be_evenly_spaced() -> None:
 
 
 def test_a_partition_cuts_both_directions_from_start_to_end() -> None:
-    fault_plan = planned(dict(type="Partition", at=3.0, until=6.0, nodes=["infra_1", "infra_2"]))
+    nodes = ["infra_1", "infra_2"]
+    fault_plan = planned(dict(type="Partition", at=3.0, until=6.0, nodes=nodes))
     cut = [dict(type="Cut", at=3.0, until=6.0)]
-    assert fault_plan.rules == {name: {"up": cut, "down": cut} for name in ("infra_1", "infra_2")}
+    assert fault_plan.rules == {name: {"up": cut, "down": cut} for name in nodes}
     assert fault_plan.steps == ()
-    assert fault_plan.bands == [
-        dict(
-            label="Partition infra_1, infra_2",
-            kind="fault",
-            type="Partition",
-            at_s=3.0,
-            until_s=6.0,
-            nodes=["infra_1", "infra_2"],
-            backend="links",
-        )
-    ]
+    (band,) = fault_plan.bands
+    shown = dict(label="Partition infra_1, infra_2", kind="fault", type="Partition", backend="links", nodes=nodes)
+    assert band == shown | dict(at_s=3.0, until_s=6.0)
 
 
 def test_rules_keep_the_order_of_the_faults() -> None:
-    fault_plan = planned(
-        dict(type="Loss", at=5.0, until=6.0, node="infra_1", probability=0.5),
-        dict(type="Partition", at=1.0, until=6.0, node="infra_1"),
-    )
+    loss = dict(type="Loss", at=5.0, until=6.0, node="infra_1", probability=0.5)
+    fault_plan = planned(loss, dict(type="Partition", at=1.0, until=6.0, node="infra_1"))
     assert [rule["type"] for rule in fault_plan.rules["infra_1"]["up"]] == ["Loss", "Cut"]
 
 
 @pytest.mark.parametrize(
-    ("fault", "rule"),
+    ("fault", "defaults", "rule_type"),
     [
-        (dict(type="Loss", probability=0.25), dict(type="Loss", probability=0.25)),
-        (
-            dict(type="BurstLoss", good_to_bad=0.1, bad_to_good=0.5),
-            dict(type="GilbertElliott", good_to_bad=0.1, bad_to_good=0.5, loss_good=0.0, loss_bad=1.0),
-        ),
-        (dict(type="Delay", mean_s=0.2), dict(type="Delay", mean_s=0.2, jitter_s=0.0)),
-        (dict(type="BandwidthLimit", bits_per_s=1e6), dict(type="Bandwidth", bits_per_s=1e6, queue_s=0.5)),
-        (dict(type="Corrupt", probability=0.5, flips=3), dict(type="Corrupt", probability=0.5, flips=3)),
-        (dict(type="Flood", copies=7), dict(type="Flood", copies=7)),
-        (dict(type="Duplicate", probability=1.0), dict(type="Duplicate", probability=1.0, copies=1)),
-        (dict(type="Reorder", probability=0.5), dict(type="Reorder", probability=0.5, by_s=0.1)),
-        (dict(type="Impair", rule=dict(type="PoseError", yaw_std_rad=0.1)), dict(type="PoseError", yaw_std_rad=0.1)),
+        (dict(type="Loss", probability=0.25), {}, "Loss"),
+        (dict(type="BurstLoss", good_to_bad=0.1, bad_to_good=0.5), dict(loss_good=0.0, loss_bad=1.0), "GilbertElliott"),
+        (dict(type="Delay", mean_s=0.2), dict(jitter_s=0.0), "Delay"),
+        (dict(type="BandwidthLimit", bits_per_s=1e6), dict(queue_s=0.5), "Bandwidth"),
+        (dict(type="Corrupt", probability=0.5, flips=3), {}, "Corrupt"),
+        (dict(type="Flood", copies=7), {}, "Flood"),
+        (dict(type="Duplicate", probability=1.0), dict(copies=1), "Duplicate"),
+        (dict(type="Reorder", probability=0.5), dict(by_s=0.1), "Reorder"),
     ],
 )
-def test_every_message_fault_is_a_known_link_rule(fault: dict[str, Any], rule: dict[str, Any]) -> None:
-    fault_plan = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
-    assert fault_plan == [{**rule, "at": 1.0, "until": 2.0}]
-    assert isinstance(registry.build(fault_plan[0], links.Rule, "here"), links.Rule)
+def test_every_message_fault_is_a_known_link_rule(fault: dict[str, Any], defaults: dict, rule_type: str) -> None:
+    rules = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
+    assert rules == [fault | defaults | {"type": rule_type, "at": 1.0, "until": 2.0}]
+    assert isinstance(registry.build(rules[0], links.Rule, "here"), links.Rule)
+
+
+def test_any_link_rule_can_be_a_fault() -> None:
+    rule = dict(type="PoseError", yaw_std_rad=0.1)
+    planned_rule = planned(dict(type="Impair", at=1.0, node="ego", rule=rule)).rules["ego"]["up"]
+    assert planned_rule == [rule | {"at": 1.0, "until": None}]
 
 
 @pytest.mark.parametrize("fault", [cls for cls in KINDS.values() if issubclass(cls, LinkFault)])
@@ -173,33 +166,35 @@ def test_a_key_of_a_wire_selects_one_direction() -> None:
 # -- processes -------------------------------------------------------------------------------------------------------
 
 
-def test_a_killed_node_restarts_at_the_configured_time() -> None:
-    fault_plan = planned(dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0))
-    assert fault_plan.steps == (ProcessStep(40, "kill", "infra_3"), ProcessStep(60, "start", "infra_3"))
-    assert fault_plan.rules == {}
-    assert (fault_plan.bands[0]["at_s"], fault_plan.bands[0]["until_s"], fault_plan.bands[0]["backend"]) == (
-        4.0,
-        6.0,
-        "process",
-    )
-
-
 @pytest.mark.parametrize(
-    ("fault", "steps"),
+    ("fault", "steps", "band"),
     [
-        (dict(type="Kill", at=1.0), [(10, "kill")]),
-        (dict(type="Leave", at=1.0), [(10, "leave")]),
-        (dict(type="Leave", at=1.0, return_after=1.0), [(10, "leave"), (20, "start")]),
-        (dict(type="Restart", at=1.0, down_s=0.3), [(10, "leave"), (13, "start")]),
-        (dict(type="Restart", at=1.0, down_s=0.001), [(10, "leave"), (11, "start")]),
-        (dict(type="Restart", at=0.91, down_s=0.01), [(10, "leave"), (11, "start")]),
-        (dict(type="Join", at=1.0), [(10, "start")]),
-        (dict(type="Kill", at=9.5, restart_after=2.0), [(95, "kill")]),
+        (dict(type="Kill", at=1.0), [(10, "kill")], (1.0, None)),
+        (dict(type="Kill", at=4.0, restart_after=2.0), [(40, "kill"), (60, "start")], (4.0, 6.0)),
+        (dict(type="Kill", at=9.5, restart_after=2.0), [(95, "kill")], (9.5, None)),
+        (dict(type="Leave", at=1.0), [(10, "leave")], (1.0, None)),
+        (dict(type="Leave", at=1.0, return_after=1.0), [(10, "leave"), (20, "start")], (1.0, 2.0)),
+        (dict(type="Restart", at=1.0), [(10, "leave"), (15, "start")], (1.0, 1.5)),
+        (dict(type="Restart", at=1.0, down_s=0.001), [(10, "leave"), (11, "start")], (1.0, 1.001)),
+        (dict(type="Restart", at=0.91, down_s=0.01), [(10, "leave"), (11, "start")], (0.91, 0.92)),
+        (dict(type="Join", at=2.0), [(20, "start")], (0.0, 2.0)),
+        (dict(type="Pause", at=2.0, until=3.0), [(20, "pause"), (30, "resume")], (2.0, 3.0)),
+        (dict(type="Pause", at=9.0, until=12.0), [(90, "pause"), (99, "resume")], (9.0, None)),
+        (dict(type="Unplug", at=2.0, until=3.0), [(20, "disconnect"), (30, "connect")], (2.0, 3.0)),
+        (dict(type="Unplug", at=2.0, until=12.0), [(20, "disconnect"), (99, "connect")], (2.0, None)),
+        (dict(type="Unplug", at=9.9, until=12.0), [], (9.9, None)),
     ],
 )
-def test_every_process_fault_becomes_steps(fault: dict[str, Any], steps: list[tuple[int, str]]) -> None:
-    fault_plan = planned({**fault, "node": "infra_1"})
+def test_every_process_fault_becomes_steps_within_the_run(
+    fault: dict[str, Any], steps: list[tuple[int, str]], band: tuple[float, float | None]
+) -> None:
+    fault_plan = planned({**fault, "node": "infra_1"}, lockstep=False)
     assert fault_plan.steps == tuple(ProcessStep(frame, action, "infra_1") for frame, action in steps)
+    assert fault_plan.rules == {}
+    (shown,) = fault_plan.bands
+    assert (shown["at_s"], shown["until_s"]) == pytest.approx(band)
+    assert (shown["kind"], shown["type"], shown["backend"]) == ("fault", fault["type"], "process")
+    assert shown["nodes"] == ["infra_1"]
 
 
 @pytest.mark.parametrize("node", ["broker", "command_center", "adversary_1", "coordinator"])
@@ -208,90 +203,31 @@ def test_nodes_other_than_agents_can_be_killed_and_restarted(node: str) -> None:
     assert [step.node for step in fault_plan.steps] == [node, node]
 
 
-def test_a_joining_node_is_absent_until_it_joins() -> None:
-    (band,) = planned(dict(type="Join", at=2.0, node="infra_1")).bands
-    assert (band["at_s"], band["until_s"]) == (0.0, 2.0)
-
-
-def test_a_fault_that_outlasts_the_run_has_no_end() -> None:
-    kill, cut_off = planned(
-        dict(type="Kill", at=9.5, node="infra_1", restart_after=2.0),
-        dict(type="Partition", at=9.0, until=20.0, node="infra_2"),
-    ).bands
-    assert kill["until_s"] is cut_off["until_s"] is None
+def test_a_partition_that_outlasts_the_run_has_no_end() -> None:
+    assert planned(dict(type="Partition", at=9.0, until=20.0, node="infra_2")).bands[0]["until_s"] is None
 
 
 def test_faults_after_the_last_frame_have_no_effect() -> None:
-    fault_plan = planned(
-        dict(type="Kill", at=9.95, node="infra_1"), dict(type="Partition", at=30.0, until=40.0, node="infra_2")
-    )
-    assert fault_plan.steps == ()
-    assert fault_plan.bands == []
+    partition = dict(type="Partition", at=30.0, until=40.0, node="infra_2")
+    fault_plan = planned(dict(type="Kill", at=9.95, node="infra_1"), partition)
+    assert (fault_plan.steps, fault_plan.bands) == ((), [])
     assert fault_plan.missed == ["mine.py: faults[0]", "mine.py: faults[1]"]
 
 
 def test_steps_are_in_the_order_of_frames() -> None:
-    fault_plan = planned(
-        dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0), dict(type="Restart", at=1.0, node="ego")
-    )
-    assert [step.frame for step in fault_plan.steps] == [10, 15, 40, 60]
+    kill = dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0)
+    assert [step.frame for step in planned(kill, dict(type="Restart", at=1.0, node="ego")).steps] == [10, 15, 40, 60]
 
 
-# -- pauses ----------------------------------------------------------------------------------------------------------
-
-
-def test_a_pause_is_signals_in_real_time_and_delayed_messages_in_lock_step() -> None:
-    pause = dict(type="Pause", at=2.0, until=3.0, node="infra_1")
-    real = planned(pause, lockstep=False)
-    assert real.steps == (ProcessStep(20, "pause", "infra_1"), ProcessStep(30, "resume", "infra_1"))
-    assert real.rules == {}
-    exact = planned(pause)
+def test_a_pause_in_lock_step_holds_the_messages_of_every_link_of_its_node() -> None:
+    pause = dict(type="Pause", at=2.0, until=3.0)
     hold = [dict(type="Hold", at=2.0, until=3.0)]
-    assert exact.steps == ()
-    assert exact.rules == {"infra_1": {"up": hold, "down": hold}}
-    assert (real.bands[0]["backend"], exact.bands[0]["backend"]) == ("process", "links")
-
-
-def test_a_pause_beyond_the_run_ends_before_its_last_frame() -> None:
-    fault_plan = planned(dict(type="Pause", at=9.0, until=12.0, node="infra_1"), lockstep=False)
-    assert fault_plan.steps[-1] == ProcessStep(99, "resume", "infra_1")
-
-
-def test_pausing_the_command_centre_pauses_every_link() -> None:
-    fault_plan = planned(dict(type="Pause", at=2.0, until=3.0, node="command_center"))
-    assert list(fault_plan.rules) == list(AGENTS)
-    assert fault_plan.bands[0]["nodes"] == ["command_center"]
-
-
-# -- disconnections --------------------------------------------------------------------------------------------------
-
-
-UNPLUG = dict(type="Unplug", at=2.0, until=3.0, node="infra_1")
-
-
-def test_an_unplugged_node_is_disconnected_and_reconnected() -> None:
-    fault_plan = planned(UNPLUG, lockstep=False)
-    assert fault_plan.steps == (ProcessStep(20, "disconnect", "infra_1"), ProcessStep(30, "connect", "infra_1"))
-    assert fault_plan.rules == {}
-    (band,) = fault_plan.bands
-    assert (band["kind"], band["type"], band["backend"]) == ("fault", "Unplug", "process")
-    assert (band["at_s"], band["until_s"], band["nodes"]) == (2.0, 3.0, ["infra_1"])
-
-
-def test_a_node_unplugged_beyond_the_run_is_reconnected_before_its_last_frame() -> None:
-    assert planned(UNPLUG | {"until": 12.0}, lockstep=False).steps[-1] == ProcessStep(99, "connect", "infra_1")
-    assert planned(UNPLUG | {"at": 9.9, "until": 12.0}, lockstep=False).steps == (), "every node is reconnected"
-
-
-def test_unplugging_is_refused_in_lock_step() -> None:
-    with pytest.raises(ConfigurationError, match=r"faults\[0\]: Unplug: in lock-step .* use Partition"):
-        planned(UNPLUG)
-
-
-def test_a_disconnected_node_cannot_be_killed_or_paused() -> None:
-    for other in (dict(type="Kill", at=2.5, node="infra_1"), dict(type="Pause", at=2.5, until=4.0, node="infra_1")):
-        with pytest.raises(ConfigurationError, match=r"of 'infra_1' at 2.5 s: it is cut off then \(see .*\[0\]\)"):
-            planned(UNPLUG, other, lockstep=False)
+    for node, agents in (("infra_1", ["infra_1"]), ("command_center", AGENTS)):
+        fault_plan = planned({**pause, "node": node})
+        assert fault_plan.steps == ()
+        assert fault_plan.rules == {name: {"up": hold, "down": hold} for name in agents}
+        (band,) = fault_plan.bands
+        assert (band["backend"], band["nodes"]) == ("links", [node])
 
 
 def test_faults_of_what_an_agent_sends_are_listed_by_agent() -> None:
@@ -303,10 +239,8 @@ def test_faults_of_what_an_agent_sends_are_listed_by_agent() -> None:
         dict(type="Kill", at=4.0, node="broker", restart_after=2.0),
         dict(type="Loss", at=30.0, node="infra_4", probability=0.5),
     )
-    assert fault_plan.of_agents == {
-        "infra_1": [("Loss", 1.0, 2.0), ("PoseError", 3.0, None)],
-        "infra_3": [("Kill", 4.0, 6.0)],
-    }
+    of_1 = [("Loss", 1.0, 2.0), ("PoseError", 3.0, None)]
+    assert fault_plan.of_agents == {"infra_1": of_1, "infra_3": [("Kill", 4.0, 6.0)]}
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------
@@ -319,6 +253,7 @@ def test_faults_of_what_an_agent_sends_are_listed_by_agent() -> None:
             dict(type="Partition", at=1.0, nodes=["infra_9"]),
             r"faults\[0\]\.nodes: no node, role or word 'infra_9'; did",
         ),
+        (dict(type="Unplug", at=2.0, until=3.0, node="ego"), "Unplug: in lock-step .* use Partition"),
         (dict(type="Kill", at=1.0, node="agnet"), r"faults\[0\]\.node: .* did you mean 'agent'"),
         (dict(type="Partition", at=1.0, nodes="majorty"), "did you mean 'majority'"),
         (dict(type="Partition", at=1.0, nodes="agent/infra_1/trcks"), "did you mean 'agent/infra_1/tracks'"),
@@ -374,6 +309,13 @@ def test_impossible_actions_on_processes_are_refused(other: dict[str, Any], reas
         return
     with pytest.raises(ConfigurationError, match=reason):
         planned(KILL, other, lockstep=lockstep)
+
+
+def test_a_disconnected_node_cannot_be_killed_or_paused() -> None:
+    unplug = dict(type="Unplug", at=2.0, until=3.0, node="infra_1")
+    for other in (dict(type="Kill", at=2.5, node="infra_1"), dict(type="Pause", at=2.5, until=4.0, node="infra_1")):
+        with pytest.raises(ConfigurationError, match=r"of 'infra_1' at 2.5 s: it is cut off then \(see .*\[0\]\)"):
+            planned(unplug, other, lockstep=False)
 
 
 ANYTHING = st.one_of(
