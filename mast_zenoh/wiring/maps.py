@@ -90,13 +90,6 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 #: The second placeholder of a key.
 PART = "sensor"
 
-#: Rewrites of earlier versions, and their replacements.
-RENAMED = {
-    "uncoordinated.toml": ("on_detections.toml",),
-    "coordinated.toml": ("on_tracks.toml", "coordination.toml"),
-    "passthrough.toml": ("on_detections.toml", "on_tracks.toml"),
-}
-
 #: (name of a file, content) of a map and its rewrites.
 Sources = Sequence[tuple[str, Mapping[str, Any]]]
 
@@ -106,11 +99,6 @@ def load(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        if path.name in RENAMED:
-            successors = " and ".join(repr(name) for name in RENAMED[path.name])
-            raise WiringError(
-                f"{path.name}: rewrites are now named after their wires: use {successors} instead"
-            ) from None
         beside = [other.name for other in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         raise WiringError(f"{path}: no such key-expression map{nearest(path.name, beside)}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -8,36 +8,27 @@ import pytest
 import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ports import node
 
 from mast_zenoh.config import bundle
 from mast_zenoh.errors import WiringError
 from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.endpoints import NodeOptions
-from mast_zenoh.wiring.model import TAP, Branch, Endpoint, Input, Leg, Wiring, to_mermaid, to_text
+from mast_zenoh.wiring.model import TAP, Endpoint, Input, Wiring, to_mermaid, to_text
 
-
-def node(role: str, inputs: str = "", outputs: str = "", **options: str) -> NodeOptions:
-    def ports(words: str) -> dict[str, str]:
-        return dict(word.split(":") for word in words.split())
-
-    return NodeOptions(role, options, ports(inputs), ports(outputs))
-
-
-MAP = {
-    "wire": [
-        {
-            "key": "agent/{agent}/tracks",
-            "message": "tracks",
-            "from": "agent.tracks",
-            "to": ["broker.tracks", "evaluator.tracks"],
-        },
-        {
-            "key": "cc/picture",
-            "message": "picture",
-            "from": "command_center.picture",
-            "to": ["agent.picture", "evaluator.picture"],
-        },
-    ]
+SUBSCRIBERS = ["broker.tracks", "evaluator.tracks"]
+TRACKS = {"key": "agent/{agent}/tracks", "message": "tracks", "from": "agent.tracks", "to": SUBSCRIBERS}
+PICTURE = {
+    "key": "cc/picture",
+    "message": "picture",
+    "from": "command_center.picture",
+    "to": ["agent.picture", "evaluator.picture"],
+}
+POSE = {
+    "key": "agent/{agent}/pose",
+    "message": "pose",
+    "from": "simulator.pose",
+    "to": ["agent.pose", "adversary.pose"],
 }
 PORTS = "seen:tracks picture:picture", "said:tracks picture_out:picture"
 
@@ -62,8 +53,8 @@ def down(role: str = "link", to: str | None = "agent") -> dict:
     return {"insert": [entry if to is None else entry | {"to": to}]}
 
 
-def resolve(nodes: dict[str, NodeOptions], *rewrites: dict) -> Wiring:
-    return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *rewrites))], nodes)
+def resolve(nodes: dict[str, NodeOptions], *rewrites: dict, wires: tuple[dict, ...] = (TRACKS, PICTURE)) -> Wiring:
+    return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate(({"wire": wires}, *rewrites))], nodes)
 
 
 def test_only_the_broker_receives_from_a_link_before_the_broker() -> None:
@@ -77,42 +68,6 @@ def test_only_the_broker_receives_from_a_link_before_the_broker() -> None:
     assert "agent/infra_1/tracks" not in wiring.ports("broker").inputs
     assert wiring.ports("evaluator") == resolve(nodes).ports("evaluator")
     assert "agent/ego/tracks" in wiring.ports("broker").inputs, "agents without a link are heard as before"
-
-
-def test_each_link_is_inserted_before_the_agent_that_its_option_names() -> None:
-    links = {f"link_{name}": node("link", *PORTS, agent=name) for name in ("ego", "infra_1")}
-    wiring = resolve(world("ego", "infra_1", "infra_2", **links), down())
-    for name in ("ego", "infra_1"):
-        (key,) = wiring.ports(name).inputs
-        assert key == f"cc/picture/@tap/{name}/0"
-        assert wiring.ports(f"link_{name}").outputs["picture_out", ""] == key
-    assert set(wiring.ports("infra_2").inputs) == {"cc/picture"}
-    assert wiring.ports("cc").outputs["picture", ""] == "cc/picture"
-
-
-def test_an_adversary_on_the_trunk_is_before_the_branches_in_any_order_of_rewrites() -> None:
-    sitting = dict(link_1=node("link", *PORTS, agent="ego"), bad=node("adversary", *PORTS, agent="ego"))
-    nodes = world("ego", **sitting)
-    for rewrites in ((up(), up("adversary", None)), (up("adversary", None), up())):
-        wiring = resolve(nodes, *rewrites)
-        assert wiring.ports("ego").outputs["tracks", "ego"] == "agent/ego/tracks/@tap/0"
-        assert wiring.ports("bad").outputs["said", "ego"] == "agent/ego/tracks"
-        assert set(wiring.ports("link_1").inputs) == {"agent/ego/tracks"}
-        wire = next(wire for wire in wiring.wires if wire.subject == "ego")
-        assert wire.interposers == ("bad", "link_1")
-
-
-def test_several_nodes_on_one_branch_are_in_the_order_of_the_rewrites() -> None:
-    nodes = world("ego", link_1=node("link", *PORTS, agent="ego"), bad=node("adversary", *PORTS, agent="ego"))
-    for first, second in (("link_1", "bad"), ("bad", "link_1")):
-        wiring = resolve(nodes, *(up(nodes[name].role) for name in (first, second)))
-        wire = next(wire for wire in wiring.wires if wire.subject == "ego")
-        ends = Endpoint(second, "seen"), Endpoint("broker", "tracks")
-        legs = (
-            Leg("agent/ego/tracks/@tap/broker/0", Endpoint(first, "said"), (ends[0],)),
-            Leg("agent/ego/tracks/@tap/broker/1", Endpoint(second, "said"), (ends[1],)),
-        )
-        assert wire.branches == (Branch(Endpoint(first, "seen"), Endpoint("broker", "tracks"), legs),)
 
 
 @pytest.mark.parametrize(
@@ -155,7 +110,7 @@ def test_any_mix_of_links_and_adversaries_delivers_every_wire_once_to_every_subs
     nodes = world(*(f"a_{name}" for name in agents))
     plain = resolve(nodes)
     plain_keys = plain.keys()
-    rewrites, order = [], []
+    rewrites, order, before_agent = [], [], {}
     for i, letter in enumerate("bcdef"[: data.draw(st.integers(0, 5))]):
         agent = "a_" + data.draw(st.sampled_from(agents))
         nodes[str(i)] = node(f"role_{letter}", *PORTS, agent=agent)  # a name that looks like the number of a tap
@@ -164,6 +119,7 @@ def test_any_mix_of_links_and_adversaries_delivers_every_wire_once_to_every_subs
         order.append((str(i), agent, to))
         if data.draw(st.booleans()):
             rewrites.append(down(f"role_{letter}", "agent"))
+            before_agent.setdefault(agent, []).append(str(i))
     wiring = resolve(nodes, *rewrites)
 
     keys = wiring.keys()
@@ -194,10 +150,13 @@ def test_any_mix_of_links_and_adversaries_delivers_every_wire_once_to_every_subs
         assert sorted(end.node for end, _ in reached) == sorted(end.node for end in before.legs[0].subscribers)
         assert wire.subscribers == before.subscribers
         assert wire.legs[-1].key == before.legs[0].key
-        if wire.message == "tracks":
-            for end, way in reached:
+        for end, way in reached:
+            if wire.message == "picture":
+                assert way == tuple(before_agent.get(end.node, ())), "only before the agent that its option names"
+            else:
                 own = [(n, to) for n, agent, to in order if agent == wire.subject and to in (None, end.node)]
-                assert way == tuple(n for n, to in sorted(own, key=lambda entry: entry[1] is not None))
+                on_trunk_first = sorted(own, key=lambda entry: entry[1] is not None)
+                assert way == tuple(n for n, to in on_trunk_first), "in the order of the rewrites"
     for name in nodes:
         if nodes[name].role in ("broker", "evaluator", "agent"):
             with_, without = wiring.ports(name), plain.ports(name)
@@ -230,18 +189,6 @@ def test_the_shipped_network_map_does_not_affect_the_evaluator() -> None:
     }
 
 
-POSE = {
-    "wire": [
-        {
-            "key": "agent/{agent}/pose",
-            "message": "pose",
-            "from": "simulator.pose",
-            "to": ["agent.pose", "adversary.pose"],
-        }
-    ]
-}
-
-
 def on_pose(**more: str) -> dict:
     entry = {"wire": "agent/{agent}/pose", "role": "adversary", "input": "pose", "output": "pose_out"}
     return {"insert": [entry | more]}
@@ -259,7 +206,7 @@ def posed(**adversaries: Any) -> dict[str, NodeOptions]:
 
 
 def resolve_pose(nodes: dict[str, NodeOptions], *rewrites: dict) -> Wiring:
-    return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate((POSE, *rewrites))], nodes)
+    return resolve(nodes, *rewrites, wires=(POSE,))
 
 
 def test_a_subscriber_that_is_inserted_into_its_wire_receives_it_once() -> None:
