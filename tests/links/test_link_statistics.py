@@ -19,12 +19,9 @@ def test_the_loss_rate_equals_the_probability(p: float, seed: int) -> None:
     assert binomtest(lost, N, p).pvalue > 1.0 - SURE
 
 
-@pytest.mark.parametrize("p", [0.0, 1.0])
-def test_a_loss_of_one_drops_all_and_of_zero_none(p: float) -> None:
-    assert arrived(carry([dict(type="Loss", probability=p)], 500)).mean() == 1.0 - p
-
-
-def test_losses_are_independent() -> None:
+def test_losses_are_independent_and_all_or_none_at_the_limits() -> None:
+    for p in (0.0, 1.0):
+        assert arrived(carry([dict(type="Loss", probability=p)], 500)).mean() == 1.0 - p
     lost = ~arrived(carry([dict(type="Loss", probability=0.3)], N))
     after_loss = lost[1:][lost[:-1]]
     assert binomtest(int(after_loss.sum()), len(after_loss), 0.3).pvalue > 1.0 - SURE
@@ -121,12 +118,8 @@ def test_throughput_is_close_to_but_below_the_bandwidth(size: int) -> None:
     rate, seconds = 1e6, 20.0
     offered = 3.0 * rate  # three times the bandwidth
     every_ns = round(8e9 * size / offered)
-    outcomes = carry(
-        [dict(type="Bandwidth", bits_per_s=rate, queue_s=0.3)],
-        round(seconds * 1e9 / every_ns),
-        every_ns=every_ns,
-        size=size,
-    )
+    rules = [dict(type="Bandwidth", bits_per_s=rate, queue_s=0.3)]
+    outcomes = carry(rules, round(seconds * 1e9 / every_ns), every_ns=every_ns, size=size)
     sent = 8.0 * size * arrived(outcomes).sum()
     assert rate * seconds * 0.98 < sent <= rate * (seconds + 0.3) + 8.0 * size
     waited = delays(outcomes)

@@ -15,6 +15,7 @@ from mast_zenoh.links import Passage, SenderPose, Sensed
 from mast_zenoh.sensing import sensor_pose, to_world
 
 GHOST = dict(type="GhostDetections", places=[[20.0, 5.0, 0.75]], probability=1.0)
+BLIND = dict(type="BlindSector", azimuth_min_deg=-10.0, azimuth_max_deg=10.0)
 EXACT = dict(position_noise_m=0.0, vertical_noise_m=0.0, size_noise_m=0.0, yaw_noise_deg=0.0)
 
 
@@ -42,14 +43,6 @@ def test_a_blind_sector_loses_the_detections_in_it(sector: tuple[float, float], 
     message = sensed((10.0, 0.0), (0.0, 10.0), (-10.0, 0.0), (0.0, -10.0))
     rule = dict(type="BlindSector", azimuth_min_deg=sector[0], azimuth_max_deg=sector[1])
     assert np.array_equal(passed(rule, message).position, message.detections.position[kept])
-
-
-def test_nothing_in_the_sector_leaves_the_message_as_it_is() -> None:
-    message = sensed((10.0, 0.0))
-    rule = dict(type="BlindSector", azimuth_min_deg=90.0, azimuth_max_deg=180.0)
-    outcome = chain([rule]).carry(Passage(0, 0, sensed=message))
-    assert outcome.fates == {}
-    assert outcome.leaving[0][0].sensed is message
 
 
 def test_a_ghost_in_the_world_stays_while_its_sensor_moves_and_turns() -> None:
@@ -102,16 +95,13 @@ def test_ghosts_have_independent_errors_of_the_stated_size_in_every_frame() -> N
     assert np.mean(counts) == pytest.approx(1.6, abs=0.05)
 
 
-def test_a_ghost_that_is_not_detected_leaves_the_message_as_it_is() -> None:
-    message = sensed((10.0, 0.0))
-    outcome = chain([GHOST | dict(probability=0.0)]).carry(Passage(0, 0, sensed=message))
-    assert outcome.fates == {}
-
-
-def test_without_detections_or_a_known_pose_nothing_happens() -> None:
-    unknown = sensed((10.0, 0.0))._replace(pose=None)
-    for message in (None, unknown):
-        assert chain([GHOST]).carry(Passage(0, 0, sensed=message)).fates == {}
+def test_a_rule_without_anything_to_do_leaves_the_message_as_it_is() -> None:
+    message = sensed((0.0, 10.0))
+    unknown = message._replace(pose=None)
+    for rule, carried in ((BLIND, message), (GHOST | dict(probability=0.0), message), (GHOST, None), (GHOST, unknown)):
+        outcome = chain([rule]).carry(Passage(0, 0, sensed=carried))
+        assert outcome.fates == {}
+        assert outcome.leaving[0][0].sensed is carried
 
 
 def test_the_rate_of_turning_is_taken_from_two_poses() -> None:
@@ -127,31 +117,21 @@ def test_the_rate_of_turning_is_taken_from_two_poses() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "reason"),
+    ("rule", "parameters", "reason"),
     [
-        (dict(azimuth_min_deg=10.0, azimuth_max_deg=10.0), "azimuth_max_deg: found 10.0, expected up to 360 more"),
-        (dict(azimuth_min_deg=-200.0, azimuth_max_deg=200.0), "azimuth_max_deg: found 200.0"),
-        (dict(azimuth_min_deg=-400.0, azimuth_max_deg=0.0), "azimuth_min_deg: found -400.0"),
+        (BLIND, dict(azimuth_min_deg=10.0), "azimuth_max_deg: found 10.0, expected up to 360 more"),
+        (BLIND, dict(azimuth_min_deg=-200.0, azimuth_max_deg=200.0), "azimuth_max_deg: found 200.0"),
+        (BLIND, dict(azimuth_min_deg=-400.0, azimuth_max_deg=0.0), "azimuth_min_deg: found -400.0"),
+        (GHOST, dict(places=[]), "expected 1 to 100 places"),
+        (GHOST, dict(places=[[1.0, 2.0]]), "found 2 values, expected 3"),
+        (GHOST, dict(frame="body"), "frame: found 'body'"),
+        (GHOST, dict(kind="cra"), "did you mean 'car'"),
+        (GHOST, dict(size=[1.0, 0.0, 1.0]), "three lengths"),
+        (GHOST, dict(probability=1.5), "probability: found 1.5"),
+        (GHOST, dict(position_noise_m=-1.0), "noise: found"),
+        (GHOST, dict(score=[0.9, 0.1]), "low and high"),
     ],
 )
-def test_an_impossible_sector_is_refused(parameters: dict[str, float], reason: str) -> None:
+def test_impossible_sectors_and_ghosts_are_refused(rule: dict[str, Any], parameters: Any, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
-        build(type="BlindSector", **parameters)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "reason"),
-    [
-        (dict(places=[]), "expected 1 to 100 places"),
-        (dict(places=[[1.0, 2.0]]), "found 2 values, expected 3"),
-        (dict(frame="body"), "frame: found 'body'"),
-        (dict(kind="cra"), "did you mean 'car'"),
-        (dict(size=[1.0, 0.0, 1.0]), "three lengths"),
-        (dict(probability=1.5), "probability: found 1.5"),
-        (dict(position_noise_m=-1.0), "noise: found"),
-        (dict(score=[0.9, 0.1]), "low and high"),
-    ],
-)
-def test_impossible_ghosts_are_refused(parameters: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ConfigurationError, match=reason):
-        build(**GHOST | parameters)
+        build(**rule | parameters)

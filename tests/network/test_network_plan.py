@@ -25,11 +25,8 @@ def partition(at: float, until: float | None = None, hosts: object = "*") -> dic
     return {"type": "HostPartition", "at": at, "until": until, "hosts": hosts}
 
 
-def test_without_hosts_there_is_no_network() -> None:
-    assert resolved({}) == {}
-
-
 def test_a_link_runs_with_its_agent_and_unassigned_nodes_run_at_the_centre() -> None:
+    assert resolved({}) == {}
     hosts = resolved()["hosts"]
     assert {name: host["nodes"] for name, host in hosts.items()} == {
         "west": ["infra_1", "link_infra_1"],
@@ -43,20 +40,23 @@ def test_a_host_may_have_a_link_without_its_agent() -> None:
     assert hosts["edge"]["nodes"] == ["link_infra_1"]
 
 
+EGO, WEST = {"nodes": ["ego"]}, {"nodes": ["infra_1"]}
+
+
 @pytest.mark.parametrize(
     ("hosts", "reason"),
     [
         ([], "hosts: found [], expected a dict"),
-        ({"../x": {"nodes": ["ego"]}}, "hosts: found the name '../x', expected letters, digits, _ and -"),
+        ({"../x": EGO}, "hosts: found the name '../x', expected letters, digits, _ and -"),
         ({"west": ["infra_1"]}, "hosts.west: found ['infra_1'], expected a dict(nodes=[…])"),
         ({"west": {"delay_ms": 3}}, "hosts.west: found no `nodes`"),
         ({"west": {"nodes": "infra_1"}}, "hosts.west.nodes: found 'infra_1', expected a list of names"),
         ({"west": {"nodes": ["infra_7"]}}, "no node 'infra_7' in this run; did you mean 'infra_"),
-        ({"west": {"nodes": ["infra_1"], "delay": 3}}, "hosts.west.delay: unknown; did you mean 'delay_ms'?"),
-        ({"west": {"nodes": ["infra_1"], "loss": 2}}, "hosts.west.loss: found 2, expected a number from 0 to 1"),
-        ({"west": {"nodes": ["infra_1"], "bits_per_s": 0}}, "hosts.west.bits_per_s: found 0, expected a number"),
-        ({"west": {"nodes": ["ego"], "delay_by": "tc"}}, "hosts.west.delay_by: found 'tc'; known: netem, relay"),
-        ({"a": {"nodes": ["ego"]}, "b": {"nodes": ["e*"]}}, "hosts.b.nodes: 'ego' is already on host 'a'"),
+        ({"west": WEST | {"delay": 3}}, "hosts.west.delay: unknown; did you mean 'delay_ms'?"),
+        ({"west": WEST | {"loss": 2}}, "hosts.west.loss: found 2, expected a number from 0 to 1"),
+        ({"west": WEST | {"bits_per_s": 0}}, "hosts.west.bits_per_s: found 0, expected a number"),
+        ({"west": EGO | {"delay_by": "tc"}}, "hosts.west.delay_by: found 'tc'; known: netem, relay"),
+        ({"a": EGO, "b": {"nodes": ["e*"]}}, "hosts.b.nodes: 'ego' is already on host 'a'"),
         ({"west": {"nodes": []}}, "hosts.west: no node runs on this host"),
     ],
 )
@@ -68,21 +68,22 @@ def test_an_invalid_host_is_refused_with_its_path(hosts: object, reason: str) ->
 
 
 @pytest.mark.parametrize(
-    ("fault", "reason"),
+    ("kind", "parameters", "reason"),
     [
-        ({"type": "HostPartition", "hosts": "*"}, "HostPartition needs at"),
-        ({"type": "HostLoss", "at": 1, "hosts": "*"}, "HostLoss needs probability"),
-        ({"type": "HostLoss", "at": 1, "hosts": "*", "probability": 1.5}, "probability: found 1.5, expected a number"),
-        ({"type": "HostPartition", "at": 1, "hosts": ["wset"]}, "hosts: no host 'wset'; did you mean 'west'?"),
-        ({"type": "HostPartition", "at": 1, "hosts": []}, "hosts: found [], expected a list of hosts, or '*'"),
-        ({"type": "HostPartition", "at": 1, "until": 1, "hosts": "*"}, "until: found 1.0, expected a time after `at`"),
-        ({"type": "HostPartition", "at": 1, "nodes": ["ego"], "hosts": "*"}, "nodes: unknown"),
-        ({"type": "HostDelay", "at": 1, "hosts": "*", "delay_ms": "20"}, "delay_ms: found '20', expected a number"),
+        ("Partition", dict(at=None), "HostPartition needs at"),
+        ("Loss", {}, "HostLoss needs probability"),
+        ("Loss", dict(probability=1.5), "probability: found 1.5, expected a number"),
+        ("Partition", dict(hosts=["wset"]), "hosts: no host 'wset'; did you mean 'west'?"),
+        ("Partition", dict(hosts=[]), "hosts: found [], expected a list of hosts, or '*'"),
+        ("Partition", dict(until=1), "until: found 1.0, expected a time after `at`"),
+        ("Partition", dict(nodes=["ego"]), "nodes: unknown"),
+        ("Delay", dict(delay_ms="20"), "delay_ms: found '20', expected a number"),
     ],
 )
-def test_an_invalid_host_fault_is_refused_with_its_path(fault: dict, reason: str) -> None:
+def test_an_invalid_host_fault_is_refused_with_its_path(kind: str, parameters: dict, reason: str) -> None:
+    fault = {"type": f"Host{kind}", "at": 1, "hosts": "*"} | parameters
     with pytest.raises(ConfigurationError) as refused:
-        resolved(TWO, fault)
+        resolved(TWO, {key: value for key, value in fault.items() if value is not None})
     assert str(refused.value).startswith("s.py: faults[0]")
     assert reason in str(refused.value)
 
@@ -90,10 +91,7 @@ def test_an_invalid_host_fault_is_refused_with_its_path(fault: dict, reason: str
 def test_host_faults_are_refused_in_lock_step_with_the_reason() -> None:
     with pytest.raises(ConfigurationError, match=r"faults\[0\]: HostPartition acts on the host's network.*realtime"):
         resolved(TWO, partition(1.0), mode="lockstep")
-
-
-def test_hosts_without_faults_are_allowed_in_lock_step() -> None:
-    assert resolved(TWO, mode="lockstep")["faults"] == []
+    assert resolved(TWO, mode="lockstep")["faults"] == [], "hosts without faults are allowed"
 
 
 def test_overlapping_faults_add_up_and_heal_separately() -> None:
