@@ -1,4 +1,9 @@
-"""Requests to insert a node into a wire of a running run, or to remove it: their client, and the launcher's server."""
+"""Requests to insert a node into a wire of a running run, or to remove it: their client, and the launcher's server.
+
+`mast intercept` and `mast release` check the request against the run folder and build the node once. So the launcher
+never executes a user's file: it only starts the node's process. The request is a query on @control/intercept, sealed
+with a secret in the run folder: the launcher starts processes only for users who may read that folder.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Disconnects foreign clients that do not read in time and hold up a lock-step run.
+"""Joins the mesh of a run whose nodes are processes on this machine, and disconnects clients that hold it up.
+
+The router is in this process, an existing one, or in the network namespaces of the run.
 
 Messages in lock-step wait until every subscriber has room for them, so that no node misses any. A client that is
 no node, such as a third-party recorder, would stop the run when it is suspended, or slow it down to its own pace.

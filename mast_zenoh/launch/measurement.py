@@ -1,4 +1,7 @@
-"""The wirings that a recorded run had, one after the other."""
+"""Measures a run again from its recording: with other parameters, a later version, or after the run was killed.
+
+A node that measures a run depends on messages alone, so it measures the same from the run's recording.
+"""
 
 from __future__ import annotations
 

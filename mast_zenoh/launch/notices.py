@@ -1,4 +1,8 @@
-"""Notices at the end of a run: uncounted messages, overconfident estimates, and parts that took part in nothing."""
+"""Notices at the end of a run: uncounted messages, overconfident estimates, and parts that took part in nothing.
+
+Idle parts are measured: from the wiring, the effects on the wires, the scene and the recorded scores. What a node
+counts itself is given as a reason only, as its own words.
+"""
 
 from __future__ import annotations
 

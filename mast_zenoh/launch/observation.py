@@ -1,4 +1,9 @@
-"""What a terminal shows of a run: states of processes, what nodes send, the newest score, current events."""
+"""What a terminal shows of a run: states of processes, what nodes send, the newest score, current events.
+
+Nothing here is a node's own account. Messages that arrive are counted, and the steps in their stamps are read: Zenoh
+keeps the newest messages of a key without running Python, so a watched message costs the launcher a microsecond or two.
+The score is that of the newest picture, as the main agent receives it, scored as the evaluator will score it.
+"""
 
 from __future__ import annotations
 
@@ -223,22 +228,23 @@ class InProcessScores:
 
     def __init__(self, keys: ScoredKeys) -> None:
         self._keys = keys
-        self._truths: deque[Outgoing] = deque(maxlen=_TRUTHS)
-        self._pictures: deque[Outgoing] = deque(maxlen=1)
-        self._kept = {keys.truth: self._truths, keys.picture: self._pictures}
+        self._truths: deque[Message] = deque(maxlen=_TRUTHS)
+        self._picture: Message | None = None
 
     def take(self, message: Outgoing) -> None:
         """Keep a message if it is needed."""
-        if message.key in self._kept:
-            self._kept[message.key].append(message)
+        if isinstance(message.payload, Message):
+            if message.key == self._keys.truth:
+                self._truths.append(message.payload)
+            elif message.key == self._keys.picture:
+                self._picture = message.payload
 
     def newest(self) -> NewestScore | None:
         """The score of the newest picture."""
-        messages = [each.payload for each in (*self._truths, *self._pictures) if isinstance(each.payload, Message)]
-        if not self._pictures or not messages:
+        picture = self._picture
+        if picture is None:
             return None
-        *truths, picture = messages
-        truth = next((each for each in truths if each.header.frame == picture.header.frame), None)
+        truth = next((each for each in self._truths if each.header.frame == picture.header.frame), None)
         return None if truth is None else score(self._keys, truth, picture)
 
 
@@ -360,13 +366,10 @@ class Observation:
     def status(self, children: Mapping[str, Child]) -> Status:
         """What is to be shown now."""
         context = self._context
-        events = current_events(context.resolved, context.frame)
-        struck = {name: event["kind"] for event in events for name in event["nodes"]}
         states = {name: state_of(child, context.frame) for name, child in children.items()}
-        states = {name: struck.get(name, state) if state == "running" else state for name, state in states.items()}
         activities = {} if self._activities is None else {name: self._activities.of(name) for name in children}
-        labels = [*map(label_of, events), *interceptions(context.record.get("interceptions", ()))]
-        return Status(context.frame + 1, states, activities, labels, self._score.newest())
+        inserted = interceptions(context.record.get("interceptions", ()))
+        return _status(context.resolved, context.frame, states, activities, inserted, self._score.newest())
 
     def _follow(self, session: zenoh.Session, resolved: Resolved) -> None:
         self.close()
@@ -395,11 +398,25 @@ class InProcessObservation:
 
     def status(self, frame: int, present: Iterable[str]) -> Status:
         """What is to be shown; frame: number of frames played; present: the nodes that have not left."""
-        events = current_events(self._resolved, frame - 1)
-        struck = {name: event["kind"] for event in events for name in event["nodes"]}
         here = set(present)
-        states = {name: struck.get(name, "running") if name in here else "away" for name in self._resolved.nodes}
-        return Status(frame, states, {}, list(map(label_of, events)), self._scores.newest())
+        states = {name: "running" if name in here else "away" for name in self._resolved.nodes}
+        return _status(self._resolved, frame - 1, states, {}, [], self._scores.newest())
+
+
+def _status(
+    resolved: Resolved,
+    frame: int,
+    states: Mapping[str, str],
+    activities: Mapping[str, Activity],
+    interceptions: Sequence[str],
+    score: NewestScore | None,
+) -> Status:
+    """What is shown of a frame: nodes that run and are attacked, or have a fault, are in that state."""
+    events = current_events(resolved, frame)
+    struck = {name: event["kind"] for event in events for name in event["nodes"]}
+    states = {name: struck.get(name, state) if state == "running" else state for name, state in states.items()}
+    labels = [f"{event['kind']}: {event['label']}" for event in events]
+    return Status(frame + 1, states, activities, [*labels, *interceptions], score)
 
 
 class _Throttled:
@@ -439,11 +456,6 @@ def current_events(resolved: Resolved, frame: int) -> list[dict[str, Any]]:
         for event in resolved.timeline
         if frame >= 0 and event["at_s"] <= now_s and (event["until_s"] is None or now_s < event["until_s"])
     ]
-
-
-def label_of(event: Mapping[str, Any]) -> str:
-    """`attack: CoordinatedAttack adversary_1, adversary_2`."""
-    return f"{event['kind']}: {event['label']}"
 
 
 def interceptions(changes: Iterable[Mapping[str, Any]]) -> list[str]:

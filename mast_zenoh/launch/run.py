@@ -1,4 +1,4 @@
-"""File descriptors of a run: raises the limit, or raises ResourcesExhausted."""
+"""Runs a resolved scenario: as processes on a mesh, or in this process."""
 
 from __future__ import annotations
 

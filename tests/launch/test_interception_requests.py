@@ -48,10 +48,11 @@ SCENARIO = dict(
 ATTACK = ("attack.type=UncoordinatedAttack", "attack.start_s=0")
 
 
-@pytest.fixture
-def resolved(tmp_path: Path) -> Resolved:
-    (tmp_path / "mine.py").touch()
-    return scenario.resolve(tmp_path / "mine.py", SCENARIO, frames=2)
+@pytest.fixture(scope="module")
+def resolved(tmp_path_factory: pytest.TempPathFactory) -> Resolved:
+    file = tmp_path_factory.mktemp("scenario") / "mine.py"
+    file.touch()
+    return scenario.resolve(file, SCENARIO, frames=2)
 
 
 def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], role: str = "link") -> str:

@@ -4,15 +4,19 @@ import os
 import signal
 import threading
 from pathlib import Path
+from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
 import zenoh
 from tiny_world import tiny
 
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.launch import mesh_run, run, stop_signals
 from mast_zenoh.launch.context import Mesh
+from mast_zenoh.launch.launcher_protocol import Endings, RunState
 from mast_zenoh.launch.mesh_run import MeshLauncher
+from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
 
 WAIT_S = 0.05
@@ -58,3 +62,59 @@ def test_a_lost_node_fails_a_run_in_lock_step_unless_that_is_allowed(
     ended = run.run(tiny(), tmp_path / "run", allow_churn=allowed)
     assert ended.record["status"] == status
     assert ("infra_1 was lost before frame 3" in ended.record["message"]) == (not allowed)
+
+
+class Ended(Child):
+    """A process that has ended."""
+
+    exit = None
+
+    def where(self) -> dict[str, Any]:
+        return {}
+
+
+@pytest.mark.parametrize(
+    ("exit", "handed_in", "expected", "frame", "on_exit", "consequence"),
+    [
+        (0, True, False, 5, "fail", ""),
+        (-9, False, True, 5, "fail", ""),
+        (
+            0,
+            False,
+            False,
+            -1,
+            "continue",
+            "StartError: ego ended before the first frame: exit code 0, but it handed in",
+        ),
+        (1, False, False, -1, "restart", "StartError: ego ended before the first frame: exit code 1: no licence"),
+        (
+            0,
+            False,
+            False,
+            5,
+            "fail",
+            "NodeDied: ego exit code 0, but it handed in no results at frame 5; see logs/ego.",
+        ),
+        (9, True, False, 5, "fail", "NodeDied: ego exit code 9 at frame 5; see logs/ego.log: no licence"),
+        (-9, False, False, 5, "continue", "ego killed by signal 9 (SIGKILL) at frame 5; continuing without it"),
+        (-9, False, False, 5, "restart", "ego killed by signal 9 (SIGKILL) at frame 5; restarted"),
+        (-9, True, False, 5, "restart", "ego killed by signal 9 (SIGKILL) at frame 5; its results had been taken"),
+    ],
+)
+def test_the_end_of_a_process_has_the_consequence_that_its_node_asks_for(
+    exit: int, handed_in: bool, expected: bool, frame: int, on_exit: str, consequence: str
+) -> None:
+    shown: list[str] = []
+    state = RunState(MagicMock(), shown.append, lambda: 0.0)
+    state.frame = frame
+    child = Ended("ego", NodeSpec("agent", "", "", {}, on_exit))
+    child.exit, child.handed_in, child.exit_expected = exit, handed_in, expected
+    actions = MagicMock(last_log_line=lambda node: "no licence")
+    endings = Endings(state, MagicMock(), MagicMock(leaving={}), actions)
+    endings._handle_exit(child)
+    problem = state.stop.problem
+    told = "".join(shown).removeprefix("[yellow]") if problem is None else f"{type(problem).__name__}: {problem}"
+    assert told.startswith(consequence)
+    assert bool(told) == bool(consequence)
+    assert state.stop.requested == (problem is not None)
+    assert state.restarted == ({"ego"} if consequence.endswith("restarted") else set())

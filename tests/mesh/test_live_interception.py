@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -14,13 +13,11 @@ from pathlib import Path
 import pytest
 from launched import Launched, Observer, eventually
 
-from mast_zenoh import scenario
 from mast_zenoh.errors import NotRunning, StartError
 from mast_zenoh.launch import interception
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.protocol.traffic import ATTACHMENT
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
@@ -132,37 +129,6 @@ def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going)
     assert "may be lost" not in logs
     assert "Traceback" not in logs
     assert all(node["ended"].endswith("ok") for node in record["nodes"].values()), record["nodes"]
-
-
-def test_in_lock_step_the_stream_equals_that_of_an_undisturbed_run(going) -> None:
-    run, _ = going("--frames", "50")
-    interception.intercept(run.out, TRACKS, "adversary.py", name="mallory", settings=("attack.type=PassThrough",))
-    interception.intercept(run.out, TRACKS, RELAY, name="eve")
-    interception.intercept(run.out, DETECTIONS, RELAY, settings=("keeps=False",))
-    interception.release(run.out, name="mallory")
-    interception.release(run.out, wire=TRACKS)
-    record = stop(run)
-    recorded: dict[str, list[bytes]] = defaultdict(list)
-    for message in read(run.out):
-        recorded[message.key].append(message.payload)
-        assert message.step == message.frame, "an inserted node delays nothing"
-    frames = len(recorded["clock"])
-    taps = {key: len(recorded.pop(key)) for key in list(recorded) if "@tap" in key}
-    path, loaded = scenario.load(str(LIVE / "quiet.py"))
-    undisturbed: dict[str, list[bytes]] = defaultdict(list)
-    InProcess(
-        scenario.resolve(path, loaded, frames=50),
-        encode=True,
-        tap=lambda message: undisturbed[message.key].append(message.payload),
-        progress=lambda played: played < frames,
-    ).run()
-    assert recorded.keys() == undisturbed.keys()
-    for key, payloads in recorded.items():
-        assert len(payloads) <= len(undisturbed[key]), key
-        assert payloads == undisturbed[key][: len(payloads)], key
-    assert taps.keys() == {f"{TRACKS}/@tap/0", f"{TRACKS}/@tap/1", f"{DETECTIONS}/@tap/0"}
-    assert 0 < min(taps.values()) <= max(taps.values()) < frames
-    assert [interceptions["action"] for interceptions in record["interceptions"]] == ["intercept"] * 3 + ["release"] * 2
 
 
 def mast(*arguments: str, cwd: Path) -> tuple[int, str]:
