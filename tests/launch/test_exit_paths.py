@@ -276,7 +276,9 @@ def test_runs_that_end_at_random_times_match_the_table() -> None:
 
 
 def test_every_row_of_the_table_has_a_test() -> None:
-    tests = Path(__file__).read_text() + (Path(__file__).parents[1] / "mesh" / "test_endings.py").read_text()
+    folder = Path(__file__).parents[1]
+    files = (Path(__file__), folder / "mesh" / "test_endings.py", folder / "simulation" / "test_random_schedules.py")
+    tests = "".join(file.read_text() for file in files)
     rows = table()
     assert len(rows) > 15
     assert not [case for case in rows if f'"{case}"' not in tests]

@@ -40,6 +40,13 @@ def test_a_frame_beyond_the_scene_is_believed_only_of_a_simulator_of_the_user(
     assert launcher._context.frame == newest
 
 
+def test_the_error_of_a_node_that_did_not_start_has_the_last_line_of_its_log(launcher: MeshLauncher) -> None:
+    (launcher._context.folder / "logs").mkdir()
+    (launcher._context.folder / "logs" / "ego.log").write_bytes(b"importing\nno licence \xff\n\n")
+    (launcher._context.folder / "logs" / "hub.log").touch()
+    assert [launcher.last_log_line(name) for name in ("ego", "hub")] == ["no licence \ufffd", ""]
+
+
 def test_a_slow_signal_handler_does_not_block_the_launcher(launcher: MeshLauncher) -> None:
     with stop_signals.collected() as received:
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -57,16 +59,34 @@ def test_a_twin_keeps_links_and_faults(tmp_path: Path) -> None:
     }
 
 
-def test_a_twin_is_played_once_and_again_if_it_is_incomplete(tmp_path: Path) -> None:
-    attacked = played(tmp_path / "attacked", "uncoordinated")
-    first = json.loads((twin.of(attacked) / "run.json").read_text())["id"]
-    assert json.loads((twin.of(attacked) / "run.json").read_text())["id"] == first
-    (attacked / "twin" / "metrics.json").unlink()
-    assert json.loads((twin.of(attacked) / "run.json").read_text())["id"] != first
+@pytest.fixture(scope="module")
+def attacked_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return played(tmp_path_factory.mktemp("attacked") / "run", "uncoordinated")
+
+
+@pytest.fixture
+def attacked(attacked_run: Path, tmp_path: Path) -> Path:
+    """A copy of an attacked run."""
+    return shutil.copytree(attacked_run, tmp_path / "attacked")
 
 
 def run_id(folder: Path) -> str:
     return str(json.loads((folder / "run.json").read_text())["id"])
+
+
+def test_a_twin_is_played_once_and_again_if_it_is_incomplete_or_of_another_version(
+    attacked: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = run_id(twin.of(attacked))
+    assert run_id(twin.of(attacked)) == first
+    (attacked / "twin" / "metrics.json").unlink()
+    second = run_id(twin.of(attacked))
+    assert second != first
+    later = version.versions() | {"mast-zenoh": "later"}
+    monkeypatch.setattr(version, "versions", lambda: later)
+    third = run_id(twin.of(attacked))
+    assert third not in (first, second)
+    assert run_id(twin.of(attacked)) == third
 
 
 OWN_AGENT = """
@@ -100,18 +120,7 @@ def test_a_twin_is_played_again_if_a_users_file_or_one_next_to_it_changed(tmp_pa
     assert run_id(twin.of(attacked, allowed=OWN_RUN)) == second
 
 
-def test_a_twin_is_played_again_if_a_version_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    attacked = played(tmp_path / "attacked", "uncoordinated")
-    first = run_id(twin.of(attacked))
-    later = version.versions() | {"mast-zenoh": "later"}
-    monkeypatch.setattr(version, "versions", lambda: later)
-    second = run_id(twin.of(attacked))
-    assert second != first
-    assert run_id(twin.of(attacked)) == second
-
-
-def test_a_folder_that_is_not_a_twin_is_not_touched(tmp_path: Path) -> None:
-    attacked = played(tmp_path / "attacked", "uncoordinated")
+def test_a_folder_that_is_not_a_twin_is_not_touched(attacked: Path) -> None:
     (attacked / "twin").mkdir()
     (attacked / "twin" / "mine.txt").write_text("keep")
     with pytest.raises(NotComparable, match="is not the twin"):
@@ -119,18 +128,15 @@ def test_a_folder_that_is_not_a_twin_is_not_touched(tmp_path: Path) -> None:
     assert (attacked / "twin" / "mine.txt").is_file()
 
 
-@pytest.mark.parametrize("name", ["scenario.json", "wiring.json", "scene.npz"])
-def test_a_run_without_its_scenario_has_no_twin(tmp_path: Path, name: str) -> None:
-    attacked = played(tmp_path / "attacked", "uncoordinated")
-    (attacked / name).unlink()
-    with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):
-        twin.of(attacked)
-
-
-@pytest.mark.parametrize("content", [{"nodes": 3}, [], {"nodes": {"ego": {"config": 3}}}])
-@pytest.mark.parametrize("name", ["scenario.json", "wiring.json"])
-def test_a_run_with_a_broken_scenario_has_no_twin(tmp_path: Path, name: str, content: object) -> None:
-    attacked = played(tmp_path / "attacked", "uncoordinated")
-    (attacked / name).write_text(json.dumps(content))
-    with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):
-        twin.of(attacked)
+def test_a_run_without_its_scenario_or_with_a_broken_one_has_no_twin(attacked: Path) -> None:
+    broken = ('{"nodes": 3}', "[]", '{"nodes": {"ego": {"config": 3}}}')
+    damages = [*product(("scenario.json", "wiring.json"), (None, *broken)), ("scene.npz", None)]
+    for name, content in damages:
+        sound = (attacked / name).read_bytes()
+        (attacked / name).unlink()
+        if content is not None:
+            (attacked / name).write_text(content)
+        with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):
+            twin.of(attacked)
+        (attacked / name).write_bytes(sound)
+    assert twin.of(attacked).is_dir()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -16,7 +15,7 @@ import psutil
 import pytest
 from endings_table import ending
 from held_back import allow
-from launched import MAST, Launched, Observer, alive, eventually
+from launched import Launched, Observer, eventually
 
 from mast_zenoh.launch.liveness import current_record
 from mast_zenoh.messagelog.reader import read
@@ -83,16 +82,6 @@ def test_a_suspended_launcher_resumes_a_lock_step_run_without_effect(launch) -> 
     assert {message.frame for message in read(run.out)} == set(range(150))
 
 
-def test_a_launcher_suspended_for_longer_than_the_driver_waits_fails_a_lock_step_run(launch) -> None:
-    run: Launched = launch(*BASELINE, "--frames", "150")
-    at_frame(run, 15)
-    suspend(run, 34.0)
-    code, output = run.end()
-    what = "launcher suspended for more than 30 s and resumed, lock-step"
-    assert (run.record()["status"], code) == ending(what), output
-    list(read(run.out))
-
-
 def test_a_launcher_suspended_too_long_in_real_time_names_lost_nodes(launch) -> None:
     run: Launched = launch(*BASELINE, "--mode", "realtime", "--frames", "120")
     at_frame(run, 15)
@@ -150,46 +139,3 @@ def test_nodes_that_fill_the_disk_fail_the_run(launch, tiny_disk: Path, tmp_path
     assert "Traceback" not in output
     assert record["recording"]["complete"] is False
     list(read(tiny_disk))
-
-
-def test_a_killed_launcher_leaves_no_nodes_running(launch) -> None:
-    run: Launched = launch("uncoordinated", "--set", "n_infrastructure=2", *PACED)
-    at_frame(run, 10)
-    pids = run.pids()
-    assert alive(pids) == pids
-    run.kill()
-    eventually(lambda: not alive(pids), "all nodes have left", seconds=5.0)
-    row = ending("launcher killed (SIGKILL)")
-    assert (run.record()["status"], 128 - run.process.returncode) == row, "earlier messages are readable"
-    report = subprocess.run([*MAST, "report", str(run.out)], capture_output=True, text=True)
-    assert report.returncode == 0, report.stderr
-    assert "The run was cut off" in report.stderr.replace("\n", " ")
-    assert "killed" in (run.out / "report.html").read_text()
-
-
-def test_a_node_that_cannot_start_is_named_with_its_last_output(launch, tmp_path: Path) -> None:
-    (tmp_path / "broken.py").write_text(
-        "import os\n"
-        "from mast_zenoh.node import Node\n"
-        "class Broken(Node):\n"
-        "    role = 'adversary'\n"
-        "    inputs = {'clock': 'clock'}\n"
-        "    def __init__(self, agent: str):\n"
-        "        if os.path.exists('wiring.json'):  # in the run folder: in its own process\n"
-        "            raise SystemExit('no licence found')\n"
-        "    def on_clock(self, received, context): ...\n"
-    )
-    (tmp_path / "mine.py").write_text(
-        "from mast_zenoh.config import loading\n"
-        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
-        "def scenario():\n"
-        "    mallory = dict(file='broken.py', agent='infra_1')\n"
-        "    return baseline(n_infrastructure=2) | dict(adversaries=dict(mallory=mallory))\n"
-    )
-    run: Launched = launch(str(tmp_path / "mine.py"), *PACED)
-    code, output = run.end()
-    assert code == 21, output
-    assert "mallory ended before the first frame: exit code 1" in output
-    assert "no licence found" in output
-    others = [node["ended"] for name, node in run.record()["nodes"].items() if name != "mallory"]
-    assert set(others) == {"ok"}, "starting nodes also received the stop"

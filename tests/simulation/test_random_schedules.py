@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from endings_table import ending
 
+from mast_zenoh.errors import StallError
 from mast_zenoh.testing.simulation import Disturbance, Schedule, World, check, explore, play, random_schedule
 from mast_zenoh.testing.simulation.promises import undisturbed
 from mast_zenoh.testing.simulation.schedule import KINDS
@@ -81,6 +83,8 @@ def test_a_launcher_that_is_suspended_for_longer_than_the_driver_waits_stalls_th
     short = disturbed(worlds["lockstep"], "suspend launcher", lasts_s=19.0)
     assert (short.error, short.churn) == ("", [])
     assert disturbed(worlds["lockstep"], "suspend launcher", lasts_s=34.0).error.startswith("StallError")
+    row = ending("launcher suspended for more than 30 s and resumed, lock-step")
+    assert row == ("failed", StallError.exit_code)
 
 
 def test_a_node_that_has_not_finished_when_the_run_is_over_fails_it(worlds: dict[str, World]) -> None:
