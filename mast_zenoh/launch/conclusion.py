@@ -19,7 +19,7 @@ from mast_zenoh.launch import notices
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messagelog.reader import first_incomplete_frame, first_missing_frame
 from mast_zenoh.run_files import subfolder
-from mast_zenoh.wiring.model import Wire, Wiring
+from mast_zenoh.wiring.model import Wiring
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _MAX_PROBLEM_CHARS = 300  # of a problem as a node describes it
@@ -56,8 +56,9 @@ def by_wire(wiring: Wiring, sent_ns: Sent, arrived_ns: Mapping[str, Arrivals]) -
     publishers = {leg.publisher.node for _, leg in wiring.legs()}
     latencies: dict[str, dict[str, float | int]] = {}
     for wire in wiring.wires:
-        for key, node in sorted(_subscriptions(wire), key=lambda end: end[1] not in publishers):
-            if wire_latency := percentiles(sent_ns, arrived_ns.get(node, {}).get(key, {})):
+        key_of = {end: leg.key for leg in wire.every_leg for end in leg.subscribers}
+        for end in sorted(wire.subscribers, key=lambda end: end.node not in publishers):
+            if wire_latency := percentiles(sent_ns, arrived_ns.get(end.node, {}).get(key_of[end], {})):
                 latencies[wire.key] = wire_latency
                 break
     return latencies
@@ -85,12 +86,6 @@ def on_launcher_clock(outcomes: Mapping[str, Mapping[str, Any]]) -> tuple[Sent, 
         if "sent_ns" in outcome:
             sent = {frame: at - ahead_ns for frame, at in outcome["sent_ns"].items()}
     return sent, arrived
-
-
-def _subscriptions(wire: Wire) -> list[tuple[str, str]]:
-    """(key, node) of each subscriber of the wire, with the key that it subscribes to."""
-    key_of = {end: leg.key for leg in wire.every_leg for end in leg.subscribers}
-    return [(key_of[end], end.node) for end in wire.subscribers]
 
 
 def write(
@@ -195,8 +190,10 @@ def note_recording(
     if recorder is not None:
         gaps = churn.first_frames(record.get("churn", ()), recorder)
         lost = counts_of(handed_in.get(recorder, {}).get("recorded")).get("lost")
-        if record.get("mode") == "realtime" and (gap := _gap(folder, nodes)) is not None:
-            gaps.append(gap)
+        driver = driver_of(nodes)
+        if record.get("mode") == "realtime" and driver:
+            gap = first_missing_frame(folder, driver)
+            gaps += [] if gap is None else [gap]
         complete = recorder in handed_in and not lost and not gaps
         from_frame = {} if complete else {"from_frame": min([first_incomplete_frame(folder), *gaps])}
         record["recording"] = {"complete": complete} | from_frame
@@ -206,12 +203,6 @@ def note_recording(
             if lost := recorded.get("lost", 0):
                 messages = [record["message"]] if record["message"] else []
                 record["message"] = "; ".join([*messages, f"{lost} messages could not be recorded"])
-
-
-def _gap(folder: Path, nodes: Mapping[str, NodeSpec]) -> int | None:
-    """The first frame of which the recording lacks a message of the driver; else None."""
-    driver = driver_of(nodes)
-    return first_missing_frame(folder, driver) if driver else None
 
 
 def _failure(recorded: Mapping[str, Any]) -> dict[str, Any]:

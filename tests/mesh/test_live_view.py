@@ -8,6 +8,7 @@ import signal
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -174,27 +175,32 @@ def test_a_killed_launcher_leaves_neither_its_viewer_nor_the_viewers_keys(launch
     eventually(lambda: not credentials.parent.exists(), "the keys are deleted")
 
 
+@contextmanager
+def viewing(browser: Any, target: str) -> Iterator[Any]:
+    """The page of `mast view TARGET`, ready, when it has shown some frames."""
+    with subprocess.Popen([*MAST, "view", target], stdout=subprocess.PIPE, text=True) as viewer:
+        try:
+            assert viewer.stdout is not None
+            page = browser.new_page()
+            page.goto(viewer.stdout.readline().split()[-1])
+            page.wait_for_selector(".viewer.v-ready", timeout=_TIMEOUT_MS)
+            becomes_true(page, "viewer.state.runs[0].frames >= 5")
+            assert page.evaluate("viewer.marks(0).boxes.length") > 3
+            yield page
+            page.close()
+        finally:
+            viewer.send_signal(signal.SIGINT)
+            assert viewer.wait(20) == 0
+
+
 def test_a_router_shows_its_run_without_the_run_folder(launch: Callable[..., Launched], browser: Any) -> None:
     run = launch("baseline", "--set", "n_infrastructure=1", "--mode", "realtime", "--frames", "400")
     endpoint = run.until(lambda: run.record().get("endpoint"), "the run has a router")
     run.until(run.recorded, "frames are played")
-    viewer = subprocess.Popen([*MAST, "view", endpoint], stdout=subprocess.PIPE, text=True)
-    try:
-        assert viewer.stdout is not None
-        url = viewer.stdout.readline().split()[-1]
-        page = browser.new_page()
-        page.goto(url)
-        page.wait_for_selector(".viewer.v-ready", timeout=_TIMEOUT_MS)
-        becomes_true(page, "viewer.state.runs[0].frames >= 5")
-        assert page.evaluate("viewer.marks(0).boxes.length") > 3
+    with viewing(browser, endpoint) as page:
         run.process.send_signal(signal.SIGINT)
         assert run.end()[0] != 0
         becomes_true(page, "document.querySelector('.v-live').textContent.includes('has ended')")
-        page.close()
-    finally:
-        viewer.send_signal(signal.SIGINT)
-        assert viewer.wait(20) == 0
-        viewer.stdout.close()
 
 
 def test_a_replay_is_shown_while_it_is_running(start: Callable[..., Launched], browser: Any, tmp_path: Path) -> None:
@@ -203,22 +209,10 @@ def test_a_replay_is_shown_while_it_is_running(start: Callable[..., Launched], b
     recorded_run = launcher.run(resolved, tmp_path / "recorded", runtime="inproc").folder
     replay = start(*MAST, "replay", str(recorded_run), "--loop", "--rate", "1", "--no-report", "--out")
     replay.started()
-    viewer = subprocess.Popen([*MAST, "view", str(replay.out)], stdout=subprocess.PIPE, text=True)
-    try:
-        assert viewer.stdout is not None
-        page = browser.new_page()
-        page.goto(viewer.stdout.readline().split()[-1])
-        page.wait_for_selector(".viewer.v-ready", timeout=_TIMEOUT_MS)
-        becomes_true(page, "viewer.state.runs[0].frames >= 3")
-        assert page.evaluate("viewer.marks(0).boxes.length") > 3
+    with viewing(browser, str(replay.out)) as page:
         keep_screenshot(page, "replay")
-        page.close()
-    finally:
-        replay.process.send_signal(signal.SIGINT)
-        replay.end()
-        viewer.send_signal(signal.SIGINT)
-        assert viewer.wait(20) == 0
-        viewer.stdout.close()
+    replay.process.send_signal(signal.SIGINT)
+    replay.end()
 
 
 @pytest.mark.parametrize(

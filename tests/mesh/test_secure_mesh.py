@@ -62,14 +62,9 @@ def test_a_node_with_valid_credentials_is_admitted(level: str) -> None:
 
 
 @pytest.mark.parametrize("level", ["mtls", "acl"])
-def test_certificates_of_one_deployment_are_invalid_in_another(level: str) -> None:
-    with secure_router(level) as (_, endpoint), secure_router(level) as (other, _):
+def test_a_client_without_a_valid_certificate_of_this_deployment_is_refused_with_the_reason(level: str) -> None:
+    with secure_router(level) as (deployment, endpoint), secure_router(level) as (other, _):
         assert "it may be a rogue" in refusal(endpoint, credentials_of(other))
-
-
-@pytest.mark.parametrize("level", ["mtls", "acl"])
-def test_a_client_without_a_valid_certificate_is_refused_with_the_reason(level: str) -> None:
-    with secure_router(level) as (deployment, endpoint):
         assert deployment.authority is not None
         authority, now = deployment.authority, datetime.now(UTC)
         foreign = Authority("r").issue("a")
