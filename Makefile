@@ -67,10 +67,11 @@ lock: .venv/tools/ready
 	$(LOCK) --constraint requirements-dev.txt --group build --output-file requirements.txt pyproject.toml
 	$(LOCK) $(UPGRADE) --group tools --output-file requirements-tools.txt
 
-# Release files: source archive, wheel, and the bill of materials (CycloneDX) of the wheel with its dependencies.
+# Release files: source archives and wheels of the package and its plugin, and the bill of materials (CycloneDX) of the wheel with its dependencies.
 dist: .venv/ready .venv/tools/ready
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation
+	$(BIN)/python -m build --no-isolation --outdir dist plugins/datasets
 	$(TOOLS)/uv venv --quiet --python $(BIN)/python dist/installed
 	$(TOOLS)/uv pip install --quiet --python dist/installed --constraint requirements-dev.txt dist/*.whl
 	$(TOOLS)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/mast-zenoh.cdx.json dist/installed
@@ -78,8 +79,8 @@ dist: .venv/ready .venv/tools/ready
 
 # Kernels are compiled when the package is installed, and again when their sources change. pip hides how that ended, so
 # the last command tells. Other packages come from the lock file; with --no-build-isolation, the build uses them too.
-INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . && $(BIN)/python -m mast_zenoh.kernels
-.venv/installed: pyproject.toml requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
+INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . --editable plugins/datasets && $(BIN)/python -m mast_zenoh.kernels
+.venv/installed: pyproject.toml plugins/datasets/pyproject.toml requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "expected Python 3.11 or newer, found " + sys.version'
 	$(PYTHON) -m venv .venv
 	$(BIN)/$(PIP) --require-hashes --requirement requirements.txt

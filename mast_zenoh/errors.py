@@ -5,7 +5,8 @@ Each error that can end a command has its own exit code (docs/exit_codes.md).
     MastError                     1   any error that is not listed below
     ├── ConfigurationError       10   a scenario or study is invalid
     │   ├── WiringError          11   a key-expression map or rewrite is invalid
-    │   └── NodeFileError        12   a node's file is missing or does not define the node
+    │   ├── NodeFileError        12   a node's file is missing or does not define the node
+    │   └── PluginError          35   a plugin is missing, cannot be imported, or has a class named like another one
     ├── SceneError               13   a scene's data is missing, truncated or inconsistent
     ├── MessageError             14   bytes that are not a message of the expected schema
     ├── RunFolderError           15   a run folder is missing, incomplete or already in use
@@ -65,6 +66,15 @@ class NodeFileError(ConfigurationError):
     """A node's file is missing or does not define the node."""
 
     exit_code = 12
+
+
+class PluginError(ConfigurationError):
+    """A plugin is missing, cannot be imported, or has a class named like another one.
+
+    Names the plugin, its distribution and the cause.
+    """
+
+    exit_code = 35
 
 
 class SceneError(MastError):

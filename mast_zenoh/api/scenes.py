@@ -17,15 +17,13 @@ from mast_zenoh.api import messages as recorded
 from mast_zenoh.api.messages import Columns
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.config import registry
+from mast_zenoh.config.scene_names import has_short_name, recognised
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenario.shape import RUN_DEFAULTS
-from mast_zenoh.scenes import inspection
+from mast_zenoh.scenes import Recording, inspection
+from mast_zenoh.scenes.detection_tables import write_detections
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
-from mast_zenoh.scenes.names import SHORT_NAMES
-from mast_zenoh.scenes.own_detections import kitti
-from mast_zenoh.scenes.recognition import recognised
-from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Detector
 
 if TYPE_CHECKING:
@@ -103,7 +101,7 @@ class PreparedScene:
             target.mkdir(parents=True, exist_ok=True)
             if any(target.iterdir()):
                 raise SceneError(f"{target}: is not empty, expected a new or empty folder")
-            return [kitti.write(target, name, self.recording, row) for row, name in enumerate(self.agents)]
+            return [write_detections(target, name, self.recording, row) for row, name in enumerate(self.agents)]
         except OSError as error:
             raise SceneError(f"{target}: cannot be written: {error}") from error
 
@@ -212,7 +210,7 @@ def prepare(
             parameters[name] = registry.built(parameters[name], _BUILT[name], f"scene: {name}")
         return PreparedScene(scenes.from_arrays(**parameters, seed=seed or 0, frames=frames))
     scene = "intersection" if scene is None else scene
-    named_so = isinstance(scene, Mapping) or str(scene).partition(":")[0] in SHORT_NAMES
+    named_so = isinstance(scene, Mapping) or has_short_name(str(scene))
     suffix = "" if named_so else Path(str(scene)).suffix
     if suffix == ".npz":
         options = {"seed": seed, "frames": frames} | parameters

@@ -3,7 +3,8 @@
 `type` may also be the class itself.
 
 Any subclass of a base can be named where that base is expected; there is nothing to register. A package imports
-all its modules that define algorithms, so that they exist as soon as their base does. Parameters are checked
+all its modules that define algorithms, so that they exist as soon as their base does; those of plugins are found when
+no other class has a name. Parameters are checked
 against the class's `__init__`: unknown names, missing ones and wrong types raise an error with their path.
 """
 
@@ -12,11 +13,12 @@ from __future__ import annotations
 import inspect
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from mast_zenoh.config import plugins
 from mast_zenoh.errors import ConfigurationError, nearest
 
 _Signature = tuple[dict[str, inspect.Parameter], dict[str, Any]]
@@ -51,12 +53,26 @@ def type_names(value: Any) -> Iterator[str]:
         yield from type_names(item)
 
 
-def known_types(base: type) -> dict[str, type]:
-    """The concrete classes that can be named where `base` is expected, by name."""
+def known_types(base: type, name: object = None) -> dict[str, type]:
+    """The concrete classes that can be named where `base` is expected, by name.
+
+    name: one that is looked up; if no loaded class has it, plugins are loaded first
+    """
+    classes = _concrete(base, plugins.refused_packages())
+    if not isinstance(name, str) or name in classes:
+        return classes
+    plugins.load()
+    return _concrete(base, plugins.refused_packages())
+
+
+def _concrete(base: type, refused: Collection[str]) -> dict[str, type]:
+    """Concrete classes by name. refused: packages whose classes do not count"""
+    if refused and base.__module__.partition(".")[0] in refused:
+        return {}
     classes: dict[str, type] = {} if inspect.isabstract(base) else {base.__name__: base}
     subclasses: list[type] = base.__subclasses__()
     for subclass in subclasses:
-        classes |= known_types(subclass)
+        classes |= _concrete(subclass, refused)
     return classes
 
 
@@ -75,21 +91,22 @@ def build(spec: object, base: type, path: str) -> Any:
     """
     if not isinstance(spec, Mapping):
         raise ConfigurationError(f"{path}: found {spec!r}, expected a dict(type=…) naming a {base.__name__}")
-    classes = known_types(base)
+    classes = known_types(base, spec.get("type"))
     if "type" not in spec:
-        if len(classes) == 1:
-            spec = {"type": next(iter(classes)), **spec}
-        else:
+        default = [name for name, cls in classes.items() if plugins.plugin_of(cls) is None]
+        if len(default) != 1:
             raise ConfigurationError(f"{path}: no type given{nearest('', classes)}")
+        spec = {"type": default[0], **spec}
     name = ClassName(spec["type"]) if isinstance(spec["type"], type) else spec["type"]
     if isinstance(name, ClassName) and issubclass(name.cls, base):
         classes = {name: name.cls}  # several classes may have this name
     if not isinstance(name, str) or name not in classes:
-        problem = f"no {base.__name__} named {name!r}{nearest(str(name), classes)}"
         if (unfinished := _abstract(base, str(name))) is not None:
             methods = ", ".join(sorted(unfinished.__abstractmethods__))
             problem = f"{name} does not define {methods}, expected of every {base.__name__}"
-        raise ConfigurationError(f"{path}.type: {problem}")
+            raise ConfigurationError(f"{path}.type: {problem}")
+        problem = f"no {base.__name__} named {name!r}{nearest(str(name), classes)}"
+        raise plugins.not_found(f"{path}.type: {problem}", str(name))
     return construct(classes[name], {key: value for key, value in spec.items() if key != "type"}, path)
 
 

@@ -89,7 +89,7 @@ CALIBRATION_SCENES = range(4)
 def refuse_calibration_data(seeds: Iterable[int], scene: Mapping[str, Any], place: str) -> None:
     """Raise ConfigurationError if a test would use seeds or a scene from which thresholds were chosen.
 
-    scene: its configuration, as from `scenes.parse_scene`;  place: named in the error
+    scene: its configuration, as from `parse_scene`;  place: named in the error
     """
     used = sorted(set(seeds).intersection(CALIBRATION_SEEDS))
     if used:

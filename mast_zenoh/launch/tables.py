@@ -15,8 +15,7 @@ from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_files import check_plain, replacing
-from mast_zenoh.unpacking import parquet as bounded_parquet
-from mast_zenoh.unpacking.text import check_expanded
+from mast_zenoh.unpacking import check_expanded, read_parquet
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
@@ -67,7 +66,7 @@ def read_arrow(path: Path) -> Any:
 
     Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
     """
-    return bounded_parquet.read(check_plain(path))
+    return read_parquet(check_plain(path))
 
 
 def to_arrow(columns: Mapping[str, Any]) -> Any:

@@ -16,8 +16,7 @@ from mast_zenoh.metrics.achievement import ALL
 from mast_zenoh.pipelines.agent import DUE, IDLE
 from mast_zenoh.scenario.reconnaissance import surroundings_of
 from mast_zenoh.scenes.agents import best_pattern
-from mast_zenoh.scenes.measurements import NO_MEASUREMENT
-from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording
 from mast_zenoh.sensing import LidarSensor
 
 ON_EXIT = ("fail", "continue", "restart")

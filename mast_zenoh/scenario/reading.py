@@ -10,6 +10,7 @@ from typing import Any
 
 from mast_zenoh import scenes
 from mast_zenoh.config import loading, registry
+from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.config.settings import LISTS, from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
 from mast_zenoh.scenario.shape import normalise_keys
@@ -27,8 +28,8 @@ def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, An
     """
     if not isinstance(scene, (str, Mapping)):
         raise ConfigurationError(f"scene: found {scene!r}, expected a short name or a dict(type=…)")
-    spec = registry.own_copy(dict(scene)) if isinstance(scene, Mapping) else scenes.parse_scene(scene)
-    type_ = registry.known_types(scenes.Scene).get(str(spec.get("type")))
+    spec = registry.own_copy(dict(scene)) if isinstance(scene, Mapping) else parse_scene(scene)
+    type_ = registry.known_types(scenes.Scene, spec.get("type")).get(str(spec.get("type")))
     accepted = inspect.signature(type_).parameters if type_ else options  # an unknown type is refused when it is built
     for name, value in options.items():
         if value is None:

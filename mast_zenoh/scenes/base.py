@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
 
 from mast_zenoh.scenes.recording import Recording
 
@@ -13,7 +14,24 @@ class Scene(ABC):
     """A source of ground truth, which prepares a `Recording`.
 
     A subclass takes its parameters as keywords.
+
+    short_name:     what comes before the colon in short, as in `av2:PATH`; "": there is no short form
+    short_argument: the parameter that comes after it; one with a default is a whole number and may be left out
+    files:          variants of the files in a folder of this type: all patterns match, but none that begins with "!"
     """
+
+    short_name: ClassVar[str] = ""
+    short_argument: ClassVar[str] = "path"
+    files: ClassVar[tuple[tuple[str, ...], ...]] = ()
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Whether a file or folder looks like a scene of this type."""
+
+        def matches(pattern: str) -> bool:
+            return any(path.glob(pattern.removeprefix("!"))) != pattern.startswith("!")
+
+        return path.is_dir() and any(all(map(matches, variant)) for variant in cls.files)
 
     @abstractmethod
     def record(self, seed: int, frames: int | None) -> Recording:

@@ -18,7 +18,7 @@ from mast_zenoh import sensing, streams
 from mast_zenoh.arrays import geometry, states
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.making.sweeps import with_sweeps
+from mast_zenoh.scenes.making.observe import with_sweeps
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.version import __version__
 

@@ -12,13 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError, nearest
-from mast_zenoh.scenes.making.assembly import AgentPath, assemble
-from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble, direction_of_motion, fill_velocity
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
-from mast_zenoh.scenes.making.velocities import direction_of_motion, fill_velocity
 from mast_zenoh.scenes.making.virtual_agents import pole, vehicle
-from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.scenes.recording_arrays import check_times
+from mast_zenoh.scenes.recording import Recording, check_times
 from mast_zenoh.sensing import DetectionModel, Detector
 
 _DETECTOR = DetectionModel()

@@ -7,8 +7,7 @@ from scipy.spatial import KDTree
 
 from mast_zenoh.arrays.geometry import along_and_across
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats
-from mast_zenoh.scenes.measurements import NO_MEASUREMENT
-from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
+from mast_zenoh.scenes.recording import NO_MEASUREMENT, SEEN_RETURNS, Recording
 
 _MAX_SPEED_MPS = 70.0
 _FARTHEST_M = 1e100  # whose square is a number

@@ -1,11 +1,11 @@
-"""A prepared scene: all data of one (scene, seed) in columns."""
+"""Prepared scenes: all data of one (scene, seed) in columns."""
 
 from __future__ import annotations
 
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,150 @@ from mast_zenoh.errors import SceneError
 from mast_zenoh.run_files import check_plain
 from mast_zenoh.scenes.agents import SceneAgent as SceneAgent
 from mast_zenoh.scenes.agents import agent_from_json, agent_to_json
-from mast_zenoh.scenes.measurements import NO_MEASUREMENT, Measurements
-from mast_zenoh.scenes.recording_arrays import arrays_of_file, check_shapes, check_times
+
+#: In place of the age of a measurement, in frames without a new one.
+NO_MEASUREMENT = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """The new measurements of S sensors in F frames.
+
+    age_ns:   (F, S) int64, ns, time of the frame minus that of the measurement; NO_MEASUREMENT: none is new
+    position: (F, S, 3) m, of the sensor's agent when it measured, world frame
+    rotation: (F, S, 3, 3) active, agent to world, at that time
+    """
+
+    age_ns: Ints
+    position: Floats
+    rotation: Floats
+
+    def select(self, frames: slice, sensors: slice | Ints) -> Measurements:
+        """Those of some frames and sensors."""
+        part = frames, sensors
+        return Measurements(self.age_ns[part], self.position[part], self.rotation[part])
+
+    def arrays(self) -> dict[str, NDArray[np.int64] | Floats]:
+        """All arrays by name."""
+        return {"age_ns": self.age_ns, "position": self.position, "rotation": self.rotation}
+
+    def problems(self, times_ns: Ints, names: list[str]) -> Iterator[str]:
+        """What is wrong with them, each in a sentence.
+
+        times_ns: (F,) of the frames; names: (S,) of the sensors
+        """
+        frames, sensors = len(times_ns), len(names)
+        for name, shape in (("age_ns", ()), ("position", (3,)), ("rotation", (3, 3))):
+            values = getattr(self, name)
+            if values.shape != (frames, sensors, *shape):
+                yield f"measurements.{name} has shape {values.shape}, expected {(frames, sensors, *shape)}"
+                return
+            if not np.isfinite(values).all():
+                yield f"measurements.{name} has a number that is not finite"
+        latest = np.concatenate([[0], np.diff(times_ns) - 1])
+        invalid = np.argwhere((self.age_ns < NO_MEASUREMENT) | (self.age_ns > latest[:, None]))
+        if len(invalid):
+            frame, sensor = invalid[0].tolist()
+            yield (
+                f"measurements.age_ns: {names[sensor]} in frame {frame}: found {self.age_ns[frame, sensor]} ns, "
+                f"expected {NO_MEASUREMENT} (none), or 0 to {latest[frame]}: after the frame before it"
+            )
+
+    def check(self, place: str, times_ns: Ints, names: list[str]) -> None:
+        """Raise SceneError for the first problem. place: of the recording, for the message"""
+        for problem in self.problems(times_ns, names):
+            raise SceneError(f"{place}: {problem}")
+
+
+_BOX = {"position": "N,3", "size": "N,3", "yaw": "N", "class_id": "N"}
+#: Shape of each array: F frames, A agents, N truth rows, D detections, B buildings, C corners of them,
+#: S = F * sensors + 1, T = F + 1, U = B + 1.
+SHAPES: dict[str, str] = {
+    "times_ns": "F",
+    "truth_start": "T",
+    "points": "N,A",
+    "agent_position": "F,A,3",
+    "agent_rotation": "F,A,3,3",
+    "agent_velocity": "F,A,3",
+    "detection_start": "S",
+    "detection_truth_id": "D",
+    "building_height": "B",
+    "building_start": "U",
+    "building_corners": "C,2",
+    "truth.id": "N",
+    "truth.velocity": "N,3",
+    **{f"truth.{name}": shape for name, shape in _BOX.items()},
+    **{f"detections.{name}": shape.replace("N", "D") for name, shape in _BOX.items()},
+    "detections.score": "D",
+    "detections.covariance": "D,3,3",
+}
+#: Arrays that only some recordings have; their shapes are checked in `measurements`.
+_OPTIONAL = ("measurements.age_ns", "measurements.position", "measurements.rotation")
+#: Types other than float64.
+_TYPES: dict[str, Any] = {
+    "points": np.int32,
+    "measurements.age_ns": np.int64,
+    **{name: np.uint8 for name in SHAPES if name.endswith("class_id")},
+    **{name: np.int64 for name in SHAPES if name.endswith(("_ns", "_start", "id")) and not name.endswith("class_id")},
+}
+#: Where the number of each kind comes from.
+_COUNTED = {
+    "F": "times_ns",
+    "N": "truth.id",
+    "D": "detection_truth_id",
+    "B": "building_height",
+    "C": "building_corners",
+}
+
+
+def arrays_of_file(
+    place: object, arrays: Mapping[str, NDArray[Any]], agents: int, sensors: int
+) -> dict[str, NDArray[Any]]:
+    """The arrays of SHAPES with their types. place: of the recording, for messages; agents: A; sensors: of all agents
+
+    Raises SceneError for an array that is missing, of another shape, or not of the numbers that it should hold.
+    """
+    for name in SHAPES:
+        if name not in arrays:
+            raise SceneError(f"{place}: {name} is missing")
+    check_shapes(place, arrays, agents, sensors)
+    return {name: _typed(place, name, values) for name, values in arrays.items() if name in (*SHAPES, *_OPTIONAL)}
+
+
+def check_shapes(place: object, arrays: Mapping[str, NDArray[Any]], agents: int, sensors: int) -> None:
+    """Raise SceneError for the first of the arrays of SHAPES, as far as they are given, with another shape."""
+    counts = {"A": agents, "3": 3, "2": 2}
+    counts |= {letter: max(arrays[name].shape[:1], default=0) for letter, name in _COUNTED.items() if name in arrays}
+    counts |= {"T": counts["F"] + 1, "S": counts["F"] * sensors + 1, "U": counts["B"] + 1}
+    for name in SHAPES:
+        if name in arrays:
+            expected = tuple(counts[letter] for letter in SHAPES[name].split(","))
+            if arrays[name].shape != expected:
+                raise SceneError(f"{place}: {name} has shape {arrays[name].shape}, expected {expected}")
+
+
+def check_times(place: object, times_ns: NDArray[np.int64]) -> None:
+    """Raise SceneError for a frame that is not later than the one before."""
+    late = np.flatnonzero(np.diff(times_ns) <= 0)
+    if len(late):
+        raise SceneError(f"{place}: frame {late[0] + 1} is not later than frame {late[0]}")
+
+
+def _typed(place: object, name: str, array: NDArray[Any]) -> NDArray[Any]:
+    """An array with its type; raises SceneError if that would change a number."""
+    wanted = np.dtype(_TYPES.get(name, np.float64))
+    if array.dtype == wanted:
+        return array
+    kinds = "iu" if wanted.kind in "iu" else "fiu"
+    limits = np.iinfo(wanted) if wanted.kind in "iu" else None
+    outside = limits is not None and array.dtype.kind in "iu" and array.size > 0
+    if array.dtype.kind not in kinds or (
+        outside and limits is not None and (int(array.min()) < limits.min or int(array.max()) > limits.max)
+    ):
+        raise SceneError(f"{place}: {name} has the type {array.dtype}, expected {wanted}")
+    converted: NDArray[Any] = array.astype(wanted)
+    return converted
+
 
 #: Truth columns of a recording; covariance and score are constant for truth.
 TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")

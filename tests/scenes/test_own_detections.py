@@ -17,13 +17,8 @@ from mast_zenoh import scenario
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.config import registry
 from mast_zenoh.errors import MastError, SceneError
-from mast_zenoh.scenes import from_arrays
-from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.own_detections.kitti import read_kitti, write
-from mast_zenoh.scenes.own_detections.replayed import OwnDetections
-from mast_zenoh.scenes.own_detections.rows import DetectionRows
-from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.scenes.recording_file import RecordingFile
+from mast_zenoh.scenes import OwnDetections, Recording, RecordingFile, Scene, from_arrays
+from mast_zenoh.scenes.detection_tables import DetectionRows, read_kitti, write_detections
 from mast_zenoh.sensing import DetectionModel
 
 FRAMES = 4
@@ -97,7 +92,7 @@ def write_table(path: Path, recording: Recording, **changes: object) -> Path:
 def write_folder(folder: Path, recording: Recording) -> Path:
     folder.mkdir(exist_ok=True)
     for agent, name in enumerate(AGENTS):
-        write(folder, name, recording, agent)
+        write_detections(folder, name, recording, agent)
     return folder
 
 
@@ -108,7 +103,7 @@ def replayed(saved: Path, path: Path, **options: int) -> Recording:
 @pytest.mark.parametrize("write", [write_lines, write_table, write_folder])
 def test_detections_come_back_from_every_format(write, saved: Path, whole: Recording, tmp_path: Path) -> None:
     target = tmp_path / {"write_lines": "d.jsonl", "write_table": "d.parquet", "write_folder": "d"}[write.__name__]
-    recording = replayed(saved, write(target, whole))
+    recording = replayed(saved, write_detections(target, whole))
     assert len(whole.detections) > 8
     assert recording.detection_start.tolist() == whole.detection_start.tolist()
     for name in ("position", "size", "score"):

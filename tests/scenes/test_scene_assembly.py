@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.agents import SceneAgent
-from mast_zenoh.scenes.making.assembly import AgentPath, assemble, ground_level
-from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes import SceneAgent
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble, ground_level
 from mast_zenoh.scenes.making.virtual_agents import poles, vehicle, vehicles_throughout
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera, CleanDetector, LidarSensor

@@ -18,11 +18,10 @@ from typer.testing import CliRunner
 
 import mast_zenoh as mast
 from mast_zenoh.cli.app import app
+from mast_zenoh.config.scene_names import recognised, short_names
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import from_arrays
 from mast_zenoh.scenes.inspection import contents, problems
-from mast_zenoh.scenes.names import SHORT_NAMES
-from mast_zenoh.scenes.recognition import recognised
 from mast_zenoh.scenes.recording import Recording
 
 TIMES = np.arange(6) / 10
@@ -135,7 +134,7 @@ TWINS = {
 def test_every_data_set_is_recognised_by_its_files(name: str, tmp_path: Path) -> None:
     path = TWINS[name](tmp_path / "scene")
     assert recognised(str(path)) == f"{name}:{path}"
-    assert TWINS.keys() | {"intersection", "recording", "avstack", "av2"} == set(SHORT_NAMES)
+    assert TWINS.keys() | {"intersection", "recording", "avstack", "av2"} == set(short_names())
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

@@ -2,8 +2,8 @@
 
 import pytest
 
+from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenes.names import parse_scene
 
 
 @pytest.mark.parametrize(

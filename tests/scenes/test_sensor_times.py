@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 import mast_zenoh as mast
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.generated.intersection import Intersection
-from mast_zenoh.scenes.making.schedules import Schedule, regular_times
-from mast_zenoh.scenes.measurements import NO_MEASUREMENT
-from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes import Intersection, Recording
+from mast_zenoh.scenes.making.sensor_types import Schedule, regular_times
+from mast_zenoh.scenes.recording import NO_MEASUREMENT
 from mast_zenoh.sensing import sensor_pose, to_world
 from mast_zenoh.testing import check_scene
 

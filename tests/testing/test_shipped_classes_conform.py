@@ -14,6 +14,7 @@ import commonroad_writer
 import dair_writer
 import kitti_writer
 import label_twins
+import mast_datasets
 import opv2v_writer
 import pytest
 import sumo_writer
@@ -139,8 +140,8 @@ SCENES: dict[str, Callable[[], scenes.Scene]] = {
     "RecordingFile": lambda: scenes.RecordingFile(path=str(saved())),
     "OwnDetections": replayed,
     "Intersection": scenes.Intersection,
-    "AVstackScene": lambda: scenes.AVstackScene(path=str(data("avstack_carla_fixture"))),
-    "AV2Log": lambda: scenes.AV2Log(path=str(min(path for path in data("av2_logs").iterdir() if path.is_dir()))),
+    "AVstackScene": lambda: mast_datasets.AVstackScene(path=str(data("avstack_carla_fixture"))),
+    "AV2Log": lambda: mast_datasets.AV2Log(path=str(min(path for path in data("av2_logs").iterdir() if path.is_dir()))),
 }
 
 #: Writers of a recording into the layout of a data set without originals, by the scene that reads it. They return the

@@ -12,12 +12,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ab3dmot_reference import Ab3dmot, Matching, merged, overlaps
+from mast_datasets import AV2Log
 from reference_scene import FIRST, LAST, RANGE_M, Frames, data_folder, score
 
 from mast_zenoh.arrays.states import Detections
-from mast_zenoh.scenes.argoverse.av2 import AV2Log
-from mast_zenoh.scenes.own_detections.replayed import OwnDetections
-from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes import OwnDetections, Recording
 from mast_zenoh.sensing import sensor_pose, to_world
 
 pytestmark = pytest.mark.heavy

@@ -16,13 +16,13 @@ from mcap.writer import MCAP0_MAGIC
 from pyarrow import feather as arrow_feather
 from pyarrow import parquet as arrow_parquet
 
+from mast_zenoh import unpacking
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.tables import from_arrow, read_table
 from mast_zenoh.messagelog import reader
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.unpacking import feather, parquet
 from mast_zenoh.wiring.model import Input
 
 pytestmark = pytest.mark.heavy
@@ -33,7 +33,7 @@ import resource, sys
 from pathlib import Path
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.reader import read as read_recording
-from mast_zenoh.scenes.argoverse.files import read_poses
+from mast_datasets.argoverse import read_poses
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 900_000_000,) * 2)
 path = Path(sys.argv[1])
@@ -144,24 +144,24 @@ def test_tables_of_any_compression_are_read_as_written(tmp_path: Path, compressi
     )
     path = tmp_path / "t.parquet"
     arrow_parquet.write_table(table, path, compression=compression, data_page_version=version, row_group_size=1500)
-    assert parquet.read(path).equals(table)
-    assert parquet.read(path, ["text", "number"]).column("text").equals(table.column("text"))
+    assert unpacking.read_parquet(path).equals(table)
+    assert unpacking.read_parquet(path, ["text", "number"]).column("text").equals(table.column("text"))
     arrow_parquet.write_table(table.slice(0, 0), path, compression=compression)
-    assert parquet.read(path).schema == table.schema
+    assert unpacking.read_parquet(path).schema == table.schema
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "uncompressed"])
 def test_feather_files_are_read_as_they_were_written(tmp_path: Path, compression: str) -> None:
     table = pyarrow.table({"number": np.arange(5000.0), "text": [f"x{i % 50}" for i in range(5000)]})
     arrow_feather.write_feather(table, tmp_path / "t.feather", compression=compression, chunksize=1500)
-    assert feather.read(tmp_path / "t.feather").equals(table)
+    assert unpacking.read_feather(tmp_path / "t.feather").equals(table)
 
 
 def test_damaged_tables_raise_errors_that_readers_expect(tmp_path: Path) -> None:
     table = pyarrow.table({"number": np.arange(100.0), "text": [f"x{i % 50}" for i in range(100)]})
     arrow_parquet.write_table(table, tmp_path / "t.parquet")
     arrow_feather.write_feather(table, tmp_path / "t.feather")
-    for name, read in (("t.parquet", parquet.read), ("t.feather", feather.read)):
+    for name, read in (("t.parquet", unpacking.read_parquet), ("t.feather", unpacking.read_feather)):
         whole = (tmp_path / name).read_bytes()
         for at in range(0, len(whole), 7):
             data = bytearray(whole)
@@ -187,12 +187,12 @@ def test_a_table_of_many_different_texts_is_refused(tmp_path: Path) -> None:
         path = tmp_path / f"{number}.parquet"
         arrow_parquet.write_table(texts, path, use_dictionary=dictionary)
         with pytest.raises(pyarrow.ArrowInvalid, match="bytes unpacked or more, expected at most"):
-            parquet.read(path, max_bytes=10_000_000)
+            unpacking.read_parquet(path, max_bytes=10_000_000)
 
 
 def test_text_counts_by_its_bytes(tmp_path: Path) -> None:
     path = tmp_path / "table.parquet"
     arrow_parquet.write_table(pyarrow.table({"agent": ["\N{PILE OF POO}" * 1000] * 1000}), path)
     with pytest.raises(pyarrow.ArrowInvalid, match="expected at most"):
-        parquet.read(path, max_bytes=3_900_000)
-    assert parquet.read(path, max_bytes=4_100_000).num_rows == 1000
+        unpacking.read_parquet(path, max_bytes=3_900_000)
+    assert unpacking.read_parquet(path, max_bytes=4_100_000).num_rows == 1000

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trackeval
+from mast_datasets.kitti import KittiTracking, read_calibration, read_labels, read_poses
+from mast_datasets.tumtraf import read_frames
 from plain_record import CLASSES, PlainRecord, assert_same_boxes
 from vcd import core as vcd
 
 import mast_zenoh as mast
-from mast_zenoh.scenes.kitti.files import read_calibration, read_labels, read_poses
-from mast_zenoh.scenes.kitti.tracking import KittiTracking
-from mast_zenoh.scenes.tumtraf.openlabel import read_frames
 from mast_zenoh.viewer.export import export
 
 SEEN = 5  # lidar returns

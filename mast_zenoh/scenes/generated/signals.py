@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.scenes.generated.junction import BIKE, CROSSER, ROAD, Lane
-from mast_zenoh.scenes.generated.paths import Path
+from mast_zenoh.scenes.generated.junction import BIKE, CROSSER, ROAD, Lane, Path
 
 #: Length and width m of the largest mover of each kind: short road vehicles, long ones, bicycles, pedestrians.
 SHORT, LONG = 0, 1

@@ -3,18 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_quaternion, wrap_angle
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
-from mast_zenoh.scenes.making.motion import hermite, objects_between, rotation_between
 from mast_zenoh.scenes.making.sensor_types import Rig
-from mast_zenoh.scenes.measurements import NO_MEASUREMENT, Measurements
-from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
 from mast_zenoh.sensing import Detector, LidarSensor, Walls, lidar_points, sensor_pose
+from mast_zenoh.sensing.raycast import SweepRays
 from mast_zenoh.streams import stream
+
+
+def objects_between(
+    objects: ObjectStates, neighbours: ObjectStates | None, span_s: float, share: float
+) -> ObjectStates:
+    """The n objects of a frame, at a time between it and a neighbouring frame.
+
+    neighbours: the objects of that frame; None: there is none. span_s: s from the frame to its neighbour, negative to
+    an earlier one; share: 0 to 1, of the way to the neighbour.
+
+    Positions follow a cubic Hermite spline, which keeps positions and velocities of both frames. An object without a
+    neighbour moves at constant velocity. Velocities stay those of the frame.
+    """
+    position, yaw = objects.position + objects.velocity * (share * span_s), objects.yaw.copy()
+    if neighbours is not None and len(neighbours):
+        order = np.argsort(neighbours.id, kind="stable")
+        row = order[np.minimum(np.searchsorted(neighbours.id[order], objects.id), len(order) - 1)]
+        known = neighbours.id[row] == objects.id
+        row = row[known]
+        ends = objects.position[known], neighbours.position[row]
+        speeds = objects.velocity[known], neighbours.velocity[row]
+        position[known] = hermite(ends, speeds, span_s, share)
+        yaw[known] += share * wrap_angle(neighbours.yaw[row] - yaw[known])
+    return objects.with_(position=position, yaw=wrap_angle(yaw))
+
+
+def hermite(ends: tuple[Floats, Floats], speeds: tuple[Floats, Floats], span_s: float, share: float) -> Floats:
+    """Positions (..., 3) m at a `share` of a cubic spline of `span_s` s between `ends` with velocities `speeds`."""
+    t, u = share, 1.0 - share
+    along = (1.0 + 2.0 * t) * u * u * ends[0] + t * t * (3.0 - 2.0 * t) * ends[1]
+    return np.asarray(along + span_s * (t * u * u * speeds[0] - t * t * u * speeds[1]))
+
+
+def rotation_between(first: Floats, second: Floats, share: float) -> Floats:
+    """The rotation (3, 3) at a share of the way between two that are close to each other."""
+    start, end = quaternion_from_rotation(first), quaternion_from_rotation(second)
+    end = end if start @ end >= 0.0 else -end
+    return np.asarray(rotation_from_quaternion((1.0 - share) * start + share * end))
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,3 +269,37 @@ def make_recording(
     )
     recording.validate()
     return recording
+
+
+def with_sweeps(recording: Recording) -> Recording:
+    """The recording with `sweeps`; unchanged for a scene without buildings.
+
+    Without buildings nobody knows what stands beside the road, and so not what is free.
+    """
+    if not recording.buildings:
+        return recording
+    return replace(recording, sweeps=tuple(_sweeps(recording, agent) for agent in range(len(recording.agents))))
+
+
+def _sweeps(recording: Recording, agent: int) -> NDArray[np.float32]:
+    """(F, bands, sectors) float32, m, of one agent."""
+    described = recording.agents[agent]
+    rays = SweepRays.of(described.sensor)
+    walls = Walls.of_buildings(recording.buildings, recording.building_height)
+    sweeps = np.empty((len(recording), rays.bands, rays.sectors), np.float32)
+    background, last_pose = np.zeros(0), b""
+    for frame in range(len(recording)):
+        position, rotation = sensor_pose(
+            recording.agent_position[frame, agent],
+            recording.agent_rotation[frame, agent],
+            described.sensor.mount_position,
+            described.sensor.mount_rotation,
+        )
+        pose = position.tobytes() + rotation.tobytes()
+        if pose != last_pose:  # that of a pole never changes
+            background, last_pose = rays.background(position, rotation, walls), pose
+        truth = recording.truth_at(frame)
+        own = np.flatnonzero((truth.id == described.object_id) & (truth.id >= 0))
+        boxes = truth.position, truth.size, truth.yaw
+        sweeps[frame] = rays.sweep(background, position, rotation, boxes, int(own[0]) if len(own) else -1)
+    return sweeps

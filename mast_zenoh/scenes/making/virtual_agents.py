@@ -8,8 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
-from mast_zenoh.scenes.making.assembly import AgentPath, ground_level
-from mast_zenoh.scenes.making.boxes import Boxes
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, ground_level
 from mast_zenoh.scenes.recording import SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 

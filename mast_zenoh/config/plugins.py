@@ -1,0 +1,174 @@
+"""Installed plugins: Python packages whose classes can be named like ours.
+
+A distribution lists modules under the entry points of GROUP. Importing such a module defines its classes: scenes,
+attacks, trackers and so on. Plugins are imported for the first name that no loaded class has and for listings, never
+before. One that cannot be imported, or has a class named like another one, is warned about once and left out; a name
+that may be that of its class is a PluginError.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib.metadata import entry_points
+from typing import NamedTuple
+
+from mast_zenoh.errors import ConfigurationError, PluginError
+
+GROUP = "mast_zenoh.plugins"
+_OURS = "mast_zenoh"
+_log = logging.getLogger("mast.plugins")
+
+
+class Plugin(NamedTuple):
+    """An entry point of an installed distribution.
+
+    module: to import;  distribution: its name and version, such as "mast-zenoh-datasets 0.1.0"
+    """
+
+    name: str
+    module: str
+    distribution: str
+
+    @property
+    def package(self) -> str:
+        """The package to which its classes belong."""
+        return _package(self.module)
+
+
+class Loaded(NamedTuple):
+    """All plugins after their import: the usable ones, and by plugin why the others are left out."""
+
+    plugins: tuple[Plugin, ...]
+    problems: Mapping[Plugin, str]
+
+
+@cache
+def installed() -> tuple[Plugin, ...]:
+    """All installed plugins by name, without importing them."""
+    points = [(point, point.dist) for point in entry_points(group=GROUP)]
+    return tuple(sorted(Plugin(p.name, p.module, f"{dist.name} {dist.version}") for p, dist in points if dist))
+
+
+@cache
+def load() -> Loaded:
+    """Import all plugins, once."""
+    problems: dict[Plugin, str] = {}
+    for plugin in installed():
+        try:
+            importlib.import_module(plugin.module)
+        except (Exception, SystemExit) as error:
+            problems[plugin] = f"cannot be imported: {type(error).__name__}: {error}"
+    for plugin in installed():
+        for cls in _classes_of(plugin):
+            if plugin not in problems and (other := _namesake(cls)) is not None:
+                place = f"{other.__module__}.{other.__name__}"
+                problems[plugin] = f"has a class {cls.__name__}, as there is in {place}: expected different names"
+    for plugin, problem in problems.items():
+        _log.warning("the plugin %s of %s %s", plugin.name, plugin.distribution, problem)
+    return Loaded(tuple(plugin for plugin in installed() if plugin not in problems), problems)
+
+
+def refused_packages() -> frozenset[str]:
+    """The packages of the plugins that are left out, as far as they have been imported."""
+    return frozenset(plugin.package for plugin in load().problems) if load.cache_info().currsize else frozenset()
+
+
+def plugin_of(cls: type) -> Plugin | None:
+    """The plugin to which a class belongs; None for our classes and those of users' files."""
+    package = _package(cls.__module__)
+    return None if package == _OURS else next((each for each in installed() if each.package == package), None)
+
+
+def used_by(names: Iterable[str]) -> dict[str, str]:
+    """Of the names of classes in a scenario, those of plugins, each with its distribution."""
+    if not load.cache_info().currsize:  # all names are those of other classes
+        return {}
+    known = {cls.__name__: plugin.distribution for plugin in load().plugins for cls in _classes_of(plugin)}
+    return {name: known[name] for name in sorted(set(names) & known.keys())}
+
+
+#: By name of a class, the distribution of its plugin, from the run that uses it.
+_expected: dict[str, str] = {}
+
+
+def expect(classes: Mapping[str, str]) -> None:
+    """Name these distributions, by class, in the errors for classes that are not installed here."""
+    _expected.update(classes)
+
+
+def not_found(message: str, name: str) -> ConfigurationError:
+    """The error for a name that no class has: a PluginError if its class may be in a plugin.
+
+    message: what was not found
+    """
+    reasons = [f"the plugin {each.name} of {each.distribution} {why}" for each, why in load().problems.items()]
+    if name in _expected:
+        reasons.append(f"it is in the plugin {_expected[name]}, which this host does not have: install it here")
+    elif name in DATA_SETS:
+        reasons.append(data_set_missing(name))
+    return PluginError(f"{message}: {'; '.join(reasons)}") if reasons else ConfigurationError(message)
+
+
+#: Classes of our plugin for data sets, for the error if it is not installed: what they read.
+DATA_SETS = {
+    "AVstackScene": "the CARLA layout of AVstack",
+    "AV2Log": "Argoverse 2",
+    "KittiTracking": "KITTI",
+    "CommonRoadScenario": "CommonRoad",
+    "SumoTrace": "traces of SUMO",
+    "OPV2VScene": "OPV2V",
+    "V2XRealScene": "V2X-Real",
+    "MultiV2XScene": "Multi-V2X",
+    "V2V4RealScene": "V2V4Real",
+    "DAIRScene": "DAIR-V2X-C and V2X-Seq-SPD",
+    "RCooperScene": "RCooper",
+    "TUMTrafV2X": "TUMTraf V2X",
+    "UrbanIngV2X": "UrbanIng-V2X",
+}
+
+
+def data_set_missing(cls: str) -> str:
+    """What to install for one of DATA_SETS."""
+    return (
+        f"reading {DATA_SETS[cls]} needs the plugin mast-zenoh-datasets, expected: pip install 'mast-zenoh[datasets]'"
+    )
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def _classes_of(plugin: Plugin) -> list[type]:
+    """The classes of an imported plugin that derive from ours."""
+    modules = [module for name, module in list(sys.modules.items()) if _package(name) == plugin.package]
+    return [
+        cls
+        for module in modules
+        for cls in vars(module).values()
+        if isinstance(cls, type) and cls.__module__ == module.__name__ and any(map(_is_ours, cls.__mro__))
+    ]
+
+
+def _is_ours(cls: type) -> bool:
+    return _package(cls.__module__) == _OURS
+
+
+def _namesake(cls: type) -> type | None:
+    """Another class of this name, ours or a plugin's, that derives from one of our classes as `cls` does."""
+    packages = {_OURS, *(plugin.package for plugin in installed())}
+    for base in filter(_is_ours, cls.__mro__):
+        for other in (base, *_subclasses(base)):
+            if other is not cls and other.__name__ == cls.__name__ and _package(other.__module__) in packages:
+                return other
+    return None
+
+
+def _subclasses(base: type) -> Iterator[type]:
+    subclasses: list[type] = base.__subclasses__()
+    for subclass in subclasses:
+        yield subclass
+        yield from _subclasses(subclass)

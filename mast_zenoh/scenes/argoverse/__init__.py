@@ -1,1 +1,0 @@
-"""Reader of Argoverse 2 logs."""

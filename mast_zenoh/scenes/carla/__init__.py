@@ -1,1 +1,0 @@
-"""Reader of the CARLA multi-agent layout of AVstack."""

@@ -1,1 +1,0 @@
-"""Reader of the KITTI tracking benchmark."""

@@ -1,1 +1,0 @@
-"""Reader of traces of the traffic simulator SUMO."""

@@ -1,1 +1,0 @@
-"""Reader of TUMTraf-V2X, in OpenLABEL."""

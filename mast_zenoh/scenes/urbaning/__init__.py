@@ -1,1 +1,0 @@
-"""Reader of UrbanIng-V2X."""

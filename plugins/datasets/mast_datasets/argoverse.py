@@ -1,0 +1,295 @@
+"""Logs of the Argoverse 2 sensor data set.
+
+Wilson et al.: Argoverse 2, NeurIPS Datasets and Benchmarks 2021.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_datasets.traffic import agent_counts, nearest_vehicles
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.virtual_agents import poles
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+
+POSES = "city_SE3_egovehicle.feather"
+_POSE = {**dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float"), "timestamp_ns": "int"}
+_BOX = {
+    **_POSE,
+    **dict.fromkeys(("length_m", "width_m", "height_m"), "float"),
+    "track_uuid": "text",
+    "category": "text",
+    "num_interior_pts": "int",
+}
+
+#: Categories by class. The two halves of an articulated lorry are two objects, as in the data.
+_CATEGORIES = {
+    "car": ("REGULAR_VEHICLE",),
+    "truck": ("LARGE_VEHICLE", "BOX_TRUCK", "TRUCK", "TRUCK_CAB", "VEHICULAR_TRAILER"),
+    "bus": ("BUS", "SCHOOL_BUS", "ARTICULATED_BUS"),
+    "motorcycle": ("MOTORCYCLE", "MOTORCYCLIST"),
+    "bicycle": ("BICYCLE", "BICYCLIST"),
+    "pedestrian": ("PEDESTRIAN", "OFFICIAL_SIGNALER", "STROLLER", "WHEELCHAIR"),
+}
+CLASS_OF_CATEGORY = {category: CLASS_INDEX[name] for name, group in _CATEGORIES.items() for category in group}
+#: Objects that are not road users, and the ego, whose box is derived from its pose.
+LEFT_OUT = (
+    "BOLLARD",
+    "CONSTRUCTION_BARREL",
+    "CONSTRUCTION_CONE",
+    "EGO_VEHICLE",
+    "MESSAGE_BOARD_TRAILER",
+    "MOBILE_PEDESTRIAN_CROSSING_SIGN",
+    "MOBILE_PEDESTRIAN_SIGN",
+    "SIGN",
+    "STOP_SIGN",
+    "TRAFFIC_LIGHT_TRAILER",
+)
+
+
+#: m, between two boxes' centres and sizes, up to which they are the same box.
+SAME_BOX_M = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Annotations:
+    """N annotated boxes in the frame of the recording car, by time and then by track.
+
+    frame: (N,) row of `times_ns` (F,);  track: (N,) number of the track, from 1, in the order of their UUIDs
+    position: (N, 3) m;  rotation: (N, 3, 3) active;  size: (N, 3) m l w h;  class_id: (N,);  points: (N,) lidar returns
+    """
+
+    times_ns: Ints
+    frame: Ints
+    track: Ints
+    position: Floats
+    rotation: Floats
+    size: Floats
+    class_id: NDArray[np.uint8]
+    points: Ints
+
+
+def find_log(path: Path) -> tuple[Path, Path]:
+    """The annotations and the poses of the log at `path`.
+
+    path: its folder, or a folder that holds a single log
+    """
+    if not path.is_dir():
+        raise SceneError(f"{path}: no such folder")
+    folders = [folder for folder in (path, *sorted(path.iterdir())) if folder.is_dir() and (folder / POSES).is_file()]
+    if len(folders) != 1:
+        raise SceneError(f"{path}: {len(folders)} logs with a file {POSES}, expected one")
+    annotations = sorted(folders[0].glob("annotations*.feather"))
+    if len(annotations) != 1:
+        raise SceneError(f"{folders[0]}: {len(annotations)} files annotations*.feather, expected one")
+    return annotations[0], folders[0] / POSES
+
+
+def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
+    """Position (F, 3) m and active rotation (F, 3, 3) of the recording car.
+
+    In the city frame, at `times_ns` (F,).
+    """
+    columns = _read(path, _POSE)
+    order = np.argsort(columns["timestamp_ns"], kind="stable")
+    pose_times = columns["timestamp_ns"][order]
+    if np.any(np.diff(pose_times) == 0):
+        raise SceneError(f"{path}: timestamp_ns {pose_times[np.flatnonzero(np.diff(pose_times) == 0)[0]]} occurs twice")
+    rows = np.searchsorted(pose_times, times_ns)
+    missing = (rows == len(pose_times)) | (pose_times[np.minimum(rows, len(pose_times) - 1)] != times_ns)
+    if missing.any():
+        raise SceneError(f"{path}: no pose at timestamp_ns {times_ns[missing][0]} of the annotations")
+    return _poses(path, {name: values[order[rows]] for name, values in columns.items()})
+
+
+def read_annotations(path: Path) -> Annotations:
+    """The annotated road users of a log, without those `LEFT_OUT`.
+
+    Unknown categories get class 0 (unknown). An object that is annotated twice, as two tracks, is read once.
+    """
+    columns = _read(path, _BOX)
+    times = np.unique(columns["timestamp_ns"])
+    if len(times) == 0:
+        raise SceneError(f"{path}: the file has no rows")
+    # Times come from all rows: a frame without road users still counts.
+    keep = ~np.isin(columns["category"], LEFT_OUT)
+    columns = {name: values[keep] for name, values in columns.items()}
+    track = np.unique(columns["track_uuid"], return_inverse=True)[1].astype(np.int64) + 1
+    frame = np.searchsorted(times, columns["timestamp_ns"])
+    order = np.lexsort((track, frame))
+    frame, track = frame[order], track[order]
+    columns = {name: values[order] for name, values in columns.items()}
+    duplicates = np.flatnonzero((np.diff(frame) == 0) & (np.diff(track) == 0))
+    if len(duplicates):
+        name, time = columns["track_uuid"][duplicates[0]], times[frame[duplicates[0]]]
+        raise SceneError(f"{path}: track {name} occurs twice at timestamp_ns {time}")
+    size = np.stack([columns[name] for name in ("length_m", "width_m", "height_m")], axis=1)
+    if len(size) and (size.min() <= 0 or columns["num_interior_pts"].min() < 0):
+        raise SceneError(f"{path}: a size is 0 or less, or num_interior_pts is negative")
+    position, rotation = _poses(path, columns)
+    class_id = np.array([CLASS_OF_CATEGORY.get(name, 0) for name in columns["category"]], np.uint8)
+    points = columns["num_interior_pts"]
+    once = ~np.isin(track, _copies(frame, track, position, size, class_id))
+    return Annotations(
+        times, frame[once], track[once], position[once], rotation[once], size[once], class_id[once], points[once]
+    )
+
+
+def _copies(frame: Ints, track: Ints, position: Floats, size: Floats, class_id: NDArray[np.uint8]) -> list[int]:
+    """Tracks that coincide with another one of their class in all their frames.
+
+    That one is longer, or as long and has a lower number. Two objects cannot be in one place: these are one, annotated
+    twice. Columns (N,) as in `Annotations`, by frame.
+    """
+    from scipy.spatial import cKDTree  # takes 0.2 s, and every run imports this module
+
+    # Frames are so far apart in the first coordinate that no two of them have neighbours.
+    place = np.column_stack([frame * 10.0 * SAME_BOX_M, position, size])
+    i, j = cKDTree(place).query_pairs(SAME_BOX_M, output_type="ndarray").T
+    same = class_id[i] == class_id[j]
+    pairs = np.sort(np.column_stack([track[i], track[j]])[same], axis=1)
+    pairs, count = np.unique(pairs, axis=0, return_counts=True)
+    frames = np.bincount(track)
+    longer = frames[pairs[:, 1]] > frames[pairs[:, 0]]
+    shorter = np.where(longer, pairs[:, 0], pairs[:, 1])
+    copies: list[int] = shorter[count == frames[shorter]].tolist()
+    return copies
+
+
+def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
+    """The expected columns of a feather file, complete and finite."""
+    # Imported here because it is slow and few processes of a run need it.
+    import pyarrow
+
+    from mast_zenoh.unpacking import check_expanded, read_feather
+
+    try:
+        table = read_feather(path)
+    except (pyarrow.ArrowException, OSError) as error:
+        raise SceneError(f"{path}: cannot be read as Feather: {error}") from error
+    columns: dict[str, NDArray[Any]] = {}
+    for name, kind in expected.items():
+        if name not in table.column_names:
+            raise SceneError(f"{path}: no column {name}; found {', '.join(table.column_names)}")
+        column = table[name]
+        if column.null_count:
+            raise SceneError(f"{path}: column {name} has {column.null_count} empty values")
+        try:
+            if kind == "text":
+                check_expanded(column)
+                values: NDArray[Any] = np.array(column.cast(pyarrow.string()).to_pylist(), dtype=np.str_)
+            else:
+                values = column.cast(pyarrow.float64() if kind == "float" else pyarrow.int64()).to_numpy()
+        except pyarrow.ArrowException as error:
+            raise SceneError(f"{path}: column {name}: {error}") from error
+        if kind == "float" and not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values))[0])
+            raise SceneError(f"{path}: column {name}, row {row} is {values[row]}, expected a finite number")
+        columns[name] = values
+    return columns
+
+
+def _poses(path: Path, columns: dict[str, NDArray[Any]]) -> tuple[Floats, Floats]:
+    quaternion = np.stack([columns[name] for name in ("qw", "qx", "qy", "qz")], axis=1).astype(np.float64)
+    length = np.linalg.norm(quaternion, axis=1)
+    if np.any(np.abs(length - 1.0) > 1e-3):
+        row = int(np.abs(length - 1.0).argmax())
+        raise SceneError(f"{path}: the quaternion {quaternion[row].tolist()} does not have length 1")
+    position = np.stack([columns[name] for name in ("tx_m", "ty_m", "tz_m")], axis=1).astype(np.float64)
+    return position, rotation_from_quaternion(quaternion)
+
+
+#: The recording car. The origin of its frame is the rear axle; the ego's box encloses the body.
+_EGO_ID = 0
+_EGO_SIZE = np.array([4.877, 2.0, 1.473])
+_AXLE_HEIGHT_M = 0.33
+_EGO_CENTRE = np.array([1.42, 0.0, _EGO_SIZE[2] / 2 - _AXLE_HEIGHT_M])
+#: Its two roof lidars, 32 channels each, modelled as one.
+_EGO_LIDAR = LidarSensor(
+    mount_position=np.array([1.35, 0.0, 1.64]), elevation_min_deg=-25.0, elevation_max_deg=15.0, max_range_m=200.0
+)
+_EGO_CAMERA = Camera(mount_position=np.array([1.6, 0.0, 1.4]))
+
+_DETECTOR = DetectionModel()
+
+
+class AV2Log(Scene):
+    """An Argoverse 2 sensor log: a real car in real traffic, to which virtual agents are added.
+
+    path:             the folder of a log, with annotations*.feather and city_SE3_egovehicle.feather
+    n_infrastructure: virtual poles along the ego's path, 15 m above the ground there, looking 30 degrees down, 0 to 16;
+                      None: 4
+    n_mobile:         recorded vehicles that get a lidar on the roof, besides the ego, the ones nearest to it that are
+                      annotated in every frame of the log; None: 0
+    detector:         the model that generates detections from lidar visibility
+
+    The world's origin is on the ground below the ego's first position. The ego's visibility is the number of lidar
+    returns in the data set; that of the other agents comes from ray casting against the other boxes (the data has no
+    buildings). Traffic signs, cones and similar objects are left out (`files.LEFT_OUT`).
+    """
+
+    short_name = "av2"
+    files = (("city_SE3_egovehicle.feather",), ("*/city_SE3_egovehicle.feather",))
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        self.path = Path(path)
+        self.n_infrastructure, self.n_mobile = agent_counts("AV2Log", n_infrastructure, n_mobile)
+        self.detector = detector
+
+    def inputs(self) -> Sequence[Path]:
+        """The log's folder."""
+        return (self.path,)
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        file, pose_file = find_log(self.path)
+        annotations = read_annotations(file)
+        city, rotation = read_poses(pose_file, annotations.times_ns)
+        axle = city - city[0] + [0.0, 0.0, _AXLE_HEIGHT_M]
+        boxes = _boxes(annotations, axle, rotation)
+        ego = AgentPath(
+            SceneAgent("ego", "mobile", _EGO_ID, _EGO_LIDAR, _EGO_CAMERA),
+            axle,
+            rotation,
+            points=np.concatenate([np.zeros(len(axle), np.int32), annotations.points.astype(np.int32)]),
+            ground=axle[:, 2] - _AXLE_HEIGHT_M,
+        )
+        others = nearest_vehicles(boxes, _EGO_ID, len(axle), self.n_mobile, self.path)
+        roadside = poles(boxes, axle[:, :2], heading(rotation), self.n_infrastructure)
+        name = file.parent.name
+        paths = [ego, *others, *roadside]
+        return assemble(name, annotations.times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
+
+
+def _boxes(annotations: Annotations, axle: Floats, rotation: Floats) -> Boxes:
+    """The ego's boxes, then those of the traffic, in the world frame."""
+    frame = annotations.frame
+    ego = Boxes.throughout(_EGO_ID, axle + rotation @ _EGO_CENTRE, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"])
+    position = np.einsum("nij,nj->ni", rotation[frame], annotations.position) + axle[frame]
+    traffic = Boxes(
+        frame=frame,
+        id=annotations.track,
+        position=position,
+        size=annotations.size,
+        yaw=heading(rotation[frame] @ annotations.rotation),
+        class_id=annotations.class_id,
+        velocity=np.full_like(position, np.nan),
+    )
+    return Boxes.concatenate([ego, traffic])

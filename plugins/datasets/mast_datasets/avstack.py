@@ -1,0 +1,297 @@
+"""Recorded scenes in the CARLA multi-agent layout of AVstack."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_datasets.avstack_files import (
+    Calibration,
+    Layout,
+    ObjectState,
+    open_layout,
+    read_buildings,
+    read_calibration,
+    read_objects,
+    read_seen,
+    read_visibility,
+)
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.making.assembly import fill_velocity
+from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.own_detections import read_json_lines
+from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording, SceneAgent, truth_states
+from mast_zenoh.scenes.recording_file import check_counts
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+
+#: Object id of agent 0; agent k, if it is an object, has this plus k. The layout numbers agents and objects
+#: separately, both from 0, and its original reader gives the ego this id.
+EGO_ID = 99999
+
+_MAX_MOUNT_ERROR_M = 0.05  # between a sensor's position in its calibration and according to the agent's state
+_DETECTOR = DetectionModel()
+_ARCHIVES = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tar.xz")
+#: Converts a camera's optical axes (x right, y down, z forward) to x forward, y left, z up.
+_OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+class AVstackScene(Scene):
+    """A scene in the CARLA multi-agent layout.
+
+    With its accompanying files, see docs/scenes.md.
+
+    path:             a run folder, a folder above a single run, or a tar archive of either
+    n_infrastructure: number of static agents to use, the first ones; None: all
+    n_mobile:         number of mobile agents besides the ego to use, the first ones; None: all
+    replay:           use the detections in `detections.jsonl` if it exists; otherwise `detector` generates them
+    detector:         the model that generates detections from lidar visibility
+    max_unpacked_mb:  limit on the files unpacked from an archive, 10^6 bytes
+
+    The first mobile agent is "ego", other ones are "mobile_k", static ones "infra_k", where k is their number in the
+    files. An object's lidar returns come from `visibility.jsonl`. Without it, the objects in a lidar's object files
+    are seen, with the returns that ray casting gives, scaled by their visible fraction, at least 5. For a lidar without
+    object files, ray casting alone decides.
+    """
+
+    short_name = "avstack"
+    files = (("objects/objectstate-*.txt",), ("*/objects/objectstate-*.txt",))
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        return super().recognises(path) or (path.is_file() and path.name.endswith(_ARCHIVES))
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        replay: bool = True,
+        detector: Detector = _DETECTOR,
+        max_unpacked_mb: float = 1000.0,
+    ) -> None:
+        if not isinstance(max_unpacked_mb, (int, float)) or not 0 < max_unpacked_mb < float("inf"):
+            raise ConfigurationError(f"{path}: max_unpacked_mb is {max_unpacked_mb!r}, expected a number above 0")
+        self.path = Path(path)
+        self.n_infrastructure = n_infrastructure
+        self.n_mobile = n_mobile
+        self.replay = replay
+        self.detector = detector
+        self.max_unpacked_mb = max_unpacked_mb
+
+    def inputs(self) -> Sequence[Path]:
+        """The archive or the folder."""
+        return (self.path,)
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        with open_layout(self.path, self.max_unpacked_mb) as layout:
+            return self._record(layout, seed, frames)
+
+    def _record(self, layout: Layout, seed: int, frames: int | None) -> Recording:
+        numbers = list(layout.frames())
+        if frames is not None:
+            if not 1 <= frames <= len(numbers):
+                raise ConfigurationError(f"{self.path}: {frames} frames requested, the scene has {len(numbers)}")
+            numbers = numbers[:frames]
+        times, actors, objects = _read_states(layout, numbers)
+        agents = self._agents(actors[0], layout.run)
+        world, ground = _world(layout, self.path.name, numbers, times, agents, actors, objects)
+        points = _points(layout, world, numbers, agents)
+        file = layout.accompanying_file("detections.jsonl") if self.replay else None
+        if file is None:
+            return make_recording(world, points, *detect(world, points, self.detector, seed, ground))
+        rotation = world.agent_rotation @ np.stack([agent.sensor.mount_rotation for agent in world.agents])
+        return make_recording(world, points, *read_json_lines(file, numbers, agents, rotation))
+
+    def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
+        """Numbers of the agents: the ego, other mobile agents, then static agents."""
+        mobile = [number for number, state in actors.items() if state.size is not None]
+        static = [number for number, state in actors.items() if state.size is None]
+        if not mobile:
+            raise SceneError(f"{run / 'objects'}: no actor has a box, expected at least the ego")
+        ego, *others = mobile
+        check_counts(self.path, (self.n_mobile, len(others)), (self.n_infrastructure, len(static)))
+        return [ego, *others[: self.n_mobile], *static[: self.n_infrastructure]]
+
+
+def _read_states(
+    layout: Layout, numbers: list[int]
+) -> tuple[Ints, list[dict[int, ObjectState]], list[dict[int, ObjectState]]]:
+    """Times (F,) ns, and the actors by number and objects by id of every frame.
+
+    The objects include actors with a box.
+    """
+    times: list[float] = []
+    all_actors: list[dict[int, ObjectState]] = []
+    all_objects: list[dict[int, ObjectState]] = []
+    actor_files = layout.frames()
+    for frame in numbers:
+        path = actor_files[frame]
+        time, actors = read_objects(path, frame)
+        by_number = {state.id: state for state in sorted(actors, key=lambda state: state.id)}
+        others_path = path.with_name(path.name.replace("-actors-", "-npcs-"))
+        others_time, others = read_objects(others_path, frame)
+        if others_time != time:
+            raise SceneError(f"{others_path}: time {others_time} s, but {time} s in {path.name}")
+        if times and time <= times[-1]:
+            raise SceneError(f"{path}: time {time} s is not later than {times[-1]} s in the frame before")
+        if all_actors and list(by_number) != list(all_actors[0]):
+            raise SceneError(f"{path}: actors {list(by_number)}, but {list(all_actors[0])} in the first frame")
+        if len(by_number) != len(actors):
+            raise SceneError(f"{path}: two actors have the same ID")
+        objects = {state.id: state for state in others if state.size is not None}
+        if len(objects) != len(others):
+            raise SceneError(f"{others_path}: two objects have the same ID, or one has no box")
+        objects |= {EGO_ID + number: state for number, state in by_number.items() if state.size is not None}
+        times.append(time)
+        all_actors.append(by_number)
+        all_objects.append(dict(sorted(objects.items())))
+    return np.round(np.array(times) * 1e9).astype(np.int64), all_actors, all_objects
+
+
+def _world(
+    layout: Layout,
+    name: str,
+    numbers: list[int],
+    times: Ints,
+    agents: list[int],
+    actors: list[dict[int, ObjectState]],
+    objects: list[dict[int, ObjectState]],
+) -> tuple[World, Floats]:
+    """The scene without visibility and detections, and the ground at each agent.
+
+    The ground height is (F, A) m.
+    """
+    truth_start = np.cumsum([0, *map(len, objects)])
+    rows = [(number, state) for frame in objects for number, state in frame.items()]
+    position = np.array([state.centre for _, state in rows])
+    velocity = np.array([np.full(3, np.nan) if state.velocity is None else state.velocity for _, state in rows])
+    ids = np.array([number for number, _ in rows], np.int64)
+    truth = truth_states(
+        {
+            "id": ids,
+            "position": position,
+            "velocity": fill_velocity(ids, position, velocity, np.repeat(times, np.diff(truth_start))),
+            "size": np.array([state.size for _, state in rows]),
+            "yaw": np.array([state.yaw for _, state in rows]),
+            "class_id": np.array([state.class_id for _, state in rows], np.uint8),
+        }
+    )
+    agent_position = np.array([[frame[number].position for number in agents] for frame in actors])
+    agent_velocity = np.zeros_like(agent_position)
+    for column, number in enumerate(agents):
+        if actors[0][number].size is not None:
+            agent_velocity[:, column] = truth.velocity[ids == EGO_ID + number]
+    agent_rotation = np.array([[frame[number].rotation for number in agents] for frame in actors])
+    file = layout.accompanying_file("buildings.json")
+    buildings = read_buildings(file, layout.accompanying_file("scene.json")) if file else ((), np.zeros(0))
+    world = World(
+        name=name,
+        agents=tuple(
+            _agent(layout, numbers, number, k == 0, actors[0][number], agent_position[:, k], agent_rotation[:, k])
+            for k, number in enumerate(agents)
+        ),
+        period_ns=int(np.median(np.diff(times))) if len(times) > 1 else 100_000_000,
+        times_ns=times,
+        truth=truth,
+        truth_start=truth_start,
+        agent_position=agent_position,
+        agent_rotation=agent_rotation,
+        agent_velocity=agent_velocity,
+        buildings=buildings[0],
+        building_height=buildings[1],
+    )
+    bottoms = truth.position[:, 2] - truth.size[:, 2] / 2
+    ground = np.array([np.median(bottoms[a:b]) for a, b in itertools.pairwise(truth_start)])
+    return world, np.repeat(ground[:, None], len(agents), axis=1)
+
+
+def _agent(
+    layout: Layout,
+    numbers: list[int],
+    number: int,
+    is_ego: bool,
+    state: ObjectState,
+    position: Floats,
+    rotation: Floats,
+) -> SceneAgent:
+    """An agent with its first lidar and its first camera.
+
+    position (F, 3), rotation (F, 3, 3): of the agent
+    """
+    mobile = state.size is not None
+    lidars = layout.sensors("lidar", number)
+    if not lidars:
+        raise SceneError(f"{layout.run / 'data'}: no folder lidar-<k>-{number} for agent {number}")
+    files = layout.calibrations(lidars[0], numbers)
+    mount_position, mount_rotation = _mount(read_calibration(files[numbers[0]]), position[0], rotation[0])
+    for k, path in enumerate(files.values()):
+        calibrated, expected = read_calibration(path).position, position[k] + rotation[k] @ mount_position
+        if np.abs(calibrated - expected).max() > _MAX_MOUNT_ERROR_M:
+            raise SceneError(
+                f"{path}: the lidar is at {np.round(calibrated, 2).tolist()}, "
+                f"expected {np.round(expected, 2).tolist()}: "
+                "its mount must not change after the first frame"
+            )
+    lidar = LidarSensor() if mobile else LidarSensor.infrastructure()
+    camera = Camera()
+    cameras = layout.sensors("camera", number)
+    if cameras:
+        path = layout.calibrations(cameras[0], numbers)[numbers[0]]
+        calibration = read_calibration(path)
+        if calibration.focal is None or calibration.width is None or calibration.height is None:
+            raise SceneError(f"{path}: img_shape is missing, expected the calibration of a camera")
+        camera_position, camera_rotation = _mount(calibration, position[0], rotation[0])
+        camera = Camera(
+            camera_position, camera_rotation @ _OPTICAL, calibration.width, calibration.height, calibration.focal
+        )
+    return SceneAgent(
+        "ego" if is_ego else f"mobile_{number}" if mobile else f"infra_{number}",
+        "mobile" if mobile else "static",
+        EGO_ID + number if mobile else -1,
+        replace(lidar, mount_position=mount_position, mount_rotation=mount_rotation),
+        camera,
+    )
+
+
+def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
+    """A sensor's pose in its agent's frame, from both poses in the world.
+
+    Some writers give the sensor's pose relative to the agent, others to the world: resolved, both are the same.
+    """
+    return rotation.T @ (calibration.position - position), rotation.T @ calibration.rotation
+
+
+def _points(layout: Layout, world: World, numbers: list[int], agents: list[int]) -> NDArray[np.int32]:
+    """(N, A) lidar returns, from the best source available."""
+    truth: ObjectStates = world.truth
+    file = layout.accompanying_file("visibility.jsonl")
+    if file is not None:
+        return read_visibility(file, numbers, agents, truth.id, world.truth_start)
+    cast_points = lidar_visibility(world)
+    points = cast_points.copy()
+    listed: set[int] = set()
+    for column, number in enumerate(agents):
+        files = layout.seen(layout.sensors("lidar", number)[0], numbers)
+        if files is None:
+            continue
+        points[:, column] = 0
+        for k, (frame, path) in enumerate(files.items()):
+            seen = read_seen(path, frame)
+            listed |= seen.keys()
+            for row in range(*world.rows(k).indices(len(truth))):
+                fraction = seen.get(int(truth.id[row]), -1.0)
+                if fraction != -1.0:
+                    share = 1.0 if fraction is None else fraction
+                    points[row, column] = max(SEEN_RETURNS, round(share * int(cast_points[row, column])))
+    # If a data set never lists the agents as objects, their visibility comes from ray casting.
+    unlisted = (truth.id >= EGO_ID) & ~np.isin(truth.id, sorted(listed))
+    points[unlisted] = cast_points[unlisted]
+    return points

@@ -1,0 +1,365 @@
+"""Scenarios of CommonRoad."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mast_datasets.traffic import HEIGHT_OF_CLASS, add_agents, agent_counts, busiest_vehicle, with_origin_at
+from mast_datasets.xml_files import XmlElement, has_root, read_xml
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.making.assembly import Boxes, assemble
+from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.sensing import DetectionModel, Detector
+
+_MAX_COORDINATE_M = 1e8
+_MAX_SIZE_M = 1000.0
+_SHAPES = ("rectangle", "circle", "polygon")
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The box around a shape, in the obstacle's frame.
+
+    size: (2,) m, length and width; centre: (2,) m, its middle; yaw: rad
+    """
+
+    size: Floats
+    centre: Floats
+    yaw: float
+
+
+def read_outline(shape: XmlElement) -> Outline:
+    """The box around the only shape of an obstacle: a rectangle, or the box of a circle or polygon."""
+    shapes = [child for child in shape.children if child.tag in _SHAPES]
+    if len(shapes) != 1 or len(shape.children) != 1:
+        names = ", ".join(child.tag for child in shape.children[:10]) or "nothing"
+        shape.fail(f"found {names}, expected one of {', '.join(_SHAPES)}")
+    (part,) = shapes
+    if part.tag == "polygon":
+        corners = read_polygon(part)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        if (high <= low).any():
+            part.fail("found a polygon without area, expected one with")
+        return Outline(high - low, (low + high) / 2, 0.0)
+    centre = part.get_child("center")
+    middle = np.zeros(2) if centre is None else read_point(centre)
+    if part.tag == "circle":
+        return Outline(np.full(2, 2 * _length(part.child("radius"))), middle, 0.0)
+    angle = part.get_child("orientation")
+    yaw = 0.0 if angle is None else angle.text.number(-1e3, 1e3)
+    return Outline(np.array([_length(part.child("length")), _length(part.child("width"))]), middle, yaw)
+
+
+def read_polygon(polygon: XmlElement) -> Floats:
+    """Corners (k, 2) m of a polygon, without repeating the first."""
+    corners = np.array([read_point(child) for child in polygon.children if child.tag == "point"]).reshape(-1, 2)
+    if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
+        corners = corners[:-1]
+    if len(corners) < 3:
+        polygon.fail(f"found {len(corners)} different corners, expected 3 or more")
+    return corners
+
+
+def read_point(point: XmlElement) -> Floats:
+    """(2,) m of an element with <x> and <y>."""
+    return np.array([point.child(axis).text.number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for axis in ("x", "y")])
+
+
+def _length(element: XmlElement) -> float:
+    value = element.text.number(0.0, _MAX_SIZE_M)
+    if value == 0.0:
+        element.text.fail("a length above 0")
+    return value
+
+
+_VERSIONS = ("2018b", "2020a")
+_TAGS = ("obstacle", "dynamicObstacle", "staticObstacle", "environmentObstacle", "phantomObstacle")
+_MAX_OBSTACLES = 10_000
+_MAX_STEP = 100_000  # number of the last time step
+
+#: Types of obstacles by class; None: not an object.
+CLASS_OF_TYPE = {
+    "car": "car",
+    "taxi": "car",
+    "priorityVehicle": "car",
+    "parkedVehicle": "car",
+    "truck": "truck",
+    "bus": "bus",
+    "motorcycle": "motorcycle",
+    "bicycle": "bicycle",
+    "pedestrian": "pedestrian",
+    "train": "unknown",
+    "unknown": "unknown",
+    "constructionZone": None,
+    "roadBoundary": None,
+    "building": None,
+    "pillar": None,
+    "median_strip": None,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """An obstacle at K time steps.
+
+    first_step: of its first state; None: it stands still, and is there at all times
+    size:       (2,) m, length and width
+    position:   (K, 2) m, middle of its box; yaw: (K,) rad
+    velocity:   (K, 2) m/s; NaN where the file has none
+    """
+
+    id: int
+    class_id: int
+    first_step: int | None
+    size: Floats
+    position: Floats
+    yaw: Floats
+    velocity: Floats
+
+    @property
+    def steps(self) -> Ints:
+        """(K,) time steps of a moving obstacle."""
+        return np.arange(len(self.yaw)) + (self.first_step or 0)
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioFile:
+    """The content of a file: its name, the duration of a time step s, obstacles, and outlines (k, 2) m of buildings."""
+
+    name: str
+    step_s: float
+    obstacles: list[Obstacle]
+    buildings: list[Floats]
+
+
+def find_scenario(path: Path) -> Path:
+    """The scenario at `path`: a file, or a folder with a single file *.xml or *.xml.gz."""
+    if path.is_file():
+        return path
+    if not path.is_dir():
+        raise SceneError(f"{path}: no such file or folder")
+    files = sorted(file for file in path.iterdir() if file.name.endswith((".xml", ".xml.gz")))
+    if len(files) != 1:
+        names = ", ".join(file.name for file in files[:10]) or "none"
+        raise SceneError(f"{path}: found {len(files)} files *.xml ({names}), expected one; add its name to the path")
+    return files[0]
+
+
+def read_scenario(path: Path) -> ScenarioFile:
+    """The scenario in a file. Raises SceneError with file, line and reason."""
+    elements = read_xml(path, "commonRoad", _TAGS)
+    root = next(elements, None)
+    if root is None:
+        raise SceneError(f"{path}: found no element, expected <commonRoad>")
+    root.attribute("commonRoadVersion").text(_VERSIONS)
+    step_s = root.attribute("timeStepSize").number(1e-3, 10.0)
+    name = root.attribute("benchmarkID").text()
+    obstacles: dict[int, Obstacle] = {}
+    buildings: list[Floats] = []
+    for count, element in enumerate(elements):
+        if count >= _MAX_OBSTACLES:
+            element.fail(f"found more than {_MAX_OBSTACLES} obstacles, expected at most as many")
+        kind = element.child("type").text.text() if element.tag != "phantomObstacle" else ""
+        if element.tag == "environmentObstacle" and kind == "building":
+            buildings.append(read_polygon(element.child("shape").child("polygon")))
+        if element.tag in ("environmentObstacle", "phantomObstacle"):
+            continue
+        obstacle = _obstacle(element)
+        if obstacle is None:
+            continue
+        if obstacle.id in obstacles:
+            element.fail(f"id {obstacle.id} occurs twice, expected it once")
+        obstacles[obstacle.id] = obstacle
+    return ScenarioFile(name, step_s, list(obstacles.values()), buildings)
+
+
+def _obstacle(element: XmlElement) -> Obstacle | None:
+    """An obstacle; None if it is not a road user."""
+    number = element.attribute("id").integer(0)
+    kind = element.child("type").text
+    if CLASS_OF_TYPE[kind.text(tuple(CLASS_OF_TYPE))] is None:
+        return None
+    class_id = CLASS_INDEX[CLASS_OF_TYPE[kind.text()] or ""]
+    moving = element.tag == "dynamicObstacle"
+    if element.tag == "obstacle":  # 2018b
+        moving = element.child("role").text.text(("dynamic", "static")) == "dynamic"
+    outline = read_outline(element.child("shape"))
+    states = list(_states(element, moving))
+    first = _step(states[0])
+    for index, state in enumerate(states):
+        if _step(state) != first + index:
+            state.child("time").fail(f"found time step {_step(state)}, expected {first + index}: the next one")
+    position, yaw = _poses(states, outline)
+    return Obstacle(
+        number, class_id, first if moving else None, outline.size, position, yaw, _velocities(states, yaw - outline.yaw)
+    )
+
+
+def _states(element: XmlElement, moving: bool) -> Iterator[XmlElement]:
+    yield element.child("initialState")
+    if not moving:
+        return
+    if element.get_child("occupancySet") is not None:
+        element.fail("found <occupancySet>, expected <trajectory>: sets of possible positions are no truth")
+    for state in element.child("trajectory").children:
+        if state.tag != "state":
+            state.fail("found this element in a trajectory, expected <state>")
+        yield state
+
+
+def _step(state: XmlElement) -> int:
+    return state.child("time").child("exact").text.integer(0, _MAX_STEP)
+
+
+def _poses(states: list[XmlElement], outline: Outline) -> tuple[Floats, Floats]:
+    """Position (K, 2) m of the middle of the box, and its yaw (K,) rad."""
+    origin = np.array([read_point(state.child("position").child("point")) for state in states])
+    angle = np.array([state.child("orientation").child("exact").text.number(-1e3, 1e3) for state in states])
+    x, y = outline.centre
+    offset = np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=1)
+    return origin + offset, angle + outline.yaw
+
+
+def _velocities(states: list[XmlElement], angle: Floats) -> Floats:
+    """(K, 2) m/s: `velocity` along the orientation and, if there is one, `velocityY` to the left of it."""
+    velocity = np.full((len(states), 2), np.nan)
+    for row, (state, yaw) in enumerate(zip(states, angle, strict=True)):
+        forward = state.get_child("velocity")
+        if forward is None:
+            continue
+        ahead = forward.child("exact").text.number(-200.0, 200.0)
+        sideways = state.get_child("velocityY")
+        left = 0.0 if sideways is None else sideways.child("exact").text.number(-200.0, 200.0)
+        velocity[row] = (
+            ahead * np.cos(yaw) - left * np.sin(yaw),
+            ahead * np.sin(yaw) + left * np.cos(yaw),
+        )
+    return velocity
+
+
+_DETECTOR = DetectionModel()
+_MAX_BOXES = 2_000_000
+_MAX_IDS = 30  # in a message
+
+
+class CommonRoadScenario(Scene):
+    """A CommonRoad scenario: recorded or simulated traffic without sensors, to which virtual agents are added.
+
+    path:              the scenario (.xml, .xml.gz), or a folder with a single one
+    ego:               id of the dynamic obstacle that is the ego; None: of those there for the longest, the one with
+                       the most others within 50 m. The scene consists of the time steps at which the ego is there
+    n_infrastructure:  virtual poles along the ego's route, 15 m above the ground, looking 30 degrees down, 0 to 16;
+                       None: 4
+    n_mobile:          vehicles that get a lidar on the roof, besides the ego, the nearest ones that are there in every
+                       frame; None: 0
+    building_height_m: of the outlines of buildings, if there are any
+    detector:          the model that generates detections from lidar visibility
+
+    Scenarios are flat: the ground is at z = 0, and heights depend on the class. The position in a state is that of the
+    origin of the shape, usually its middle, and the orientation is counter-clockwise from x, in rad (documentation of
+    CommonRoad, 2020a). The world's axes are those of the file, and its origin is below the ego's first position. Who
+    sees what comes from ray casting.
+    """
+
+    short_name = "commonroad"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        return has_root(path, "commonRoad")
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        ego: int | None = None,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        building_height_m: float = 12.0,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        self.counts = agent_counts("CommonRoadScenario", n_infrastructure, n_mobile)
+        if not 0.0 < building_height_m <= 1000.0:
+            raise ConfigurationError(
+                f"CommonRoadScenario: building_height_m is {building_height_m}, expected above 0, up to 1000"
+            )
+        self.path = Path(path)
+        self.ego = ego
+        self.building_height_m = building_height_m
+        self.detector = detector
+
+    def inputs(self) -> Sequence[Path]:
+        """The scenario, or its folder."""
+        return (self.path,)
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        file = find_scenario(self.path)
+        scenario = read_scenario(file)
+        start, count = self._window(scenario, file)
+        boxes = _boxes(scenario.obstacles, start, count, file)
+        ego = busiest_vehicle(boxes, count, file) if self.ego is None else self.ego
+        origin = np.array([*boxes.position[(boxes.id == ego) & (boxes.frame == 0), :2][0], 0.0])
+        boxes = with_origin_at(boxes, origin)
+        return assemble(
+            scenario.name,
+            np.round(np.arange(count) * scenario.step_s * 1e9).astype(np.int64),
+            boxes,
+            add_agents(boxes, ego, count, self.counts, file),
+            self.detector,
+            seed=seed,
+            frames=frames,
+            buildings=tuple(outline - origin[:2] for outline in scenario.buildings),
+            building_height=np.full(len(scenario.buildings), self.building_height_m),
+        )
+
+    def _window(self, scenario: ScenarioFile, file: Path) -> tuple[int, int]:
+        """First time step of the scene, and number of its frames."""
+        moving = {one.id: one for one in scenario.obstacles if one.first_step is not None}
+        vehicles = [one for one in moving.values() if one.class_id in VEHICLE_CLASSES]
+        if not vehicles:
+            raise SceneError(f"{file}: found no dynamic car, truck or bus, expected one for the ego")
+        if self.ego is not None and self.ego not in moving:
+            known = ", ".join(map(str, sorted(one.id for one in vehicles)[:_MAX_IDS]))
+            raise ConfigurationError(f"{file}: ego is {self.ego}, expected the id of a dynamic vehicle: {known}")
+        longest = min(vehicles, key=lambda one: (-len(one.yaw), one.first_step or 0, one.id))
+        ego = longest if self.ego is None else moving[self.ego]
+        return ego.first_step or 0, len(ego.yaw)
+
+
+def _boxes(obstacles: Sequence[Obstacle], start: int, count: int, file: Path) -> Boxes:
+    """The boxes of the time steps from `start`, on the ground at z = 0."""
+    parts = []
+    total = 0
+    for one in obstacles:
+        if one.first_step is None:
+            frame, rows = np.arange(count), np.zeros(count, np.intp)
+        else:
+            rows = np.flatnonzero((one.steps >= start) & (one.steps < start + count))
+            frame = one.steps[rows] - start
+        total += len(rows)
+        if total > _MAX_BOXES:
+            raise SceneError(f"{file}: found more than {_MAX_BOXES} boxes, expected at most as many")
+        parts.append(_part(one, frame, rows))
+    return Boxes.concatenate(parts)
+
+
+def _part(one: Obstacle, frame: Ints, rows: Ints) -> Boxes:
+    n = len(rows)
+    height = HEIGHT_OF_CLASS[one.class_id]
+    up = np.full((n, 1), height / 2)
+    velocity = np.zeros((n, 2)) if one.first_step is None else one.velocity[rows]
+    return Boxes(
+        frame=frame,
+        id=np.full(n, one.id),
+        position=np.concatenate([one.position[rows], up], axis=1),
+        size=np.tile([*one.size, height], (n, 1)),
+        yaw=one.yaw[rows],
+        class_id=np.full(n, one.class_id, np.uint8),
+        velocity=np.concatenate([velocity, np.zeros((n, 1))], axis=1),
+    )

@@ -1,0 +1,452 @@
+"""Scenes of V2X-Seq-SPD and DAIR-V2X-C: a car and a pole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mast_datasets.dair_files import (
+    INFRASTRUCTURE,
+    VEHICLE,
+    Layout,
+    Pair,
+    box,
+    class_of,
+    clocks,
+    dimensions,
+    frame_number,
+    location,
+    open_layout,
+    read_labels,
+    read_pairs,
+    split_path,
+    track_of,
+)
+from mast_datasets.files import Element
+from mast_datasets.traffic import listed_returns
+from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_yaw, to_world
+from mast_zenoh.arrays.matching import greedy_matching
+from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble, ground_level
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+
+
+def check_limit(owner: str, name: str, value: float) -> float:
+    """A limit above 0 as a float. Raises ConfigurationError for anything else.
+
+    owner: type of the scene; name: of its parameter
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
+        raise ConfigurationError(f"{owner}: {name} is {value!r}, expected a number above 0")
+    return float(value)
+
+
+def check_times(path: Path, names: Sequence[str], times_ns: Ints, max_gap_s: float) -> None:
+    """Raise SceneError if frames are not in the order of their times, or if some are missing between two.
+
+    path: of the file or folder that gives the times; names: (F,) of the frames; times_ns: (F,)
+    """
+    step = np.diff(times_ns) / 1e9
+    late = np.flatnonzero(step <= 0)
+    if len(late):
+        before, after = names[late[0]], names[late[0] + 1]
+        raise SceneError(f"{path}: frame {after}: time is not later than that of frame {before} before it")
+    gaps = np.flatnonzero(step > max_gap_s)
+    if len(gaps):
+        before, after = names[gaps[0]], names[gaps[0] + 1]
+        raise SceneError(
+            f"{path}: frame {after}: found a gap of {step[gaps[0]]:.3f} s after frame {before}, "
+            f"expected at most {max_gap_s:g} s (max_gap_s)"
+        )
+
+
+def check_differences(path: Path, names: Sequence[str], agent: str, difference_s: Floats, limit_s: float) -> None:
+    """Raise SceneError if an agent's frame is too far from the scene's in time.
+
+    difference_s: (F,) s, time of the agent's frame minus that of the scene's
+    """
+    far = np.flatnonzero(np.abs(difference_s) > limit_s)
+    if len(far):
+        raise SceneError(
+            f"{path}: frame {names[far[0]]}: the frame of {agent} is {difference_s[far[0]]:+.3f} s away, "
+            f"expected at most {limit_s:g} s (max_time_difference_s)"
+        )
+
+
+_MAX_DIGITS = 15  # of a name that is kept as an id
+
+
+def numbered(names: Sequence[str]) -> Ints:
+    """Ids (n,) of tracks: their names if all are whole numbers, otherwise from 1 in the order of the names."""
+    distinct = sorted(set(names))
+    if all(len(name) <= _MAX_DIGITS and name.isascii() and name.isdigit() for name in distinct):
+        return np.array([int(name) for name in names], np.int64)
+    index = {name: number for number, name in enumerate(distinct, start=1)}
+    return np.array([index[name] for name in names], np.int64)
+
+
+def linked(frame: Ints, position: Floats, class_id: Ints, times_ns: Ints, radius_m: float) -> Ints:
+    """Ids (n,) of boxes without any, from 1.
+
+    frame: (n,) ascending, row of times_ns (F,); position: (n, 3) m; class_id: (n,)
+
+    A box continues the track of the box in the frame before that has the same class and is the nearest on the ground,
+    within `radius_m` of where its last two positions lead. The closest pairs are linked first. Tracks never bridge a
+    frame without a box.
+    """
+    ids = np.zeros(len(frame), np.int64)
+    velocity = np.zeros((len(frame), 2))
+    count = 0
+    before = np.zeros(0, np.intp)
+    for index in range(len(times_ns)):
+        now = np.flatnonzero(frame == index)
+        elapsed = (times_ns[index] - times_ns[index - 1]) / 1e9 if index else 1.0
+        predicted = position[before, :2] + velocity[before] * elapsed
+        distance = np.linalg.norm(position[now, None, :2] - predicted[None], axis=2)
+        distance[class_id[now, None] != class_id[None, before]] = np.inf
+        for row, column in zip(*_closest(distance, radius_m), strict=True):
+            box, last = now[row], before[column]
+            ids[box] = ids[last]
+            velocity[box] = (position[box, :2] - position[last, :2]) / elapsed
+        new = now[ids[now] == 0]
+        ids[new] = count + 1 + np.arange(len(new))
+        count += len(new)
+        before = now
+    return ids
+
+
+def matched(labels: Floats, boxes: Floats, radius_m: float) -> Bools:
+    """Which boxes (n, 3) have a label (m, 3) of their own, the nearest within a radius on the ground.
+
+    The closest pairs are matched first.
+    """
+    distance = np.linalg.norm(boxes[:, None, :2] - labels[None, :, :2], axis=2)
+    found: Bools = np.zeros(len(boxes), bool)
+    found[_closest(distance, radius_m)[0]] = True
+    return found
+
+
+def _closest(distance: Floats, radius_m: float) -> tuple[Ints, Ints]:
+    """Rows and columns of the pairs within a radius, one to one, the closest first."""
+    row, column = np.nonzero(distance <= radius_m)
+    chosen = greedy_matching(row.astype(np.int64), column.astype(np.int64), distance[row, column])
+    return row[chosen], column[chosen]
+
+
+_UNSEEN = "-1"  # in place of the name of a side's track
+_REFERENCES = ("veh_track_id", "inf_track_id")
+#: The data sets give neither the size of the car nor the height of its lidar.
+_CAR_SIZE = np.array([4.8, 1.9, 1.6])
+_LIDAR_HEIGHT_M = (1.0, 4.0)  # above the ground; estimated from the boxes nearby, within these limits
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of a lidar in the world: position (F, 3) m, rotation (F, 3, 3) active."""
+
+    position: Floats
+    rotation: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """N boxes, and which agents see them.
+
+    seen:  (N, A) whether the data lists the box for the agent
+    known: (N, A) whether the data says anything about it
+    """
+
+    boxes: Boxes
+    seen: Bools
+    known: Bools
+
+
+def labelled_boxes(frame: int, labels: list[Element], pose: tuple[Floats, Floats] | None) -> Boxes:
+    """The boxes of a frame's labels in the world frame, without ids (0).
+
+    pose: position (3,) and rotation (3, 3) of the frame of the labels; None: they are in the world frame
+    """
+    found = [box(label) for label in labels]
+    n = len(found)
+    position = np.array([middle for middle, _, _ in found]).reshape(n, 3)
+    yaw = np.array([angle for _, _, angle in found])
+    if pose is not None:
+        position = to_world(position, *pose)
+        yaw = np.array([float(heading(pose[1] @ rotation_from_yaw(angle))) for angle in yaw])
+    return Boxes(
+        frame=np.full(n, frame, np.int64),
+        id=np.zeros(n, np.int64),
+        position=position,
+        size=np.array([size for _, size, _ in found]).reshape(n, 3),
+        yaw=yaw,
+        class_id=np.array([class_of(label) for label in labels], np.uint8),
+        velocity=np.full((n, 3), np.nan),
+    )
+
+
+def positions(labels: list[Element], position: Floats, rotation: Floats) -> Floats:
+    """(n, 3) m of a side's labels in the world frame. Those without a 3D box (a size is 0) are left out."""
+    local = [location(label) for label in labels if dimensions(label).min() > 0]
+    return to_world(np.array(local).reshape(len(local), 3), position, rotation)
+
+
+def read_truth(
+    layout: Layout, pairs: list[Pair], car: Poses, pole: Poses, times_ns: Ints, match_m: float, link_m: float | None
+) -> Truth:
+    """The cooperative labels of a sequence in the world frame; agents are the car and the pole.
+
+    match_m: of labels without references to the sides' tracks; link_m: of labels without ids, None: refused
+    """
+    boxes, seen, names, files = [], [], [], []
+    for frame, pair in enumerate(pairs):
+        file = layout.cooperative_labels(pair)
+        labels = read_labels(file)
+        pose = car.position[frame], car.rotation[frame]
+        boxes.append(labelled_boxes(frame, labels, None if layout.in_world else pose))
+        sides = (
+            _Side(layout.vehicle_labels(pair), *pose, _REFERENCES[0]),
+            _Side(layout.infrastructure_labels(pair), pole.position[frame], pole.rotation[frame], _REFERENCES[1]),
+        )
+        seen.append(np.stack([side.sees(labels, boxes[-1].position, match_m) for side in sides], axis=1))
+        names += [track_of(label) for label in labels]
+        files += [f"{file}: {label.place}" for label in labels]
+    everything = Boxes.concatenate(boxes)
+    if not len(everything):
+        folder = layout.cooperative_labels(pairs[0]).parent
+        raise SceneError(f"{folder}: found no labels in {len(pairs)} frames, expected at least one")
+    ids = _ids(names, files, everything, times_ns, link_m)
+    known = np.ones((len(everything), 2), bool)
+    return Truth(replace(everything, id=ids), np.concatenate(seen), known)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """The labels of the car or of the pole in one frame.
+
+    path: their file; position, rotation: of the lidar; reference: key of its tracks in cooperative labels
+    """
+
+    path: Path
+    position: Floats
+    rotation: Floats
+    reference: str
+
+    def sees(self, cooperative: list[Element], boxes: Floats, radius_m: float) -> Bools:
+        """Which of the cooperative labels (n,), with boxes at (n, 3), this side sees."""
+        labels = read_labels(self.path)
+        references = [label.get(self.reference) for label in cooperative]
+        near = matched(positions(labels, self.position, self.rotation), boxes, radius_m)
+        tracks = {track_of(label) for label in labels}
+        seen = near.copy()
+        for row, (label, element) in enumerate(zip(cooperative, references, strict=True)):
+            if element is None:
+                continue
+            name = track_of(label, self.reference)
+            seen[row] = name != _UNSEEN
+            if seen[row] and name not in tracks:
+                element.fail(f"-1, or the track of a label in {self.path}")
+        return seen
+
+
+def _ids(names: list[str], places: list[str], boxes: Boxes, times_ns: Ints, link_m: float | None) -> Ints:
+    """Ids (N,) from the names of tracks, or by linking boxes if there are none at all."""
+    if all(names):
+        return numbered(names)
+    if any(names) or link_m is None:
+        without = places[names.index("")]
+        raise SceneError(
+            f"{without}: track_id is missing, expected one in every label: without, no object can be followed over "
+            "time. DAIR-V2X-C has none; link_radius_m makes ids by distance, see docs/scenes_dair.md"
+        )
+    return linked(boxes.frame, boxes.position, boxes.class_id.astype(np.int64), times_ns, link_m)
+
+
+def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
+    """The truth with a box of the car in every frame, and its id.
+
+    Tracks whose boxes enclose the car's lidar in at least half of their frames are the car itself, as the pole sees
+    it: their boxes are left out. Without such a track, ray casting decides whether the pole sees the car.
+    """
+    boxes, frames = truth.boxes, len(car.position)
+    own = np.isin(boxes.id, _enclosing(boxes, car.position))
+    seen_by_pole = np.zeros(frames, bool)
+    seen_by_pole[boxes.frame[own & truth.seen[:, 1]]] = True
+    rest = boxes.select(~own)
+    bottom = car.position[:, 2] - _lidar_height(rest, car.position)
+    object_id = int(boxes.id.max()) + 1
+    middle = np.column_stack([car.position[:, :2], bottom + _CAR_SIZE[2] / 2])
+    added = Boxes.throughout(object_id, middle, _CAR_SIZE, heading(car.rotation), CLASS_INDEX["car"])
+    seen = np.column_stack([np.zeros(frames, bool), seen_by_pole])
+    known = np.column_stack([np.ones(frames, bool), np.full(frames, own.any())])
+    return (
+        Truth(
+            Boxes.concatenate([rest, added]),
+            np.concatenate([truth.seen[~own], seen]),
+            np.concatenate([truth.known[~own], known]),
+        ),
+        object_id,
+    )
+
+
+def _enclosing(boxes: Boxes, position: Floats) -> Ints:
+    """Ids of the tracks whose boxes enclose a position (F, 3), on the ground, in at least half of their frames."""
+    offset = position[boxes.frame, :2] - boxes.position[:, :2]
+    inside = (np.abs(along_and_across(offset, boxes.yaw)) <= boxes.size[:, :2] / 2).all(axis=1)
+    ids, index, count = np.unique(boxes.id, return_inverse=True, return_counts=True)
+    enclosing: Ints = ids[2 * np.bincount(index, weights=inside, minlength=len(ids)) >= count]
+    return enclosing
+
+
+def _lidar_height(boxes: Boxes, position: Floats) -> float:
+    """Height m of the car's lidar at (F, 3) above the ground, estimated from the boxes nearby."""
+    ground = np.array([ground_level(boxes, place) for place in position[:, :2]])
+    return float(np.clip(np.median(position[:, 2] - ground), *_LIDAR_HEIGHT_M))
+
+
+_ORIGIN = np.zeros(3)
+_CAR_LIDAR = LidarSensor(
+    mount_position=_ORIGIN, elevation_min_deg=-25.0, elevation_max_deg=15.0, channels=40, max_range_m=200.0
+)
+_POLE_LIDAR = LidarSensor(
+    mount_position=_ORIGIN,
+    azimuth_min_deg=-50.0,
+    azimuth_max_deg=50.0,
+    elevation_min_deg=-30.0,
+    elevation_max_deg=10.0,
+    channels=300,
+    max_range_m=200.0,
+)
+_CAMERA = Camera(mount_position=_ORIGIN)
+_DETECTOR = DetectionModel()
+_NO_LIMIT = 10**40
+
+
+class DAIRScene(Scene):
+    """A sequence of V2X-Seq-SPD or DAIR-V2X-C: a car and a pole, with cooperative labels.
+
+    path:                  the folder of the data set, or a folder that holds a single one; the name of a sequence may
+                           follow, as in V2X-Seq-SPD/0003
+    sequence:              name of the sequence (DAIR-V2X-C: the car's batch_id); None: the only one
+    n_infrastructure:      0: without the pole; None: 1
+    n_mobile:              cars besides the ego; None: 0, the only value
+    detector:              the model that generates detections from lidar visibility
+    first_frame:           number of the car's frame with which to begin; None: the first
+    last_frame:            number of the car's last frame; None: the last
+    max_time_difference_s: limit on the time between a frame of the car and the pole's frame that belongs to it
+    max_gap_s:             limit on the time between two frames of the car
+    match_radius_m:        the labels of a side that do not refer to a cooperative label match one within this distance
+    link_radius_m:         give labels without track ids the id of the nearest box in the frame before, within this
+                           distance of where it leads; None: refuse labels without track ids
+
+    The truth are the cooperative labels. Frames are those of the car; the pole measures at the times of its own clock,
+    and its poses and visibility come from the frame that is paired with the car's, see docs/scenes_dair.md. An agent's
+    frame is that of its lidar: x forward, y left, z up; positions are middles of boxes, and rotations are active.
+    """
+
+    short_name = "dair"
+    files = (("cooperative/data_info.json",),)
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        sequence: str | int | None = None,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        detector: Detector = _DETECTOR,
+        first_frame: int | None = None,
+        last_frame: int | None = None,
+        max_time_difference_s: float = 0.2,
+        max_gap_s: float = 0.15,
+        match_radius_m: float = 2.0,
+        link_radius_m: float | None = None,
+    ) -> None:
+        for name, value, highest in (("n_infrastructure", n_infrastructure, 1), ("n_mobile", n_mobile, 0)):
+            if value is not None and not 0 <= value <= highest:
+                raise ConfigurationError(
+                    f"DAIRScene: {name} is {value}, expected {'0' if highest == 0 else '0 or 1'}: "
+                    "the data has one car and one pole"
+                )
+        self.path, named = split_path(Path(path))
+        self.sequence = named if sequence is None else str(sequence)
+        if named not in (None, self.sequence):
+            raise ConfigurationError(f"{path}: sequence is {self.sequence!r}, expected {named!r} as in the path")
+        self.n_infrastructure = 1 if n_infrastructure is None else n_infrastructure
+        self.detector = detector
+        self.first_frame = first_frame
+        self.last_frame = last_frame
+        self.max_time_difference_s = check_limit("DAIRScene", "max_time_difference_s", max_time_difference_s)
+        self.max_gap_s = check_limit("DAIRScene", "max_gap_s", max_gap_s)
+        self.match_radius_m = check_limit("DAIRScene", "match_radius_m", match_radius_m)
+        self.link_radius_m = None if link_radius_m is None else check_limit("DAIRScene", "link_radius_m", link_radius_m)
+
+    def inputs(self) -> Sequence[Path]:
+        """The data set's folder."""
+        return (self.path,)
+
+    def time_differences_s(self) -> Floats:
+        """(F,) s that each frame of the pole is later than the car's frame it is paired with.
+
+        Raises SceneError and ConfigurationError as `record` does.
+        """
+        return clocks(self._pairs(open_layout(self.path)))[1]
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        layout = open_layout(self.path)
+        pairs = self._pairs(layout)
+        times, _ = clocks(pairs)
+        car, pole = _poses(layout, pairs)
+        truth = read_truth(layout, pairs, car, pole, times, self.match_radius_m, self.link_radius_m)
+        truth, object_id = with_car(truth, car)
+        paths = [
+            AgentPath(SceneAgent("ego", "mobile", object_id, _CAR_LIDAR, _CAMERA), car.position, car.rotation),
+            AgentPath(
+                SceneAgent("infra_1", "static", -1, _POLE_LIDAR, _CAMERA),
+                pole.position,
+                pole.rotation,
+                velocity=np.zeros_like(pole.position),
+                measured_ns=np.array([pair.infrastructure_time_ns for pair in pairs], np.int64),
+            ),
+        ]
+        seen = [
+            replace(
+                path, points=listed_returns(truth.boxes, path, truth.seen[:, column], ~truth.known[:, column], frames)
+            )
+            for column, path in enumerate(paths[: 1 + self.n_infrastructure])
+        ]
+        name = f"{layout.root.name} {self.sequence or ''}".strip()
+        return assemble(name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
+
+    def _pairs(self, layout: Layout) -> list[Pair]:
+        """The pairs of the requested frames, with times checked."""
+        first = -1 if self.first_frame is None else self.first_frame
+        last = _NO_LIMIT if self.last_frame is None else self.last_frame
+        pairs = read_pairs(layout, self.sequence)
+        chosen = [pair for pair in pairs if first <= frame_number(pair.vehicle) <= last]
+        if not chosen:
+            raise ConfigurationError(
+                f"{layout.root}: first_frame {self.first_frame} to last_frame {self.last_frame}: found no frame, "
+                f"expected some of {pairs[0].vehicle} to {pairs[-1].vehicle}"
+            )
+        names = [pair.vehicle for pair in chosen]
+        times, difference = clocks(chosen)
+        check_times(layout.clocks(VEHICLE), names, times, self.max_gap_s)
+        check_differences(layout.clocks(INFRASTRUCTURE), names, "infra_1", difference, self.max_time_difference_s)
+        return chosen
+
+
+def _poses(layout: Layout, pairs: list[Pair]) -> tuple[Poses, Poses]:
+    """Poses of the lidars of the car and of the pole."""
+    car = [layout.vehicle_pose(pair) for pair in pairs]
+    pole = [layout.infrastructure_pose(pair, rotation) for pair, (_, rotation) in zip(pairs, car, strict=True)]
+    of_car, of_pole = (
+        Poses(np.array([position for position, _ in poses]), np.array([rotation for _, rotation in poses]))
+        for poses in (car, pole)
+    )
+    return of_car, of_pole

@@ -1,0 +1,352 @@
+"""Sequences of the KITTI tracking benchmark.
+
+Geiger, Lenz, Urtasun: Are we ready for autonomous driving? The KITTI vision benchmark suite, CVPR 2012.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_datasets.files import TextElement, orthonormal, read_lines
+from mast_datasets.traffic import agent_counts, listed_returns, nearest_vehicles
+from mast_zenoh.arrays.geometry import heading
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.virtual_agents import poles
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+
+_MAX_ROWS = 1_000_000
+_MAX_CALIBRATION_BYTES = 1_000_000
+_MAX_FRAMES = 100_000
+_MAX_COORDINATE_M = 1e5
+_MAX_SIZE_M = 100.0
+_EARTH_RADIUS_M = 6378137.0
+_OXTS_COLUMNS = 30
+#: Columns of a label; a score may follow.
+_COLUMNS = (
+    *("frame", "track", "type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom"),
+    *("height", "width", "length", "x", "y", "z", "rotation_y"),
+)
+#: Types by class; None: not an object.
+CLASS_OF_TYPE = {
+    "Car": "car",
+    "Van": "car",
+    "Truck": "truck",
+    "Pedestrian": "pedestrian",
+    "Person": "pedestrian",
+    "Person_sitting": "pedestrian",
+    "Cyclist": "bicycle",
+    "Tram": "unknown",
+    "Misc": "unknown",
+    "DontCare": None,
+}
+#: Names of the matrices, in the tracking benchmark and in the object benchmark.
+_MATRICES = {
+    "rectification": ("R_rect", "R0_rect"),
+    "lidar_to_camera": ("Tr_velo_cam", "Tr_velo_to_cam"),
+    "imu_to_lidar": ("Tr_imu_velo", "Tr_imu_to_velo"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """N labelled boxes in the axes of the rectified camera: x right, y down, z ahead.
+
+    frame: (N,);  track: (N,);  class_id: (N,);  occluded: (N,) 0 visible, 1 partly, 2 largely occluded, 3 unknown
+    size: (N, 3) m, length, width, height;  bottom: (N, 3) m, middle of the underside
+    rotation_y: (N,) rad about the downward axis; at 0 the object faces right
+    """
+
+    frame: Ints
+    track: Ints
+    class_id: NDArray[np.uint8]
+    occluded: Ints
+    size: Floats
+    bottom: Floats
+    rotation_y: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Rotation (3, 3) and position (3,) m of the rectified camera and of the lidar in the frame of the IMU."""
+
+    camera: tuple[Floats, Floats]
+    lidar: tuple[Floats, Floats]
+
+
+def read_labels(path: Path, frames: int) -> Labels:
+    """The labels of a sequence with so many frames, without regions that are not annotated (DontCare)."""
+    rows: list[tuple[float, ...]] = []
+    seen: set[tuple[int, int]] = set()
+    for number, fields in _rows(path):
+        if len(fields) not in (len(_COLUMNS), len(_COLUMNS) + 1):
+            raise SceneError(
+                f"{path}: line {number}: found {len(fields)} values, expected {len(_COLUMNS)}, or one more: a score"
+            )
+        row = {
+            name: TextElement(text, path, f"line {number}: {name}")
+            for name, text in zip(_COLUMNS, fields, strict=False)
+        }
+        frame = row["frame"].integer(0, frames - 1)
+        kind = CLASS_OF_TYPE[row["type"].text(tuple(CLASS_OF_TYPE))]
+        if kind is None:
+            continue
+        track = row["track"].integer(0, 10**9)
+        if (frame, track) in seen:
+            row["track"].fail(f"every track once in frame {frame}")
+        seen.add((frame, track))
+        if len(rows) >= _MAX_ROWS:
+            raise SceneError(f"{path}: found more than {_MAX_ROWS} labels, expected at most as many")
+        sizes = [_size(row[name]) for name in ("length", "width", "height")]
+        place = [row[name].number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for name in ("x", "y", "z")]
+        occluded = row["occluded"].integer(-1, 3)
+        rows.append((frame, track, CLASS_INDEX[kind], occluded, *sizes, *place, row["rotation_y"].number(-1e3, 1e3)))
+    table = np.array(rows, np.float64).reshape(-1, 11)
+    frame_of, track_of, class_of, occlusion = table[:, :4].astype(np.int64).T
+    return Labels(frame_of, track_of, class_of.astype(np.uint8), occlusion, table[:, 4:7], table[:, 7:10], table[:, 10])
+
+
+def _size(value: TextElement) -> float:
+    number = value.number(0.0, _MAX_SIZE_M)
+    if number == 0.0:
+        value.fail("a size above 0")
+    return number
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Where the camera and the lidar are. Raises SceneError with file, line and name of the matrix."""
+    values: dict[str, list[TextElement]] = {}
+    for number, fields in _rows(path, _MAX_CALIBRATION_BYTES):
+        name = fields[0].rstrip(":")
+        if name in values:
+            raise SceneError(f"{path}: line {number}: found {name} twice, expected it once")
+        values[name] = [TextElement(text, path, f"line {number}: {name}") for text in fields[1:]]
+    rectification, _ = _matrix(path, values, "rectification", 3)
+    to_camera, camera_shift = _matrix(path, values, "lidar_to_camera", 4)
+    to_lidar, lidar_shift = _matrix(path, values, "imu_to_lidar", 4)
+    lidar = to_lidar.T, -to_lidar.T @ lidar_shift
+    camera_in_lidar = -to_camera.T @ camera_shift
+    camera = lidar[0] @ to_camera.T @ rectification.T, lidar[0] @ camera_in_lidar + lidar[1]
+    return Calibration(camera, lidar)
+
+
+def _matrix(path: Path, values: dict[str, list[TextElement]], what: str, columns: int) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and last column (3,) of a matrix of three rows."""
+    names = [name for name in _MATRICES[what] if name in values]
+    if len(names) != 1:
+        raise SceneError(f"{path}: found {len(names)} of {' and '.join(_MATRICES[what])}, expected one of them")
+    numbers = values[names[0]]
+    if len(numbers) != 3 * columns:
+        raise SceneError(f"{path}: {names[0]}: found {len(numbers)} numbers, expected {3 * columns}")
+    matrix = np.array([number.number(-1e4, 1e4) for number in numbers]).reshape(3, columns)
+    return orthonormal(matrix[:, :3], numbers[0]), matrix[:, -1] if columns == 4 else np.zeros(3)
+
+
+def read_poses(path: Path) -> tuple[Floats, Floats]:
+    """Position (F, 3) m, x east, y north, z up, from the first one, and active rotation (F, 3, 3) of the IMU.
+
+    Positions are in the Mercator projection, scaled to metres at the first latitude, as in KITTI's development kit.
+    """
+    rows = []
+    for number, fields in _rows(path):
+        if len(fields) != _OXTS_COLUMNS:
+            raise SceneError(f"{path}: line {number}: found {len(fields)} values, expected {_OXTS_COLUMNS}")
+        limits = (
+            ("latitude", 89.0),
+            ("longitude", 180.0),
+            ("altitude", 1e5),
+            ("roll", 7.0),
+            ("pitch", 7.0),
+            ("yaw", 7.0),
+        )
+        rows.append(
+            [
+                TextElement(text, path, f"line {number}: {name}").number(-limit, limit)
+                for text, (name, limit) in zip(fields, limits, strict=False)
+            ]
+        )
+        if len(rows) > _MAX_FRAMES:
+            raise SceneError(f"{path}: found more than {_MAX_FRAMES} frames, expected at most as many")
+    if not rows:
+        raise SceneError(f"{path}: found no line, expected one for each frame")
+    latitude, longitude, altitude, roll, pitch, yaw = np.array(rows).T
+    scale = np.cos(np.radians(latitude[0])) * _EARTH_RADIUS_M
+    position = np.stack(
+        [scale * np.radians(longitude), scale * np.log(np.tan(np.radians(90.0 + latitude) / 2)), altitude], axis=1
+    )
+    return position - position[0], _rotations(roll, pitch, yaw)
+
+
+def _rotations(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
+    """(F, 3, 3) active: about x by roll, then y by pitch, then z by yaw."""
+    zero, one = np.zeros(len(roll)), np.ones(len(roll))
+
+    def matrices(*rows: tuple[Floats, Floats, Floats]) -> Floats:
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+    x = matrices((one, zero, zero), (zero, np.cos(roll), -np.sin(roll)), (zero, np.sin(roll), np.cos(roll)))
+    y = matrices((np.cos(pitch), zero, np.sin(pitch)), (zero, one, zero), (-np.sin(pitch), zero, np.cos(pitch)))
+    z = matrices((np.cos(yaw), -np.sin(yaw), zero), (np.sin(yaw), np.cos(yaw), zero), (zero, zero, one))
+    return z @ y @ x
+
+
+def _rows(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[tuple[int, list[str]]]:
+    """Number and values of each line that is not empty."""
+    for number, line in enumerate(read_lines(path, max_bytes), start=1):
+        if fields := line.split():
+            yield number, fields
+
+
+_DETECTOR = DetectionModel()
+_PERIOD_NS = 100_000_000  # the benchmark has no times; its sensors run at 10 Hz
+_FILES = ("label_02", "calib", "oxts")
+_MIN_POINTS = 5
+_MAX_OCCLUSION = 1  # partly occluded; more than that is left to ray casting
+
+#: The recording car, a VW Passat (B6) estate: approximate size, and where its middle is ahead of the IMU.
+_EGO_SIZE = np.array([4.77, 1.82, 1.52])
+_EGO_AHEAD_M = 1.3
+_LIDAR_HEIGHT_M = 1.73  # of the lidar above the ground
+_EGO_LIDAR = LidarSensor(elevation_min_deg=-24.8, elevation_max_deg=2.0, max_range_m=120.0)
+
+
+class KittiTracking(Scene):
+    """A sequence of the KITTI tracking benchmark: a real car in real traffic, to which virtual agents are added.
+
+    path:             the folder with label_02, calib and oxts, such as "training"
+    sequence:         name of the sequence, such as "0004"; None: the only one
+    first_frame:      of the sequence that is used
+    last_frame:       of the sequence that is used, itself included; None: the last
+    n_infrastructure: virtual poles along the ego's path, 15 m above the ground, looking 30 degrees down, 0 to 16;
+                      None: 4
+    n_mobile:         labelled vehicles that get a lidar on the roof, besides the ego, the nearest that are labelled in
+                      every frame used; None: 0
+    detector:         the model that generates detections from lidar visibility
+
+    Labels are in the axes of the rectified camera (x right, y down, z ahead), at the middle of the underside, with the
+    rotation about the downward axis ("readme" of the tracking development kit). They are converted by the calibration
+    to the IMU, and by its latitude, longitude, altitude and attitude to a world with x east, y north, z up. The world's
+    origin is on the ground below the IMU in the first frame used. Objects are labelled only while the front camera
+    sees them; there is nothing elsewhere. The ego sees objects that are labelled as visible or partly occluded, with at
+    least 5 returns; ray casting decides for the others, and for the other agents.
+    """
+
+    short_name = "kitti"
+    files = (("label_02/*.txt", "oxts/*.txt"),)
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        sequence: str | None = None,
+        first_frame: int = 0,
+        last_frame: int | None = None,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        self.counts = agent_counts("KittiTracking", n_infrastructure, n_mobile)
+        if first_frame < 0 or (last_frame is not None and last_frame < first_frame):
+            raise ConfigurationError(
+                f"KittiTracking: first_frame, last_frame are {first_frame}, {last_frame}, expected 0 or more, ascending"
+            )
+        self.path = Path(path)
+        self.sequence = sequence
+        self.first_frame = first_frame
+        self.last_frame = last_frame
+        self.detector = detector
+
+    def inputs(self) -> Sequence[Path]:
+        """The folders of labels, calibrations and positions."""
+        return tuple(self.path / name for name in _FILES)
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        labels_file, calibration_file, poses_file = self._find()
+        position, rotation = read_poses(poses_file)
+        labels = read_labels(labels_file, len(position))
+        calibration = read_calibration(calibration_file)
+        window = self._window(len(position), poses_file)
+        count = window.stop - window.start
+        ground = calibration.lidar[1][2] - _LIDAR_HEIGHT_M  # z in the frame of the IMU
+        position = position[window] - position[window.start] - [0.0, 0.0, ground]
+        rotation = rotation[window]
+        boxes, occluded = _boxes(labels, calibration, position, rotation, window, ground)
+        ego = AgentPath(
+            SceneAgent("ego", "mobile", 0, _lidar(calibration), Camera(mount_position=calibration.camera[1])),
+            position,
+            rotation,
+            ground=position[:, 2] + ground,
+        )
+        times_ns = np.arange(count) * _PERIOD_NS
+        name = f"kitti-{labels_file.stem}"
+        visible = (occluded >= 0) & (occluded <= _MAX_OCCLUSION)
+        ego = replace(ego, points=listed_returns(boxes, ego, visible, ~visible, frames))
+        n_infrastructure, n_mobile = self.counts
+        others = nearest_vehicles(boxes, 0, count, n_mobile, labels_file)
+        roadside = poles(boxes, position[:, :2], heading(rotation), n_infrastructure)
+        paths = [ego, *others, *roadside]
+        return assemble(name, times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
+
+    def _find(self) -> tuple[Path, Path, Path]:
+        """Files of labels, calibration and positions of the sequence."""
+        folder = self.path / _FILES[0]
+        if not folder.is_dir():
+            raise SceneError(f"{self.path}: found no folder {_FILES[0]}, expected {', '.join(_FILES)} in it")
+        names = sorted(file.stem for file in folder.glob("*.txt"))
+        known = ", ".join(names[:30]) or "none"
+        if self.sequence is None and len(names) != 1:
+            raise SceneError(f"{folder}: found {len(names)} sequences ({known}), expected one; choose it with sequence")
+        sequence = names[0] if self.sequence is None else self.sequence
+        if sequence not in names:
+            raise ConfigurationError(f"{folder}: sequence is {sequence!r}, expected one of {known}")
+        labels, calibration, poses = (self.path / kind / f"{sequence}.txt" for kind in _FILES)
+        return labels, calibration, poses
+
+    def _window(self, frames: int, file: Path) -> slice:
+        last = frames - 1 if self.last_frame is None else self.last_frame
+        if last >= frames or self.first_frame >= frames:
+            raise ConfigurationError(
+                f"{file}: first_frame, last_frame are {self.first_frame}, {last}, expected 0 to {frames - 1}"
+            )
+        return slice(self.first_frame, last + 1)
+
+
+def _lidar(calibration: Calibration) -> LidarSensor:
+    rotation, position = calibration.lidar
+    return replace(_EGO_LIDAR, mount_position=position, mount_rotation=rotation)
+
+
+def _boxes(
+    labels: Labels, calibration: Calibration, position: Floats, rotation: Floats, window: slice, ground: float
+) -> tuple[Boxes, NDArray[np.int64]]:
+    """The ego's boxes, then the labelled ones, in the world; and how occluded each is (3: unknown)."""
+    frames = len(position)
+    keep = (labels.frame >= window.start) & (labels.frame < window.stop)
+    frame, size, angle = labels.frame[keep] - window.start, labels.size[keep], labels.rotation_y[keep]
+    middle = labels.bottom[keep] - np.stack([0 * angle, size[:, 2] / 2, 0 * angle], axis=1)
+    ahead = np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)
+    to_imu, origin = calibration.camera
+    to_world = rotation[frame]
+    centre = np.einsum("nij,nj->ni", to_world, middle @ to_imu.T + origin) + position[frame]
+    direction = np.einsum("nij,nj->ni", to_world, ahead @ to_imu.T)
+    own = np.array([_EGO_AHEAD_M, calibration.lidar[1][1], ground + _EGO_SIZE[2] / 2])
+    ego = Boxes.throughout(0, position + rotation @ own, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"])
+    others = Boxes(
+        frame=frame,
+        id=labels.track[keep] + 1,
+        position=centre,
+        size=size,
+        yaw=np.arctan2(direction[:, 1], direction[:, 0]),
+        class_id=labels.class_id[keep],
+        velocity=np.full_like(centre, np.nan),
+    )
+    return Boxes.concatenate([ego, others]), np.concatenate([np.full(frames, 3), labels.occluded[keep]])

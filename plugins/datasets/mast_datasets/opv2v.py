@@ -1,0 +1,377 @@
+"""Scenes of OPV2V and its relatives: V2XSet, V2X-Real, V2V4Real and Multi-V2X."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_datasets.opv2v_files import (
+    MULTI_V2X,
+    OPV2V,
+    V2V4REAL,
+    V2X_REAL,
+    AgentFolder,
+    AgentPose,
+    Labels,
+    Variant,
+    check_frames,
+    choose_frames,
+    find_scenario,
+    map_file,
+    map_files,
+    read_labels,
+    read_pose,
+    read_visible,
+)
+from mast_datasets.opv2v_traffic import Listed, OwnCar, check_ids_last, check_numbers, claim, missing_boxes, shared_ids
+from mast_datasets.opv2v_yaml import read_yaml
+from mast_datasets.traffic import listed_returns
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.recording_file import check_counts
+from mast_zenoh.sensing import Camera, DetectionModel, Detector
+
+_MAX_MOUNT_ERROR_M = 0.5  # between a lidar's place on its car in two frames
+_MAX_POLE_STEP_M = 1.0  # of a pole, which does not move
+_CAMERA_BELOW_LIDAR_M = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of A agents in F frames: position (F, A, 3) m of the body, lidar (F, A, 3) m, rotation (F, A, 3, 3)."""
+
+    position: Floats
+    lidar: Floats
+    rotation: Floats
+
+    @classmethod
+    def of(cls, poses: Sequence[Sequence[AgentPose]]) -> Poses:
+        """The poses of the agents for each frame."""
+        return cls(*(np.array([[getattr(each, name) for each in now] for now in poses]) for name in _POSE))
+
+
+_POSE = ("position", "lidar", "rotation")
+
+
+def agent_path(
+    agents: Sequence[AgentFolder],
+    column: int,
+    playing: Sequence[int],
+    poses: Poses,
+    cars: Mapping[int, OwnCar],
+    variant: Variant,
+    frames: Sequence[int],
+) -> AgentPath:
+    """The path of an agent and its sensors, without what it sees.
+
+    column: of the agent; playing: columns of the agents that play, the ego first; cars: by column; frames: numbers
+
+    Raises SceneError for a pole that moves and for a lidar that moves on its car.
+    """
+    folder, position, rotation = agents[column].folder, poses.position[:, column], poses.rotation[:, column]
+    same_kind = [k for k in playing if agents[k].is_pole == agents[column].is_pole]
+    if agents[column].is_pole:
+        step = np.linalg.norm(position - position[0], axis=1).max()
+        if step > _MAX_POLE_STEP_M:
+            raise SceneError(f"{folder}: the pole moves {step:.2f} m, expected at most {_MAX_POLE_STEP_M:g} m")
+        name = f"infra_{same_kind.index(column) + 1}"
+        return AgentPath(
+            SceneAgent(name, "static", -1, variant.pole, Camera(mount_position=np.zeros(3))), position, rotation
+        )
+    mounts = np.einsum("fji,fj->fi", rotation, poses.lidar[:, column] - position)
+    mount = np.median(mounts, axis=0)
+    apart = np.linalg.norm(mounts - mount, axis=1)
+    if apart.max() > _MAX_MOUNT_ERROR_M:
+        file = agents[column].file(frames[int(apart.argmax())])
+        raise SceneError(
+            f"{file}: lidar_pose is {apart.max():.2f} m from where the lidar is on the car in other frames, "
+            f"expected at most {_MAX_MOUNT_ERROR_M:g} m"
+        )
+    order = same_kind.index(column)
+    camera = Camera(mount_position=mount - [0.0, 0.0, _CAMERA_BELOW_LIDAR_M])
+    sensor = replace(variant.car, mount_position=mount)
+    agent = SceneAgent("ego" if order == 0 else f"mobile_{order}", "mobile", cars[column].object_id, sensor, camera)
+    return AgentPath(agent, position, rotation)
+
+
+_DETECTOR = DetectionModel()
+
+
+class ScenarioFolder(Scene):
+    """What the scenes of the family have in common: parameters, the choice of agents and frames."""
+
+    variant: Variant
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        ego: int | None = None,
+        first_frame: int | None = None,
+        last_frame: int | None = None,
+        rate_hz: float = 10.0,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        if isinstance(rate_hz, bool) or not isinstance(rate_hz, (int, float)) or not 0.01 <= rate_hz <= 1000:
+            raise ConfigurationError(f"{path}: rate_hz is {rate_hz!r}, expected 0.01 to 1000")
+        self.path = Path(path)
+        self.n_infrastructure = n_infrastructure
+        self.n_mobile = n_mobile
+        self.ego = ego
+        self.first_frame = first_frame
+        self.last_frame = last_frame
+        self.rate_hz = rate_hz
+        self.detector = detector
+
+    def inputs(self) -> Sequence[Path]:
+        """The scenario's folder."""
+        return (self.path,)
+
+    @abstractmethod
+    def record(self, seed: int, frames: int | None) -> Recording: ...
+
+    def _times(self, frames: Sequence[int]) -> Ints:
+        """(F,) ns of the frames."""
+        return np.round(np.arange(len(frames)) * 1e9 / self.rate_hz).astype(np.int64)
+
+    def _ego_first(self, folder: Path, agents: list[AgentFolder]) -> list[AgentFolder]:
+        """The ego, then the other cars, then the poles."""
+        cars = [agent for agent in agents if not agent.is_pole]
+        if not cars:
+            raise SceneError(f"{folder}: all {len(agents)} agents are infrastructure, expected at least one car")
+        if self.ego is not None and self.ego not in [car.number for car in cars]:
+            known = ", ".join(str(car.number) for car in cars[:20])
+            raise ConfigurationError(f"{folder}: ego is {self.ego}, expected the number of a car: {known}")
+        chosen = cars[0] if self.ego is None else next(car for car in cars if car.number == self.ego)
+        return [chosen, *(agent for agent in agents if agent is not chosen)]
+
+    def _playing(self, folder: Path, agents: Sequence[AgentFolder]) -> list[int]:
+        """Columns of the agents that play, the ego first, then other cars, then poles."""
+        cars = [column for column, agent in enumerate(agents) if not agent.is_pole and column > 0]
+        poles = [column for column, agent in enumerate(agents) if agent.is_pole]
+        kinds = "cars besides the ego", "poles"
+        check_counts(folder, (self.n_mobile, len(cars)), (self.n_infrastructure, len(poles)), kinds)
+        return [0, *cars[: self.n_mobile], *poles[: self.n_infrastructure]]
+
+
+class OPV2VScene(ScenarioFolder):
+    """A scenario of OPV2V or V2XSet, simulated in CARLA. See docs/scenes_opv2v.md.
+
+    path:             the folder of a scenario, or a folder with a single one
+    n_infrastructure: poles to use, the first ones; None: all
+    n_mobile:         cars besides the ego to use, the first ones; None: all
+    ego:              number of the car that is the ego; None: the lowest
+    first_frame, last_frame: numbers of the frames to begin and to end with; None: all
+    rate_hz:          frames per second; the files do not state it
+    detector:         the model that generates detections from lidar visibility
+
+    The world is CARLA's, with y inverted. An object that an agent lists was hit by its lidar: it gets the returns that
+    ray casting gives, at least 5. All objects are cars.
+    """
+
+    short_name = "opv2v"
+    files: ClassVar[tuple[tuple[str, ...], ...]] = (("data_protocol.yaml", "*/*.yaml", "!map/*.yaml"),)
+
+    variant = OPV2V
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        folder, agents = find_scenario(self.path)
+        agents = self._ego_first(folder, agents)
+        numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
+        check_frames(agents, numbers)
+        playing = self._playing(folder, agents)
+        poses, labels = _read(agents, numbers, self._variant())
+        boxes, seen, cars = self._traffic(agents, numbers, poses, Listed.of(labels))
+        times = self._times(numbers)
+        check_ids_last(boxes, times, lambda frame: agents[0].file(numbers[frame]))
+        paths = []
+        for column in playing:
+            path = agent_path(agents, column, playing, poses, cars, self._variant(), numbers)
+            paths.append(replace(path, points=listed_returns(boxes, path, seen[:, column], frames=frames)))
+        return assemble(folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
+
+    def _variant(self) -> Variant:
+        return self.variant
+
+    def _traffic(
+        self, agents: Sequence[AgentFolder], numbers: Sequence[int], poses: Poses, listed: Listed
+    ) -> tuple[Boxes, Bools, dict[int, OwnCar]]:
+        """All boxes, whether each agent lists them, and the agents' own cars by column."""
+        variant = self._variant()
+
+        def file_of(frame: int, column: int) -> Path:
+            return agents[column].file(numbers[frame])
+
+        columns = [column for column, agent in enumerate(agents) if not agent.is_pole]
+        own = [OwnCar(agents[k].number, poses.position[:, k], poses.rotation[:, k], agents[k].number) for k in columns]
+        if variant.associated:
+            listed = listed.with_id(shared_ids(listed))
+        if variant.body is not None:
+            check_numbers(listed, own, file_of)
+        else:
+            listed, own = claim(listed, own)
+        boxes, by_agent = listed.merged(variant.disagreement_m, file_of)
+        added = [missing_boxes(boxes, car, variant) for car in own]
+        seen = np.zeros((len(boxes) + sum(map(len, added)), len(agents)), np.bool_)
+        seen[: len(by_agent), : by_agent.shape[1]] = by_agent
+        return Boxes.concatenate([boxes, *added]), seen, dict(zip(columns, own, strict=True))
+
+
+class V2XRealScene(OPV2VScene):
+    """A scenario of V2X-Real, recorded by real cars and poles. See docs/scenes_opv2v.md.
+
+    left_handed: whether y is to the right in the files. That is not stated for this data set. If it is wrong, the scene
+                 is mirrored, and all results are the same.
+
+    The other parameters are those of `OPV2VScene`. An agent is where its lidar is. The boxes of an agent's own car are
+    found by their place.
+    """
+
+    short_name = "v2xreal"
+    files = (("-[0-9]*/*.yaml", "!data_protocol.yaml"),)
+
+    variant = V2X_REAL
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        ego: int | None = None,
+        first_frame: int | None = None,
+        last_frame: int | None = None,
+        rate_hz: float = 10.0,
+        detector: Detector = _DETECTOR,
+        left_handed: bool = True,
+    ) -> None:
+        super().__init__(
+            path=path,
+            n_infrastructure=n_infrastructure,
+            n_mobile=n_mobile,
+            ego=ego,
+            first_frame=first_frame,
+            last_frame=last_frame,
+            rate_hz=rate_hz,
+            detector=detector,
+        )
+        self.left_handed = left_handed
+
+    def _variant(self) -> Variant:
+        return replace(self.variant, left_handed=self.left_handed)
+
+
+class V2V4RealScene(OPV2VScene):
+    """A sequence of V2V4Real, recorded by two real cars. See docs/scenes_opv2v.md.
+
+    The parameters are those of `OPV2VScene`. Places of objects are in the frame of the lidar of the agent that lists
+    them. Objects of the two agents are the same if their `ass_id` is. An agent is where its lidar is.
+    """
+
+    short_name = "v2v4real"
+    files = (("0/*.yaml", "1/*.yaml", "!data_protocol.yaml", "!-[0-9]*/*.yaml"),)
+
+    variant = V2V4REAL
+
+
+def _read(agents: Sequence[AgentFolder], numbers: Sequence[int], variant: Variant) -> tuple[Poses, list[list[Labels]]]:
+    """The poses of the agents, and what each lists, for each frame."""
+    labels: list[list[Labels]] = []
+    poses = []
+    for number in numbers:
+        contents = [read_yaml(agent.file(number)) for agent in agents]
+        now = [read_pose(each, variant, agent.is_pole) for each, agent in zip(contents, agents, strict=True)]
+        labels.append([read_labels(each, variant, pose) for each, pose in zip(contents, now, strict=True)])
+        poses.append(now)
+    return Poses.of(poses), labels
+
+
+class MultiV2XScene(ScenarioFolder):
+    """A town of Multi-V2X, simulated in CARLA and SUMO. See docs/scenes_opv2v.md.
+
+    path:             the folder of a town, with cav_<number>, rsu_<number> and map, or a folder with a single one
+    n_infrastructure: poles to use, the ones nearest to the ego in the first frame; None: all
+    n_mobile:         cars besides the ego to use, the nearest ones; None: all
+    ego:              number of the car that is the ego; None: the lowest
+    first_frame, last_frame: numbers of the frames to begin and to end with; None: all frames of the ego
+    rate_hz:          frames per second; the files do not state it
+    detector:         the model that generates detections from lidar visibility
+
+    The world is CARLA's, with y inverted. The objects are those of the map. An agent has the lidar returns that its
+    view files count; without any, ray casting decides. Agents that are not there in all of the frames are no agents.
+    """
+
+    short_name = "multiv2x"
+    files = (("map/*.yaml",),)
+
+    variant = MULTI_V2X
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        folder, agents = find_scenario(self.path)
+        agents = self._ego_first(folder, agents)
+        numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
+        agents = self._nearest_first([agent for agent in agents if agent.covers(numbers)], numbers[0])
+        playing = self._playing(folder, agents)
+        agents, playing = [agents[column] for column in playing], list(range(len(playing)))
+        check_frames(agents, numbers)
+        poses = Poses.of([[self._pose(agent, number) for agent in agents] for number in numbers])
+        cars = {
+            column: OwnCar(agent.number, poses.position[:, column], poses.rotation[:, column], agent.number)
+            for column, agent in enumerate(agents)
+            if not agent.is_pole
+        }
+        boxes = self._boxes(folder, numbers, list(cars.values()))
+        times = self._times(numbers)
+        check_ids_last(boxes, times, lambda frame: agents[0].file(numbers[frame]))
+        paths = []
+        for column in playing:
+            path = agent_path(agents, column, playing, poses, cars, self.variant, numbers)
+            points = _view_points(agents[column], numbers, boxes, path.agent.object_id)
+            paths.append(replace(path, points=points))
+        return assemble(folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
+
+    def _pose(self, agent: AgentFolder, number: int) -> AgentPose:
+        return read_pose(read_yaml(agent.file(number)), self.variant, agent.is_pole)
+
+    def _nearest_first(self, agents: Sequence[AgentFolder], number: int) -> list[AgentFolder]:
+        """The agents by their distance from the first one in a frame."""
+        place = [self._pose(agent, number).position for agent in agents]
+        distance = [float(np.linalg.norm(each - place[0])) for each in place]
+        return [agents[0], *(agents[k] for k in sorted(range(1, len(agents)), key=lambda k: distance[k]))]
+
+    def _boxes(self, folder: Path, numbers: Sequence[int], cars: Sequence[OwnCar]) -> Boxes:
+        """All objects of the map in the frames, and the agents' own cars where it lacks them."""
+        files = map_files(folder)
+
+        def file_of(frame: int, _: int) -> Path:
+            return map_file(folder, files, numbers[frame])
+
+        contents = [read_yaml(file_of(frame, 0)) for frame in range(len(numbers))]
+        listed = Listed.of([[read_labels(content, self.variant, None)] for content in contents])
+        check_numbers(listed, cars, file_of)
+        boxes, _ = listed.merged(self.variant.disagreement_m, file_of)
+        return Boxes.concatenate([boxes, *(missing_boxes(boxes, car, self.variant) for car in cars)])
+
+
+def _view_points(agent: AgentFolder, numbers: Sequence[int], boxes: Boxes, object_id: int) -> NDArray[np.int32] | None:
+    """(N,) lidar returns of each box, as the agent's view files count them; None without any file."""
+    if not agent.views:
+        return None
+    points = np.zeros(len(boxes), np.int32)
+    for frame, number in enumerate(numbers):
+        rows = np.flatnonzero(boxes.frame == frame)
+        ids: Ints = boxes.id[rows]
+        visible = read_visible(read_yaml(agent.view(number)), ids)
+        points[rows] = [0 if each == object_id else visible.get(each, 0) for each in ids.tolist()]
+    return points

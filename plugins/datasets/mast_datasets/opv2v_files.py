@@ -1,0 +1,454 @@
+"""Files of OPV2V and its relatives: folders of agents, poses and labelled objects."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_datasets.files import Element
+from mast_zenoh.arrays.geometry import heading
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.sensing import LidarSensor
+
+_CLASSES = {
+    "car": ("car", "policecar", "longvehicle", "van"),
+    "truck": ("truck", "concretetruck", "pickuptruck", "semitruck"),
+    "bus": ("bus",),
+    "motorcycle": ("motorcycle", "motorcylerider", "motorcyclerider"),
+    "bicycle": ("bicycle", "bicyclerider", "cycle"),
+    "pedestrian": ("pedestrian", "child", "roadworker"),
+}
+_CLASS_OF_CATEGORY = {category: CLASS_INDEX[name] for name, group in _CLASSES.items() for category in group}
+#: Categories of objects that are not road users.
+LEFT_OUT = ("constructioncart", "firehydrant", "trashcan")
+
+#: The car of all agents of OPV2V and V2XSet, a Lincoln MKZ; its size is in the annotation example of OpenCOOD.
+_LINCOLN = np.array([4.902, 2.128, 1.511])
+
+
+def category_key(text: str) -> str:
+    """A category in lower case without spaces, hyphens and underscores."""
+    return "".join(letter for letter in text.lower() if letter not in " -_")
+
+
+def class_of(category: str) -> int:
+    """The class of a category, as written by `category_key`; 0 (unknown) if it is not known."""
+    return _CLASS_OF_CATEGORY.get(category, 0)
+
+
+def _lidar(low: float, high: float, max_range_m: float) -> LidarSensor:
+    return LidarSensor(
+        mount_position=np.zeros(3),
+        azimuth_step_deg=0.36,  # 1.3 million beams/s of 64 channels at 20 Hz
+        elevation_min_deg=low,
+        elevation_max_deg=high,
+        max_range_m=max_range_m,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """Conventions of a data set.
+
+    left_handed:    y is to the right, as in CARLA; it is inverted, and with it yaw and roll
+    objects:        key of the objects in an agent's file
+    objects_in:     the frame of their places: "world", or the agent's "lidar"
+    category:       key of an object's category; None: all are cars
+    associated:     ids are those of one agent's labels; `ass_id` is the id that agents share
+    body:           key of the pose of a car's body on the ground; None: the car is where its lidar is
+    car, pole:      lidars of the agents, without their mount
+    disagreement_m: how far apart the places of one object may be in the files of two agents
+    own_size:       (3,) m of a car that no other agent ever lists, and
+    own_centre:     (3,) m the middle of its box in the frame of the agent
+    """
+
+    left_handed: bool
+    objects: str = "vehicles"
+    objects_in: Literal["world", "lidar"] = "world"
+    category: str | None = None
+    associated: bool = False
+    body: str | None = None
+    car: LidarSensor = field(default_factory=lambda: _lidar(-25.0, 2.0, 120.0))
+    pole: LidarSensor = field(default_factory=lambda: _lidar(-40.0, 0.0, 120.0))
+    disagreement_m: float = 5.0
+    own_size: Floats = field(default_factory=_LINCOLN.copy)
+    own_centre: Floats = field(default_factory=lambda: np.array([0.0, 0.0, _LINCOLN[2] / 2]))
+
+
+def _under_lidar() -> Floats:
+    """The middle of a car's box in the frame of a lidar that is 1.9 m above the ground."""
+    return np.array([0.0, 0.0, _LINCOLN[2] / 2 - 1.9])
+
+
+OPV2V = Variant(left_handed=True, body="true_ego_pos", disagreement_m=0.5)
+MULTI_V2X = Variant(
+    left_handed=True,
+    objects="objects",
+    category="category",
+    body="true_ego_pos",
+    car=_lidar(-30.0, 10.0, 120.0),
+    disagreement_m=0.5,
+)
+V2X_REAL = Variant(
+    left_handed=True,
+    category="obj_type",
+    car=_lidar(-25.0, 15.0, 200.0),
+    pole=_lidar(-45.0, 15.0, 200.0),
+    own_centre=_under_lidar(),
+)
+V2V4REAL = Variant(
+    left_handed=False,
+    objects_in="lidar",
+    category="obj_type",
+    associated=True,
+    car=_lidar(-25.0, 15.0, 200.0),
+    own_centre=_under_lidar(),
+)
+
+
+#: Limit on coordinates, m, and on angles, degrees.
+MAX_COORDINATE = 1e7
+_FLIP = np.array([1.0, -1.0, 1.0])
+
+
+def numbers(element: Element, count: int) -> list[float]:
+    """`count` finite numbers, m or degrees, none beyond `MAX_COORDINATE`."""
+    values = element.value
+    # Element checks one at a time, which is slow for the many thousands of a scene, so it only words the refusals.
+    if not (
+        type(values) is list
+        and len(values) == count
+        and all(type(value) is float or type(value) is int for value in values)
+        and all(-MAX_COORDINATE <= value <= MAX_COORDINATE for value in values)
+    ):
+        return [part.number(-MAX_COORDINATE, MAX_COORDINATE) for part in element.elements(count)]
+    return values
+
+
+def pose(element: Element, left_handed: bool) -> tuple[Floats, Floats]:
+    """Position (3,) m and active rotation (3, 3) of [x, y, z, roll, yaw, pitch], or of a 4 x 4 matrix.
+
+    left_handed: whether y is to the right in the file
+    """
+    if isinstance(element.value, list) and len(element.value) == 4:
+        position, rotation = element.rigid()
+        if np.abs(position).max() > MAX_COORDINATE:
+            element.fail(f"a position of at most {MAX_COORDINATE:g} m")
+        if left_handed:
+            rotation = rotation * np.outer(_FLIP, _FLIP)
+    else:
+        values = numbers(element, 6)
+        position, rotation = np.array(values[:3]), rotations(np.array([values[3:]]), left_handed)[0]
+    return (position * _FLIP if left_handed else position), rotation
+
+
+def positions(place: Floats, left_handed: bool) -> Floats:
+    """(n, 3) m with y to the left."""
+    return place * _FLIP if left_handed else place
+
+
+def rotations(angle: Floats, left_handed: bool) -> Floats:
+    """(n, 3, 3) active rotations of angles (n, 3), roll, yaw and pitch in degrees.
+
+    left_handed: whether y is to the right in the file
+    """
+    roll, yaw, pitch = np.moveaxis(angle * (math.pi / 180.0), -1, 0)
+    if left_handed:
+        yaw = -yaw
+    else:
+        roll = -roll
+    cr, sr, cy, sy, cp, sp = np.cos(roll), np.sin(roll), np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
+    # Rz(yaw) Ry(-pitch) Rx(roll)
+    rows = [
+        [cy * cp, -cy * sp * sr - sy * cr, -cy * sp * cr + sy * sr],
+        [sy * cp, -sy * sp * sr + cy * cr, -sy * sp * cr - cy * sr],
+        [sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+_AGENT = re.compile(r"(?:(cav|rsu)_)?(-?[0-9]{1,9})")
+_FRAME = re.compile(r"([0-9]{1,9})\.yaml")
+_VIEW = re.compile(r"([0-9]{1,9})_view\.yaml")
+_MAX_AGENTS = 1000
+_MAX_FRAMES = 100_000
+
+
+@dataclass(frozen=True)
+class AgentFolder:
+    """The folder of an agent.
+
+    number: of the agent; is_pole: whether it is infrastructure
+    files: the file of each frame, ascending; views: those of what it sees, {} without any
+    """
+
+    folder: Path
+    number: int
+    is_pole: bool
+    files: dict[int, Path]
+    views: dict[int, Path]
+
+    def file(self, frame: int) -> Path:
+        """The file of a frame. Raises SceneError if there is none."""
+        return _file(self.folder, self.files, frame, "")
+
+    def view(self, frame: int) -> Path:
+        """The file of what the agent sees in a frame. Raises SceneError if there is none."""
+        return _file(self.folder, self.views, frame, "_view")
+
+    def covers(self, frames: Sequence[int]) -> bool:
+        """Whether the agent is there from the first to the last of the frames."""
+        return bool(self.files) and min(self.files) <= frames[0] and frames[-1] <= max(self.files)
+
+
+def find_scenario(path: Path) -> tuple[Path, list[AgentFolder]]:
+    """The folder of the scenario at `path`, and its agents by number, cars first.
+
+    path: the scenario's folder, or a folder that holds a single one
+    """
+    if not path.is_dir():
+        raise SceneError(f"{path}: no such folder")
+    candidates = [path, *sorted(child for child in _children(path) if child.is_dir())]
+    scenarios = [folder for folder in candidates if any(map(_is_agent, _children(folder)))]
+    # The agents of the scenario itself have files, no agents.
+    if len(scenarios) != 1:
+        raise SceneError(
+            f"{path}: {len(scenarios)} scenarios, expected one: a folder of agents' folders with files <frame>.yaml"
+        )
+    folder = scenarios[0]
+    agents = [_agent(child) for child in sorted(_children(folder)) if _is_agent(child)]
+    if len(agents) > _MAX_AGENTS:
+        raise SceneError(f"{folder}: found {len(agents)} agents, expected at most {_MAX_AGENTS}")
+    agents.sort(key=lambda agent: (agent.is_pole, abs(agent.number)))
+    for one, other in itertools.pairwise(sorted(agents, key=lambda agent: (agent.is_pole, agent.number))):
+        if one.number == other.number:
+            raise SceneError(f"{other.folder}: found agent {other.number} twice, also {one.folder.name}")
+    return folder, agents
+
+
+def map_files(folder: Path) -> dict[int, Path]:
+    """The files of all objects of a scenario (Multi-V2X), by frame."""
+    files = _frames(folder / "map", _FRAME) if (folder / "map").is_dir() else {}
+    if not files:
+        raise SceneError(f"{folder / 'map'}: no files <frame>.yaml, expected one with all objects of each frame")
+    return files
+
+
+def map_file(folder: Path, files: dict[int, Path], frame: int) -> Path:
+    """The file of all objects in a frame. Raises SceneError if there is none."""
+    return _file(folder / "map", files, frame, "")
+
+
+def choose_frames(agent: AgentFolder, first: int | None, last: int | None) -> list[int]:
+    """The frames of the ego from `first` to `last`, the same step apart; None: without that limit.
+
+    Raises SceneError for a gap, and ConfigurationError for a limit that is no frame.
+    """
+    numbers = list(agent.files)
+    for name, limit in (("first_frame", first), ("last_frame", last)):
+        if limit is not None and limit not in agent.files:
+            raise ConfigurationError(
+                f"{agent.folder}: {name} is {limit}, expected the number of one of its files, "
+                f"{numbers[0]} to {numbers[-1]}"
+            )
+    chosen = [n for n in numbers if (first is None or n >= first) and (last is None or n <= last)]
+    if not chosen:
+        raise ConfigurationError(f"{agent.folder}: first_frame is {first}, expected at most last_frame, {last}")
+    step = min((after - before for before, after in itertools.pairwise(chosen)), default=1)
+    for before, after in itertools.pairwise(chosen):
+        if after - before != step:
+            raise SceneError(
+                f"{agent.folder}: frame {before} is followed by {after}, expected {before + step}; "
+                "first_frame and last_frame choose a part without a gap"
+            )
+    return chosen
+
+
+def check_frames(agents: Sequence[AgentFolder], frames: Sequence[int]) -> None:
+    """Raise SceneError for the first agent that has other frames than the ego."""
+    for agent in agents:
+        for frame in frames:
+            agent.file(frame)
+        between = [frame for frame in agent.files if frames[0] <= frame <= frames[-1]]
+        extra = sorted(set(between) - set(frames))
+        if extra:
+            raise SceneError(f"{agent.files[extra[0]]}: the ego has no frame {extra[0]}, expected the same frames")
+
+
+def _children(folder: Path) -> list[Path]:
+    try:
+        return [Path(entry.path) for entry in os.scandir(folder) if not entry.name.startswith(".")]
+    except OSError as error:
+        raise SceneError(f"{folder}: {error}") from error
+
+
+def _is_agent(folder: Path) -> bool:
+    return (
+        bool(_AGENT.fullmatch(folder.name))
+        and folder.is_dir()
+        and any(_FRAME.fullmatch(child.name) for child in _children(folder))
+    )
+
+
+def _agent(folder: Path) -> AgentFolder:
+    match = _AGENT.fullmatch(folder.name)
+    kind, number = (match[1], int(match[2])) if match else ("", 0)
+    return AgentFolder(folder, number, kind == "rsu" or number < 0, _frames(folder, _FRAME), _frames(folder, _VIEW))
+
+
+def _frames(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
+    """Files by the number in their names, ascending."""
+    files: dict[int, Path] = {}
+    for path in sorted(_children(folder)):
+        match = pattern.fullmatch(path.name)
+        if match is None:
+            continue
+        frame = int(match[1])
+        if frame in files:
+            raise SceneError(f"{path}: found frame {frame} twice, also {files[frame].name}")
+        files[frame] = path
+    if len(files) > _MAX_FRAMES:
+        raise SceneError(f"{folder}: found {len(files)} frames, expected at most {_MAX_FRAMES}")
+    return dict(sorted(files.items()))
+
+
+def _file(folder: Path, files: dict[int, Path], frame: int, ending: str) -> Path:
+    if frame not in files:
+        raise SceneError(
+            f"{folder}: no file for frame {frame}, expected {frame:06d}{ending}.yaml: "
+            "agents that appear or disappear cannot be played"
+            if not ending
+            else f"{folder}: no file for frame {frame}, expected {frame:06d}{ending}.yaml"
+        )
+    return files[frame]
+
+
+_MAX_OBJECTS = 20_000  # in one file
+_MAX_ID = 10**12
+_MAX_EXTENT_M = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """n objects of one file, in the world frame.
+
+    id: (n,);  associated: (n,) id that agents share, -1 if there is none;  position: (n, 3) m middle of the box
+    size: (n, 3) m l w h;  yaw: (n,) rad;  class_id: (n,)
+    """
+
+    id: Ints
+    associated: Ints
+    position: Floats
+    size: Floats
+    yaw: Floats
+    class_id: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def select(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Labels:
+        """The objects of the given rows, in that order."""
+        return Labels(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class AgentPose:
+    """Where an agent is: position (3,) m of its body, lidar (3,) m, and rotation (3, 3) of its lidar, in the world."""
+
+    position: Floats
+    lidar: Floats
+    rotation: Floats
+
+
+def read_pose(content: Element, variant: Variant, is_pole: bool) -> AgentPose:
+    """The pose of an agent in a file."""
+    lidar, rotation = pose(content["lidar_pose"], variant.left_handed)
+    if variant.body is None or is_pole:
+        return AgentPose(lidar, lidar, rotation)
+    body, _ = pose(content[variant.body], variant.left_handed)
+    return AgentPose(body, lidar, rotation)
+
+
+def read_labels(content: Element, variant: Variant, agent: AgentPose | None) -> Labels:
+    """The objects in a file, without those that are not road users.
+
+    agent: whose file it is; needed if places are in the frame of its lidar
+    """
+    listed = content[variant.objects]
+    if listed.value is None or listed.value == []:  # as PyYAML may write none
+        listed = Element({}, listed.path, listed.place)
+    ids: list[int] = []
+    associated: list[int] = []
+    classes: list[int] = []
+    rows: list[list[float]] = []
+    for key, each in listed.members():
+        if len(ids) == _MAX_OBJECTS:
+            listed.fail(f"at most {_MAX_OBJECTS} objects")
+        number = Element(key, listed.path, each.place).integer(0, _MAX_ID)
+        category = _category(each, variant)
+        if category in LEFT_OUT:
+            continue
+        extent = numbers(each["extent"], 3)
+        if not 0 < min(extent) <= max(extent) <= _MAX_EXTENT_M:
+            each["extent"].fail(f"3 numbers above 0, at most {_MAX_EXTENT_M:g}")
+        shared = each.get("ass_id") if variant.associated else None
+        ids.append(number)
+        associated.append(-1 if shared is None else shared.integer(-1, _MAX_ID))
+        classes.append(CLASS_INDEX["car"] if category is None else class_of(category))
+        rows.append([*numbers(each["location"], 3), *numbers(each["center"], 3), *extent, *numbers(each["angle"], 3)])
+    _check_unique(ids, listed)
+    table = np.array(rows, np.float64).reshape(-1, 12)
+    position = positions(table[:, :3] + table[:, 3:6], variant.left_handed)
+    rotation = rotations(table[:, 9:], variant.left_handed)
+    if variant.objects_in == "lidar" and agent is not None:
+        position = agent.lidar + position @ agent.rotation.T
+        rotation = agent.rotation @ rotation
+    return Labels(
+        np.array(ids, np.int64),
+        np.array(associated, np.int64),
+        position,
+        2.0 * table[:, 6:9],
+        heading(rotation),
+        np.array(classes, np.uint8),
+    )
+
+
+def read_visible(content: Element, known: Ints) -> dict[int, int]:
+    """Lidar returns by object, from a file of what an agent sees.
+
+    known: (n,) ids of the objects in that frame
+    """
+    visible: dict[int, int] = {}
+    objects = set(known.tolist())
+    for each in content["visible_objects"].elements():
+        number = each["object_id"].integer(0, _MAX_ID)
+        if number in visible:
+            each["object_id"].fail("each object once")
+        category = each.get("category")
+        if category is not None and category_key(category.text()) in LEFT_OUT:
+            continue
+        if number not in objects:
+            each["object_id"].fail("an object that the map has in this frame")
+        visible[number] = each["visible_points"].integer(0, 2**31 - 1)
+    return visible
+
+
+def _category(each: Element, variant: Variant) -> str | None:
+    """The category of an object; None: the data set has none."""
+    return None if variant.category is None else category_key(each[variant.category].text())
+
+
+def _check_unique(ids: list[int], listed: Element) -> None:
+    if len(set(ids)) != len(ids):
+        twice = next(number for number in ids if ids.count(number) > 1)
+        Element(twice, listed.path, listed.place).fail("each object once")

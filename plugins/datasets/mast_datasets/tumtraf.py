@@ -1,0 +1,439 @@
+"""Sequences of TUMTraf V2X."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mast_datasets.files import Element, read_json, read_listed_pose
+from mast_datasets.traffic import Labels, read_point, read_size
+from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
+from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
+from mast_zenoh.errors import ConfigurationError, SceneError, nearest
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.virtual_agents import standing
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.recording_file import check_counts
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+
+_BETWEEN = "_to_"
+
+
+class Coordinates:
+    """The tree of coordinate systems in one frame.
+
+    openlabel:  the file's content, with `coordinate_systems`
+    properties: the frame's `frame_properties`, with `transforms`, which take precedence
+
+    Raises SceneError. Matrices are decoded only when they are needed, since other sensors' have other forms.
+    """
+
+    def __init__(self, openlabel: Element, properties: Element) -> None:
+        self._element = properties
+        self._parents: dict[str, tuple[str, Element]] = {}
+        self._names: dict[str, None] = {}
+        systems, transforms = openlabel.get("coordinate_systems"), properties.get("transforms")
+        for name, system in systems.members() if systems else ():
+            self._names[name] = None
+            parent = system.get("parent")
+            if parent is not None and parent.text():
+                self._add(name, parent.text(), system)
+        for name, transform in transforms.members() if transforms else ():
+            source, target = _ends(name, transform)
+            self._add(source, target, transform)
+
+    def _add(self, name: str, parent: str, element: Element) -> None:
+        self._parents[name] = parent, element
+        self._names |= {name: None, parent: None}
+
+    def locate(self, name: str) -> tuple[str, Floats, Floats]:
+        """The root above a coordinate system, and its position (3,) m and rotation (3, 3) there."""
+        if name not in self._names:
+            known = list(self._names)
+            raise SceneError(
+                f"{self._element.path}: {self._element.place}: found no coordinate system {name!r}, "
+                f"expected one in coordinate_systems or transforms{nearest(name, known)}"
+            )
+        position, rotation = np.zeros(3), np.eye(3)
+        current, visited = name, {name}
+        while current in self._parents:
+            current, element = self._parents[current]
+            if current in visited:
+                raise SceneError(
+                    f"{element.path}: {element.place}: found a parent {current!r} that is below {name!r} itself, "
+                    "expected a tree of coordinate systems"
+                )
+            visited.add(current)
+            offset, turn = read_listed_pose(_matrix(element))
+            position, rotation = offset + turn @ position, turn @ rotation
+        return current, position, rotation
+
+
+def _ends(name: str, transform: Element) -> tuple[str, str]:
+    """Source and target of a transform: its `src` and `dst`, otherwise from its name SRC_to_DST."""
+    source, target = transform.get("src"), transform.get("dst")
+    if source is not None and target is not None:
+        return source.text(), target.text()
+    ends = name.split(_BETWEEN)
+    if len(ends) != 2:
+        transform.fail("src and dst, or a name SRC_to_DST")
+    return ends[0], ends[1]
+
+
+def _matrix(element: Element) -> Element:
+    """The matrix of a transform, or of a coordinate system's pose."""
+    transform = element.get("transform_src_to_dst")
+    return (transform or element["pose_wrt_parent"])["matrix4x4"]
+
+
+MAX_FILES = 100_000
+_MAX_TIME_S = 9e9  # the year 2255; more nanoseconds are no 64 bit number
+_MAX_LENGTH_ERROR = 1e-3  # of a quaternion
+_SIDES = ("labels_point_clouds", "_labels_point_clouds")
+_REGISTERED = "s110_lidar_ouster_south_and_vehicle_lidar_robosense_registered"
+
+#: Classes by type, in lower case; all others are unknown.
+_TYPES = {
+    "car": ("car", "van"),
+    "truck": ("truck", "trailer"),
+    "bus": ("bus",),
+    "motorcycle": ("motorcycle",),
+    "bicycle": ("bicycle",),
+    "pedestrian": ("pedestrian",),
+}
+CLASS_OF_TYPE = {kind: CLASS_INDEX[name] for name, kinds in _TYPES.items() for kind in kinds}
+
+
+@dataclass(frozen=True, eq=False)
+class Cuboid:
+    """A labelled object in a coordinate system.
+
+    system: its name; None: that of all labels;  position: (3,) m, middle;  rotation: (3, 3) active;  size: (3,) m l w h
+    """
+
+    track: str
+    class_id: int
+    system: str | None
+    position: Floats
+    rotation: Floats
+    size: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A labelled frame. properties: where it is in the file, for messages."""
+
+    time_ns: int
+    properties: Element
+    coordinates: Coordinates
+    cuboids: list[Cuboid]
+
+
+def find_labels(path: Path) -> Path:
+    """The folder with the label files at `path`, which is that folder, or a folder of a split of the data set."""
+    if not path.is_dir():
+        raise SceneError(f"{path}: no such folder")
+    for folder in (path, *(path / side / _REGISTERED for side in _SIDES)):
+        if any(folder.glob("*.json")):
+            return folder
+    raise SceneError(f"{path}: found no label files *.json, expected them there or in {_SIDES[0]}/{_REGISTERED}")
+
+
+def read_frames(folder: Path) -> list[Frame]:
+    """All frames of the files in a folder, by the names of the files and then by number.
+
+    Raises SceneError, also if their times do not ascend.
+    """
+    files = sorted(folder.glob("*.json"))
+    if len(files) > MAX_FILES:
+        raise SceneError(f"{folder}: found {len(files)} label files, expected at most {MAX_FILES}")
+    frames: list[Frame] = []
+    for file in files:
+        for frame in _frames(file):
+            if frames and frame.time_ns <= frames[-1].time_ns:
+                frame.properties["timestamp"].fail(
+                    f"a time later than {frames[-1].time_ns / 1e9} s in {frames[-1].properties.path.name}"
+                )
+            frames.append(frame)
+    if not frames:
+        raise SceneError(f"{folder}: found no frames in {len(files)} label files, expected at least one")
+    return frames
+
+
+def _frames(file: Path) -> Iterator[Frame]:
+    openlabel = read_json(file)["openlabel"]
+    numbered = [(Element(key, file, "openlabel.frames").integer(0), frame) for key, frame in _members(openlabel)]
+    for _, frame in sorted(numbered, key=lambda item: item[0]):
+        properties = frame["frame_properties"]
+        objects = frame.get("objects")
+        yield Frame(
+            # Microseconds, since a number of seconds since 1970 has no more digits than that.
+            round(properties["timestamp"].number(0, _MAX_TIME_S) * 1e6) * 1000,
+            properties,
+            Coordinates(openlabel, properties),
+            [_cuboid(track, element, openlabel) for track, element in objects.members()] if objects else [],
+        )
+
+
+def _members(openlabel: Element) -> Iterator[tuple[str, Element]]:
+    return openlabel["frames"].members()
+
+
+def _cuboid(track: str, element: Element, openlabel: Element) -> Cuboid:
+    """An object of a frame; its type is with it, as in TUMTraf, or in the file's objects, as in the standard."""
+    data = element["object_data"]
+    objects = openlabel.get("objects")
+    described = objects.get(track) if objects else None
+    kind = data["type"] if described is None or data.get("type") is not None else described["type"]
+    cuboid = data["cuboid"]
+    if isinstance(cuboid.value, list):
+        (cuboid,) = cuboid.elements(1)
+    value = cuboid["val"]
+    value.elements(10)
+    position, quaternion, size = (
+        Element(value.value[a:b], value.path, f"{value.place}[{a}:{b}]") for a, b in ((0, 3), (3, 7), (7, 10))
+    )
+    named = next((place for place in (cuboid, data, element) if place.get("coordinate_system") is not None), None)
+    return Cuboid(
+        track,
+        CLASS_OF_TYPE.get(kind.text().lower(), CLASS_INDEX["unknown"]),
+        named["coordinate_system"].text() if named else None,
+        read_point(position),
+        _rotation(quaternion),
+        read_size(size),
+    )
+
+
+def _rotation(element: Element) -> Floats:
+    """(3, 3) active rotation of a quaternion x, y, z, w."""
+    quaternion = np.array([value.number(-2, 2) for value in element.elements(4)])
+    if abs(float(np.linalg.norm(quaternion)) - 1.0) > _MAX_LENGTH_ERROR:
+        element.fail("a quaternion x, y, z, w of length 1")
+    return rotation_from_quaternion(np.roll(quaternion, 1))
+
+
+#: Of a car without a label: an assumption, as the data set does not give its size.
+CAR_SIZE = np.array([4.8, 1.9, 1.7])
+_ABOVE_ROOF_M = 0.2  # of the lidar of such a car
+_MAX_ABOVE_ROOF_M = 1.5  # of the lidar of a labelled car
+
+
+def own_object(boxes: Boxes, position: Floats, rotation: Floats) -> tuple[Boxes, int]:
+    """The boxes with one of the car below a lidar in every frame, and its id.
+
+    position: (F, 3) m, and rotation: (F, 3, 3), of the lidar in the world
+
+    The car is the one track whose box is below the lidar in every frame. If there is none, boxes below the lidar are
+    left out, and boxes of CAR_SIZE take their place.
+    """
+    below = _below(boxes, position[boxes.frame])
+    ids, count = np.unique(boxes.id[below], return_counts=True)
+    throughout = ids[count == len(position)]
+    if len(throughout) == 1:
+        return boxes, int(throughout[0])
+    own = int(boxes.id.max(initial=0)) + 1
+    middle = position - [0.0, 0.0, _ABOVE_ROOF_M + CAR_SIZE[2] / 2]
+    added = Boxes.throughout(own, middle, CAR_SIZE, heading(rotation), CLASS_INDEX["car"])
+    return Boxes.concatenate([boxes.select(~below), added]), own
+
+
+def _below(boxes: Boxes, lidar: Floats) -> Bools:
+    """(N,) whether a box is below a lidar. lidar: (N, 3) m, its position in the frame of each box"""
+    offset = lidar - boxes.position
+    half = boxes.size / 2
+    below: Bools = np.asarray((np.abs(along_and_across(offset, boxes.yaw)) <= half[:, :2]).all(axis=1))
+    return below & (offset[:, 2] >= -half[:, 2]) & (offset[:, 2] <= half[:, 2] + _MAX_ABOVE_ROOF_M)
+
+
+#: Models of the lidars, which the labels do not describe.
+_CAR_LIDAR = LidarSensor(elevation_min_deg=-25.0, elevation_max_deg=15.0, channels=32)
+_POLE_LIDAR = LidarSensor(mount_position=np.zeros(3), elevation_min_deg=-22.5, elevation_max_deg=0.0, max_range_m=120.0)
+_MAX_DRIFT = 0.05  # m, and elements of the rotation matrix: of a pole's lidar in a sequence
+_DETECTOR = DetectionModel()
+
+Poses = tuple[Floats, Floats]  # (F, 3) m and (F, 3, 3)
+
+
+class TUMTrafV2X(Scene):
+    """A sequence of TUMTraf-V2X: a car and a pole at a junction, labelled in their registered point cloud.
+
+    path:             the folder of a split (train, val, test), or the one with its label files
+    n_infrastructure: number of poles to use, the first ones; None: all
+    n_mobile:         number of cars besides the ego to use, the first ones; None: all
+    sequence:         number of the sequence in the folder, from 0; None: the only one
+    max_gap_s:        a longer time between two frames begins a new sequence
+    lidars:           coordinate systems that are agents, those of cars beginning with "vehicle"; None: those in the
+                      name of the label folder, LIDAR_and_LIDAR_registered
+    label_system:     coordinate system of labels that name none; None: that of the first of the lidars
+    detector:         the model that generates detections from lidar visibility
+
+    The world is the root of the coordinate systems, shifted so that its origin is on the ground below the ego's first
+    position. All agents see by ray casting against the other boxes: the labels do not tell who saw an object, and the
+    data has no buildings. See docs/scenes_tumtraf.md.
+    """
+
+    short_name = "tumtraf"
+    files = (("labels_point_clouds/*/*.json",),)
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        sequence: int | None = None,
+        max_gap_s: float = 0.15,
+        lidars: Sequence[str] | None = None,
+        label_system: str | None = None,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        if not isinstance(max_gap_s, (int, float)) or not 0 < max_gap_s < float("inf"):
+            raise ConfigurationError(f"{path}: max_gap_s is {max_gap_s!r}, expected a number above 0")
+        self.path = Path(path)
+        self.n_infrastructure = n_infrastructure
+        self.n_mobile = n_mobile
+        self.sequence = sequence
+        self.max_gap_s = max_gap_s
+        self.lidars = None if lidars is None else tuple(lidars)
+        self.label_system = label_system
+        self.detector = detector
+
+    def inputs(self) -> Sequence[Path]:
+        """The folder with the labels; that of the split, if there is none."""
+        try:
+            return (find_labels(self.path),)
+        except SceneError:
+            return (self.path,)
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        folder = find_labels(self.path)
+        cars, playing, poles = self._agents(folder)
+        number, sequence = self._sequence(folder, read_frames(folder))
+        names = [*cars, *poles]
+        label_system = self.label_system or (self.lidars or _lidars_of(folder))[0]
+        root, poses = _poses(sequence, names)
+        boxes = _boxes(folder, sequence, label_system, root)
+        objects = []
+        for name in cars:
+            boxes, own = own_object(boxes, *poses[name])
+            objects.append(own)
+        boxes, poses = _shift(boxes, poses, cars[0], objects[0])
+        paths = [
+            _car("ego" if k == 0 else f"mobile_{k}", boxes, objects[k], *poses[name]) for k, name in enumerate(playing)
+        ]
+        for k, name in enumerate(poles, start=1):
+            position, rotation = poses[name]
+            paths.append(standing(f"infra_{k}", _POLE_LIDAR, position[0], rotation[0], len(position)))
+        times = np.array([frame.time_ns for frame in sequence], np.int64)
+        return assemble(
+            f"{self.path.absolute().name}_{number}", times, boxes, paths, self.detector, seed=seed, frames=frames
+        )
+
+    def _agents(self, folder: Path) -> tuple[list[str], list[str], list[str]]:
+        """Coordinate systems of lidars: of all cars, of those that are agents, the ego first, and of poles."""
+        lidars = self.lidars or _lidars_of(folder)
+        if len(set(lidars)) != len(lidars):
+            raise ConfigurationError(f"{self.path}: lidars are {list(lidars)}, expected each of them once")
+        cars = [name for name in lidars if name.startswith("vehicle")]
+        poles = [name for name in lidars if not name.startswith("vehicle")]
+        if not cars:
+            raise SceneError(f"{folder}: found the lidars {list(lidars)}, expected at least one of a car, vehicle…")
+        kinds = "cars besides the ego", "poles"
+        check_counts(self.path, (self.n_mobile, len(cars) - 1), (self.n_infrastructure, len(poles)), kinds)
+        kept = len(cars) if self.n_mobile is None else 1 + self.n_mobile
+        return cars, cars[:kept], poles[: self.n_infrastructure]
+
+    def _sequence(self, folder: Path, frames: list[Frame]) -> tuple[int, list[Frame]]:
+        """The number and the frames of the chosen sequence."""
+        gaps = np.diff([frame.time_ns for frame in frames]) > self.max_gap_s * 1e9
+        starts = [0, *(np.flatnonzero(gaps) + 1).tolist(), len(frames)]
+        count = len(starts) - 1
+        if self.sequence is None and count > 1:
+            before, after = frames[starts[1] - 1], frames[starts[1]]
+            raise SceneError(
+                f"{folder}: found {count} sequences, the second after a gap of "
+                f"{(after.time_ns - before.time_ns) / 1e9:g} s before {after.properties.path.name}, expected one: "
+                f"choose one with sequence=0 to {count - 1}, or allow longer gaps with max_gap_s"
+            )
+        number = self.sequence or 0
+        if not 0 <= number < count:
+            raise ConfigurationError(f"{self.path}: sequence is {number}, expected 0 to {count - 1}")
+        return number, frames[starts[number] : starts[number + 1]]
+
+
+def _lidars_of(folder: Path) -> tuple[str, ...]:
+    """The coordinate systems in the name of a label folder."""
+    name = folder.absolute().name
+    if not name.endswith("_registered"):
+        raise ConfigurationError(
+            f"{folder}: the folder is not named LIDAR_and_LIDAR_registered, expected that, or the parameter lidars"
+        )
+    return tuple(name.removesuffix("_registered").split("_and_"))
+
+
+def _poses(frames: list[Frame], names: list[str]) -> tuple[str, dict[str, Poses]]:
+    """The root of the coordinate systems, and the poses of some of them in it, in all frames."""
+    root, poses = frames[0].coordinates.locate(names[0])[0], {}
+    for name in names:
+        located = [frame.coordinates.locate(name) for frame in frames]
+        for frame, (found, _, _) in zip(frames, located, strict=True):
+            _check_root(frame, name, found, root)
+        poses[name] = np.stack([position for _, position, _ in located]), np.stack([turn for _, _, turn in located])
+        if not name.startswith("vehicle"):
+            _check_still(frames, name, *poses[name])
+    return root, poses
+
+
+def _check_root(frame: Frame, name: str, found: str, root: str) -> None:
+    place = f"{frame.properties.path}: {frame.properties.place}"
+    if found != root:
+        raise SceneError(f"{place}: the root above {name} is {found!r}, expected {root!r} as in the first frame")
+    if root.startswith("vehicle"):
+        raise SceneError(f"{place}: the root above {name} is {root!r}, which moves: expected one that does not")
+
+
+def _check_still(frames: list[Frame], name: str, position: Floats, rotation: Floats) -> None:
+    drift = np.maximum(np.abs(position - position[0]).max(axis=1), np.abs(rotation - rotation[0]).max(axis=(1, 2)))
+    moved = np.flatnonzero(drift > _MAX_DRIFT)
+    if len(moved):
+        properties = frames[moved[0]].properties
+        raise SceneError(
+            f"{properties.path}: {properties.place}: {name} is at {np.round(position[moved[0]], 2).tolist()}, expected "
+            f"{np.round(position[0], 2).tolist()} as in the first frame: poles do not move"
+        )
+
+
+def _boxes(folder: Path, frames: list[Frame], label_system: str, root: str) -> Boxes:
+    """The labelled boxes in the root's frame."""
+    labels = Labels(folder)
+    for row, frame in enumerate(frames):
+        systems = {cuboid.system or label_system for cuboid in frame.cuboids}
+        located = {name: frame.coordinates.locate(name) for name in sorted(systems)}
+        for name, (found, _, _) in located.items():
+            _check_root(frame, name, found, root)
+        for cuboid in frame.cuboids:
+            _, position, rotation = located[cuboid.system or label_system]
+            middle, yaw = position + rotation @ cuboid.position, float(heading(rotation @ cuboid.rotation))
+            labels.add(row, cuboid.track, middle, cuboid.size, yaw, cuboid.class_id)
+    return labels.boxes()[0]
+
+
+def _shift(boxes: Boxes, poses: dict[str, Poses], ego: str, own: int) -> tuple[Boxes, dict[str, Poses]]:
+    """Boxes and poses with the origin on the ground below the ego's lidar in the first frame."""
+    row = np.flatnonzero((boxes.id == own) & (boxes.frame == 0))[0]
+    origin = np.append(poses[ego][0][0, :2], boxes.position[row, 2] - boxes.size[row, 2] / 2)
+    names = ("frame", "id", "size", "yaw", "class_id", "velocity")
+    shifted = Boxes(position=boxes.position - origin, **{name: getattr(boxes, name) for name in names})
+    return shifted, {name: (position - origin, rotation) for name, (position, rotation) in poses.items()}
+
+
+def _car(name: str, boxes: Boxes, own: int, position: Floats, rotation: Floats) -> AgentPath:
+    """A car; its origin is below the lidar, at the height of its underside in the first frame."""
+    row = np.flatnonzero((boxes.id == own) & (boxes.frame == 0))[0]
+    mount = np.array([0.0, 0.0, position[0, 2] - boxes.position[row, 2] + boxes.size[row, 2] / 2])
+    sensor = replace(_CAR_LIDAR, mount_position=mount)
+    return AgentPath(SceneAgent(name, "mobile", own, sensor, Camera(mount)), position - rotation @ mount, rotation)

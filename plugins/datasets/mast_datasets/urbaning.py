@@ -1,0 +1,425 @@
+"""Sequences of UrbanIng-V2X."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from mast_datasets.files import Element, read_json, read_pose
+from mast_datasets.traffic import Labels, read_point, read_size
+from mast_zenoh.arrays.geometry import heading
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError, nearest
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.detection_tables import read_text
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.virtual_agents import standing
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.recording_file import check_counts
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+
+TIMESYNC = "timesync_info.csv"
+_TIME = "timestamp_ms"
+_MAX_FRAMES = 100_000
+_MAX_TIME_MS = 9_000_000_000_000  # the year 2255; more nanoseconds are no 64 bit number
+_MAX_STATE_OFFSET_MS = 50  # of a vehicle's state from the time of its frame
+_MAX_STEP = 1.5  # between frames, in periods
+_STATE_ROW = re.compile(r"vehicle[0-9]{1,6}_state")
+_LIDAR_ROW = re.compile(r"crossing[0-9]{1,6}_[0-9]{1,6}_lidar")
+_STATE_FILE = re.compile(r"([0-9]{1,15})\.json")
+_MILLISECONDS = re.compile(r"[0-9]{1,15}(\.0*)?")
+
+
+@dataclass(frozen=True)
+class Files:
+    """Paths of a sequence: its folder, its labels, and two files about the vehicles of all sequences."""
+
+    folder: Path
+    labels: Path
+    av_tracks: Path
+    av_data: Path
+
+
+def find_sequence(path: Path, name: str | None) -> Files:
+    """The files of a sequence at `path`: the data set, or the folder of the sequence in it.
+
+    name: of the sequence; None: the only one. Raises SceneError, and ConfigurationError for an unknown name.
+    """
+    if not path.is_dir():
+        raise SceneError(f"{path}: no such folder")
+    path = path.absolute()
+    if (path / TIMESYNC).is_file():
+        root, folder = path.parent.parent, path
+        if name not in (None, path.name):
+            raise ConfigurationError(f"{path}: sequence is {name!r}, expected {path.name!r}: the path is that sequence")
+    else:
+        root = path
+        folders = sorted((root / "dataset").glob(f"*/{TIMESYNC}"))
+        names = [file.parent.name for file in folders]
+        if name is not None and name not in names:
+            raise ConfigurationError(
+                f"{path}: sequence is {name!r}, expected a folder in dataset{nearest(name, names)}"
+            )
+        if name is None and len(names) != 1:
+            raise SceneError(
+                f"{path}: found {len(names)} sequences dataset/*/{TIMESYNC}, expected one, or the parameter sequence"
+            )
+        folder = root / "dataset" / (name or names[0])
+    return Files(
+        folder,
+        root / "labels" / f"{folder.name}.json",
+        root / "labels_av_track_ids.json",
+        root / "av_vehicle_data.json",
+    )
+
+
+@dataclass(frozen=True)
+class Timesync:
+    """The F frames of a sequence. times_ms: of each frame; states: F file names for each vehicle; lidars: of poles."""
+
+    times_ms: list[int]
+    states: dict[str, list[str]]
+    lidars: list[str]
+
+
+def read_timesync(path: Path) -> Timesync:
+    """The frames in timesync_info.csv: a row for each sensor, a column for each frame, after a column of row names."""
+    try:
+        table = list(csv.reader(read_text(path).splitlines(), strict=True))
+    except csv.Error as error:
+        raise SceneError(f"{path}: not a table of comma-separated values: {error}") from error
+    rows: dict[str, list[str]] = {}
+    for number, row in enumerate(table[1:], start=2):
+        if not row:
+            continue
+        if len(row) != len(table[0]):
+            raise SceneError(f"{path}: line {number}: found {len(row)} cells, expected {len(table[0])}")
+        if row[0] in rows:
+            raise SceneError(f"{path}: line {number}: found {row[0]!r} again, expected each row once")
+        rows[row[0]] = row[1:]
+    if _TIME not in rows:
+        raise SceneError(f"{path}: found no row {_TIME}{nearest(_TIME, list(rows))}")
+    if not 1 <= len(rows[_TIME]) <= _MAX_FRAMES:
+        raise SceneError(f"{path}: found {len(rows[_TIME])} frames, expected 1 to {_MAX_FRAMES}")
+    times = [_milliseconds(path, frame, cell) for frame, cell in enumerate(rows[_TIME])]
+    _check_steps(path, times)
+    states = {name.removesuffix("_state"): rows[name] for name in sorted(rows) if _STATE_ROW.fullmatch(name)}
+    if not states:
+        raise SceneError(f"{path}: found no row vehicle<number>_state, expected at least one vehicle")
+    return Timesync(times, states, sorted(filter(_LIDAR_ROW.fullmatch, rows)))
+
+
+def read_states(folder: Path, vehicle: str, timesync: Timesync) -> tuple[Floats, Floats]:
+    """Positions (F, 3) m and rotations (F, 3, 3) of a vehicle's body in the global frame, from gTv."""
+    poses = []
+    for frame, (cell, time) in enumerate(zip(timesync.states[vehicle], timesync.times_ms, strict=True)):
+        place = f"{folder / TIMESYNC}: row {vehicle}_state, frame {frame}"
+        match = _STATE_FILE.fullmatch(cell.strip())
+        if match is None:
+            raise SceneError(f"{place}: found {cell[:80]!r}, expected a file name <milliseconds>.json")
+        if abs(int(match[1]) - time) > _MAX_STATE_OFFSET_MS:
+            raise SceneError(f"{place}: found {cell!r}, expected a time within {_MAX_STATE_OFFSET_MS} ms of {time}")
+        poses.append(read_pose(read_json(folder / f"{vehicle}_state" / match[0])["gTv"]))
+    return np.stack([position for position, _ in poses]), np.stack([rotation for _, rotation in poses])
+
+
+def read_vehicle_lidar(path: Path, vehicle: str) -> tuple[Floats, Floats]:
+    """Position (3,) m and rotation (3, 3) of a vehicle's lidar in its body, from vTl in calibration.json."""
+    calibration = read_json(path)
+    names = [name for name, _ in calibration.members() if name.startswith(f"{vehicle}_") and name.endswith("_lidar")]
+    if len(names) != 1:
+        raise SceneError(f"{path}: found {len(names)} sensors {vehicle}_…_lidar, expected one")
+    return read_pose(calibration[names[0]]["extrinsics"]["vTl"])
+
+
+def read_pole_lidar(path: Path, name: str) -> tuple[Floats, Floats]:
+    """Position (3,) m and rotation (3, 3) of a pole's lidar in the global frame, from gTl in calibration.json."""
+    return read_pose(read_json(path)[name]["extrinsics"]["gTl"])
+
+
+def read_av_tracks(files: Files, vehicles: list[str]) -> dict[str, str]:
+    """The tracks that are vehicles with a lidar, by vehicle; without those that have none."""
+    sequence = read_json(files.av_tracks)[files.folder.name]
+    tracks: dict[str, str] = {}
+    for vehicle in vehicles:
+        track = sequence.get(vehicle)
+        if track is not None:
+            tracks[vehicle] = str(track.integer(0)) if not isinstance(track.value, str) else track.text()
+    if len(set(tracks.values())) != len(tracks):
+        sequence.fail("a different track for each vehicle")
+    return tracks
+
+
+def read_av_size(files: Files, vehicle: str) -> Floats | None:
+    """(3,) m l w h of a vehicle with a lidar, from av_vehicle_data.json; None if it is not there."""
+    if not files.av_data.is_file():
+        return None
+    data = read_json(files.av_data).get(vehicle)
+    return None if data is None else read_size(data["size"])
+
+
+def _milliseconds(path: Path, frame: int, cell: str) -> int:
+    time = int(float(cell)) if _MILLISECONDS.fullmatch(cell.strip()) else -1
+    if not 0 <= time <= _MAX_TIME_MS:
+        raise SceneError(
+            f"{path}: row {_TIME}, frame {frame}: found {cell[:80]!r}, expected milliseconds from 0 to {_MAX_TIME_MS}"
+        )
+    return time
+
+
+def _check_steps(path: Path, times: list[int]) -> None:
+    """Raise SceneError for times that do not ascend, or that leave a frame out."""
+    steps = [later - earlier for earlier, later in pairwise(times)]
+    for frame, step in enumerate(steps, start=1):
+        if step <= 0:
+            raise SceneError(
+                f"{path}: row {_TIME}, frame {frame}: found {times[frame]}, expected a time after the last"
+            )
+    period = float(np.median(steps)) if steps else 0.0
+    for frame, step in enumerate(steps, start=1):
+        if step > _MAX_STEP * period:
+            raise SceneError(
+                f"{path}: row {_TIME}, frame {frame}: found a step of {step} ms, expected {period:g} ms: "
+                "a frame is missing"
+            )
+
+
+_MAX_TRACKS = 100_000
+_MAX_ANGLE = 1e4  # rad
+_MAX_TIME_ERROR_MS = 1
+
+#: Classes by type; all others are unknown.
+_TYPES = {
+    "car": ("Car", "Van"),
+    "truck": ("Truck", "Trailer"),
+    "bus": ("Bus",),
+    "motorcycle": ("Motorcycle",),
+    "bicycle": ("Cyclist", "EScooter"),
+    "pedestrian": ("Pedestrian", "OtherPedestrians"),
+}
+CLASS_OF_TYPE = {kind: CLASS_INDEX[name] for name, kinds in _TYPES.items() for kind in kinds}
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A track with n boxes.
+
+    frame: (n,) rows of the scene's frames;  position: (n, 3) m, middle;  size: (n, 3) m l w h;  yaw: (n,) rad
+    element: where it is, for messages
+    """
+
+    name: str
+    class_id: int
+    frame: Ints
+    position: Floats
+    size: Floats
+    yaw: Floats
+    element: Element
+
+
+def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
+    """The tracks in labels/<sequence>.json by name.
+
+    times_ms: of the scene's frames; a label at another time is refused. Raises SceneError.
+    """
+    frame_at = {time + error: row for row, time in enumerate(times_ms) for error in _errors(times_ms)}
+    listed = read_json(path)["tracks"].elements()
+    if len(listed) > _MAX_TRACKS:
+        Element(len(listed), path, "tracks").fail(f"at most {_MAX_TRACKS} tracks")
+    tracks: dict[str, Track] = {}
+    for element in listed:
+        track = _track(element, frame_at)
+        if track.name in tracks:
+            element["track_id"].fail("an id that no other track has")
+        tracks[track.name] = track
+    return tracks
+
+
+def add_tracks(tracks: Mapping[str, Track], labels: Labels) -> None:
+    """Add the boxes of all tracks to `labels`."""
+    for name, track in tracks.items():
+        for row in range(len(track.frame)):
+            labels.add(
+                int(track.frame[row]), name, track.position[row], track.size[row], float(track.yaw[row]), track.class_id
+            )
+
+
+def _errors(times_ms: list[int]) -> range:
+    """The errors of a time, ms, that are less than half a period."""
+    period = min((later - earlier for earlier, later in pairwise(times_ms)), default=100)
+    error = min(_MAX_TIME_ERROR_MS, (period - 1) // 2)
+    return range(-error, error + 1)
+
+
+def _track(element: Element, frame_at: Mapping[int, int]) -> Track:
+    name = element["track_id"]
+    frames = [_frame(time, frame_at) for time in element["timestamps"].elements()]
+    for row in range(1, len(frames)):
+        if frames[row] <= frames[row - 1]:
+            element["timestamps"].elements()[row].fail("a time after the one before")
+    n = len(frames)
+    dimensions = element["dimensions"]
+    single = isinstance(dimensions.value, list) and len(dimensions.value) == 1
+    sizes = _column(dimensions, 1 if single else n, read_size, 3)
+    return Track(
+        name.text() if isinstance(name.value, str) else str(name.integer(0)),
+        CLASS_OF_TYPE.get(element["object_type"].text(), CLASS_INDEX["unknown"]),
+        np.array(frames, np.int64),
+        _column(element["positions"], n, read_point, 3),
+        np.repeat(sizes, n, axis=0) if single else sizes,
+        _column(element["orientations"], n, lambda value: value.number(-_MAX_ANGLE, _MAX_ANGLE), 0),
+        element,
+    )
+
+
+def _frame(time: Element, frame_at: Mapping[int, int]) -> int:
+    """The row of the frame at a time in s."""
+    frame = frame_at.get(round(time.number(0, 1e10) * 1000))
+    if frame is None:
+        time.fail("the time of a frame in timesync_info.csv, s")
+    return frame
+
+
+def _column(element: Element, count: int, read: Callable[[Element], Floats | float], width: int) -> Floats:
+    """(count, width) or (count,) of the values of a list, one for each time."""
+    values = [read(value) for value in element.elements(count)]
+    return np.array(values, np.float64).reshape((count, width) if width else (count,))
+
+
+#: Models of the lidars, whose channels and angles are not in the files.
+_CAR_LIDAR = LidarSensor(elevation_min_deg=-25.0, elevation_max_deg=15.0)
+_POLE_LIDAR = LidarSensor(mount_position=np.zeros(3), elevation_min_deg=-45.0, elevation_max_deg=45.0, channels=128)
+#: l w h of a car with neither a label nor an entry in av_vehicle_data.json.
+_CAR_SIZE = np.array([4.8, 1.9, 1.7])
+_MAX_LABEL_ERROR_M = 2.0  # between the label of a car and its own state
+_DETECTOR = DetectionModel()
+
+
+class UrbanIngV2X(Scene):
+    """A sequence of UrbanIng-V2X: one or two cars and the lidars of poles at a crossing.
+
+    path:             the folder of the data set, or dataset/<sequence> in it
+    n_infrastructure: number of pole lidars to use, the first ones by name; None: all
+    n_mobile:         number of cars besides the ego to use, the first ones; None: all
+    sequence:         name of the sequence; None: the only one
+    detector:         the model that generates detections from lidar visibility
+
+    The ego is the first vehicle; each lidar on a pole is an agent. The world is the crossing's global frame, shifted
+    so that its origin is on the ground below the ego's first position. All agents see by ray casting against the other
+    boxes: the labels do not tell who saw an object, and buildings are not read. See docs/scenes_urbaning.md.
+    """
+
+    short_name = "urbaning"
+    files = (("labels_av_track_ids.json",), ("timesync_info.csv", "calibration.json"))
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        sequence: str | None = None,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        self.path = Path(path)
+        self.n_infrastructure = n_infrastructure
+        self.n_mobile = n_mobile
+        self.sequence = sequence
+        self.detector = detector
+
+    def inputs(self) -> Sequence[Path]:
+        """The sequence's folder and the files about it; `path`, if there is none."""
+        try:
+            files = find_sequence(self.path, self.sequence)
+        except (SceneError, ConfigurationError):
+            return (self.path,)
+        return (files.folder, files.labels, files.av_tracks, files.av_data)
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        files = find_sequence(self.path, self.sequence)
+        timesync = read_timesync(files.folder / TIMESYNC)
+        vehicles, lidars = self._agents(list(timesync.states), timesync.lidars)
+        poses = {name: read_states(files.folder, name, timesync) for name in timesync.states}
+        own_tracks = read_av_tracks(files, list(poses))
+        boxes, objects = _boxes(files, read_tracks(files.labels, timesync.times_ms), poses, own_tracks)
+        row = np.flatnonzero((boxes.id == objects[vehicles[0]]) & (boxes.frame == 0))[0]
+        origin = boxes.position[row] - [0.0, 0.0, boxes.size[row, 2] / 2]
+        boxes = replace(boxes, position=boxes.position - origin)
+        calibration = files.folder / "calibration.json"
+        paths = []
+        for k, name in enumerate(vehicles):
+            position, rotation = poses[name]
+            own = objects[name]
+            height = float(boxes.size[np.flatnonzero(boxes.id == own)[0], 2])
+            mount = read_vehicle_lidar(calibration, name)
+            paths.append(_car("ego" if k == 0 else f"mobile_{k}", own, position - origin, rotation, height, mount))
+        for k, name in enumerate(lidars, start=1):
+            position, rotation = read_pole_lidar(calibration, name)
+            paths.append(standing(f"infra_{k}", _POLE_LIDAR, position - origin, rotation, len(timesync.times_ms)))
+        times = np.array(timesync.times_ms, np.int64) * 1_000_000
+        return assemble(files.folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
+
+    def _agents(self, vehicles: list[str], lidars: list[str]) -> tuple[list[str], list[str]]:
+        """The vehicles and the pole lidars that play."""
+        kinds = "cars besides the ego", "lidars on poles"
+        check_counts(self.path, (self.n_mobile, len(vehicles) - 1), (self.n_infrastructure, len(lidars)), kinds)
+        kept = len(vehicles) if self.n_mobile is None else 1 + self.n_mobile
+        return vehicles[:kept], lidars[: self.n_infrastructure]
+
+
+def _boxes(
+    files: Files, tracks: dict[str, Track], poses: dict[str, tuple[Floats, Floats]], own_tracks: dict[str, str]
+) -> tuple[Boxes, dict[str, int]]:
+    """All boxes in the global frame, and the object ids of the vehicles with a lidar.
+
+    Such a vehicle has a box in every frame, from its own state, in place of its labels.
+    """
+    labels = Labels(files.labels)
+    add_tracks({name: track for name, track in tracks.items() if name not in own_tracks.values()}, labels)
+    boxes, ids = labels.boxes(own_tracks.values())
+    unused = max(ids.values(), default=0) + 1
+    parts, objects = [boxes], {}
+    for k, (vehicle, (position, rotation)) in enumerate(poses.items()):
+        name = own_tracks.get(vehicle)
+        track = None if name is None else tracks.get(name)
+        if track is not None:
+            _check_label(vehicle, track, position)
+        objects[vehicle] = unused + k if name is None else ids[name]
+        size = track.size[0] if track is not None and len(track.size) else read_av_size(files, vehicle)
+        class_id = CLASS_INDEX["car"] if track is None else track.class_id
+        size = _CAR_SIZE if size is None else size
+        parts.append(Boxes.throughout(objects[vehicle], position, size, heading(rotation), class_id))
+    return Boxes.concatenate(parts), objects
+
+
+def _check_label(vehicle: str, track: Track, position: Floats) -> None:
+    """Raise SceneError if the label of a vehicle is elsewhere than its state. position: (F, 3) m"""
+    if not len(track.frame):
+        return
+    error = np.linalg.norm(track.position - position[track.frame], axis=1)
+    row = int(error.argmax())
+    if error[row] > _MAX_LABEL_ERROR_M:
+        place = track.element["positions"].elements()[row]
+        place.fail(
+            f"a position within {_MAX_LABEL_ERROR_M:g} m of {vehicle} in its state, "
+            f"{np.round(position[track.frame[row]], 2).tolist()}"
+        )
+
+
+def _car(
+    name: str, own: int, position: Floats, rotation: Floats, height: float, mount: tuple[Floats, Floats]
+) -> AgentPath:
+    """A car; its origin is the middle of its underside.
+
+    position, rotation: of its body, whose origin is the middle of its box; mount: pose of the lidar in it
+    """
+    underside = np.array([0.0, 0.0, -height / 2])
+    sensor = replace(_CAR_LIDAR, mount_position=mount[0] - underside, mount_rotation=mount[1])
+    camera = Camera(mount_position=mount[0] - underside)
+    return AgentPath(SceneAgent(name, "mobile", own, sensor, camera), position + rotation @ underside, rotation)

@@ -1,0 +1,184 @@
+"""Archives are unpacked within limits and never outside their folder."""
+
+from __future__ import annotations
+
+import io
+import tarfile
+import tempfile
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from carla_writer import write_run
+from mast_datasets import avstack_files
+from mast_datasets.avstack import AVstackScene
+
+from mast_zenoh.errors import ConfigurationError, SceneError
+
+MB = 1_000_000
+
+
+class Zeros(io.RawIOBase):
+    """A file of the requested number of zeros that uses no memory."""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer) -> int:
+        buffer[:] = bytes(len(buffer))
+        return len(buffer)
+
+
+def add(tar: tarfile.TarFile, name: str, size: int = 0, kind: bytes = tarfile.REGTYPE, linkname: str = "") -> None:
+    member = tarfile.TarInfo(name)
+    member.size, member.type, member.linkname = size, kind, linkname
+    tar.addfile(member, Zeros() if size else None)
+
+
+def packed(path: Path, *fill: Callable[[tarfile.TarFile], None], mode: str = "w:gz") -> Path:
+    with tarfile.open(path, mode) as tar:
+        for each in fill:
+            each(tar)
+    return path
+
+
+def unpacked(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def test_unpacking_stops_before_the_file_that_exceeds_the_limit(tmp_path: Path) -> None:
+    bomb = packed(tmp_path / "bomb.tar.gz", *(lambda tar, k=k: add(tar, f"{k}.txt", 3 * MB) for k in range(10)))
+    assert bomb.stat().st_size < MB / 10
+    reason = r"bomb\.tar\.gz: too large: 9 MB unpacked up to and including 2\.txt, expected at most 8 MB.*raise"
+    with pytest.raises(SceneError, match=reason):
+        avstack_files.unpack(bomb, tmp_path / "out", (".txt",), 8 * MB)
+    assert unpacked(tmp_path / "out") == ["0.txt", "1.txt"]
+
+
+def test_a_single_file_beyond_the_limit_is_not_unpacked(tmp_path: Path) -> None:
+    bomb = packed(tmp_path / "bomb.tar.gz", lambda tar: add(tar, "objects/a.txt", 30 * MB))
+    with pytest.raises(SceneError, match=r"too large: 30 MB unpacked up to and including objects/a\.txt"):
+        avstack_files.unpack(bomb, tmp_path / "out", (".txt",), 8 * MB)
+    assert unpacked(tmp_path / "out") == []
+
+
+def test_skipped_members_do_not_count_towards_the_limit(tmp_path: Path) -> None:
+    path = packed(tmp_path / "a.tar.gz", lambda tar: add(tar, "a.png", 9 * MB), lambda tar: add(tar, "a.txt", 1))
+    avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+    assert unpacked(tmp_path / "out") == ["a.txt"]
+
+
+def add_much_that_is_skipped(tar: tarfile.TarFile) -> None:
+    """A file that is not needed, of zeros: gzip packs it 1,000 to 1, bzip2 and xz much better."""
+    add(tar, "skipped.bin", 20 * MB)
+    add(tar, "wanted.txt", 1000)
+
+
+@pytest.mark.parametrize("mode", ["w:bz2", "w:xz"])
+def test_an_archive_of_a_few_kilobytes_that_unpacks_to_megabytes_is_refused(tmp_path: Path, mode: str) -> None:
+    path = packed(tmp_path / "bomb.tar", add_much_that_is_skipped, mode=mode)
+    assert path.stat().st_size < 5000
+    with pytest.raises(SceneError, match=r"bomb\.tar: found 20\S* MB unpacked or more, .*expected at most \d\S* MB"):
+        avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+    assert unpacked(tmp_path / "out") == []
+
+
+def test_an_archive_that_gzip_packs_as_well_as_it_can_is_read(tmp_path: Path) -> None:
+    path = packed(tmp_path / "legal.tar", add_much_that_is_skipped, mode="w:gz")
+    avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+    assert unpacked(tmp_path / "out") == ["wanted.txt"]
+
+
+@pytest.mark.parametrize("mode", ["w", "w:gz", "w:bz2", "w:xz"])
+def test_every_compression_is_recognised_by_its_content(tmp_path: Path, mode: str) -> None:
+    path = packed(tmp_path / "archive", lambda tar: add(tar, "a/b.txt", 1000), mode=mode)
+    avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+    assert (tmp_path / "out" / "a" / "b.txt").read_bytes() == bytes(1000)
+
+
+def test_an_archive_of_very_many_members_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(avstack_files, "MAX_MEMBERS", 1000)
+    path = packed(tmp_path / "many.tar.gz", *(lambda tar, k=k: add(tar, f"{k}.png") for k in range(1001)))
+    with pytest.raises(SceneError, match=r"many.tar.gz: the archive exceeds the limit of 1,000 files and folders"):
+        avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+
+
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE])
+@pytest.mark.parametrize("target", ["/etc/passwd", "../outside.txt", "inside.txt"])
+def test_links_are_refused_whatever_their_target(tmp_path: Path, kind: bytes, target: str) -> None:
+    path = packed(tmp_path / "a.tar.gz", lambda tar: add(tar, "objects/a.txt", kind=kind, linkname=target))
+    with pytest.raises(SceneError, match=rf"objects/a\.txt is a link to '{target}', expected plain files"):
+        avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+
+
+@pytest.mark.parametrize("kind", [tarfile.FIFOTYPE, tarfile.CHRTYPE, tarfile.BLKTYPE])
+def test_a_device_is_refused(tmp_path: Path, kind: bytes) -> None:
+    path = packed(tmp_path / "a.tar.gz", lambda tar: add(tar, "a.txt", kind=kind))
+    with pytest.raises(SceneError, match=r"a.txt is not a regular file, expected plain files"):
+        avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+
+
+@pytest.mark.parametrize("name", ["../a.txt", "objects/../../a.txt"])
+def test_a_path_that_leaves_the_folder_is_refused(tmp_path: Path, name: str) -> None:
+    path = packed(tmp_path / "a.tar.gz", lambda tar: add(tar, name, 5))
+    (tmp_path / "in").mkdir()
+    with pytest.raises(SceneError, match=r"a\.tar\.gz: cannot be unpacked: .*outside"):
+        avstack_files.unpack(path, tmp_path / "in" / "out", (".txt",), MB)
+    assert unpacked(tmp_path) == ["a.tar.gz"]
+
+
+def test_an_absolute_path_is_unpacked_below_the_folder(tmp_path: Path) -> None:
+    path = packed(tmp_path / "a.tar.gz", lambda tar: add(tar, f"{tmp_path}/evil.txt", 5))
+    avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+    assert not (tmp_path / "evil.txt").exists()
+
+
+@pytest.mark.parametrize("kind", [tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME])
+def test_a_header_that_claims_hundreds_of_megabytes_is_not_read_into_memory(tmp_path: Path, kind: bytes) -> None:
+    path = packed(tmp_path / "a.tar.gz", lambda tar: add(tar, "x", 200 * MB, kind))
+    tracemalloc.start()
+    try:
+        with pytest.raises(SceneError, match=r"a header exceeds the limit of 65536 bytes"):
+            avstack_files.unpack(path, tmp_path / "out", (".txt",), MB)
+        assert tracemalloc.get_traced_memory()[1] < 10 * MB
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_sparse_file_that_claims_terabytes_is_refused(tmp_path: Path) -> None:
+    member = tarfile.TarInfo("a.txt")
+    member.type, member.size = tarfile.GNUTYPE_SPARSE, 0
+    block = bytearray(member.tobuf(tarfile.GNU_FORMAT))
+    block[483:495] = b"%011o\0" % (1 << 32)  # the size of the file, holes included
+    block[148:156] = b"%06o\0 " % (256 + sum(block[:148]) + sum(block[156:]))
+    (tmp_path / "a.tar").write_bytes(bytes(block) + bytes(1024))
+    with pytest.raises(SceneError, match=r"a.txt is a sparse file, expected plain files"):
+        avstack_files.unpack(tmp_path / "a.tar", tmp_path / "out", (".txt",), MB)
+
+
+def test_a_truncated_archive_is_refused_by_name(tmp_path: Path) -> None:
+    for mode in ("w:gz", "w:bz2", "w:xz"):
+        path = packed(tmp_path / "a.tar", lambda tar: add(tar, "a.txt", MB), mode=mode)
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        with pytest.raises(SceneError, match=r"a\.tar: cannot be unpacked"):
+            avstack_files.unpack(path, tmp_path / "out", (".txt",), 2 * MB)
+
+
+def test_the_unpacking_limit_is_configurable_and_no_files_remain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = write_run(tmp_path / "run-0")
+    path = packed(tmp_path / "town.tar.gz", lambda tar: tar.add(run, "run-0"), lambda tar: add(tar, "a.txt", 2 * MB))
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    with pytest.raises(SceneError, match=r"town\.tar\.gz: too large: 2\.\d+ MB unpacked up to and including a\.txt"):
+        AVstackScene(path=str(path), max_unpacked_mb=2).record(0, None)
+    assert AVstackScene(path=str(path), max_unpacked_mb=3).record(0, None).agent_names[0] == "ego"
+    assert not list((tmp_path / "temporary").iterdir())
+
+
+@pytest.mark.parametrize("limit", [0, -1, float("nan"), float("inf"), "1 GB", None])
+def test_an_invalid_limit_is_refused(limit: object) -> None:
+    with pytest.raises(ConfigurationError, match=r"max_unpacked_mb is .*, expected a number above 0"):
+        AVstackScene(path="town.tar.gz", max_unpacked_mb=limit)  # type: ignore[arg-type]

@@ -1,0 +1,258 @@
+"""Reading Argoverse 2 logs, and refusal of damaged ones."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow
+import pytest
+from mast_datasets import AV2Log
+from pyarrow import feather
+
+from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import Recording
+from mast_zenoh.sensing import CleanDetector
+
+FRAMES = 5
+POSES, BOXES = "city_SE3_egovehicle.feather", "annotations.feather"
+
+
+def poses() -> dict[str, Any]:
+    """A car that drives north at 10 m/s, 60 m above sea level; poses at 20 Hz."""
+    n = 2 * FRAMES
+    return {
+        "timestamp_ns": 10**18 + 50_000_000 * np.arange(n),
+        "qw": np.full(n, np.cos(np.pi / 4)),
+        "qx": np.zeros(n),
+        "qy": np.zeros(n),
+        "qz": np.full(n, np.sin(np.pi / 4)),
+        "tx_m": np.full(n, 5000.0),
+        "ty_m": 2000.0 + 0.5 * np.arange(n),
+        "tz_m": np.full(n, 60.0),
+    }
+
+
+def boxes() -> dict[str, Any]:
+    """In every frame a bus 20 m ahead, a cone, and a pedestrian 10 m to the left."""
+    rows = [("bus-1", "BUS", 20.0, 0.0, 3.0, 90), ("cone", "CONSTRUCTION_CONE", 5.0, 2.0, 0.8, 30)]
+    rows += [("a-person", "PEDESTRIAN", 0.0, 10.0, 1.8, 3), ("ego", "EGO_VEHICLE", 0.0, 0.0, 1.5, 1)]
+    table = [(10**18 + 100_000_000 * frame, *row) for frame in range(FRAMES) for row in rows]
+    time, track, category, x, y, height, points = map(list, zip(*table, strict=True))
+    n = len(table)
+    return {
+        "timestamp_ns": np.array(time),
+        "track_uuid": track,
+        "category": category,
+        "length_m": np.array([{"BUS": 12.0}.get(name, 0.8) for name in category]),
+        "width_m": np.array([{"BUS": 2.5}.get(name, 0.8) for name in category]),
+        "height_m": np.array(height),
+        "qw": np.ones(n),
+        "qx": np.zeros(n),
+        "qy": np.zeros(n),
+        "qz": np.zeros(n),
+        "tx_m": np.array(x),
+        "ty_m": np.array(y),
+        "tz_m": np.array(height) / 2 - 0.33,
+        "num_interior_pts": np.array(points),
+    }
+
+
+def write(folder: Path, name: str, columns: dict[str, Any]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    feather.write_feather(pyarrow.table(columns), folder / name)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    folder = tmp_path / "logs" / "7fab"
+    write(folder, POSES, poses())
+    write(folder, BOXES, boxes())
+    return folder
+
+
+def read(path: Path, **parameters: Any) -> Recording:
+    return AV2Log(path=str(path), **parameters).record(0, None)
+
+
+def test_objects_are_in_a_world_frame_with_its_origin_below_the_first_pose(log: Path) -> None:
+    recording = read(log)
+    truth = recording.truth_at(2)
+    assert [CLASSES[k] for k in truth.class_id] == ["car", "pedestrian", "bus"]
+    assert truth.id.tolist() == [0, 1, 2]
+    # The car heads north: ahead is y, left is -x.
+    np.testing.assert_allclose(truth.position[2], [0.0, 22.0, 1.5], atol=1e-9)
+    np.testing.assert_allclose(truth.position[1], [-10.0, 2.0, 0.9], atol=1e-9)
+    np.testing.assert_allclose(truth.position[0, 2] - truth.size[0, 2] / 2, 0.0, atol=1e-9)
+    np.testing.assert_allclose(truth.yaw, np.pi / 2)
+    np.testing.assert_allclose(truth.velocity, [[0.0, 10.0, 0.0]] * 3, atol=1e-6)
+    assert recording.times_ns.tolist() == [k * 100_000_000 for k in range(FRAMES)]
+
+
+def test_the_ego_has_the_lidar_returns_of_the_data_set(log: Path) -> None:
+    recording = read(log)
+    assert recording.agents[0].name == "ego"
+    assert recording.agents[0].object_id == 0
+    assert recording.points_at(3)[:, 0].tolist() == [0, 3, 90]
+    np.testing.assert_allclose(recording.agent_velocity[2, 0], [0.0, 10.0, 0.0], atol=1e-6)
+
+
+def test_poles_are_next_to_the_path_and_detect_by_ray_casting(log: Path) -> None:
+    recording = read(log, n_infrastructure=6)
+    assert recording.agent_names[1:] == tuple(f"infra_{k}" for k in range(1, 7))
+    position = recording.agent_position[0, 1:]
+    np.testing.assert_allclose(position[:, 2], 15.0, atol=1e-6)
+    np.testing.assert_allclose(np.abs(position[:, 0]), 16.0, atol=1e-6)
+    assert recording.points_at(0)[2, 1:].max() >= 5
+
+
+def test_more_poles_do_not_move_the_others(log: Path) -> None:
+    few, many = read(log, n_infrastructure=2), read(log, n_infrastructure=9)
+    np.testing.assert_array_equal(few.agent_position[:, :3], many.agent_position[:, :3])
+    np.testing.assert_array_equal(few.detections_at(1, 2).position, many.detections_at(1, 2).position)
+
+
+def test_the_order_of_the_rows_does_not_matter(log: Path, tmp_path: Path) -> None:
+    order = np.random.default_rng(0).permutation(4 * FRAMES)
+    shuffled = {name: np.array(values)[order] for name, values in boxes().items()}
+    write(tmp_path / "other", POSES, poses())
+    write(tmp_path / "other", BOXES, shuffled)
+    one, other = read(log), read(tmp_path / "other")
+    np.testing.assert_array_equal(one.truth.position, other.truth.position)
+    np.testing.assert_array_equal(one.detections.position, other.detections.position)
+
+
+def test_an_object_that_is_annotated_twice_is_read_once(log: Path, tmp_path: Path) -> None:
+    columns = boxes()
+    bus = np.array(columns["track_uuid"]) == "bus-1"
+
+    def with_twin(offset_m: float, frames: int) -> Recording:
+        rows = np.flatnonzero(bus)[:frames]
+        twin = {name: np.array(values)[rows] for name, values in columns.items()}
+        twin |= {"track_uuid": np.full(frames, "a-twin"), "tx_m": twin["tx_m"] + offset_m}
+        folder = tmp_path / f"{offset_m}-{frames}"
+        write(folder, POSES, poses())
+        write(folder, BOXES, {name: np.concatenate([columns[name], twin[name]]) for name in columns})
+        return read(folder)
+
+    assert len(read(log).truth) == 3 * FRAMES
+    for frames in (2, FRAMES):
+        whole = with_twin(0.03, frames)
+        assert len(whole.truth) == 3 * FRAMES
+        for frame in range(FRAMES):
+            assert len(set(whole.truth_at(0).id) & set(whole.truth_at(frame).id)) == 3
+    assert len(with_twin(0.5, FRAMES).truth) == 4 * FRAMES
+
+
+def test_the_log_is_found_from_the_folder_above(log: Path) -> None:
+    assert read(log.parent).name == "7fab"
+
+
+def test_a_shorter_recording_is_the_start_of_a_longer_one(log: Path) -> None:
+    short, whole = AV2Log(path=str(log)).record(0, 2), read(log)
+    assert len(short) == 2
+    np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
+    np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
+    with pytest.raises(ConfigurationError, match="6 frames requested, the scene has 5"):
+        AV2Log(path=str(log)).record(0, 6)
+
+
+def test_too_many_poles_are_refused(log: Path) -> None:
+    with pytest.raises(ConfigurationError, match="n_infrastructure is 17, expected 0 to 16"):
+        AV2Log(path=str(log), n_infrastructure=17)
+
+
+def test_a_log_has_four_poles_by_default_and_no_other_mobile_agent(log: Path) -> None:
+    assert read(log).agent_names == read(log, n_infrastructure=4, n_mobile=0).agent_names
+    assert len(read(log).agents) == 5
+
+
+def test_recorded_vehicles_get_a_lidar_on_the_roof(log: Path) -> None:
+    recording = read(log, n_infrastructure=0, n_mobile=1)
+    assert recording.agent_names == ("ego", "mobile_1")
+    bus = recording.agents[1]
+    assert (bus.kind, bus.object_id) == ("mobile", 2)
+    np.testing.assert_allclose(recording.agent_position[2, 1], [0.0, 22.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(bus.sensor.mount_position, [0.0, 0.0, 3.2])
+    assert recording.points_at(2)[:, 1].tolist()[2] == 0  # it does not see itself,
+    assert recording.points_at(2)[0, 1] >= 5  # but the ego behind it
+
+
+def test_more_cars_than_there_are_vehicles_are_refused(log: Path) -> None:
+    with pytest.raises(ConfigurationError, match="n_mobile is 2, expected 0 to 1: 1 vehicles besides the ego"):
+        read(log, n_mobile=2)
+    with pytest.raises(ConfigurationError, match="n_mobile is -1, expected 0 or more"):
+        read(log, n_mobile=-1)
+
+
+def with_value(name: str, row: int, value: object) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    def change(columns: dict[str, Any]) -> dict[str, Any]:
+        values = list(columns[name])
+        values[row] = value
+        return columns | {name: values}
+
+    return change
+
+
+def without(name: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    return lambda columns: {key: values for key, values in columns.items() if key != name}
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "reason"),
+    [
+        (BOXES, without("track_uuid"), "no column track_uuid; found timestamp_ns"),
+        (BOXES, with_value("tx_m", 7, float("nan")), "column tx_m, row 7 is nan"),
+        (BOXES, with_value("tx_m", 7, None), "column tx_m has 1 empty values"),
+        (BOXES, with_value("length_m", 0, 0.0), "a size is 0 or less"),
+        (BOXES, with_value("num_interior_pts", 0, -3), "num_interior_pts is negative"),
+        (BOXES, with_value("qw", 0, 3.0), "quaternion .* does not have length 1"),
+        (BOXES, with_value("track_uuid", 2, "bus-1"), "track bus-1 occurs twice at timestamp_ns 1000000000000000000"),
+        (BOXES, lambda columns: {name: values[:0] for name, values in columns.items()}, "no row"),
+        (BOXES, lambda columns: columns | {"tx_m": ["x"] * 4 * FRAMES}, "column tx_m: "),
+        (POSES, without("qz"), "no column qz"),
+        (POSES, with_value("timestamp_ns", 2, 5), "no pose at timestamp_ns 1000000000100000000"),
+        (POSES, with_value("timestamp_ns", 1, 10**18), "timestamp_ns 1000000000000000000 occurs twice"),
+        (POSES, with_value("tz_m", 4, float("inf")), "column tz_m, row 4 is inf"),
+    ],
+)
+def test_a_damaged_table_is_refused_with_file_column_and_reason(
+    log: Path, file: str, change: Callable[[dict[str, Any]], dict[str, Any]], reason: str
+) -> None:
+    write(log, file, change(poses() if file == POSES else boxes()))
+    with pytest.raises(SceneError, match=rf"{file}: .*{reason}"):
+        read(log)
+
+
+@pytest.mark.parametrize("file", [POSES, BOXES])
+def test_a_truncated_file_is_refused_by_name(log: Path, file: str) -> None:
+    (log / file).write_bytes((log / file).read_bytes()[:200])
+    with pytest.raises(SceneError, match=rf"{file}: cannot be read as Feather"):
+        read(log)
+
+
+def test_a_missing_file_is_refused_by_name(log: Path) -> None:
+    (log / BOXES).unlink()
+    with pytest.raises(SceneError, match=r"7fab: 0 files annotations\*\.feather, expected one"):
+        read(log)
+    (log / POSES).unlink()
+    with pytest.raises(SceneError, match=r"7fab: 0 logs with a file city_SE3_egovehicle\.feather"):
+        read(log)
+    with pytest.raises(SceneError, match="nowhere: no such folder"):
+        read(log.parent / "nowhere")
+
+
+def test_every_real_log_is_readable_and_poles_see_objects_hidden_from_the_ego(av2_logs: list[Path]) -> None:
+    for path in av2_logs:
+        recording = AV2Log(path=str(path), detector=CleanDetector()).record(0, 40)
+        assert len(recording) == 40
+        assert recording.period_ns == pytest.approx(1e8, rel=0.01)
+        assert 25 < len(recording.truth) / 40 < 100
+        seen = recording.points >= 5
+        assert seen.any(axis=1).sum() > seen[:, 0].sum() + 40
+        # Town traffic is slow, and objects on the ground are near each other.
+        assert np.linalg.norm(recording.truth.velocity, axis=1).max() < 40
+        assert np.abs(recording.truth.position[:, 2]).max() < 20
+        pole = recording.agent_position[0, 1:, 2]
+        assert (np.abs(pole - 15) < 5).all()

@@ -1,0 +1,453 @@
+"""Reading the CARLA multi-agent layout, and refusal of damaged scenes."""
+
+import json
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from carla_writer import FRAMES, actors_at, npcs_at, state, write_lines, write_objects, write_run
+from mast_datasets import AVstackScene
+from mast_datasets.avstack import EGO_ID
+
+from mast_zenoh import scenario
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import Recording
+from mast_zenoh.sensing import CleanDetector, LidarSensor, Walls, lidar_points, sensor_pose, to_world
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return write_run(tmp_path / "town" / "run-0")
+
+
+def read(path: Path, **parameters: object) -> Recording:
+    return AVstackScene(path=str(path), **parameters).record(0, None)
+
+
+def nothing(key: str) -> list[dict]:
+    return [{"frame": frame, "agent": agent, key: []} for frame in FRAMES for agent in (0, 1)]
+
+
+def test_truth_is_in_the_world_frame_and_includes_the_ego(run: Path) -> None:
+    recording = read(run)
+    truth = recording.truth_at(0)
+    assert truth.id.tolist() == [0, 1, EGO_ID]
+    assert [CLASSES[k] for k in truth.class_id] == ["car", "truck", "car"]
+    np.testing.assert_allclose(truth.position, [[10.4, 3.8, 0.75], [20.0, -3.6, 1.5], [0.4, 0.0, 0.75]])
+    np.testing.assert_allclose(truth.size[:2], [[4.2, 1.8, 1.5], [8.0, 2.5, 3.0]])
+    np.testing.assert_allclose(truth.yaw, [np.pi / 2, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(truth.velocity[0], [0.0, 2.0, 0.0])
+    assert recording.times_ns.tolist() == [400_000_000, 500_000_000, 600_000_000, 700_000_000]
+
+
+def test_agents_have_names_poses_and_mounts(run: Path) -> None:
+    recording = read(run)
+    ego, pole = recording.agents
+    assert (ego.name, ego.kind, ego.object_id) == ("ego", "mobile", EGO_ID)
+    assert (pole.name, pole.kind, pole.object_id) == ("infra_1", "static", -1)
+    np.testing.assert_allclose(ego.sensor.mount_position, [0.0, 0.0, 1.8], atol=1e-9)
+    np.testing.assert_allclose(recording.agent_velocity[1, 0], [1.0, 0.0, 0.0])
+    # The pole looks against x, 30 degrees down.
+    forward = recording.agent_rotation[0, 1] @ pole.sensor.mount_rotation @ [1.0, 0.0, 0.0]
+    np.testing.assert_allclose(forward, [-np.cos(np.radians(30)), 0.0, -0.5], atol=1e-9)
+
+
+def test_a_camera_is_read_from_its_calibration(run: Path) -> None:
+    recording = read(run)
+    ahead = recording.agent_position[0, 0] + [20.0, 0.0, 1.8]
+    pixels, depth = recording.agents[0].camera.project(
+        ahead[None], recording.agent_position[0, 0], recording.agent_rotation[0, 0]
+    )
+    np.testing.assert_allclose(pixels, [[400.0, 300.0]], atol=1e-6)
+    np.testing.assert_allclose(depth, [20.0])
+
+
+def test_objects_listed_by_a_lidar_have_returns_by_visible_fraction_and_others_none(run: Path) -> None:
+    recording = read(run)
+    points = recording.points_at(0)
+    position, rotation = recording.agent_position[0, 1], recording.agent_rotation[0, 1]
+    truth = recording.truth_at(0)
+    cast = lidar_points(LidarSensor.infrastructure(), position, rotation, truth.position, truth.size, truth.yaw)
+    assert points[0, 1] == round(0.5 * cast[0]) >= 5
+    assert points[1, 1] == 0
+    assert (points[:2, 0] >= 5).all()
+    # No file lists the agents: ray casting decides whether the pole sees the ego.
+    assert points[2].tolist() == [0, cast[2]]
+
+
+def test_completely_occluded_objects_are_not_seen(run: Path) -> None:
+    hidden = npcs_at(4)
+    hidden[0] |= {"occlusion": 3}
+    hidden[1] |= {"occlusion": 0, "visible_fraction": 0.0}
+    write_objects(run / "objects_sensor" / "lidar-0-0", "objects", 4, hidden)
+    assert read(run).points_at(0)[:2, 0].tolist() == [0, 0]
+
+
+def test_without_object_files_of_a_lidar_rays_are_cast(run: Path) -> None:
+    for path in (run / "objects_sensor" / "lidar-0-0").iterdir():
+        path.unlink()
+    (run / "objects_sensor" / "lidar-0-0").rmdir()
+    assert (read(run).points_at(0)[:2, 0] > 100).all()
+
+
+def test_missing_velocities_are_computed_from_positions(run: Path) -> None:
+    for frame in FRAMES:
+        states = npcs_at(frame)
+        states[0]["velocity"] = None
+        write_objects(run / "objects", "npcs", frame, states)
+    np.testing.assert_allclose(read(run).truth_at(1).velocity[0], [0.0, 2.0, 0.0], atol=1e-9)
+
+
+def test_the_run_is_found_from_the_folder_above_and_in_an_archive(run: Path, tmp_path: Path) -> None:
+    expected = read(run)
+    with tarfile.open(tmp_path / "town.tar.gz", "w:gz") as archive:
+        archive.add(run.parent, "town")
+    for path in (run.parent, tmp_path / "town.tar.gz", run.parent.parent):
+        np.testing.assert_array_equal(read(path).truth.position, expected.truth.position)
+
+
+def test_an_archive_with_paths_outside_its_folder_is_refused(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "evil.txt").write_text("x")
+    with tarfile.open(tmp_path / "scene.tar", "w") as archive:
+        archive.add(tmp_path / "evil.txt", "../evil.txt")
+    with pytest.raises(SceneError, match=r"scene\.tar: cannot be unpacked"):
+        read(tmp_path / "scene.tar")
+
+
+def test_detections_next_to_the_scene_are_replayed(run: Path) -> None:
+    lines = nothing("detections")
+    detection = {
+        "x": 10.0,
+        "y": 3.0,
+        "z": -1.0,
+        "l": 4.0,
+        "w": 2.0,
+        "h": 1.5,
+        "yaw": 1.5,
+        "score": 0.75,
+        "class": "car",
+    }
+    lines[0]["detections"] = [detection | {"gt": 0}, detection | {"covariance": np.eye(3).tolist()}]
+    write_lines(run.parent / "detections.jsonl", lines)
+    recording = read(run)
+    detections = recording.detections_at(0, 0)
+    np.testing.assert_allclose(detections.position, [[10.0, 3.0, -1.0]] * 2)
+    np.testing.assert_allclose(detections.size[0], [4.0, 2.0, 1.5])
+    assert recording.detection_truth_id_at(0, 0).tolist() == [0, -1]
+    assert detections.covariance[:, 0, 0].tolist() == [0.0, 1.0]
+    assert len(recording.detections) == 2
+    assert len(read(run, replay=False, detector=CleanDetector()).detections_at(0, 0)) == 2
+
+
+def test_a_detection_may_give_an_attitude_instead_of_a_yaw(run: Path) -> None:
+    lines = nothing("detections")
+    detection = {"x": 10.0, "y": 3.0, "z": -1.0, "l": 4.0, "w": 2.0, "h": 1.5}
+    lines[0]["detections"] = [detection | {"q": [np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]}]
+    write_lines(run / "detections.jsonl", lines)
+    np.testing.assert_allclose(read(run).detections_at(0, 0).yaw, [0.4])
+
+
+def test_visibility_and_building_files_next_to_the_scene_are_used(run: Path) -> None:
+    lines = nothing("objects")
+    lines[1]["objects"] = [[0, 17, 20, 0.85], [EGO_ID, 3]]
+    write_lines(run.parent / "visibility.jsonl", lines)
+    (run.parent / "buildings.json").write_text("[[[50, 50], [60, 50], [60, 60], [50, 50]]]")
+    (run.parent / "scene.json").write_text('{"building_height_m": 9}')
+    recording = read(run)
+    assert recording.points_at(0).tolist() == [[0, 17], [0, 0], [0, 3]]
+    assert recording.buildings[0].tolist() == [[50, 50], [60, 50], [60, 60]]
+    assert recording.building_height.tolist() == [9.0]
+
+
+def test_agents_and_frames_can_be_left_out(run: Path) -> None:
+    recording = AVstackScene(path=str(run), n_infrastructure=0).record(0, 2)
+    assert recording.agent_names == ("ego",)
+    assert len(recording) == 2
+    assert read(run).agent_names == read(run, n_infrastructure=1, n_mobile=0).agent_names == ("ego", "infra_1")
+    with pytest.raises(ConfigurationError, match="5 frames requested, the scene has 4"):
+        AVstackScene(path=str(run)).record(0, 5)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        (dict(n_infrastructure=9), "n_infrastructure is 9, expected 0 to 1: the scene has 1 static agents"),
+        (dict(n_infrastructure=-1), "n_infrastructure is -1, expected 0 to 1"),
+        (dict(n_mobile=1), "n_mobile is 1, expected 0 to 0: the scene has 0 mobile agents besides the ego"),
+        (dict(n_mobile=-1), "n_mobile is -1, expected 0 to 0"),
+    ],
+)
+def test_more_agents_than_the_scene_has_are_refused(run: Path, parameters: dict, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"{run}: {reason}"):
+        read(run, **parameters)
+
+
+def played(*settings: str) -> dict[str, NodeSpec]:
+    """The nodes of the baseline with these settings."""
+    path, content = scenario.load("baseline", settings)
+    return scenario.resolve(path, content).nodes
+
+
+def test_all_agents_of_a_scene_with_two_cars_are_used_by_default(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run-0", second_car=True)
+    assert read(run).agent_names == ("ego", "mobile_2", "infra_1")
+    assert read(run, n_mobile=0).agent_names == ("ego", "infra_1")
+    nodes = played(f"scene=avstack:{run}")
+    assert [name for name, spec in nodes.items() if spec.role == "agent"] == ["ego", "mobile_2", "infra_1"]
+    with pytest.raises(ConfigurationError, match="n_infrastructure is 9, expected 0 to 1"):
+        played(f"scene=avstack:{run}", "n_infrastructure=9", "n_mobile=1")
+    with pytest.raises(ConfigurationError, match="n_mobile is 3, expected 0 to 1"):
+        played(f"scene=avstack:{run}", "n_infrastructure=1", "n_mobile=3")
+
+
+def test_scenarios_that_name_agents_match_those_of_the_data_set(tmp_path: Path) -> None:
+    scene = f"scene=avstack:{write_run(tmp_path / 'run-0', second_car=True)}"
+    _, passthrough = scenario.load("passthrough", [scene])
+    agents = [adversary["agent"] for adversary in passthrough["adversaries"].values()]
+    assert agents == ["ego", "mobile_2", "infra_1"]
+    _, partition = scenario.load("attack_during_partition", [scene])
+    assert partition["faults"][0]["nodes"] == ["mobile_2", "infra_1"]
+    _, chaos = scenario.load("chaos", [scene])
+    assert chaos["scene"] == dict(type="AVstackScene", path=str(tmp_path / "run-0"))
+    with pytest.raises(SceneError, match=r"passthrough\.py: .*/nowhere: no such file"):
+        scenario.load("passthrough", [f"scene=avstack:{tmp_path}/nowhere"])
+
+
+def damaged(run: Path, what: str) -> None:
+    """A valid scene with one fault."""
+    objects, seen, data = run / "objects", run / "objects_sensor" / "lidar-0-1", run / "data" / "lidar-0-0"
+    actors, npcs = sorted(objects.glob("*actors*"))[1], sorted(objects.glob("*npcs*"))[1]
+    calibration = sorted(data.iterdir())[1]
+    match what:
+        case "truncated actors":
+            actors.write_text(actors.read_text()[:700])
+        case "empty npcs":
+            npcs.write_text("")
+        case "no npcs of a frame":
+            npcs.unlink()
+        case "no frame in the middle":
+            sorted(objects.glob("*actors*"))[2].unlink()
+            sorted(objects.glob("*npcs*"))[2].unlink()
+        case "no sensor file":
+            sorted(seen.iterdir())[2].unlink()
+        case "no calibration of a frame":
+            calibration.unlink()
+        case "no lidar":
+            for path in data.iterdir():
+                path.unlink()
+            data.rmdir()
+        case "truncated calibration":
+            calibration.write_text(calibration.read_text()[:100])
+        case "lidar elsewhere":
+            calibration.write_text(calibration.read_text().replace("1.8]", "5.8]"))
+        case "not a number":
+            npcs.write_text(npcs.read_text().replace("20.0", "NaN"))
+        case "overflow":
+            npcs.write_text(npcs.read_text().replace("20.0", "1e999"))
+        case "no attitude":
+            npcs.write_text(npcs.read_text().replace("attitude", "altitude"))
+        case "bad quaternion":
+            write_objects(
+                objects, "npcs", 5, [npcs_at(5)[0], json.loads(json.dumps(npcs_at(5)[1]).replace("1.0", "2.0"))]
+            )
+        case "bad where":
+            write_objects(objects, "npcs", 5, [state("car", 4, [0.0, 0.0, 0.0], where="top")])
+        case "no size":
+            write_objects(objects, "npcs", 5, [state("car", 4, [0.0, 0.0, 0.0], hwl=[0.0, 1.0, 1.0])])
+        case "same id":
+            write_objects(objects, "npcs", 5, [npcs_at(5)[0], npcs_at(5)[0]])
+        case "frame in the file":
+            actors.write_text(actors.read_text().replace('"frame": 5', '"frame": 9'))
+        case "time stands still":
+            write_objects(objects, "actors", 5, actors_at(5), time=0.4)
+            write_objects(objects, "npcs", 5, npcs_at(5), time=0.4)
+        case "times differ":
+            write_objects(objects, "npcs", 5, npcs_at(5), time=0.55)
+        case "actor gone":
+            write_objects(objects, "actors", 5, actors_at(5)[:1])
+        case "no ego":
+            for frame in FRAMES:
+                write_objects(objects, "actors", frame, actors_at(frame)[1:])
+        case "name":
+            actors.rename(actors.with_name("objectstate-actors-5.txt"))
+        case "no run":
+            objects.rename(run / "things")
+        case "two runs":
+            write_run(run.parent / "run-1")
+
+
+@pytest.mark.parametrize(
+    ("what", "reason"),
+    [
+        ("truncated actors", r"objectstate-actors-0000000005-.*\.txt: .*char"),
+        ("empty npcs", r"objectstate-npcs-0000000005-.*\.txt"),
+        ("no npcs of a frame", r"objects: no npcs file for frame 5 \(missing for 1 of 4"),
+        ("no frame in the middle", r"objects: frame 5 is followed by 7, expected 6"),
+        ("no sensor file", r"lidar-0-1: no objects file for frame 6"),
+        ("no calibration of a frame", r"data/lidar-0-0: no calib file for frame 5"),
+        ("no lidar", r"data: no folder lidar-<k>-0 for agent 0"),
+        ("truncated calibration", r"calib-.*000005\.txt: "),
+        (
+            "lidar elsewhere",
+            r"calib-.*000005\.txt: the lidar is at \[0\.5, 0\.0, 5\.8\], expected \[0\.5, 0\.0, 1\.8\]",
+        ),
+        ("not a number", r"npcs-0000000005-.*data\[1\]: NaN is not a finite number"),
+        ("overflow", r"npcs-0000000005-.*data\[1\]: .*not finite"),
+        ("no attitude", r"npcs-0000000005-.*data\[0\]: 'attitude' is missing"),
+        ("bad quaternion", r"npcs-0000000005-.*data\[1\]: quaternion .* does not have length 1"),
+        ("bad where", r"data\[0\]: where_is_t is 'top'"),
+        ("no size", r"data\[0\]: hwl is"),
+        ("same id", r"two objects have the same ID"),
+        ("frame in the file", r"actors-0000000005-.*frame is 9, but 5 in the name"),
+        ("time stands still", r"time 0\.4 s is not later than 0\.4 s"),
+        ("times differ", r"time 0\.55 s, but 0\.5 s in"),
+        ("actor gone", r"actors \[0\], but \[0, 1\] in the first frame"),
+        ("no ego", "no actor has a box"),
+        ("name", r"objectstate-actors-5\.txt: the name has 3 parts"),
+        ("no run", r"run-0: no run folder"),
+    ],
+)
+def test_a_damaged_scene_is_refused_with_file_and_reason(run: Path, what: str, reason: str) -> None:
+    damaged(run, what)
+    with pytest.raises(SceneError, match=reason):
+        read(run)
+
+
+def test_a_folder_with_two_runs_is_refused_with_their_names(run: Path) -> None:
+    damaged(run, "two runs")
+    with pytest.raises(SceneError, match=r"town: 2 runs \(run-0, run-1\), expected the path of one"):
+        read(run.parent)
+
+
+@pytest.mark.parametrize("content", [b"", b"not an archive", None])
+def test_files_that_are_not_scenes_are_refused_by_name(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "scene.tar.gz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SceneError, match=r"scene\.tar\.gz: "):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda lines: lines[:-1], "no line for frame 7, agent 1"),
+        (lambda lines: [*lines, lines[2]], "line 9: frame 5 of agent 0 is already in line 3"),
+        (lambda lines: [{"frame": 4}, *lines], "line 1: 'agent' is missing"),
+        (lambda lines: [lines[0] | {"detections": [{"x": 1.0}]}, *lines[1:]], "line 1: 'y' is missing"),
+        (lambda lines: [lines[0] | {"detections": None}, *lines[1:]], "line 1: detections is not a list"),
+        (lambda lines: [lines[0] | {"detections": [{"x": float("nan")}]}, *lines[1:]], "line 1: NaN is not a finite"),
+        (
+            lambda lines: [
+                lines[0] | {"detections": [dict.fromkeys("xyzlw", 1.0) | {"h": 0.0, "yaw": 0.0}]},
+                *lines[1:],
+            ],
+            "line 1: l, w, h: expected more than 0",
+        ),
+    ],
+)
+def test_damaged_detections_are_refused_with_their_line(run: Path, change: object, reason: str) -> None:
+    write_lines(run / "detections.jsonl", change(nothing("detections")))
+    with pytest.raises(SceneError, match=rf"detections\.jsonl: {reason}"):
+        read(run)
+
+
+def test_visibility_of_unknown_objects_is_refused(run: Path) -> None:
+    lines = nothing("objects")
+    lines[3]["objects"] = [[77, 5]]
+    write_lines(run / "visibility.jsonl", lines)
+    with pytest.raises(SceneError, match=r"visibility\.jsonl: line 4: object 77 is not in the scene"):
+        read(run)
+
+
+@pytest.mark.parametrize("text", ["[[[0, 0], [1, 1]]]", "[[[0, 0], [1, 0], [1, null]]]", "{", "3"])
+def test_damaged_buildings_are_refused(run: Path, text: str) -> None:
+    (run / "buildings.json").write_text(text)
+    with pytest.raises(SceneError, match=r"buildings\.json: "):
+        read(run)
+
+
+def test_the_test_scene_of_the_original_reader_is_readable(carla_fixture: Path) -> None:
+    recording = read(carla_fixture)
+    assert recording.agent_names == ("ego", "infra_1")
+    assert recording.times_ns.tolist() == [400_000_000, 500_000_000, 600_000_000]
+    assert recording.truth_at(0).id.tolist() == [0, 1, EGO_ID]
+    np.testing.assert_allclose(recording.truth_at(0).position[1, :2], [20.0, -3.6])
+    assert (recording.points_at(0)[:2] >= 5).all()
+    assert np.isfinite(recording.detections.position).all()
+
+
+def test_scene_a_is_read_as_listed_in_its_own_tables(scene_a: Path) -> None:
+    recording = read(scene_a)
+    assert recording.agent_names == ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
+    assert len(recording) == 150
+    tables = json.loads((scene_a / "truth.json").read_text())
+    for frame in range(150):
+        truth = recording.truth_at(frame)
+        rows = {row[0]: row for row in tables[str(frame + 1)]}
+        assert truth.id.tolist() == sorted(rows)
+        table = np.array([rows[number][1:8] for number in truth.id])
+        np.testing.assert_allclose(truth.position, table[:, :3], atol=1e-9)
+        np.testing.assert_allclose(truth.size, table[:, 5:2:-1], atol=1e-9)
+        np.testing.assert_allclose(wrap_angle(truth.yaw - table[:, 6]), 0.0, atol=1e-9)
+        seen = [[agent for agent in range(5) if points[agent] >= 5] for points in recording.points_at(frame)]
+        assert seen == [rows[number][8] for number in truth.id]
+
+
+def test_detections_of_scene_a_match_their_objects(scene_a: Path) -> None:
+    recording = read(scene_a)
+    errors = []
+    for frame in range(0, 150, 5):
+        truth = recording.truth_at(frame)
+        for a, agent in enumerate(recording.agents):
+            pose = sensor_pose(
+                recording.agent_position[frame, a],
+                recording.agent_rotation[frame, a],
+                agent.sensor.mount_position,
+                agent.sensor.mount_rotation,
+            )
+            ids = recording.detection_truth_id_at(frame, a)
+            detections = to_world(recording.detections_at(frame, a), *pose).select(ids >= 0)
+            rows = np.searchsorted(truth.id, ids[ids >= 0])
+            turned = wrap_angle(detections.yaw - truth.yaw[rows])
+            errors.append(np.column_stack([detections.position - truth.position[rows], turned]))
+    # Its README: 0.3 m in x and y, 0.1 m in z, 3 degrees.
+    spread = np.concatenate(errors).std(axis=0)
+    np.testing.assert_allclose(spread, [0.3, 0.3, 0.1, np.radians(3)], rtol=0.1)
+
+
+def test_ray_casting_reproduces_the_returns_listed_in_scene_a(scene_a: Path) -> None:
+    recording = read(scene_a)
+    walls = Walls.of_buildings(recording.buildings, recording.building_height)
+    # Its ego's first beam points at -180 degrees; here, beams are in the middle of their steps.
+    roof = LidarSensor(azimuth_min_deg=-180.1, azimuth_max_deg=179.9)
+    for frame in range(0, 150, 10):
+        truth = recording.truth_at(frame)
+        for a, agent in enumerate(recording.agents):
+            pose = sensor_pose(
+                recording.agent_position[frame, a],
+                recording.agent_rotation[frame, a],
+                agent.sensor.mount_position,
+                agent.sensor.mount_rotation,
+            )
+            own = np.flatnonzero(truth.id == agent.object_id)
+            cast = lidar_points(
+                agent.sensor if a else roof,
+                *pose,
+                truth.position,
+                truth.size,
+                truth.yaw,
+                walls,
+                int(own[0]) if len(own) else -1,
+            )
+            np.testing.assert_allclose(cast, recording.points_at(frame)[:, a], atol=1)
+
+
+def test_the_archive_of_scene_a_is_the_same_scene(scene_a: Path, scene_a_archive: Path) -> None:
+    one, other = (AVstackScene(path=str(path)).record(0, 3) for path in (scene_a, scene_a_archive))
+    np.testing.assert_array_equal(one.truth.position, other.truth.position)
+    np.testing.assert_array_equal(one.detections.position, other.detections.position)

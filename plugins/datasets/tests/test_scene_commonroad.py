@@ -1,0 +1,293 @@
+"""Reading CommonRoad scenarios, and refusal of damaged ones."""
+
+import contextlib
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commonroad_writer import write_commonroad
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mast_datasets import CommonRoadScenario
+from reference_data import reference
+from scored_run import SCENARIOS, play_scored
+from twin_source import assert_equal_truth, flat_twin_source, returns_of
+
+from mast_zenoh.arrays.states import CLASS_INDEX
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import Recording
+from mast_zenoh.sensing import CleanDetector
+
+STATE = """<{tag}><position><point><x>{x}</x><y>1</y></point></position><orientation><exact>0.0</exact></orientation>
+<time><exact>{step}</exact></time><velocity><exact>10</exact></velocity></{tag}>
+"""
+
+
+def car(number: int, x: float, steps: range, shape: str = "", kind: str = "car") -> str:
+    """A car that drives east at 10 m/s."""
+    shape = shape or "<rectangle><length>4</length><width>2</width></rectangle>"
+    states = [STATE.format(tag="state", x=x + k, step=k) for k in steps]
+    states[0] = states[0].replace("<state>", "<initialState>").replace("</state>", "</initialState>")
+    return (
+        f'<dynamicObstacle id="{number}"><type>{kind}</type><shape>{shape}</shape>'
+        f"{states[0]}<trajectory>{''.join(states[1:])}</trajectory></dynamicObstacle>\n"
+    )
+
+
+def scenario(*obstacles: str) -> str:
+    return (
+        '<?xml version="1.0"?>\n<commonRoad commonRoadVersion="2020a" timeStepSize="0.1" benchmarkID="ROAD">\n'
+        + "".join(obstacles)
+        + "</commonRoad>\n"
+    )
+
+
+ROAD = scenario(car(1, 0.0, range(5)), car(2, 20.0, range(5)), car(3, 30.0, range(3)))
+
+
+def read(path: Path, text: str | bytes | None = None, **parameters: Any) -> Recording:
+    if text is not None:
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return CommonRoadScenario(path=str(path), **{"n_infrastructure": 0} | parameters).record(0, None)
+
+
+@pytest.fixture(scope="session")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_commonroad(flat_twin_source(), tmp_path_factory.mktemp("commonroad") / "twin.xml")
+
+
+@pytest.mark.parametrize("version", ["2020a", "2018b"])
+def test_a_twin_is_read_back(version: str, tmp_path: Path) -> None:
+    source = flat_twin_source()
+    path = write_commonroad(source, tmp_path / "twin.xml", version)
+    recording = read(path, ego=source.agents[0].object_id, n_mobile=12, detector=CleanDetector())
+    assert recording.truth.id.tolist() == source.truth.id.tolist()
+    assert recording.agents[0].object_id == source.agents[0].object_id
+    assert_equal_truth(recording, source)
+    np.testing.assert_allclose(recording.truth.velocity, source.truth.velocity, atol=1e-9)
+    if version == "2020a":  # the older version has no buildings
+        np.testing.assert_array_equal(returns_of(recording, source), source.points)
+        assert len(recording.buildings) == len(source.buildings)
+
+
+def test_the_frames_are_those_of_the_ego_and_the_origin_is_below_it(tmp_path: Path) -> None:
+    recording = read(tmp_path / "road.xml", ROAD, ego=3)
+    assert len(recording) == 3
+    assert recording.name == "ROAD"
+    assert recording.times_ns.tolist() == [0, 100_000_000, 200_000_000]
+    np.testing.assert_allclose(recording.truth_at(0).position, [[-30, 0, 0.75], [-10, 0, 0.75], [0, 0, 0.75]])
+    np.testing.assert_allclose(recording.truth.velocity, [[10.0, 0.0, 0.0]] * 9)
+    np.testing.assert_allclose(recording.truth_at(0).size, [[4.0, 2.0, 1.5]] * 3)
+
+
+def test_the_ego_is_the_vehicle_with_the_most_company_of_those_there_longest(tmp_path: Path) -> None:
+    far = car(4, 500.0, range(5))
+    recording = read(tmp_path / "road.xml", scenario(far, car(1, 0.0, range(5)), car(2, 20.0, range(5))), n_mobile=2)
+    assert [agent.object_id for agent in recording.agents] == [1, 2, 4]
+
+
+def test_objects_that_leave_are_there_until_they_do(tmp_path: Path) -> None:
+    recording = read(tmp_path / "road.xml", ROAD, ego=1)
+    assert np.diff(recording.truth_start).tolist() == [3, 3, 3, 2, 2]
+
+
+def test_velocities_that_are_not_stored_come_from_the_positions(tmp_path: Path) -> None:
+    text = ROAD.replace("<velocity><exact>10</exact></velocity>", "")
+    np.testing.assert_allclose(read(tmp_path / "road.xml", text).truth.velocity[:, 0], 10.0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "size", "middle", "yaw"),
+    [
+        ("<circle><radius>0.5</radius></circle>", [1.0, 1.0], [0.0, 0.0], 0.0),
+        (
+            "<rectangle><length>4</length><width>2</width><orientation>0.5</orientation>"
+            "<center><x>1</x><y>-0.5</y></center></rectangle>",
+            [4.0, 2.0],
+            [1.0, -0.5],
+            0.5,
+        ),
+        (
+            "<polygon>"
+            + "".join(f"<point><x>{x}</x><y>{y}</y></point>" for x, y in ((0, 0), (4, 0), (4, 2), (0, 2)))
+            # closed by its first corner
+            + "<point><x>0</x><y>0</y></point></polygon>",
+            [4.0, 2.0],
+            [2.0, 1.0],
+            0.0,
+        ),
+    ],
+)
+def test_other_shapes_become_the_box_around_them(
+    shape: str, size: list[float], middle: list[float], yaw: float, tmp_path: Path
+) -> None:
+    text = scenario(car(1, 0.0, range(5)), car(2, 10.0, range(5), shape, "pedestrian"))
+    truth = read(tmp_path / "road.xml", text).truth_at(0)
+    np.testing.assert_allclose(truth.position[1], [10 + middle[0], middle[1], 1.719 / 2])
+    np.testing.assert_allclose(truth.size[1, :2], size)
+    np.testing.assert_allclose(truth.yaw[1], yaw)
+    assert truth.class_id.tolist() == [CLASS_INDEX["car"], CLASS_INDEX["pedestrian"]]
+
+
+def test_static_obstacles_stand_still_and_only_road_users_are_objects(tmp_path: Path) -> None:
+    def static(number: int, kind: str) -> str:
+        text = car(number, 8.0, range(1)).replace("dynamicObstacle", "staticObstacle")
+        return text.replace("<trajectory></trajectory>", "").replace("<type>car", f"<type>{kind}")
+
+    text = scenario(
+        car(1, 0.0, range(5)), static(7, "parkedVehicle"), static(8, "roadBoundary"), '<phantomObstacle id="9"/>'
+    )
+    recording = read(tmp_path / "road.xml", text)
+    assert recording.truth.id.tolist() == [1, 7] * 5
+    parked = recording.truth.position[recording.truth.id == 7]
+    np.testing.assert_allclose(parked, [[8.0, 0.0, 0.75]] * 5)
+    np.testing.assert_allclose(recording.truth.velocity[recording.truth.id == 7], 0.0)
+
+
+def test_compressed_scenarios_and_folders_with_a_single_one_are_read(tmp_path: Path) -> None:
+    plain = read(tmp_path / "road.xml", ROAD)
+    (tmp_path / "zipped").mkdir()
+    zipped = read(tmp_path / "zipped" / "road.xml.gz", gzip.compress(ROAD.encode()))
+    np.testing.assert_array_equal(plain.truth.position, zipped.truth.position)
+    assert len(read(tmp_path / "zipped")) == len(plain)
+
+
+def changed(old: str, new: str, count: int = 1) -> Callable[[str], str]:
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, count)
+
+    return change
+
+
+DOCTYPE = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>\n<commonRoad '
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (changed("<commonRoad ", DOCTYPE), "line 2: found a document type declaration"),
+        (changed("commonRoad", "openScenario", 9), "line 2: <openScenario>: found this root, expected <commonRoad>"),
+        (
+            changed('"2020a"', '"2030x"'),
+            "line 2: <commonRoad>: commonRoadVersion: found '2030x', expected one of 2018b",
+        ),
+        (changed('timeStepSize="0.1"', ""), "line 2: <commonRoad>: attribute timeStepSize is missing; found commonR"),
+        (changed('"0.1"', '"0"'), "line 2: <commonRoad>: timeStepSize: found '0', expected a finite number from 0.001"),
+        (changed('id="2"', 'id="1"'), "line 14: <dynamicObstacle>: id 1 occurs twice"),
+        (changed('id="2"', 'id="-2"'), "<dynamicObstacle>: id: found '-2', expected a whole number, 0 or more"),
+        (changed('id="2"', 'id="--2"'), "<dynamicObstacle>: id: found '--2', expected a whole number"),
+        (changed('id="2"', 'name="2"'), "<dynamicObstacle>: attribute id is missing; found name"),
+        (changed("<type>car", "<type>spaceship"), "line 3: <type>: found 'spaceship', expected one of car, taxi"),
+        (changed("<type>car</type>", ""), "line 3: <dynamicObstacle>: <type> is missing; found shape"),
+        (changed("<length>4", "<length>0"), "line 3: <length>: found '0', expected a length above 0"),
+        (changed("<width>2", "<width>-2"), "line 3: <width>: found '-2', expected a finite number from 0 to 1000"),
+        (changed("<rectangle>", "<rectangle/><rectangle>"), "<shape>: found rectangle, rectangle, expected one of"),
+        (changed("<x>0.0", "<x>nan"), "line 3: <x>: found 'nan', expected a finite number"),
+        (changed("<x>0.0", "<x>1e999"), "line 3: <x>: found '1e999', expected a finite number"),
+        (changed("<y>1", "<y>1_0"), "line 3: <y>: found '1_0', expected a finite number"),
+        (changed("<x>0.0</x>", ""), "line 3: <point>: <x> is missing; found y"),
+        (changed("<exact>0.0</exact>", "<intervalStart>0</intervalStart>"), "<orientation>: <exact> is missing"),
+        (changed("<time><exact>2", "<time><exact>3"), "line 8: <time>: found time step 3, expected 2: the next one"),
+        (changed("<time><exact>2", "<time><exact>1"), "line 8: <time>: found time step 1, expected 2"),
+        (changed("<time><exact>2", "<time><exact>1.5"), "<exact>: found '1.5', expected a whole number from 0 to"),
+        (changed("<time>", "<time/><time>"), "<initialState>: found <time> 2 times, expected it once"),
+        (changed("trajectory>", "occupancySet>", 2), "found <occupancySet>, expected <trajectory>"),
+        (changed("<state>", "<region/><state>"), "<region>: found this element in a trajectory, expected <state>"),
+        (changed("</commonRoad>", ""), "line 33: not XML: no element found"),
+        (changed("</shape>", ""), "line 13: not XML: mismatched tag"),
+        (changed('version="1.0"', 'version="1.0" encoding="nothing"'), "not XML: "),
+        (changed("<type>car", "<type>pedestrian", 9), "found no dynamic car, truck or bus, expected one for the ego"),
+        (lambda text: text[:300], "line 3: not XML: no element found|line .: not XML: unclosed token"),
+        (lambda text: "", "line 1: not XML: no element found"),
+        (lambda text: text.replace("<type>", "<a>" * 60 + "<type>"), "<a>: found more than 50 nested elements"),
+    ],
+)
+def test_a_damaged_scenario_is_refused_with_file_line_and_reason(
+    change: Callable[[str], str], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SceneError, match=rf"road\.xml: .*({message})"):
+        read(tmp_path / "road.xml", change(ROAD))
+
+
+def test_a_compressed_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"cut\.xml\.gz: cannot be read: "):
+        read(tmp_path / "cut.xml.gz", gzip.compress(ROAD.encode())[:-20])
+
+
+def test_a_path_without_a_single_scenario_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="nowhere: no such file or folder"):
+        read(tmp_path / "nowhere")
+    with pytest.raises(SceneError, match=r"found 0 files \*\.xml \(none\), expected one"):
+        read(tmp_path)
+    read(tmp_path / "a.xml", ROAD)
+    read(tmp_path / "b.xml", ROAD)
+    with pytest.raises(SceneError, match=r"found 2 files \*\.xml \(a\.xml, b\.xml\), expected one"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        (dict(n_infrastructure=17), "CommonRoadScenario: n_infrastructure is 17, expected 0 to 16"),
+        (dict(n_mobile=-1), "CommonRoadScenario: n_mobile is -1, expected 0 or more"),
+        (
+            dict(n_mobile=2),
+            r"road\.xml: n_mobile is 2, expected 0 to 1: 1 vehicles besides the ego have a box in all 5",
+        ),
+        (dict(ego=12), r"road\.xml: ego is 12, expected the id of a dynamic vehicle: 1, 2, 3"),
+        (dict(building_height_m=0.0), "building_height_m is 0.0, expected above 0"),
+    ],
+)
+def test_agents_that_cannot_be_are_refused(parameters: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        read(tmp_path / "road.xml", ROAD, **parameters)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    position=st.integers(0, len(ROAD) - 1),
+    replaced=st.integers(0, 30),
+    text=st.one_of(
+        st.binary(max_size=6),
+        st.sampled_from([b"<", b">", b"&a;", b"<!DOCTYPE x>", b"-1", b"1e400", b"9" * 30, b"<x>", b"</x>", b"\x00"]),
+    ),
+)
+def test_any_change_of_bytes_is_read_or_refused(position: int, replaced: int, text: bytes, tmp_path: Path) -> None:
+    content = ROAD.encode()
+    with contextlib.suppress(SceneError, ConfigurationError):
+        read(tmp_path / "fuzzed.xml", content[:position] + text + content[position + replaced :])
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_twin_plays_without_and_with_attacks(name: str, twin: Path, tmp_path: Path) -> None:
+    agents = play_scored(tmp_path, name, f"commonroad:{twin}", frames=len(flat_twin_source()))
+    assert set(agents) == {"ego", "mobile_1", "mobile_2", "infra_1", "infra_2"}
+    picture = agents["ego"]["picture"]
+    assert picture["tp"]["mean"] > 2
+    assert name == "baseline" or picture["fp"]["mean"] > 0.3  # objects that the attack adds
+
+
+def test_real_scenarios_are_read_and_their_vehicles_move_as_stated() -> None:
+    files = sorted(reference("commonroad_ngsim").glob("*.xml"))
+    frames = {}
+    for path in files:
+        recording = read(path, n_infrastructure=2, n_mobile=2, detector=CleanDetector())
+        frames[path.name] = len(recording)
+        assert recording.period_ns == 100_000_000
+        seen = (recording.points >= 5).mean(axis=0)
+        assert (seen > 0.3).all()
+        assert np.linalg.norm(recording.truth.velocity, axis=1).max() < 25
+        # What the file states as velocity is how the positions change.
+        ego = recording.agent_position[:, 0]
+        moved = np.gradient(ego, 0.1, axis=0)
+        assert np.median(np.linalg.norm(moved - recording.agent_velocity[:, 0], axis=1)) < 0.5
+    assert frames == {
+        "USA_Lanker-1_1_T-1.xml": 41,
+        "USA_Peach-4_8_T-1.xml": 61,
+        "USA_US101-3_3_T-1.xml": 32,
+        "USA_US101-4_1_T-1.xml": 101,
+    }

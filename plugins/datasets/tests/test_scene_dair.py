@@ -1,0 +1,624 @@
+"""Twins of V2X-Seq-SPD, DAIR-V2X-C and RCooper are read back; damaged ones are refused."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import dair_writer as writer
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mast_datasets import DAIRScene, RCooperScene
+from mast_datasets.dair import linked, matched, numbered
+from mast_datasets.dair_files import CLASS_OF_TYPE, LEFT_OUT
+
+import mast_zenoh as mast
+from mast_zenoh.arrays.geometry import heading, wrap_angle
+from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import Intersection, Recording
+from mast_zenoh.scenes.recording import NO_MEASUREMENT
+from mast_zenoh.sensing import CleanDetector, sensor_pose, to_world
+from mast_zenoh.testing.scenes import check_scene
+
+FRAMES, FEW = 16, 4
+SEEN = writer.SEEN
+PAIRS = "cooperative/data_info.json"
+CAR, POLE = "vehicle-side/data_info.json", "infrastructure-side/data_info.json"
+LABELS = "cooperative/label/000011.json"  # of frame 1
+CAR_LABELS, POLE_LABELS = "vehicle-side/label/lidar/000011.json", "infrastructure-side/label/virtuallidar/000051.json"
+MOUNT, POSE = "vehicle-side/calib/lidar_to_novatel/000011.json", "vehicle-side/calib/novatel_to_world/000011.json"
+POLE_POSE = "infrastructure-side/calib/virtuallidar_to_world/000051.json"
+WORLD_LABELS = "cooperative/label_world/000011.json"
+SITE = f"labels/{writer.SITE}"
+COOP = f"{SITE}/coop/{writer.SEQUENCE}/1692685344.100000.json"
+OWN = f"{SITE}/118/{writer.SEQUENCE}/1692685344.113000.json"
+CALIBRATION = "calib/lidar2world/118.json"
+
+
+@pytest.fixture(scope="module")
+def original() -> Recording:
+    """A junction with an ego and three poles."""
+    return Intersection(scene_index=0, n_infrastructure=3, n_mobile=0).record(0, FRAMES)
+
+
+@pytest.fixture(scope="module")
+def twins(original: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The junction in all layouts: the folders spd, unreferenced, c and rcooper."""
+    folder = tmp_path_factory.mktemp("twins")
+    writer.write_spd(folder / "spd", original, FRAMES)
+    writer.write_spd(folder / "unreferenced", original, FRAMES, references=False)
+    writer.write_c(folder / "c", original, FRAMES)
+    writer.write_rcooper(folder / "rcooper", original, FRAMES)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def short(original: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first frames of the junction in all layouts."""
+    folder = tmp_path_factory.mktemp("short")
+    writer.write_spd(folder / "spd", original, FEW)
+    writer.write_c(folder / "c", original, FEW)
+    writer.write_rcooper(folder / "rcooper", original, FEW)
+    return folder
+
+
+def read_spd(root: Path, **options: Any) -> Recording:
+    return DAIRScene(path=str(root), detector=CleanDetector(), **options).record(0, None)
+
+
+def read_c(root: Path) -> Recording:
+    return read_spd(root, link_radius_m=2.0)
+
+
+def read_rcooper(root: Path, **options: Any) -> Recording:
+    return RCooperScene(path=str(root), detector=CleanDetector(), **options).record(0, None)
+
+
+def compare(recording: Recording, original: Recording, agents: tuple[int, ...], own: int, kept_ids: bool) -> None:
+    """Compare times, poses, boxes and who sees what.
+
+    agents: columns of the original; own: id of an added box, or -1
+    """
+    assert len(recording) == FRAMES
+    np.testing.assert_array_equal(recording.times_ns, original.times_ns)
+    of_original: dict[int, set[int]] = {}
+    for frame in range(FRAMES):
+        for column, agent in enumerate(agents):
+            position, rotation = writer.lidar_pose(original, frame, agent)
+            np.testing.assert_allclose(recording.agent_position[frame, column], position, atol=1e-6)
+            np.testing.assert_allclose(recording.agent_rotation[frame, column], rotation, atol=1e-6)
+        rows = np.array(writer.rows_seen(original, frame, agents))
+        truth, expected = recording.truth_at(frame), original.truth.select(rows)
+        kept = np.flatnonzero(truth.id != own)
+        distance = np.linalg.norm(truth.position[kept, None] - expected.position[None], axis=2)
+        assert distance.shape == (len(rows), len(rows))
+        order = kept[distance.argmin(axis=0)]
+        np.testing.assert_allclose(truth.position[order], expected.position, atol=1e-6)
+        np.testing.assert_allclose(truth.size[order], expected.size, atol=1e-6)
+        np.testing.assert_allclose(wrap_angle(truth.yaw[order] - expected.yaw), 0.0, atol=1e-6)
+        np.testing.assert_array_equal(truth.class_id[order], expected.class_id)
+        for number, name in zip(truth.id[order].tolist(), expected.id.tolist(), strict=True):
+            of_original.setdefault(number, set()).add(name)
+        seen = original.points[rows][:, list(agents)] >= SEEN
+        np.testing.assert_array_equal(recording.points_at(frame)[order] >= SEEN, seen)
+        assert (recording.points_at(frame)[order][~seen] == 0).all()
+    assert all(len(names) == 1 for names in of_original.values())
+    if kept_ids:
+        assert all({number} == names for number, names in of_original.items())
+
+
+@pytest.mark.parametrize("name", ["spd", "unreferenced"])
+def test_the_twin_of_v2x_seq_spd_is_read_back(twins: Path, original: Recording, name: str) -> None:
+    recording = read_spd(twins / name)
+    assert recording.agent_names == ("ego", "infra_1")
+    assert [agent.kind for agent in recording.agents] == ["mobile", "static"]
+    compare(recording, original, (0, 1), recording.agents[0].object_id, kept_ids=True)
+    assert (recording.agent_velocity[:, 1] == 0.0).all()
+
+
+def test_the_twin_of_dair_v2x_c_is_read_back_with_linked_ids(twins: Path, original: Recording) -> None:
+    recording = read_c(twins / "c")
+    compare(recording, original, (0, 1), recording.agents[0].object_id, kept_ids=False)
+
+
+def test_the_twin_of_rcooper_is_read_back(twins: Path, original: Recording) -> None:
+    recording = read_rcooper(twins / "rcooper")
+    assert recording.agent_names == ("ego", "infra_1", "infra_2")
+    assert {agent.kind for agent in recording.agents} == {"static"}
+    assert {agent.object_id for agent in recording.agents} == {-1}
+    compare(recording, original, (1, 2, 3), -1, kept_ids=True)
+
+
+def test_the_car_has_a_box_below_its_lidar(twins: Path, original: Recording) -> None:
+    recording = read_spd(twins / "spd")
+    (ego, _) = recording.agents
+    own = recording.truth.id == ego.object_id
+    assert own.sum() == FRAMES
+    np.testing.assert_allclose(recording.truth.position[own][:, :2], recording.agent_position[:, 0, :2])
+    np.testing.assert_allclose(recording.truth.yaw[own], heading(recording.agent_rotation[:, 0]))
+    assert (recording.points[own, 0] == 0).all()
+    # The ground is flat and at height 0; the estimate is the bottom of the boxes nearby.
+    np.testing.assert_allclose(recording.truth.position[own][:, 2] - 0.8, 0.0, atol=0.3)
+
+
+def test_a_label_of_the_car_itself_says_when_the_pole_sees_it(short: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(short / "spd", tmp_path / "spd")
+    for frame in (1, 2):
+        file = root / "cooperative" / "label" / f"{writer.vehicle_frame(frame)}.json"
+        labels = json.loads(file.read_text())
+        own = {"type": "Car", "track_id": "900000", "veh_track_id": "-1", "inf_track_id": "i900000", "rotation": 0.1}
+        own |= {"3d_location": {"x": 0.5, "y": 0, "z": -1}, "3d_dimensions": {"l": 4.5, "w": 1.8, "h": 1.5}}
+        file.write_text(json.dumps([*labels, own]))
+        side = root / "infrastructure-side" / "label" / "virtuallidar" / f"{writer.pole_frame(frame)}.json"
+        side.write_text(json.dumps([*json.loads(side.read_text()), own | {"track_id": "i900000"}]))
+    recording = read_spd(root)
+    assert 900000 not in recording.truth.id
+    rows = recording.truth.id == recording.agents[0].object_id
+    assert (recording.points[rows, 1] >= SEEN).tolist() == [False, True, True, False]
+
+
+def test_without_a_label_of_the_car_rays_decide_whether_the_pole_sees_it(short: Path) -> None:
+    recording = read_spd(short / "spd")
+    rows = recording.truth.id == recording.agents[0].object_id
+    assert recording.points[rows, 1].max() > SEEN
+
+
+def test_scenes_are_repeatable_and_shorter_ones_are_their_beginning(short: Path) -> None:
+    check_scene(DAIRScene(path=str(short / "spd")))
+    check_scene(DAIRScene(path=str(short / "c"), link_radius_m=2.0))
+    check_scene(RCooperScene(path=str(short / "rcooper")))
+    with pytest.raises(ConfigurationError, match="5 frames requested, the scene has 4"):
+        DAIRScene(path=str(short / "spd")).record(0, 5)
+
+
+def test_objects_seen_without_a_count_have_at_least_5_returns(short: Path) -> None:
+    for recording in (read_spd(short / "spd"), read_rcooper(short / "rcooper")):
+        assert set(recording.points[recording.points > 0].tolist()) - set(range(SEEN))
+        assert recording.points[recording.points > 0].min() >= 1
+        listed = recording.points[recording.truth.id != recording.agents[0].object_id]
+        assert listed[listed > 0].min() >= SEEN
+
+
+def test_the_time_between_car_and_pole_is_exposed_and_limited(short: Path) -> None:
+    scene = DAIRScene(path=str(short / "spd"))
+    np.testing.assert_allclose(scene.time_differences_s(), np.full(FEW, 0.02))
+    with pytest.raises(
+        SceneError,
+        match=r"infrastructure-side/data_info.json: frame 000010: the frame of infra_1 is \+0.020 s away.* 0.01 s",
+    ):
+        DAIRScene(path=str(short / "spd"), max_time_difference_s=0.01).record(0, 1)
+    poles = RCooperScene(path=str(short / "rcooper"))
+    np.testing.assert_allclose(poles.time_differences_s()["120"], np.full(FEW, 0.026))
+    with pytest.raises(SceneError, match=r"seq-4: frame 1692685344.026000.json: the frame of agent 120 is \+0.026 s"):
+        RCooperScene(path=str(short / "rcooper"), max_time_difference_s=0.02).record(0, 1)
+
+
+def test_poles_measure_at_the_times_of_their_own_clocks(short: Path) -> None:
+    """A measurement 20 ms after a frame is new in the next one, of objects where they were at its time."""
+    recording = read_spd(short / "spd")
+    ages_ms = [[recording.age_ns_at(frame, agent) / 1e6 for frame in range(FEW)] for agent in (0, 1)]
+    assert ages_ms == [[0.0] * FEW, [NO_MEASUREMENT / 1e6, 80.0, 80.0, 80.0]]
+    for frame in range(1, FEW):
+        before, ids = recording.truth_at(frame - 1), recording.detection_truth_id_at(frame, 1)
+        assert set(ids) == set(before.id[recording.points_at(frame - 1)[:, 1] >= SEEN])
+        pose = recording.agent_position[frame, 1], recording.agent_rotation[frame, 1]
+        found = to_world(recording.detections_at(frame, 1), *sensor_pose(*pose, *recording.mount_at(frame, 1)))
+        row = [before.id.tolist().index(number) for number in ids]
+        expected = before.position[row] + 0.02 * before.velocity[row]
+        np.testing.assert_allclose(found.position, expected, atol=0.02)
+        assert np.abs(expected - before.position[row]).max() > 0.1, "something moves"
+    poles = read_rcooper(short / "rcooper")
+    assert [poles.age_ns_at(2, agent) / 1e6 for agent in range(3)] == pytest.approx([0.0, 87.0, 74.0])
+
+
+def test_a_sequence_is_chosen_by_parameter_or_path(short: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(short / "spd", tmp_path / "spd")
+    edit(root / PAIRS, [put("1", 2, "vehicle_sequence"), put("1", 2, "infrastructure_sequence")])
+    with pytest.raises(ConfigurationError, match="sequence is not given, expected one of 2: 0003, 1"):
+        read_spd(root)
+    with pytest.raises(ConfigurationError, match="unknown sequence '0004'; did you mean '0003'"):
+        read_spd(root, sequence="0004")
+    with pytest.raises(ConfigurationError, match="sequence is '2', expected '1' as in the path"):
+        read_spd(root / "1", sequence=2)
+    for recording in (read_spd(root, sequence=1), read_spd(root / "1"), read_spd(root / "1", sequence="1")):
+        assert len(recording) == 1
+    assert len(read_spd(tmp_path / "spd" / "0003", max_gap_s=1.0)) == FEW - 1
+    for path in (f"{writer.SITE}/{writer.SEQUENCE}", writer.SITE):
+        assert len(read_rcooper(short / "rcooper" / path)) == FEW
+    assert len(read_rcooper(short / "rcooper", site=writer.SITE, sequence=writer.SEQUENCE)) == FEW
+
+
+def test_a_range_of_frames_is_read(short: Path) -> None:
+    whole, part = read_spd(short / "spd"), read_spd(short / "spd", first_frame=11, last_frame=12)
+    assert len(part) == 2
+    np.testing.assert_array_equal(part.truth_at(0).position[:-1], whole.truth_at(1).position[:-1])
+    with pytest.raises(ConfigurationError, match="found no frame, expected some of 000010 to 000013"):
+        read_spd(short / "spd", first_frame=900)
+
+
+def test_the_number_of_agents_is_chosen(short: Path) -> None:
+    assert read_spd(short / "spd", n_infrastructure=0, n_mobile=0).agent_names == ("ego",)
+    assert read_rcooper(short / "rcooper", n_infrastructure=1).agent_names == ("ego", "infra_1")
+    with pytest.raises(
+        ConfigurationError, match="n_infrastructure is 2, expected 0 or 1: the data has one car and one"
+    ):
+        DAIRScene(path="x", n_infrastructure=2)
+    with pytest.raises(ConfigurationError, match="n_mobile is 1, expected 0: the data has one car"):
+        DAIRScene(path="x", n_mobile=1)
+    with pytest.raises(ConfigurationError, match="n_mobile is 1, expected 0: the data has only poles"):
+        RCooperScene(path="x", n_mobile=1)
+    with pytest.raises(
+        ConfigurationError, match="n_infrastructure is 3, expected 0 to 2: the site has 2 poles besides"
+    ):
+        read_rcooper(short / "rcooper", n_infrastructure=3)
+
+
+@pytest.mark.parametrize("name", ["max_time_difference_s", "max_gap_s", "match_radius_m", "link_radius_m"])
+@pytest.mark.parametrize("value", [0, -1.0, float("nan"), "far", True])
+def test_an_impossible_limit_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(ConfigurationError, match=f"DAIRScene: {name} is .*, expected a number above 0"):
+        DAIRScene(path="x", **{name: value})
+
+
+def test_boxes_without_ids_are_linked_where_their_motion_leads() -> None:
+    # Two cars 30 m apart that accelerate: 2, 4, 6 and 8 m from frame to frame.
+    frame = np.repeat(np.arange(5), 2)
+    position = np.zeros((10, 3))
+    position[:, 0] = frame * (frame + 1) + np.tile([0.0, 30.0], 5)
+    times = 100_000_000 * np.arange(5)
+    cars = np.ones(10, np.int64)
+    assert linked(frame, position, cars, times, 2.5).tolist() == [1, 2] * 5
+    assert linked(frame, position, cars, times, 0.9).tolist() == list(range(1, 11))
+    classes = np.where(frame == 2, 2, 1)
+    assert linked(frame, position, classes, times, 2.5).tolist() == [1, 2, 1, 2, 3, 4, 5, 6, 7, 8]
+    gone = frame != 2
+    assert linked(frame[gone], position[gone], cars[gone], times, 9.0).tolist() == [1, 2, 1, 2, 3, 4, 3, 4]
+
+
+def test_a_label_matches_one_box_the_nearest() -> None:
+    boxes = np.array([[0.0, 0, 0], [1.0, 0, 5], [9.0, 0, 0]])
+    assert matched(np.array([[0.8, 0, 0]]), boxes, 2.0).tolist() == [False, True, False]
+    assert matched(np.zeros((0, 3)), boxes, 2.0).tolist() == [False] * 3
+
+
+def test_track_names_that_are_numbers_are_ids() -> None:
+    assert numbered(["000012", "7", "12"]).tolist() == [12, 7, 12]
+    assert numbered(["b", "7", "a", "b"]).tolist() == [3, 1, 2, 3]
+    assert numbered(["9" * 30, "1"]).tolist() == [2, 1]
+
+
+def test_every_class_of_the_page_is_read_as_it_says() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "scenes_dair.md").read_text()
+    rows = {}
+    for line in page.split("## Classes")[1].split("##")[0].splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if len(cells) == 2 and cells[0] in CLASSES:
+            rows[cells[0]] = sorted(name.strip() for name in cells[1].split(","))
+    expected = {
+        label: sorted(name for name, index in CLASS_OF_TYPE.items() if CLASSES[index] == label) for label in CLASSES[1:]
+    }
+    assert {name: types for name, types in rows.items() if name != "unknown"} == expected
+    assert all(name in page for name in LEFT_OUT)
+
+
+Change = Callable[[Any], Any]
+
+
+def put(value: Any, *place: Any) -> Change:
+    """Sets a value at a place in a decoded file."""
+
+    def change(content: Any) -> Any:
+        inner = content
+        for key in place[:-1]:
+            inner = inner[key]
+        inner[place[-1]] = value
+        return content
+
+    return change
+
+
+def drop(*place: Any) -> Change:
+    """Removes the value at a place in a decoded file."""
+
+    def change(content: Any) -> Any:
+        inner = content
+        for key in place[:-1]:
+            inner = inner[key]
+        del inner[place[-1]]
+        return content
+
+    return change
+
+
+def repeat(index: int) -> Change:
+    return lambda content: [*content, content[index]]
+
+
+def edit(file: Path, changes: list[Change]) -> None:
+    content = json.loads(file.read_text())
+    for change in changes:
+        content = change(content)
+    file.write_text(json.dumps(content))
+
+
+#: Files and scenes that a message names instead of the changed file, by a part of the message.
+NAMED = {"two boxes": "spd", "found a gap": CAR}
+
+
+def mirrored(content: Any) -> Any:
+    content["rotation"][0] = [-value for value in content["rotation"][0]]
+    return content
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "reason"),
+    [
+        (PAIRS, lambda _: [], "found 0 pairs, expected 1 to"),
+        (PAIRS, lambda _: {}, r"found \{\}, expected a list"),
+        (PAIRS, drop(1, "vehicle_frame"), r"\[1\]: vehicle_frame is missing"),
+        (PAIRS, put("../../x y", 1, "vehicle_frame"), r"\[1\].vehicle_frame: found .*, expected a name of 1 to 40"),
+        (PAIRS, put("000099", 1, "vehicle_frame"), "found '000099', expected a frame of vehicle-side/data_info.json"),
+        (PAIRS, put("000099", 1, "infrastructure_frame"), "expected a frame of infrastructure-side"),
+        (PAIRS, repeat(2), r"\[4\]: found frame 000012 of the car twice"),
+        (PAIRS, drop(1), r"frame 000012: found a gap of 0.200 s after frame 000010.*\(max_gap_s\)"),
+        (
+            PAIRS,
+            put("0004", 1, "infrastructure_sequence"),
+            "frames of the pole from the sequences 0003, 0004, expected",
+        ),
+        (PAIRS, put({"delta_x": 1e9, "delta_y": 0}, 0, "system_error_offset"), "delta_x: found .*from -1000 to 1000"),
+        (CAR, drop(1, "pointcloud_timestamp"), r"\[1\]: pointcloud_timestamp is missing"),
+        (CAR, put("soon", 1, "pointcloud_timestamp"), r"\[1\].pointcloud_timestamp: found 'soon', expected a whole"),
+        (CAR, put(10**17, 1, "pointcloud_timestamp"), "pointcloud_timestamp: found 100000000000000000, expected"),
+        (CAR, put(writer.START_US, 1, "pointcloud_timestamp"), "frame 000011: time is not later than that of frame"),
+        (CAR, repeat(1), r"\[4\]: found frame 000011 twice"),
+        (POLE, put(writer.START_US, 3, "pointcloud_timestamp"), r"frame 000013: the frame of infra_1 is -0.300 s away"),
+        (LABELS, lambda _: {"labels": []}, "expected a list"),
+        (LABELS, repeat(0), "frame 1, object .*: found two boxes"),
+        (LABELS, drop(0, "type"), r"\[0\]: type is missing"),
+        (LABELS, drop(0, "track_id"), r"\[0\]: track_id is missing, expected one in every label"),
+        (LABELS, put("", 0, "track_id"), r"\[0\].track_id: found '', expected a name of 1 to 100"),
+        (LABELS, put(1.5, 0, "track_id"), r"\[0\].track_id: found 1.5, expected a whole number"),
+        (LABELS, put(0.0, 0, "3d_dimensions", "w"), r"\[0\].3d_dimensions: found .*, expected 3 numbers above 0"),
+        (LABELS, put(-1.0, 0, "3d_dimensions", "w"), r"\[0\].3d_dimensions.w: found -1.0, expected"),
+        (LABELS, put(1e300, 0, "3d_location", "x"), r"3d_location.x: found 1e\+300, expected"),
+        (LABELS, put("inf", 0, "3d_location", "x"), r"3d_location.x: found 'inf', expected a finite number"),
+        (LABELS, put(None, 0, "rotation"), r"\[0\].rotation: found None, expected a finite number"),
+        (LABELS, put("v1", 0, "veh_track_id"), r"veh_track_id: found 'v1', expected -1, or the track of a label in"),
+        (LABELS, lambda content: content * 2000, "labels, expected at most 5000"),
+        (CAR_LABELS, put("x", 0, "3d_location", "x"), r"\[0\].3d_location.x: found 'x', expected a number"),
+        (POLE_LABELS, drop(0, "3d_location"), r"\[0\]: 3d_location is missing"),
+        (MOUNT, drop("transform", "rotation"), "transform: rotation is missing"),
+        (MOUNT, put([[1], [2]], "transform", "translation"), "transform.translation: .*, expected a list of 3"),
+        (POSE, put([[2, 0, 0], [0, 1, 0], [0, 0, 1]], "rotation"), "rotation: .*, expected an orthonormal"),
+        (POLE_POSE, mirrored, "rotation: .*, expected an orthonormal, right-handed"),
+    ],
+)
+def test_a_damaged_twin_of_v2x_seq_spd_is_refused(
+    short: Path, tmp_path: Path, file: str, change: Change, reason: str
+) -> None:
+    root = shutil.copytree(short / "spd", tmp_path / "spd")
+    edit(root / file, [change])
+    named = next((name for text, name in NAMED.items() if text in reason), file)
+    with pytest.raises(SceneError, match=rf"{named}.*{reason}"):
+        read_spd(root)
+
+
+@pytest.mark.parametrize("file", [PAIRS, CAR, POLE, LABELS, CAR_LABELS, POLE_LABELS, MOUNT, POSE, POLE_POSE])
+def test_a_missing_or_truncated_file_of_v2x_seq_spd_is_refused(short: Path, tmp_path: Path, file: str) -> None:
+    root = shutil.copytree(short / "spd", tmp_path / "spd")
+    path = root / file
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(SceneError, match=f"{file}: not JSON"):
+        read_spd(root)
+    path.unlink()
+    with pytest.raises(SceneError, match=f"{'spd: found 0 data sets with a file ' if file == PAIRS else ''}{file}"):
+        read_spd(root)
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "reason"),
+    [
+        (WORLD_LABELS, put([[0, 0, 0]] * 7, 0, "world_8_points"), r"\[0\].world_8_points: .*, expected a list of 8"),
+        (WORLD_LABELS, put([[0, 0, 0]] * 8, 0, "world_8_points"), "expected 8 corners of a box with sizes above 0"),
+        (WORLD_LABELS, lambda c: [{**c[0], "world_8_points": c[0]["world_8_points"][::-1]}], "of an upright box"),
+        (WORLD_LABELS, put(1e12, 0, "world_8_points", 0, 0), "numbers from -1e"),
+        (CAR, drop(1, "batch_id"), r"\[1\]: batch_id is missing"),
+        (CAR, put(True, 1, "batch_id"), r"\[1\].batch_id: found True, expected text"),
+        (CAR, drop(1, "pointcloud_path"), r"\[1\]: pointcloud_path is missing"),
+        (PAIRS, drop(1, "vehicle_pointcloud_path"), r"\[1\]: vehicle_pointcloud_path is missing"),
+        (PAIRS, put("x", 1, "system_error_offset"), r"\[1\].system_error_offset: found 'x', expected an object"),
+    ],
+)
+def test_a_damaged_twin_of_dair_v2x_c_is_refused(
+    short: Path, tmp_path: Path, file: str, change: Change, reason: str
+) -> None:
+    root = shutil.copytree(short / "c", tmp_path / "c")
+    edit(root / file, [change])
+    with pytest.raises(SceneError, match=rf"{file}: .*{reason}"):
+        read_c(root)
+
+
+def test_labels_without_track_ids_are_refused_unless_they_are_to_be_linked(short: Path, tmp_path: Path) -> None:
+    with pytest.raises(
+        SceneError, match=r"000010.json: \[0\]: track_id is missing.*link_radius_m makes ids by distance"
+    ):
+        read_spd(short / "c")
+    root = shutil.copytree(short / "c", tmp_path / "c")
+    edit(root / WORLD_LABELS, [put("17", 0, "track_id")])
+    with pytest.raises(SceneError, match=r"000010.json: \[0\]: track_id is missing, expected one in every label"):
+        read_c(root)
+
+
+def test_a_folder_that_is_no_data_set_is_refused(short: Path, tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="nowhere: no such folder"):
+        read_spd(tmp_path / "nowhere")
+    with pytest.raises(SceneError, match="nowhere: no such folder"):
+        read_rcooper(tmp_path / "nowhere")
+    with pytest.raises(SceneError, match="found 2 data sets with a file cooperative"):
+        read_spd(short)
+    root = shutil.copytree(short / "spd", tmp_path / "spd")
+    (root / "cooperative" / "label_world").mkdir()
+    with pytest.raises(SceneError, match="cooperative: found 2 of the folders label"):
+        read_spd(root)
+    assert len(read_spd(shutil.copytree(short / "spd", tmp_path / "above" / "spd").parent)) == FEW
+    for file in (root / "cooperative" / "label").iterdir():
+        file.write_text("[]")
+    (root / "cooperative" / "label_world").rmdir()
+    with pytest.raises(SceneError, match="label: found no labels in 4 frames"):
+        read_spd(root)
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "reason"),
+    [
+        (COOP, lambda _: {}, r"found \{\}, expected a list"),
+        (COOP, drop(0, "type"), r"\[0\]: type is missing"),
+        (COOP, put(7, 0, "type"), r"\[0\].type: found 7, expected text"),
+        (COOP, drop(0, "track_id"), r"\[0\]: track_id is missing"),
+        (COOP, put(None, 0, "track_id"), r"\[0\].track_id: found None, expected a name or a number"),
+        (COOP, put(0, 0, "3d_dimensions", "l"), r"\[0\].3d_dimensions: .*, expected 3 numbers above 0"),
+        (COOP, drop(0, "3d_dimensions", "l"), r"\[0\].3d_dimensions: l is missing"),
+        (COOP, put([1, 2, 3], 0, "3d_location"), r"\[0\].3d_location: found \[1, 2, 3\], expected an object"),
+        (COOP, put("nan", 0, "rotation"), r"\[0\].rotation: found 'nan', expected a finite number"),
+        (COOP, put(1e9, 0, "rotation"), r"\[0\].rotation: found 1000000000.0, expected"),
+        (COOP, lambda content: content * 1000, "labels, expected at most 5000"),
+        (OWN, put(-2, 0, "3d_dimensions", "h"), r"\[0\].3d_dimensions.h: found -2, expected"),
+        (OWN, drop(0, "3d_location", "z"), r"\[0\].3d_location: z is missing"),
+        (CALIBRATION, drop("rotation"), "rotation is missing"),
+        (CALIBRATION, put([1, 2], "translation"), r"translation: found \[1, 2\], expected a list of 3"),
+        (CALIBRATION, mirrored, "rotation: .*, expected an orthonormal, right-handed"),
+    ],
+)
+def test_a_damaged_twin_of_rcooper_is_refused(
+    short: Path, tmp_path: Path, file: str, change: Change, reason: str
+) -> None:
+    root = shutil.copytree(short / "rcooper", tmp_path / "rcooper")
+    edit(root / file, [change])
+    with pytest.raises(SceneError, match=rf"{file}: .*{reason}"):
+        read_rcooper(root)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "reason"),
+    [
+        (lambda root: (root / OWN).unlink(), SceneError, "118/seq-4: found 3 frames, expected 4 as in coop"),
+        (lambda root: (root / OWN).rename(root / OWN.replace("1692685344.113", "x")), SceneError, "found name x"),
+        (lambda root: (root / OWN).rename((root / OWN).with_suffix(".txt")), SceneError, "a time in seconds and .json"),
+        (
+            lambda root: (root / COOP).rename((root / COOP).with_name("1692685349.json")),
+            SceneError,
+            "expected at most 0.2",
+        ),
+        (
+            lambda root: shutil.rmtree(root / SITE / "120"),
+            SceneError,
+            "120: no such folder, expected one for every pole",
+        ),
+        (lambda root: shutil.rmtree(root / SITE / "coop"), SceneError, "coop: no such folder"),
+        (lambda root: shutil.rmtree(root / "labels"), SceneError, "label: .*No such file"),
+        (lambda root: shutil.rmtree(root / "calib"), SceneError, "calib/lidar2world/117.json: .*No such file"),
+        (lambda root: shutil.rmtree(root / SITE / "118" / "seq-4"), SceneError, "118/seq-4: .*No such file"),
+        (
+            lambda root: (root / SITE / "coop" / "seq-9").mkdir(),
+            ConfigurationError,
+            "sequence is not given, .*seq-4, seq-9",
+        ),
+        (
+            lambda root: (root / "labels" / "1-2").mkdir(),
+            ConfigurationError,
+            "site is not given, expected one of 2: 1-2",
+        ),
+        (lambda root: shutil.rmtree(root / SITE), SceneError, "labels: found no folders, expected one for every site"),
+    ],
+)
+def test_a_twin_of_rcooper_with_wrong_folders_is_refused(
+    short: Path, tmp_path: Path, change: Callable[[Path], Any], error: type[Exception], reason: str
+) -> None:
+    root = shutil.copytree(short / "rcooper", tmp_path / "rcooper")
+    change(root)
+    with pytest.raises(error, match=reason):
+        read_rcooper(root)
+
+
+def test_rcooper_frames_far_apart_are_a_gap(short: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(short / "rcooper", tmp_path / "rcooper")
+    for name in ("coop", *writer.POLES):
+        files = sorted((root / SITE / name / writer.SEQUENCE).iterdir())
+        files[-1].rename(files[-1].with_name("1692685345.5.json"))
+    with pytest.raises(SceneError, match=r"coop/seq-4: frame 1692685345.5.json: found a gap of 1.300 s after frame"):
+        read_rcooper(root)
+
+
+FUZZED = {
+    "spd": (read_spd, (PAIRS, CAR, LABELS, POLE_LABELS, MOUNT, POSE)),
+    "c": (read_c, (PAIRS, WORLD_LABELS, POLE)),
+    "rcooper": (read_rcooper, (COOP, OWN, CALIBRATION)),
+}
+VALUES = st.one_of(
+    st.sampled_from([None, True, 0, -1, 1e308, 10**400, "", "-1", "nan", "\x00", "../x", [], {}, [[]], [None] * 3]),
+    st.floats(),
+    st.text(max_size=3),
+)
+
+
+@st.composite
+def mutated(draw: st.DrawFn, content: bytes) -> bytes:
+    """A file with bytes or a value changed."""
+    if draw(st.booleans()):
+        at = draw(st.integers(0, len(content)))
+        return content[:at] + draw(st.binary(max_size=4)) + content[at + draw(st.integers(0, 40)) :]
+    root = [json.loads(content)]
+    holder, key = root, 0
+    for _ in range(draw(st.integers(0, 5))):
+        inner = holder[key]
+        if not isinstance(inner, (list, dict)) or not inner:
+            break
+        holder = inner
+        key = draw(st.sampled_from(sorted(inner) if isinstance(inner, dict) else range(len(inner))))
+    holder[key] = draw(VALUES)
+    return json.dumps(root[0]).encode()
+
+
+@settings(max_examples=120)
+@given(data=st.data())
+def test_any_change_of_a_file_is_read_or_refused(short: Path, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(sorted(FUZZED)))
+    read, files = FUZZED[name]
+    file = short / name / data.draw(st.sampled_from(files))
+    content = file.read_bytes()
+    try:
+        file.write_bytes(data.draw(mutated(content)))
+        read(short / name).validate()
+    except (SceneError, ConfigurationError):
+        pass
+    finally:
+        file.write_bytes(content)
+
+
+SCENES = {
+    "spd": dict(type="DAIRScene", path="spd"),
+    "c": dict(type="DAIRScene", path="c", link_radius_m=2.0),
+    "rcooper": dict(type="RCooperScene", path="rcooper"),
+}
+
+
+@pytest.mark.parametrize("twin", sorted(SCENES))
+@pytest.mark.parametrize("name", ["baseline", "coordinated", "uncoordinated"])
+def test_baseline_and_attacks_play_on_the_twins(twins: Path, tmp_path: Path, twin: str, name: str) -> None:
+    attack: dict[str, Any] = {} if name == "baseline" else dict(n_adversaries=1, attack_start_s=0.5)
+    scene = SCENES[twin] | {"path": str(twins / twin)}
+    played = mast.run(name, scene=scene, out=tmp_path / "run", record=False, **attack)
+    picture = played.summary["agents"]["ego"]["picture"]
+    assert picture["tp"]["mean"] > 5
+    assert (picture["fp"]["mean"] > 1) == (name != "baseline")
+
+
+def test_the_shared_recording_is_sound(original: Recording) -> None:
+    replace(original, name="again").validate()
+    assert ((original.points >= SEEN).sum(axis=0) > FRAMES).all()

@@ -1,0 +1,118 @@
+"""Values of JSON files are checked, and messages say where they are."""
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mast_datasets.files import Element, read_json
+
+from mast_zenoh.errors import SceneError
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+def element(value: object) -> Element:
+    return Element(value, Path("labels.json"), "frames.3")
+
+
+def test_values_are_found_by_key_and_index() -> None:
+    root = element({"boxes": [{"xyz": [1, 2.5, -3]}]})
+    (box,) = root["boxes"].elements()
+    assert box["xyz"].vector(3).tolist() == [1.0, 2.5, -3.0]
+    assert box.place == "frames.3.boxes[0]"
+    assert root.get("absent") is None
+
+
+@pytest.mark.parametrize(
+    ("read", "value", "message"),
+    [
+        (lambda e: e["size"], {"sise": 1}, "frames.3: size is missing; did you mean 'sise'"),
+        (lambda e: e["x"], [1], r"found \[1\], expected an object"),
+        (lambda e: e.integer(), "--5", "found '--5', expected a whole number"),
+        (lambda e: e.number(), True, "found True, expected a finite number"),
+        (lambda e: e.number(), 10**400, "expected a finite number"),
+        (lambda e: e.number(0, 1), 1.5, "found 1.5, expected a finite number from 0 to 1"),
+        (lambda e: e.number(0), -1, "found -1, expected a finite number, 0 or more"),
+        (lambda e: e.integer(), 1.5, "expected a whole number"),
+        (lambda e: e.integer(), "1_0", "expected a whole number"),
+        (lambda e: e.text(), 3, "found 3, expected text"),
+        (lambda e: e.text(["a", "b"]), "c", "expected one of a, b"),
+        (lambda e: e.vector(3), [1, 2], "expected a list of 3"),
+        (lambda e: e.vector(2), [1, None], r"frames.3\[1\]: found None, expected a finite number"),
+        (lambda e: e.size(), [1, 0, 2], "expected 3 numbers above 0"),
+        (lambda e: e.rotation(), [[2, 0, 0], [0, 1, 0], [0, 0, 1]], "expected an orthonormal"),
+        (lambda e: e.rotation(), [[-1, 0, 0], [0, 1, 0], [0, 0, 1]], "expected an orthonormal, right-handed"),
+        (lambda e: e.rigid(), np.diag([1, 1, 1, 2]).tolist(), "whose last row is 0, 0, 0, 1"),
+    ],
+)
+def test_a_wrong_value_is_refused_with_its_place(read, value: object, message: str) -> None:
+    with pytest.raises(SceneError, match=rf"labels.json: .*{message}"):
+        read(element(value))
+
+
+def test_a_rounded_rotation_is_made_orthonormal() -> None:
+    rounded = np.round(np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1.0]]) + 1e-4, 4)
+    rotation = element(rounded.tolist()).rotation()
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(rotation, rounded, atol=1e-3)
+
+
+def test_a_rotation_of_huge_numbers_is_refused_without_overflow() -> None:
+    huge = [[1e200, 1e200, 0], [-1e200, 1e200, 0], [0, 0, 1]]
+    with np.errstate(all="raise"), pytest.raises(SceneError, match="expected an orthonormal"):
+        element(huge).rotation()
+
+
+def test_a_deeply_nested_value_is_refused() -> None:
+    value: list = []
+    for _ in range(100_000):
+        value = [value]
+    with pytest.raises(SceneError, match="found values nested too deeply, expected text"):
+        element(value).text()
+
+
+@given(ANYTHING)
+def test_any_value_is_read_or_refused(value: object) -> None:
+    for read in (
+        lambda e: e["a"],
+        lambda e: list(e.members()),
+        Element.elements,
+        Element.number,
+        Element.integer,
+        Element.text,
+        lambda e: e.vector(3),
+        Element.rotation,
+        Element.rigid,
+    ):
+        with contextlib.suppress(SceneError):
+            read(element(value))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"a": 1, "a": 2}', "found 'a' twice"),
+        ('{"a": NaN}', "found NaN, expected a finite number"),
+        ('{"a": 1', "not JSON"),
+        ("[" * 100_000, "not JSON"),
+    ],
+)
+def test_a_damaged_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "x.json").write_text(text)
+    with pytest.raises(SceneError, match=f"x.json: .*{message}"):
+        read_json(tmp_path / "x.json")
+
+
+def test_a_missing_or_binary_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="nowhere"):
+        read_json(tmp_path / "nowhere")
+    (tmp_path / "x").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SceneError, match="utf-8"):
+        read_json(tmp_path / "x")

@@ -1,0 +1,255 @@
+"""Reading sequences of the KITTI tracking benchmark, and refusal of damaged ones."""
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from kitti_writer import IMU_HEIGHT_M, LIDAR_IN_IMU, imu_positions, write_kitti
+from mast_datasets import KittiTracking
+from scored_run import SCENARIOS, play_scored
+from twin_source import twin_source
+
+from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.making.assembly import Boxes, assemble
+from mast_zenoh.scenes.making.virtual_agents import vehicle
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.sensing import CleanDetector
+
+#: No rotation but that of the axes; the lidar is 0.8 m above the IMU, the camera at the lidar.
+CALIBRATION = """P2: 1 0 0 0 0 1 0 0 0 0 1 0
+R_rect 1 0 0 0 1 0 0 0 1
+Tr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0
+Tr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 -0.8
+"""
+#: A car that stands and faces north, and one 10 m ahead of its camera that faces it.
+POSITIONS = "".join(f"49.0 8.4 115.0 0.0 0.0 {np.pi / 2}{' 0' * 24}\n" for _ in range(4))
+LABELS = "".join(
+    f"{k} -1 DontCare -1 -1 -10 0 0 9 9 -1 -1 -1 -1000 -1000 -1000 -10\n"
+    f"{k} 7 Car 0.00 0 1.5 600.0 170.0 650.0 200.0 1.5 1.7 4.1 0.0 1.73 10.0 {np.pi / 2}\n"
+    f"{k} 9 Cyclist 0 3 1.5 600 170 650 200 1.7 0.6 1.8 3.0 1.73 60.0 0.0\n"
+    for k in range(4)
+)
+FILES = {"label_02": LABELS, "calib": CALIBRATION, "oxts": POSITIONS}
+
+
+def write(folder: Path, **files: str | bytes) -> Path:
+    for name, text in (FILES | files).items():
+        (folder / name).mkdir(exist_ok=True)
+        (folder / name / "0000.txt").write_bytes(text.encode() if isinstance(text, str) else text)
+    return folder
+
+
+def read(path: Path, **parameters: Any) -> Recording:
+    return KittiTracking(path=str(path), **{"n_infrastructure": 0} | parameters).record(0, None)
+
+
+def boxes_of(recording: Recording) -> Boxes:
+    truth = recording.truth
+    frame = np.repeat(np.arange(len(recording)), np.diff(recording.truth_start))
+    return Boxes(frame, truth.id, truth.position, truth.size, truth.yaw, truth.class_id, truth.velocity)
+
+
+@pytest.fixture(scope="session")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_kitti(twin_source(), tmp_path_factory.mktemp("kitti"))
+
+
+def test_a_twin_is_read_back(twin: Path) -> None:
+    source = twin_source()
+    recording = read(twin, n_mobile=12)
+    imu = imu_positions(source)
+    shift = np.array([*imu[0, :2], 0.0])
+    assert recording.times_ns.tolist() == source.times_ns.tolist()
+    np.testing.assert_allclose(recording.agent_position[:, 0], imu - shift, atol=1e-5)
+    np.testing.assert_allclose(recording.agent_rotation[:, 0], source.agent_rotation[:, 0], atol=1e-6)
+    ego = source.agents[0].object_id
+    others = source.truth.id != ego
+    rows = recording.truth.id != 0
+    assert recording.truth.id[rows].tolist() == (source.truth.id[others] + 1).tolist()
+    np.testing.assert_allclose(recording.truth.position[rows], source.truth.position[others] - shift, atol=1e-5)
+    np.testing.assert_allclose(recording.truth.size[rows], source.truth.size[others])
+    turn = recording.truth.yaw[rows] - source.truth.yaw[others]
+    # The camera is not level, and rotation_y is about its own axis: the heading is that of the projection.
+    np.testing.assert_allclose(np.angle(np.exp(1j * turn)), 0.0, atol=1e-3)
+    names = [{"bus": "unknown"}.get(CLASSES[k], CLASSES[k]) for k in source.truth.class_id[others]]
+    assert [CLASSES[k] for k in recording.truth.class_id[rows]] == names
+    own = recording.truth.position[~rows] - (source.truth.position[~others] - shift)
+    np.testing.assert_allclose(own[:, :2], 0.0, atol=1e-5)  # it has another height
+
+
+def test_agents_see_what_is_labelled_as_visible_and_what_rays_hit(twin: Path) -> None:
+    source = twin_source()
+    recording = read(twin, n_mobile=2)
+    others = source.truth.id != source.agents[0].object_id
+    seen = source.points[others, 0] >= 5
+    assert (recording.points[recording.truth.id != 0][seen, 0] >= 5).all()
+    boxes = boxes_of(recording)
+    paths = [vehicle(agent.name, boxes, agent.object_id) for agent in recording.agents[1:]]
+    expected = assemble("rays", recording.times_ns, boxes, paths, CleanDetector(), seed=0)
+    np.testing.assert_array_equal(recording.points[:, 1:], expected.points)
+    assert (expected.points >= 5).any(axis=0).all()
+
+
+def test_labels_are_turned_from_the_axes_of_the_camera_to_the_world(tmp_path: Path) -> None:
+    recording = read(write(tmp_path))
+    truth = recording.truth_at(0)
+    # The ego faces north. The car 10 m ahead faces it, so south; its middle is 0.75 m up. The bicycle faces right.
+    np.testing.assert_allclose(truth.position[1], [0.0, 10.0, 0.75], atol=1e-9)
+    np.testing.assert_allclose(truth.position[2], [3.0, 60.0, 0.85], atol=1e-9)
+    np.testing.assert_allclose(np.cos(truth.yaw), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(np.sin(truth.yaw), [1, -1, 0], atol=1e-9)
+    np.testing.assert_allclose(truth.size[1:], [[4.1, 1.7, 1.5], [1.8, 0.6, 1.7]])
+    assert truth.id.tolist() == [0, 8, 10]
+    assert [CLASSES[k] for k in truth.class_id] == ["car", "car", "bicycle"]
+    np.testing.assert_allclose(recording.agent_position[0, 0], [0, 0, 0.93], atol=1e-9)
+    np.testing.assert_allclose(recording.agents[0].sensor.mount_position, [0, 0, 0.8])
+
+
+def test_a_step_of_latitude_and_longitude_is_a_step_in_metres(tmp_path: Path) -> None:
+    lines = [f"{49 + k * 1e-5} {8.4 + k * 1e-5} {115 + k} 0 0 0{' 0' * 24}" for k in range(4)]
+    position = read(write(tmp_path, oxts="\n".join(lines))).agent_position[:, 0]
+    arc = np.radians(1e-5) * 6378137.0
+    np.testing.assert_allclose(np.diff(position, axis=0), [[arc * np.cos(np.radians(49)), arc, 1.0]] * 3, rtol=1e-4)
+
+
+def test_roll_and_pitch_of_the_car_turn_what_it_sees(tmp_path: Path) -> None:
+    oxts = "".join(f"49.0 8.4 115.0 0.0 -0.1 0.0{' 0' * 24}\n" for _ in range(4))  # the nose is up
+    truth = read(write(tmp_path, oxts=oxts)).truth_at(0)
+    assert truth.position[1, 2] == pytest.approx(0.75 + 10 * np.sin(0.1), abs=0.1)
+
+
+def test_labels_with_a_score_and_files_of_the_object_benchmark_are_read(tmp_path: Path) -> None:
+    scored = "".join(f"{line} 0.9\n" for line in LABELS.splitlines())
+    calibration = CALIBRATION.replace("R_rect", "R0_rect:").replace("velo_cam", "velo_to_cam:")
+    calibration = calibration.replace("imu_velo", "imu_to_velo:")
+    (tmp_path / "other").mkdir()
+    one, other = read(write(tmp_path)), read(write(tmp_path / "other", label_02=scored, calib=calibration))
+    np.testing.assert_array_equal(one.truth.position, other.truth.position)
+
+
+def test_a_part_of_a_sequence_can_be_used(tmp_path: Path) -> None:
+    labels = "".join(line + "\n" for line in LABELS.splitlines() if not line.startswith("3 7"))
+    recording = read(write(tmp_path, label_02=labels), first_frame=1, last_frame=2, n_mobile=1)
+    assert len(recording) == 2
+    assert recording.agents[1].object_id == 8
+    with pytest.raises(ConfigurationError, match=r"0000\.txt: n_mobile is 1, expected 0 to 0: 0 vehicles besides"):
+        read(tmp_path, n_mobile=1)
+
+
+def changed(old: str, new: str) -> Callable[[str], str]:
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, 1)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        ("label_02", changed("1.5 1.7 4.1", "1.5 4.1"), "line 2: found 16 values, expected 17, or one more: a score"),
+        ("label_02", changed("0 7 Car", "4 7 Car"), "line 2: frame: found '4', expected a whole number from 0 to 3"),
+        ("label_02", changed("0 7 Car", "-1 7 Car"), "line 2: frame: found '-1', expected a whole number from 0 to 3"),
+        ("label_02", changed("0 7 Car", "0.5 7 Car"), "line 2: frame: found '0.5', expected a whole number"),
+        ("label_02", changed("0 7 Car", "0 --7 Car"), "line 2: track: found '--7', expected a whole number"),
+        ("label_02", changed("0 7 Car", "0 -1 Car"), "line 2: track: found '-1', expected a whole number from 0"),
+        ("label_02", changed("0 9 Cyc", "0 7 Cyc"), "line 3: track: found '7', expected every track once in frame 0"),
+        ("label_02", changed("Cyclist", "Horse"), "line 3: type: found 'Horse', expected one of Car, Van"),
+        ("label_02", changed("1.5 1.7 4.1", "1.5 1.7 0"), "line 2: length: found '0', expected a size above 0"),
+        ("label_02", changed("1.5 1.7 4.1", "-1.5 1.7 4.1"), "line 2: height: found '-1.5', expected a finite number"),
+        ("label_02", changed("1.73 10.0", "1.73 nan"), "line 2: z: found 'nan', expected a finite number from"),
+        ("label_02", changed("1.73 10.0", "1.73 1e9"), "line 2: z: found '1e9', expected a finite number from"),
+        ("label_02", changed("60.0 0.0", "60.0 inf"), "line 3: rotation_y: found 'inf', expected a finite number"),
+        ("label_02", changed("Cyclist 0 3", "Cyclist 0 7"), "line 3: occluded: found '7', expected a whole number"),
+        ("label_02", lambda text: text.encode() + b"\xff\xfe", "line 13: 'utf-8' codec can't decode"),
+        ("calib", changed("R_rect", "R_other"), "found 0 of R_rect and R0_rect, expected one of them"),
+        ("calib", changed("R_rect", "R0_rect 1\nR_rect"), "found 2 of R_rect and R0_rect, expected one of them"),
+        ("calib", changed("R_rect", "P2: 1\nR_rect"), "line 2: found P2 twice, expected it once"),
+        ("calib", changed("R_rect 1", "R_rect 2"), "line 2: R_rect: found '2', expected an orthonormal"),
+        ("calib", changed("R_rect 1", "R_rect -1"), "line 2: R_rect: found '-1', expected an orthonormal"),
+        ("calib", changed("R_rect 1 0", "R_rect 1"), "R_rect: found 8 numbers, expected 9"),
+        ("calib", changed("-0.8", "x"), "line 4: Tr_imu_velo: found 'x', expected a finite number"),
+        ("calib", changed("Tr_velo_cam 0 -1", "Tr_velo_cam 0 nan"), "line 3: Tr_velo_cam: found 'nan', expected a fin"),
+        ("calib", lambda text: "", "found 0 of R_rect and R0_rect"),
+        ("oxts", changed("49.0 8.4", "49.0"), "line 1: found 29 values, expected 30"),
+        ("oxts", changed("49.0", "149.0"), "line 1: latitude: found '149.0', expected a finite number from -89 to 89"),
+        ("oxts", changed("115.0", "1_0"), "line 1: altitude: found '1_0', expected a finite number"),
+        ("oxts", changed("115.0 0.0", "115.0 90"), "line 1: roll: found '90', expected a finite number from -7 to 7"),
+        ("oxts", lambda text: "\n", "found no line, expected one for each frame"),
+        ("oxts", lambda text: text.encode()[:-400] + b"\x80", "line [0-9]+: 'utf-8' codec can't decode"),
+    ],
+)
+def test_damaged_files_are_refused_with_file_line_and_reason(
+    file: str, change: Callable[[str], str | bytes], message: str, tmp_path: Path
+) -> None:
+    write(tmp_path, **{file: change(FILES[file])})
+    with pytest.raises(SceneError, match=rf"{file}/0000\.txt: .*{message}"):
+        read(tmp_path)
+
+
+def test_missing_files_and_several_sequences_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="found no folder label_02, expected label_02, calib, oxts in it"):
+        read(tmp_path)
+    write(tmp_path)
+    (tmp_path / "label_02" / "0001.txt").write_text(LABELS)
+    with pytest.raises(SceneError, match=r"label_02: found 2 sequences \(0000, 0001\), expected one"):
+        read(tmp_path)
+    assert read(tmp_path, sequence="0000").name == "kitti-0000"
+    with pytest.raises(ConfigurationError, match=r"label_02: sequence is '\.\./0000', expected one of 0000, 0001"):
+        read(tmp_path, sequence="../0000")
+    with pytest.raises(SceneError, match=r"oxts/0001\.txt: cannot be read: .*No such file"):
+        read(tmp_path, sequence="0001")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        (dict(n_infrastructure=17), "KittiTracking: n_infrastructure is 17, expected 0 to 16"),
+        (dict(n_mobile=2), r"label_02/0000\.txt: n_mobile is 2, expected 0 to 1: 1 vehicles besides the ego"),
+        (dict(first_frame=-1), "first_frame, last_frame are -1, None, expected 0 or more, ascending"),
+        (dict(first_frame=3, last_frame=2), "first_frame, last_frame are 3, 2, expected 0 or more, ascending"),
+        (dict(last_frame=4), r"oxts/0000\.txt: first_frame, last_frame are 0, 4, expected 0 to 3"),
+    ],
+)
+def test_parts_and_agents_that_are_not_there_are_refused(parameters: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        read(write(tmp_path), **parameters)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    file=st.sampled_from(sorted(FILES)),
+    fraction=st.floats(0.0, 1.0),
+    replaced=st.integers(0, 30),
+    text=st.one_of(
+        st.binary(max_size=6),
+        st.sampled_from([b" ", b"\n", b"-", b"--1", b"1e400", b"9" * 30, b"\x00", b"nan", b"-1e4"]),
+    ),
+)
+def test_any_change_of_bytes_is_read_or_refused(
+    file: str, fraction: float, replaced: int, text: bytes, tmp_path: Path
+) -> None:
+    content = FILES[file].encode()
+    position = int(fraction * len(content))
+    write(tmp_path, **{file: content[:position] + text + content[position + replaced :]})
+    with contextlib.suppress(SceneError, ConfigurationError):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_twin_plays_without_and_with_attacks(name: str, twin: Path, tmp_path: Path) -> None:
+    agents = play_scored(tmp_path, name, f"kitti:{twin}", frames=len(twin_source()))
+    assert set(agents) == {"ego", "mobile_1", "mobile_2", "infra_1", "infra_2"}
+    picture = agents["ego"]["picture"]
+    assert picture["tp"]["mean"] > 2
+    assert name == "baseline" or picture["fp"]["mean"] > 0.3  # objects that the attack adds
+
+
+def test_the_twin_has_the_lidar_above_the_ground_as_the_reader_expects() -> None:
+    assert LIDAR_IN_IMU[2] + IMU_HEIGHT_M == pytest.approx(1.73)

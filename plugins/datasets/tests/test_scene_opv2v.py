@@ -1,0 +1,563 @@
+"""Scenarios of OPV2V and its relatives are read as they were written, and damaged ones are refused."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import opv2v_writer as writer
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mast_datasets import MultiV2XScene, OPV2VScene, V2V4RealScene, V2XRealScene
+
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASS_INDEX
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import Intersection, Recording, Scene
+from mast_zenoh.sensing import CleanDetector
+from mast_zenoh.testing.fixtures import play
+
+__all__ = ["play"]
+
+FRAMES = 20
+SHORT_NAMES = {OPV2VScene: "opv2v", V2XRealScene: "v2xreal", MultiV2XScene: "multiv2x", V2V4RealScene: "v2v4real"}
+DOUBLED = (OPV2VScene, MultiV2XScene)  # whose frames are numbered 68, 70, …
+WRITERS: dict[type[Scene], Callable[[Recording, Path], Path]] = {
+    OPV2VScene: writer.write_opv2v,
+    V2XRealScene: writer.write_v2xreal,
+    MultiV2XScene: writer.write_multiv2x,
+    V2V4RealScene: writer.write_v2v4real,
+}
+
+
+@pytest.fixture(scope="session")
+def original() -> Recording:
+    """A junction with three cars and a pole as agents."""
+    return Intersection(scene_index=0, n_infrastructure=1, n_mobile=2).record(0, FRAMES)
+
+
+@pytest.fixture(scope="session")
+def twins(original: Recording, tmp_path_factory: pytest.TempPathFactory) -> dict[type[Scene], Path]:
+    folder = tmp_path_factory.mktemp("twins")
+    return {cls: write(original, folder / SHORT_NAMES[cls] / "scenario") for cls, write in WRITERS.items()}
+
+
+def read(cls: Callable[..., Scene], path: Path, **parameters: Any) -> Recording:
+    return cls(path=str(path), detector=CleanDetector(), **parameters).record(0, None)
+
+
+def columns(original: Recording, twin: Recording) -> dict[int, int]:
+    """Columns of the original by those of the twin, of agents that are at the same place."""
+    same = {}
+    for k in range(len(twin.agents)):
+        place = [writer.lidar_position(original, 0, j) for j in range(len(original.agents))]
+        distance = np.linalg.norm(place - writer.lidar_position(twin, 0, k), axis=1)
+        same[k] = int(distance.argmin())
+        assert distance.min() < 1e-9
+    return same
+
+
+@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
+def test_times_and_poses_are_those_that_were_written(cls: type[Scene], twins: Any, original: Recording) -> None:
+    twin = read(cls, twins[cls])
+    np.testing.assert_array_equal(twin.times_ns, original.times_ns)
+    expected = ("ego", "mobile_1") if cls is V2V4RealScene else ("ego", "mobile_1", "mobile_2", "infra_1")
+    assert twin.agent_names == expected
+    for k, j in columns(original, twin).items():
+        assert twin.agents[k].kind == original.agents[j].kind
+        np.testing.assert_allclose(twin.agent_rotation[:, k], original.agent_rotation[:, j], atol=1e-9)
+        for frame in range(FRAMES):
+            place = writer.lidar_position(original, frame, j)
+            np.testing.assert_allclose(writer.lidar_position(twin, frame, k), place, atol=1e-8)
+        if cls in (OPV2VScene, MultiV2XScene):
+            np.testing.assert_allclose(twin.agent_position[:, k], original.agent_position[:, j], atol=1e-8)
+            np.testing.assert_allclose(twin.agent_velocity[:, k], original.agent_velocity[:, j], atol=0.5)
+
+
+@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
+def test_objects_and_who_sees_them_are_those_that_were_written(
+    cls: type[Scene], twins: Any, original: Recording
+) -> None:
+    twin = read(cls, twins[cls])
+    same = columns(original, twin)
+    own = {twin.agents[k].object_id: original.agents[j].object_id for k, j in same.items()}
+    compared = 0
+    for frame in range(FRAMES):
+        theirs, ours = original.truth_at(frame), twin.truth_at(frame)
+        seen = original.points_at(frame)[:, list(same.values())]
+        listed = np.ones(len(theirs), np.bool_) if cls is MultiV2XScene else seen.max(axis=1) > 0
+        cars = [original.agents[j].object_id for j in same.values() if original.agents[j].kind == "mobile"]
+        expected = np.flatnonzero(listed | np.isin(theirs.id, cars))
+        row = {int(number): k for k, number in enumerate(theirs.id)}
+        names = [own.get(int(number), int(number)) for number in ours.id]
+        assert sorted(names) == theirs.id[expected].tolist()
+        rows = np.array([row[name] for name in names])
+        known = np.flatnonzero(listed[rows])
+        compared += len(known)
+        rows = rows[known]
+        np.testing.assert_allclose(ours.position[known], theirs.position[rows], atol=1e-8)
+        np.testing.assert_allclose(ours.size[known], theirs.size[rows], atol=1e-9)
+        np.testing.assert_allclose(wrap_angle(ours.yaw[known] - theirs.yaw[rows] + 1.0), 1.0, atol=1e-9)
+        classes = np.full(len(rows), CLASS_INDEX["car"]) if cls is OPV2VScene else theirs.class_id[rows]
+        np.testing.assert_array_equal(ours.class_id[known], classes)
+        if cls is MultiV2XScene:
+            np.testing.assert_array_equal(twin.points_at(frame)[known], seen[rows])
+        else:
+            np.testing.assert_array_equal(twin.points_at(frame)[known] >= 5, seen[rows] > 0)
+            assert not ((twin.points_at(frame) > 0) & (twin.points_at(frame) < 5)).any()
+    assert compared > 15 * FRAMES
+
+
+def test_a_scene_by_hand_has_y_to_the_left(tmp_path: Path) -> None:
+    """A car that heads towards CARLA's y, which is to the right of x, with its nose 10 degrees up."""
+    ahead = {"location": [10.0, 30.0, 1.0], "center": [0.0, 0.0, 0.5], "extent": [2.0, 1.0, 0.75], "angle": [0, 120, 0]}
+    for frame in range(2):
+        content = {
+            "lidar_pose": [10.0, 20.0, 2.0, 0.0, 90.0, 10.0],
+            "true_ego_pos": [10.0, 20.0, 0.0, 0.0, 90.0, 0.0],
+            "vehicles": {7: ahead},
+        }
+        writer.write_yaml(tmp_path / "scenario" / "5" / f"{frame:06d}.yaml", content)
+    scene = read(OPV2VScene, tmp_path)
+    assert scene.truth_at(0).id.tolist() == [5, 7]
+    np.testing.assert_allclose(scene.truth.position[:2], [[10.0, -20.0, 1.511 / 2], [10.0, -30.0, 1.5]])
+    np.testing.assert_allclose(scene.truth.size[1], [4.0, 2.0, 1.5])
+    np.testing.assert_allclose(np.degrees(scene.truth.yaw[:2]), [-90.0, -120.0])
+    np.testing.assert_allclose(scene.agent_position[0, 0], [10.0, -20.0, 0.0])
+    up = np.radians(10)
+    np.testing.assert_allclose(scene.agent_rotation[0, 0, :, 0], [0.0, -np.cos(up), np.sin(up)], atol=1e-12)
+    np.testing.assert_allclose(scene.agent_rotation[0, 0, :, 1], [1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(writer.lidar_position(scene, 0, 0), [10.0, -20.0, 2.0], atol=1e-12)
+
+
+def test_a_car_that_nobody_lists_has_the_usual_size(twins: Any, original: Recording) -> None:
+    ego = original.agents[0].object_id
+    for frame in range(5):
+        assert original.points_at(frame)[original.truth_at(frame).id == ego].max() == 0
+    twin = read(OPV2VScene, twins[OPV2VScene], ego=ego, last_frame=writer.FIRST + 8)
+    assert twin.agents[0].object_id == ego
+    rows = twin.truth.id == ego
+    np.testing.assert_allclose(twin.truth.size[rows], np.tile([4.902, 2.128, 1.511], (5, 1)))
+    centre = twin.agent_position[:, 0] + [0.0, 0.0, 1.511 / 2]
+    np.testing.assert_allclose(twin.truth.position[rows], centre, atol=1e-9)
+
+
+def test_agents_and_frames_can_be_chosen(twins: Any) -> None:
+    whole = read(OPV2VScene, twins[OPV2VScene])
+    part = read(OPV2VScene, twins[OPV2VScene], first_frame=72, last_frame=80, n_mobile=1, n_infrastructure=0)
+    assert part.agent_names == ("ego", "mobile_1")
+    assert len(part) == 5
+    assert part.times_ns[0] == 0
+    others = part.truth_at(0).id != 20  # a car that nobody lists until later, which has the usual size until then
+    np.testing.assert_allclose(part.truth_at(0).position[others], whole.truth_at(2).position[others])
+    assert read(OPV2VScene, twins[OPV2VScene], rate_hz=5).times_ns[1] == 200_000_000
+    assert OPV2VScene(path=str(twins[OPV2VScene])).record(0, 3).times_ns.tolist() == [0, 100_000_000, 200_000_000]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        (dict(n_mobile=3), "n_mobile is 3, expected 0 to 2: the scene has 2 cars besides the ego"),
+        (dict(n_infrastructure=2), "n_infrastructure is 2, expected 0 to 1: the scene has 1 poles"),
+        (dict(n_mobile=-1), "n_mobile is -1, expected 0 to 2"),
+        (dict(ego=7), "ego is 7, expected the number of a car: 6, 9, 20"),
+        (dict(ego=-3), "ego is -3, expected the number of a car: 6, 9, 20"),
+        (dict(first_frame=69), "first_frame is 69, expected the number of one of its files, 68 to 106"),
+        (dict(first_frame=80, last_frame=70), "first_frame is 80, expected at most last_frame, 70"),
+        (dict(rate_hz=0), "rate_hz is 0, expected 0.01 to 1000"),
+    ],
+)
+def test_parameters_that_the_scenario_does_not_have_are_refused(twins: Any, parameters: Any, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        read(OPV2VScene, twins[OPV2VScene], **parameters)
+
+
+@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
+def test_more_frames_than_there_are_are_refused(cls: Any, twins: Any) -> None:
+    with pytest.raises(ConfigurationError, match="21 frames requested, the scene has 20"):
+        cls(path=str(twins[cls])).record(0, 21)
+
+
+def test_the_scenario_is_found_from_the_folder_above(twins: Any) -> None:
+    assert read(OPV2VScene, twins[OPV2VScene].parent, last_frame=70).name == "scenario"
+
+
+def test_agents_of_multi_v2x_come_by_their_distance_from_the_ego(twins: Any) -> None:
+    scene = read(MultiV2XScene, twins[MultiV2XScene], ego=20)
+    distance = np.linalg.norm(scene.agent_position[0, 1:3] - scene.agent_position[0, 0], axis=1)
+    assert distance[0] < distance[1]
+
+
+def test_a_car_of_multi_v2x_that_leaves_is_no_agent_but_an_object(twins: Any, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(twins[MultiV2XScene], tmp_path / "town"))
+    (folder / "cav_9" / "000106.yaml").unlink()
+    scene = read(MultiV2XScene, folder)
+    assert [agent.object_id for agent in scene.agents] == [6, 20, -1]
+    assert 9 in scene.truth_at(19).id
+
+
+def test_without_view_files_rays_are_cast(twins: Any, tmp_path: Path, original: Recording) -> None:
+    folder = Path(shutil.copytree(twins[MultiV2XScene], tmp_path / "town"))
+    for path in folder.glob("*/*_view.yaml"):
+        path.unlink()
+    scene = read(MultiV2XScene, folder)
+    assert (scene.points >= 5).any(axis=0).all()
+
+
+def test_the_handedness_of_v2x_real_only_mirrors_the_scene(twins: Any) -> None:
+    left, right = (read(V2XRealScene, twins[V2XRealScene], left_handed=value) for value in (True, False))
+    np.testing.assert_allclose(right.truth.position, left.truth.position * [1.0, -1.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(right.agent_position, left.agent_position * [1.0, -1.0, 1.0], atol=1e-9)
+    np.testing.assert_array_equal(right.points > 0, left.points > 0)
+
+
+def test_objects_of_v2v4real_without_an_association_get_ids_of_their_own(tmp_path: Path, original: Recording) -> None:
+    alone = int(original.truth.id[np.flatnonzero((original.points[:, 0] > 0) & (original.points[:, 1] == 0))[0]])
+    folder = writer.write_v2v4real(original, tmp_path / "s", alone=alone)
+    scene = read(V2V4RealScene, folder)
+    assert alone not in scene.truth.id
+    place = original.truth.position[np.flatnonzero((original.truth.id == alone) & (original.points[:, 0] > 0))[0]]
+    row = np.flatnonzero(np.linalg.norm(scene.truth.position - place, axis=1) < 1e-6)[0]
+    assert scene.truth.id[row] > original.truth.id.max()
+
+
+def test_an_object_that_is_associated_in_some_frames_keeps_that_id(twins: Any, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(twins[V2V4RealScene], tmp_path / "s"))
+    for number in (3, 4):
+        path = folder / "0" / f"{number:06d}.yaml"
+        lines = path.read_text().split("\n")
+        path.write_text("\n".join("    ass_id: -1" if "ass_id:" in line else line for line in lines))
+    np.testing.assert_array_equal(
+        read(V2V4RealScene, folder).truth.id, read(V2V4RealScene, twins[V2V4RealScene]).truth.id
+    )
+
+
+FILE = "6/000068.yaml"
+VIEW = "cav_6/00068_view.yaml"
+REAL = "0/000000.yaml"
+
+
+def edited(change: Callable[[dict[str, Any]], None], file: str) -> Callable[[Path], None]:
+    """Change the content of a file."""
+
+    def damage(folder: Path) -> None:
+        content = yaml.load((folder / file).read_text(), Loader=yaml.CSafeLoader)
+        change(content)
+        writer.write_yaml(folder / file, content)
+
+    return damage
+
+
+def replaced(old: str, new: str, file: str) -> Callable[[Path], None]:
+    """Change the text of a file, once."""
+
+    def damage(folder: Path) -> None:
+        text = (folder / file).read_text()
+        assert old in text
+        (folder / file).write_text(text.replace(old, new, 1))
+
+    return damage
+
+
+def removed(pattern: str) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        for path in folder.glob(pattern):
+            path.unlink()
+
+    return damage
+
+
+def with_file(file: str, content: bytes) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_bytes(content)
+
+    return damage
+
+
+def with_member(name: str, value: object, file: str = FILE, key: str = "vehicles") -> Callable[[Path], None]:
+    return edited(lambda content: content[key][9].update({name: value}), file)
+
+
+def without_member(name: str) -> Callable[[Path], None]:
+    return edited(lambda content: content["vehicles"][9].pop(name), FILE)
+
+
+def with_top(name: str, value: object, file: str = FILE) -> Callable[[Path], None]:
+    return edited(lambda content: content.update({name: value}), file)
+
+
+def with_vehicle(number: object, value: object) -> Callable[[Path], None]:
+    return edited(lambda content: content["vehicles"].update({number: value}), FILE)
+
+
+def without(name: str) -> Callable[[Path], None]:
+    return edited(lambda content: content.pop(name), FILE)
+
+
+def without_folders(*names: str) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        for name in names:
+            shutil.rmtree(folder / name)
+
+    return damage
+
+
+def view(*entries: tuple[int, int]) -> Callable[[Path], None]:
+    return with_top("visible_objects", [{"object_id": one, "visible_points": n} for one, n in entries], VIEW)
+
+
+def moved(metres: float, frames: list[int], agents: tuple[str, ...] = ("6", "9", "20", "-3")) -> Callable[[Path], None]:
+    """Object 10 elsewhere in the files of the agents."""
+
+    def damage(folder: Path) -> None:
+        for agent in agents:
+            for frame in frames:
+                path = folder / agent / f"{frame:06d}.yaml"
+                content = yaml.load(path.read_text(), Loader=yaml.CSafeLoader)
+                for number, each in content["vehicles"].items():
+                    if number == 10:
+                        each["location"][0] += metres
+                writer.write_yaml(path, content)
+
+    return damage
+
+
+NEST = b"lidar_pose: " + b"[" * 200 + b"]" * 200
+BOMB = b"a: &a [x, x, x, x, x, x, x, x, x, x]\n" + b"".join(
+    b"%c: &%c [%s]\n" % (k + 1, k + 1, b", ".join([b"*%c" % k] * 10)) for k in range(ord("a"), ord("i"))
+)
+FOUR = "    - 4\n    - 4\n"
+NINE = "\nvehicles:\n  009: {extent: [1, 1, 1], location: [0, 0, 0], center: [0, 0, 0], angle: [0, 0, 0]}\n  "
+TAGGED = "lidar_pose: !!python/object/apply:%s\n"
+
+DAMAGES: dict[str, tuple[type[Scene], Callable[[Path], None], str]] = {
+    "missing frame": (
+        OPV2VScene,
+        removed("20/000072.yaml"),
+        r"scenario/20: no file for frame 72, expected 000072\.yaml",
+    ),
+    "agent that leaves": (OPV2VScene, removed("-3/000078.yaml"), r"-3: no file for frame 78.*appear or disappear"),
+    "agent that appears": (OPV2VScene, removed("9/000068.yaml"), r"scenario/9: no file for frame 68"),
+    "gap": (OPV2VScene, removed("*/000072.yaml"), r"scenario/6: frame 70 is followed by 74, expected 72"),
+    "extra frame": (OPV2VScene, with_file("20/000069.yaml", b"{}"), r"20/000069\.yaml: the ego has no frame 69"),
+    "frame twice": (
+        OPV2VScene,
+        with_file("6/00068.yaml", b"{}"),
+        r"00068\.yaml: found frame 68 twice, also 0+68\.yaml|000068",
+    ),
+    "agent twice": (
+        OPV2VScene,
+        with_file("06/000068.yaml", b"{}"),
+        r"scenario/6: found agent 6 twice, also 06|06: found",
+    ),
+    "no car": (OPV2VScene, without_folders("6", "9", "20"), "all 1 agents are"),
+    "no agent": (OPV2VScene, without_folders("6", "9", "20", "-3"), "0 scenarios, expected"),
+    "empty file": (OPV2VScene, with_file(FILE, b""), r"000068\.yaml: found 0 documents, expected one"),
+    "truncated": (OPV2VScene, replaced("\nvehicles:", "\nvehi", FILE), r"6/000068\.yaml: not YAML: .*line"),
+    "not UTF-8": (OPV2VScene, with_file(FILE, b"a: \xff\xfe"), r"000068\.yaml: .*utf-8"),
+    "two documents": (OPV2VScene, with_file(FILE, b"--- 1\n--- 2\n"), "found 2 documents"),
+    "list": (OPV2VScene, with_file(FILE, b"- 1"), r"found \[1\], expected an object with named values"),
+    "no pose": (OPV2VScene, without("lidar_pose"), "lidar_pose is missing"),
+    "no body": (OPV2VScene, without("true_ego_pos"), "true_ego_pos is missing"),
+    "no objects": (OPV2VScene, without("vehicles"), "vehicles is missing"),
+    "short pose": (OPV2VScene, with_top("lidar_pose", [1.0] * 5), r"lidar_pose: found .*, expected a list of 6"),
+    "pose not finite": (
+        OPV2VScene,
+        with_top("lidar_pose", [float("nan")] * 6),
+        r"lidar_pose\[0\]: found nan, expected",
+    ),
+    "pose of text": (
+        OPV2VScene,
+        with_top("lidar_pose", ["x"] * 6),
+        r"lidar_pose\[0\]: found 'x', expected a finite number",
+    ),
+    "pose too far": (OPV2VScene, with_top("lidar_pose", [1e300] * 6), r"lidar_pose\[0\]: found 1e\+300, expected"),
+    "not a rotation": (OPV2VScene, with_top("lidar_pose", (2 * np.eye(4)).tolist()), "whose last row is 0, 0, 0, 1"),
+    "lidar off its car": (
+        OPV2VScene,
+        with_top("lidar_pose", [0.0] * 6),
+        r"6/000068\.yaml: lidar_pose is .* m from where",
+    ),
+    "moving pole": (OPV2VScene, with_top("lidar_pose", [0.0] * 6, "-3/000070.yaml"), "scenario/-3: the pole moves"),
+    "size zero": (OPV2VScene, with_member("extent", [0.0, 1.0, 1.0]), r"vehicles\.9\.extent: found .* above 0"),
+    "size too large": (
+        OPV2VScene,
+        with_member("extent", [1e6, 1.0, 1.0]),
+        r"vehicles\.9\.extent: found .* at most 1000",
+    ),
+    "no size": (OPV2VScene, without_member("extent"), r"vehicles\.9: extent is missing"),
+    "no place": (OPV2VScene, without_member("location"), r"vehicles\.9: location is missing"),
+    "infinite place": (OPV2VScene, with_member("location", [float("inf"), 0, 0]), r"9\.location\[0\]: found inf"),
+    "true as a number": (OPV2VScene, with_member("angle", [True, 0.0, 0.0]), r"9\.angle\[0\]: found True, expected"),
+    "object of text": (OPV2VScene, with_vehicle(9, "x"), r"vehicles\.9: found 'x'"),
+    "id of text": (OPV2VScene, with_vehicle("x", 1), r"vehicles\.x: found 'x', expected a whole number"),
+    "negative id": (OPV2VScene, with_vehicle(-4, 1), r"vehicles\.-4: found '-4'"),
+    "id twice": (OPV2VScene, replaced("\nvehicles:\n  ", NINE, FILE), r"vehicles: found 9, expected each object once"),
+    "key twice": (
+        OPV2VScene,
+        replaced("ego_speed", "lidar_pose: 1\nego_speed", FILE),
+        r"line \d+: found the key lidar_pose twice",
+    ),
+    "agents disagree": (
+        OPV2VScene,
+        moved(3.0, [70], ("6",)),
+        r"object 10 is 3\.00 m from where agent 6 lists it, expected at most 0\.5 m",
+    ),
+    "id does not last": (
+        OPV2VScene,
+        moved(80.0, [72]),
+        r"000072\.yaml: object 10 is .* m from where it was in 000070\.yaml.*one object",
+    ),
+    "agent elsewhere": (
+        OPV2VScene,
+        with_member("location", [0.0] * 3),
+        r"6/000068\.yaml: object 9 is .* m from agent 9, expected at most 2 m: it is the same car",
+    ),
+    "deep": (OPV2VScene, with_file(FILE, NEST), r"line 1: nested deeper than 32 levels"),
+    "alias bomb": (OPV2VScene, with_file(FILE, BOMB), r"line \d+: more than 2000000 values, aliases included"),
+    "unknown alias": (OPV2VScene, with_file(FILE, b"lidar_pose: *a"), r"found the alias \*a"),
+    "alias to itself": (OPV2VScene, with_file(FILE, b"a: &a [*a]"), r"found the alias \*a, expected one of a value"),
+    "call": (
+        OPV2VScene,
+        with_file(FILE, (TAGGED % "os.system [echo]").encode()),
+        "line 1: found the tag tag:yaml.org,2002:python/object/apply:os.system",
+    ),
+    "name": (OPV2VScene, with_file(FILE, b"a: !!python/name:os.system ''"), "line 1: found the tag .*name:os.system"),
+    "own tag": (OPV2VScene, with_file(FILE, b"a: !mine 1"), "line 1: found the tag !mine, expected text or a number"),
+    "no category": (V2XRealScene, replaced("obj_type", "object_type", "1/000000.yaml"), "obj_type is missing"),
+    "no map": (MultiV2XScene, without_folders("map"), r"map: no files <frame>\.yaml, expected one with all"),
+    "no map of a frame": (MultiV2XScene, removed("map/00070.yaml"), r"map: no file for frame 70"),
+    "no view of a frame": (
+        MultiV2XScene,
+        removed("cav_6/00070_view.yaml"),
+        r"cav_6: no file for frame 70, expected 000070_view\.yaml",
+    ),
+    "gap of an agent": (MultiV2XScene, removed("cav_9/000070.yaml"), r"cav_9: no file for frame 70"),
+    "view of a stranger": (
+        MultiV2XScene,
+        view((999, 1)),
+        r"00068_view\.yaml: visible_objects\[0\]\.object_id: found 999, expected an object that the map has",
+    ),
+    "seen twice": (
+        MultiV2XScene,
+        view((9, 1), (9, 1)),
+        r"visible_objects\[1\]\.object_id: found 9, expected each object once",
+    ),
+    "negative points": (MultiV2XScene, view((9, -1)), r"visible_points: found -1, expected a whole number from 0"),
+    "map size zero": (
+        MultiV2XScene,
+        with_member("extent", [1.0, 0.0, 1.0], "map/00068.yaml", "objects"),
+        r"map/00068\.yaml: objects\.9\.extent: found",
+    ),
+    "shape of a matrix": (
+        V2V4RealScene,
+        replaced(FOUR, "    - 4\n    - 400000\n", REAL),
+        r"line \d+: found 128 bytes of NumPy data, expected 1600000 of 8",
+    ),
+    "axes of a matrix": (V2V4RealScene, replaced(FOUR, "    - 4\n    - x\n", REAL), "found a NumPy array of shape"),
+    "type of numbers": (
+        V2V4RealScene,
+        replaced("- f8", "- O8", REAL),
+        "found NumPy numbers of type O8, expected one of b1",
+    ),
+    "byte order": (V2V4RealScene, replaced("- <", "- '?'", REAL), "unknown byte order"),
+    "class of an array": (
+        V2V4RealScene,
+        replaced("numpy.ndarray", "numpy.matrix", REAL),
+        "found the tag .*name:numpy.matrix",
+    ),
+    "function of an array": (
+        V2V4RealScene,
+        replaced("multiarray._reconstruct", "multiarray.fromfile", REAL),
+        r"0/000000\.yaml: line \d+: found the tag .*fromfile",
+    ),
+    "not base64": (V2V4RealScene, replaced("AAAAAAAAREA=", "%%%%", REAL), "found binary data that is not base64"),
+    "pickled": (
+        V2V4RealScene,
+        replaced("  - !!binary |\n    AAAAAAAAREA=", "  - x", REAL),
+        "found 0 bytes of NumPy data, expected 1 of 8",
+    ),
+    "association of text": (
+        V2V4RealScene,
+        replaced("ass_id: ", "ass_id: x", REAL),
+        r"ass_id: found 'x\d+', expected a whole number",
+    ),
+}
+
+
+@pytest.fixture(scope="session")
+def short_twins(original: Recording, tmp_path_factory: pytest.TempPathFactory) -> dict[type[Scene], Path]:
+    """Twins of the first six frames."""
+    short = replace(original, times_ns=original.times_ns[:6])
+    folder = tmp_path_factory.mktemp("short")
+    return {cls: write(short, folder / SHORT_NAMES[cls] / "scenario") for cls, write in WRITERS.items()}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_scenario_is_refused_with_file_and_place(name: str, short_twins: Any, tmp_path: Path) -> None:
+    cls, damage, message = DAMAGES[name]
+    folder = Path(shutil.copytree(short_twins[cls], tmp_path / "scenario"))
+    damage(folder)
+    with pytest.raises(SceneError, match=message):
+        read(cls, folder)
+
+
+def test_a_path_that_is_no_scenario_is_refused(tmp_path: Path, short_twins: Any) -> None:
+    with pytest.raises(SceneError, match="nowhere: no such folder"):
+        read(OPV2VScene, tmp_path / "nowhere")
+    for name in ("a", "b"):
+        shutil.copytree(short_twins[OPV2VScene], tmp_path / name)
+    with pytest.raises(SceneError, match="2 scenarios, expected one"):
+        read(OPV2VScene, tmp_path)
+
+
+VALUES = st.sampled_from(
+    ["", "-1", "1e400", ".nan", "[]", "{}", "null", "true", "--5", "!!python/tuple [1]", "*id001", "&id001 x", "9" * 50]
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
+def test_any_mutation_of_a_file_is_read_or_refused(cls: Any, short_twins: Any, tmp_path: Path, data: Any) -> None:
+    folder = tmp_path / "scenario"
+    if not folder.exists():
+        shutil.copytree(short_twins[cls], folder)
+    files = sorted(path for path in folder.glob("*/*.yaml") if "70" in path.stem or "1" in path.stem)
+    file = data.draw(st.sampled_from(files))
+    before = file.read_bytes()
+    text = bytearray(before)
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, len(text) - 1))
+        if data.draw(st.booleans()):
+            text[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=4))
+        else:  # another value of a line
+            start = text.rfind(b" ", 0, place) + 1
+            end = text.find(b"\n", start)
+            text[start:end] = data.draw(VALUES).encode()
+    file.write_bytes(bytes(text))
+    try:
+        read(cls, folder, last_frame=data.draw(st.sampled_from([None, 70 if cls in DOUBLED else 1])))
+    except (SceneError, ConfigurationError):
+        pass
+    finally:
+        file.write_bytes(before)
+
+
+@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
+def test_baseline_and_both_attacks_play_a_scenario(play: Any, cls: Any, twins: Any) -> None:
+    shared = dict(frames=FRAMES, seed=1, scene=f"{SHORT_NAMES[cls]}:{twins[cls]}", report=False)
+    runs = [play("baseline", **shared)]
+    runs += [play(name, n_adversaries=1, attack_start_s=0.5, **shared) for name in ("uncoordinated", "coordinated")]
+    scores = [run.summary["agents"]["ego"]["picture"] for run in runs]
+    assert [run.status for run in runs] == ["ok"] * 3
+    assert min(score["tp"]["mean"] for score in scores) > 10
+    assert scores[0]["fp"]["mean"] < 1
+    assert min(score["fp"]["mean"] for score in scores[1:]) > scores[0]["fp"]["mean"] + 0.3

@@ -1,0 +1,148 @@
+"""The closed YAML reader knows numbers, text and arrays, and nothing else."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mast_datasets.opv2v_yaml import read_yaml
+
+from mast_zenoh.errors import SceneError
+
+#: Numbers that PyYAML takes for text, see `test_numbers_in_other_spellings_are_numbers`.
+OTHER_NUMBER = re.compile(r"[-+]?[0-9]*\.?[0-9]*([eE][-+]?[0-9]+)?")
+TEXT = st.text(max_size=5).filter(lambda text: not OTHER_NUMBER.fullmatch(text))
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**30), 10**30) | st.floats(allow_nan=False) | TEXT,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXT | st.integers(), inner, max_size=4),
+    max_leaves=15,
+)
+OPTIONS = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def value(tmp_path: Path, text: str | bytes) -> Any:
+    path = tmp_path / "000000.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_yaml(path).value
+
+
+@OPTIONS
+@given(PLAIN)
+def test_plain_values_are_those_of_pyyaml(tmp_path: Path, content: Any) -> None:
+    assert value(tmp_path, yaml.safe_dump(content)) == content
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(16.0).reshape(4, 4),
+        np.asfortranarray(np.arange(6.0, dtype=np.float32).reshape(2, 3)),
+        np.arange(4, dtype=">i4"),
+        np.array([True, False]),
+        np.zeros((0, 3)),
+        np.array(2.5),
+    ],
+    ids=lambda array: f"{array.dtype.str} {array.shape}",
+)
+def test_arrays_are_those_that_numpy_wrote(tmp_path: Path, array: Any) -> None:
+    for module in ("numpy._core", "numpy.core"):
+        text = yaml.dump({"a": array, "b": array}).replace("numpy._core", module)
+        assert "python/object/apply:numpy" in text
+        assert value(tmp_path, text) == {"a": array.tolist(), "b": array.tolist()}
+
+
+@pytest.mark.parametrize("number", [np.float64(-1.5), np.float32(0.5), np.int64(7), np.uint8(3), np.bool_(True)])
+def test_numbers_are_those_that_numpy_wrote(tmp_path: Path, number: Any) -> None:
+    found = value(tmp_path, yaml.dump({"gps": [number, (1, 2)]}))
+    assert found == {"gps": [number.item(), [1, 2]]}
+    assert type(found["gps"][0]) in (int, float, bool)
+
+
+def test_numbers_in_other_spellings_are_numbers(tmp_path: Path) -> None:
+    assert value(tmp_path, "[1e5, -2.5E-3, .5, 1., +3, 000068, '4', .inf]") == [
+        1e5,
+        -2.5e-3,
+        0.5,
+        1.0,
+        3,
+        "000068",
+        "4",
+        float("inf"),
+    ]
+
+
+def test_a_file_cannot_run_anything(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    calls = [
+        f"!!python/object/apply:os.system ['touch {mark}']",
+        f"!!python/object/apply:pathlib.Path.touch [!!python/object/apply:pathlib.Path ['{mark}']]",
+        f"!!python/object/new:subprocess.Popen [['touch', '{mark}']]",
+        "!!python/module:antigravity ''",
+        "!!python/object/apply:numpy.load [x]",
+    ]
+    for call in calls:
+        with pytest.raises(SceneError, match=r"000000\.yaml: line 1: found the tag tag:yaml\.org,2002:python/"):
+            value(tmp_path, f"a: {call}")
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 1\na: 2", "line 2: found the key a twice"),
+        ("? [1]\n: 2", "found a key that is no text or number"),
+        ("&a [*a]", r"found the alias \*a, expected one of a value before it"),
+        ("a: !!set {1}", "found the tag tag:yaml.org,2002:set"),
+        ("a: !!int x", "found the tag tag:yaml.org,2002:int"),
+        ("- " * 40 + "1", "line 1: nested deeper than 32 levels"),
+        (
+            "a: !!python/object/apply:numpy.dtype {args: [f8, 0, 1], listitems: []}",
+            "with args, listitems, expected args",
+        ),
+        ("a: !!python/object/apply:numpy.dtype [f8]", "with other arguments, expected 3"),
+        ("a: !!python/object/apply:numpy.core.multiarray.scalar [f8, x]", "NumPy data without its type"),
+        ("a: !!python/object/apply:numpy.core.multiarray._reconstruct [1, 2, 3]", "NumPy value of another class"),
+        ("a: !!python/name:numpy.ndarray 'x'", "found the tag"),
+        ("{", "not YAML: .*line 2"),
+        ("a: \x07", "not YAML"),
+    ],
+)
+def test_other_values_are_refused_with_their_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        value(tmp_path, text)
+
+
+def test_a_large_file_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "000000.yaml").open("wb") as file:
+        file.truncate(50_000_001)
+    with pytest.raises(SceneError, match="found 50000001 bytes, expected at most 50000000"):
+        read_yaml(tmp_path / "000000.yaml")
+    with pytest.raises(SceneError, match=r"nowhere\.yaml: .*No such file"):
+        read_yaml(tmp_path / "nowhere.yaml")
+
+
+def test_long_text_counts_by_its_length_in_aliases(tmp_path: Path) -> None:
+    text = "a: &a " + "x" * 1_000_000 + "\nb: [" + "*a, " * 100 + "]"
+    with pytest.raises(SceneError, match="line 2: more than 2000000 values, aliases included"):
+        value(tmp_path, text)
+
+
+@OPTIONS
+@given(st.text(alphabet="[]{},:-?&*!|>'\"%@#ab1. \n", max_size=40))
+def test_any_text_is_read_or_refused(tmp_path: Path, text: str) -> None:
+    with contextlib.suppress(SceneError):
+        value(tmp_path, text)
+
+
+@OPTIONS
+@given(st.binary(max_size=40))
+def test_any_bytes_are_read_or_refused(tmp_path: Path, content: bytes) -> None:
+    with contextlib.suppress(SceneError):
+        value(tmp_path, content)

@@ -1,0 +1,339 @@
+"""Reading floating-car data of SUMO, and refusal of damaged ones."""
+
+import contextlib
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mast_datasets import SumoTrace
+from reference_data import reference
+from scored_run import SCENARIOS, play_scored
+from sumo_writer import write_sumo
+from twin_source import assert_equal_truth, returns_of, twin_source
+
+from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import Recording
+from mast_zenoh.sensing import CleanDetector
+
+
+def vehicle(name: str, x: float, y: float = 0.0, angle: float = 90.0, kind: str = "car") -> str:
+    return f'<vehicle id="{name}" x="{x:.2f}" y="{y:.2f}" angle="{angle:.2f}" type="{kind}" speed="10.00"/>'
+
+
+def trace(steps: int = 5, *more: str) -> str:
+    """A car that drives east at 10 m/s, a bus 20 m ahead, and a car 400 m away that goes north; 2 s to 2.4 s."""
+    lines = ['<?xml version="1.0"?>', "<fcd-export>"]
+    for k in range(steps):
+        lines.append(f'<timestep time="{2 + k / 10:.2f}">')
+        lines.append(vehicle("a", 100 + k))
+        lines.append(vehicle("b", 120 + k, kind="bus@b"))
+        lines.append(vehicle("c", 500, k, angle=0.0, kind="DEFAULT_VEHTYPE"))
+        lines += [*more, "</timestep>"]
+    return "\n".join([*lines, "</fcd-export>\n"])
+
+
+TRACE = trace()
+TYPES = '<routes>\n<vTypeDistribution id="d"><vType id="car" length="4" width="1.7"/></vTypeDistribution>\n</routes>\n'
+TABLE = "t,id,class,x_front,y_front,heading_deg_cw_from_north,speed,length,width,height\n" + "".join(
+    f"{2 + k / 10:.1f},{name},{kind},{x + k:.2f},0.00,90.0,10.00,{length},1.80,1.50\n"
+    for k in range(5)
+    for name, kind, x, length in (("a", "passenger", 100, "4.50"), ("b", "bus", 120, "12.00"))
+)
+HOUSES = (
+    '<shapes>\n<poly id="1" type="building" shape="90,10 99,10 99,20 90,20"/>\n'
+    '<poly id="2" type="water" shape="1,2"/>\n</shapes>\n'
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "fcd.xml").write_text(TRACE)
+    (tmp_path / "types.rou.xml").write_text(TYPES)
+    (tmp_path / "town.poly.xml").write_text(HOUSES)
+    return tmp_path
+
+
+def read(path: Path, **parameters: Any) -> Recording:
+    return SumoTrace(path=str(path), **{"n_infrastructure": 0} | parameters).record(0, None)
+
+
+@pytest.fixture(scope="session")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_sumo(twin_source(), tmp_path_factory.mktemp("sumo"))
+
+
+@pytest.mark.parametrize("kind", ["xml", "csv"])
+def test_a_twin_is_read_back(kind: str, tmp_path: Path) -> None:
+    source = twin_source()
+    path = write_sumo(source, tmp_path / "twin", kind)
+    ego = f"user.{source.agents[0].object_id}"
+    recording = read(path, ego=ego, n_mobile=12, radius_m=400.0, detector=CleanDetector())
+    assert_equal_truth(recording, source)
+    assert len(recording.buildings) == len(source.buildings)
+    np.testing.assert_allclose(recording.building_height, source.building_height)
+    np.testing.assert_array_equal(returns_of(recording, source), source.points)
+
+
+def test_the_box_is_behind_the_front_bumper_and_turned_from_north(folder: Path) -> None:
+    recording = read(folder, ego="a", radius_m=500)
+    truth = recording.truth_at(0)
+    # The car: 4 m long, middle at 98. The bus: middle at 114. The other car heads north: its middle is 2.5 m south.
+    np.testing.assert_allclose(truth.position[:, :2], [[0, 0], [16, 0], [402, -2.5]], atol=1e-9)
+    np.testing.assert_allclose(truth.position[:, 2], truth.size[:, 2] / 2)
+    np.testing.assert_allclose(truth.size, [[4.0, 1.7, 1.5], [12.0, 2.5, 3.4], [5.0, 1.8, 1.5]])
+    np.testing.assert_allclose(truth.yaw, [0.0, 0.0, np.pi / 2])
+    np.testing.assert_allclose(truth.velocity, [[10, 0, 0], [10, 0, 0], [0, 10, 0]], atol=1e-9)
+    assert [CLASSES[k] for k in truth.class_id] == ["car", "bus", "car"]
+    assert recording.times_ns.tolist() == [k * 100_000_000 for k in range(5)]
+    np.testing.assert_allclose(recording.buildings[0], np.array([[90, 10], [99, 10], [99, 20], [90, 20]]) - [98, 0])
+    assert recording.building_height.tolist() == [12.0]
+
+
+def test_objects_far_from_the_route_of_the_ego_are_left_out(folder: Path) -> None:
+    assert np.diff(read(folder).truth_start).tolist() == [2] * 5
+
+
+def test_vehicles_that_leave_the_region_vanish(folder: Path) -> None:
+    text = TRACE
+    for k in range(3, 5):
+        text = text.replace(vehicle("b", 120 + k, kind="bus@b"), vehicle("b", 900, kind="bus@b"))
+    (folder / "fcd.xml").write_text(text)
+    assert np.diff(read(folder, ego="a").truth_start).tolist() == [2, 2, 2, 1, 1]
+    with pytest.raises(
+        ConfigurationError, match="n_mobile is 1, expected 0 to 0: 0 vehicles besides the ego have a bo"
+    ):
+        read(folder, ego="a", n_mobile=1)
+
+
+def test_the_window_is_chosen_by_start_and_duration(folder: Path) -> None:
+    recording = read(folder, ego="a", start_s=2.1, duration_s=0.3)
+    assert len(recording) == 3
+    np.testing.assert_allclose(recording.truth_at(0).position[0], [0.0, 0.0, 0.75])
+    assert len(read(folder, start_s=2.1)) == 4
+    assert len(read(folder, duration_s=0.5)) == 5
+
+
+def test_persons_are_where_the_trace_says(folder: Path) -> None:
+    (folder / "fcd.xml").write_text(trace(5, '<person id="a" x="101" y="7" angle="180" speed="1"/>'))
+    truth = read(folder, ego="a").truth_at(0)
+    assert [CLASSES[k] for k in truth.class_id] == ["car", "bus", "pedestrian"]
+    np.testing.assert_allclose(truth.position[2, :2], [3.0, 7.0])
+
+
+def test_the_ground_is_at_the_height_of_the_trace_if_it_has_one(folder: Path) -> None:
+    text = TRACE.replace('x="500', 'z="8" x="500')
+    for x in ("10", "12"):
+        text = text.replace(f'x="{x}', f'z="7.5" x="{x}')
+    (folder / "fcd.xml").write_text(text)
+    truth = read(folder, ego="a", radius_m=500).truth_at(0)
+    np.testing.assert_allclose(truth.position[:, 2] - truth.size[:, 2] / 2, [0.0, 0.0, 0.5], atol=1e-9)
+
+
+def test_tables_with_sizes_need_no_types_and_can_be_compressed(tmp_path: Path) -> None:
+    (tmp_path / "fcd.csv.gz").write_bytes(gzip.compress(TABLE.encode()))
+    truth = read(tmp_path / "fcd.csv.gz", ego="a").truth_at(0)
+    np.testing.assert_allclose(truth.position[:, 0], [0.0, 120 - 6 - (100 - 2.25)])
+    assert [CLASSES[k] for k in truth.class_id] == ["car", "bus"]
+
+
+def test_the_default_ego_has_the_most_company_of_those_that_move(folder: Path) -> None:
+    standing = "".join(vehicle(f"s{k}", 500 + 6 * k) for k in range(4))
+    (folder / "fcd.xml").write_text(trace(5, standing))
+    recording = read(folder)
+    assert recording.agents[0].object_id == 3  # "c" moves among those that stand; names are numbered in order
+
+
+def changed(old: str, new: str, count: int = 1) -> Callable[[str], str]:
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, count)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        ("fcd.xml", changed("<fcd-export>", "<!DOCTYPE a><fcd-export>"), "line 2: found a document type declaration"),
+        ("fcd.xml", changed("fcd-export", "netstate", 2), "line 2: <netstate>: found this root, expected <fcd-export>"),
+        ("fcd.xml", changed("</timestep>", ""), "line 28: not XML: mismatched tag"),
+        ("fcd.xml", lambda text: text[:500], "line [0-9]+: not XML: "),
+        ("fcd.xml", lambda text: "<fcd-export/>", "found no time step, expected at least one"),
+        ("fcd.xml", changed('time="2.00"', ""), "line 3: <timestep>: attribute time is missing; found none"),
+        ("fcd.xml", changed('"2.00"', '"00:00:02"'), "<timestep>: time: found '00:00:02', expected a finite number"),
+        ("fcd.xml", changed('"2.10"', '"2.00"'), "line 8: <timestep>: time: found '2.00', expected a time later than"),
+        ("fcd.xml", changed('"2.10"', '"1.90"'), "expected a time later than the one before, 2"),
+        ("fcd.xml", changed('"2.40"', '"2.60"'), "found no time step between 2.3 and 2.6, expected one every 0.1 s"),
+        ("fcd.xml", changed('x="100.00"', ""), "line 4: <vehicle>: attribute x is missing; found id, y, angle"),
+        ("fcd.xml", changed('x="100.00"', 'x="nan"'), "line 4: <vehicle>: x: found 'nan', expected a finite number"),
+        ("fcd.xml", changed('x="100.00"', 'x="1e300"'), "<vehicle>: x: found '1e300', expected a finite number from"),
+        ("fcd.xml", changed('angle="90.00"', 'angle="north"'), "<vehicle>: angle: found 'north', expected a finite"),
+        ("fcd.xml", changed('speed="10.00"', 'speed="900"'), "<vehicle>: speed: found '900', expected a finite number"),
+        ("fcd.xml", changed('x="120.00"', 'x="120.00" z="1"'), "line 5: <vehicle>: z: found '1', expected z for all"),
+        ("fcd.xml", changed('id="b"', 'id="a"'), "line 5: <vehicle>: id: found 'a', expected every id once at a time"),
+        ("fcd.xml", changed('id="b"', 'id=""'), "line 5: <vehicle>: id: found '', expected an id of 1 to 200 char"),
+        ("fcd.xml", changed('id="b" ', ""), "line 5: <vehicle>: attribute id is missing"),
+        ("fcd.xml", changed('type="car"', 'type="cart"'), "type: found 'cart', expected a vehicle class, or the id of"),
+        ("fcd.xml", changed('type="car"', ""), "line 4: <vehicle>: attribute type is missing"),
+        (
+            "types.rou.xml",
+            changed('length="4"', 'length="0"'),
+            "line 2: <vType>: length: found '0', expected a size ab",
+        ),
+        ("types.rou.xml", changed('width="1.7"', 'width="-1"'), "<vType>: width: found '-1', expected a finite number"),
+        ("types.rou.xml", changed('id="car" ', ""), "line 2: <vType>: attribute id is missing; found length, width"),
+        ("types.rou.xml", changed("</vType", '<vType id="car"/></vType'), "line 2: <vType>: vType 'car' is already de"),
+        ("types.rou.xml", changed("</routes>", ""), "line 4: not XML: no element found"),
+        ("town.poly.xml", changed("90,10 99,10 99,20", "90,10"), "line 2: <poly>: found 2 different corners"),
+        ("town.poly.xml", changed("99,20", "99,20,3,4"), "line 2: <poly>: shape: found '99,20,3,4', expected a point"),
+        ("town.poly.xml", changed("99,20", "99,x"), "line 2: <poly>: shape: found 'x', expected a finite number"),
+        ("town.poly.xml", changed("shape=", 'geo="1" shape='), "line 2: <poly>: found geo coordinates"),
+        ("town.poly.xml", changed("shape=", "form="), "line 2: <poly>: attribute shape is missing"),
+        ("town.poly.xml", changed("<shapes>", "<!DOCTYPE a><shapes>"), "line 1: found a document type declaration"),
+    ],
+)
+def test_damaged_files_are_refused_with_file_line_and_reason(
+    folder: Path, file: str, change: Callable[[str], str], message: str
+) -> None:
+    (folder / file).write_text(change((folder / file).read_text()))
+    name = "fcd.xml" if "vehicle class" in message else file
+    with pytest.raises(SceneError, match=rf"{name}: .*{message}"):
+        read(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (changed("id,", "name,"), "line 1: found the columns t, name, .*, expected a time and an id"),
+        (changed("width", "length"), "line 1: found column 'length' twice"),
+        (changed(",1.50\n", "\n"), "line 2: found 9 fields, expected 10"),
+        (changed("100.00", "inf"), "line 2: x_front: found 'inf', expected a finite number"),
+        (changed("100.00", ""), "line 2: column x is missing; found id, type, y, angle"),
+        (changed("12.00", "0"), "line 3: length: found '0', expected a size above 0"),
+        (changed(",height\n", ",z\n"), "line 2: column height is missing"),
+        (changed(",1.80", ","), "line 2: column width is missing"),
+        (changed("2.1,a", "1.1,a"), "line 4: t: found '1.1', expected a time later than the one before, 2"),
+        (changed("2.1,a", '2.1,"a'), "not CSV: "),
+        (changed("passenger", "spaceship"), "line 2: class: found 'spaceship', expected a vehicle class"),
+        (lambda text: "", "line 1: found the columns , expected a time and an id"),
+        (lambda text: text.splitlines()[0], "found no time step"),
+        (lambda text: text.encode()[:300] + b"\xff\n", "line [0-9]+: 'utf-8' codec can't decode"),
+    ],
+)
+def test_damaged_tables_are_refused_with_file_line_and_reason(
+    change: Callable[[str], str | bytes], message: str, tmp_path: Path
+) -> None:
+    content = change(TABLE)
+    (tmp_path / "fcd.csv").write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(SceneError, match=rf"fcd\.csv: .*{message}"):
+        read(tmp_path)
+
+
+def test_a_path_without_a_single_trace_is_refused(folder: Path) -> None:
+    with pytest.raises(SceneError, match="nowhere: no such file or folder"):
+        read(folder / "nowhere")
+    (folder / "fcd2.csv").write_text(TABLE)
+    with pytest.raises(SceneError, match=r"found 2 traces .* \(fcd\.xml, fcd2\.csv\), expected one"):
+        read(folder)
+    (folder / "net.txt").write_text("")
+    with pytest.raises(SceneError, match=r"net\.txt: found another kind of file, expected \.xml"):
+        read(folder / "net.txt")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        (dict(n_infrastructure=17), "SumoTrace: n_infrastructure is 17, expected 0 to 16"),
+        (dict(n_mobile=-1), "SumoTrace: n_mobile is -1, expected 0 or more"),
+        (dict(n_mobile=2), r"fcd\.xml: n_mobile is 2, expected 0 to 1: 1 vehicles besides the ego have a box in all 5"),
+        (
+            dict(ego="z"),
+            r"fcd\.xml: ego is 'z', expected the name of a vehicle in the trace from 2 to 2.4 s, such as a",
+        ),
+        (dict(start_s=1.0), r"fcd\.xml: start_s is 1, expected a time of the trace such as 2"),
+        (dict(start_s=7.0), r"fcd\.xml: start_s is 7, the trace ends at 2.4"),
+        (dict(duration_s=0.6), r"fcd\.xml: duration_s is 0.6, expected at most 0.5: the trace ends at 2.4"),
+        (dict(duration_s=0.0), "SumoTrace: duration_s is 0.0, expected 0.001 to 100000"),
+        (dict(radius_m=5.0), "SumoTrace: radius_m is 5.0, expected 20 to 2000"),
+    ],
+)
+def test_windows_and_agents_that_are_not_there_are_refused(folder: Path, parameters: dict, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        read(folder, **parameters)
+
+
+def test_longitudes_and_latitudes_are_refused(folder: Path) -> None:
+    text = TRACE
+    for k in range(5):
+        text = text.replace(f'x="{100 + k}.00"', f'x="{11.0 + k * 1.4e-5}"').replace(f'x="{120 + k}.00"', 'x="11.01"')
+        text = text.replace(f'x="500.00" y="{k}.00"', f'x="11.02" y="{49.0 + k * 9e-6}"')
+    (folder / "fcd.xml").write_text(text)
+    with pytest.raises(
+        SceneError, match=r"fcd\.xml: positions change by .* m where the speeds add up to 12.0 m, expec"
+    ):
+        read(folder)
+
+
+def test_a_window_that_no_vehicle_spans_is_refused(folder: Path) -> None:
+    (folder / "fcd.xml").write_text('<fcd-export><timestep time="0"/><timestep time="1"/></fcd-export>')
+    with pytest.raises(SceneError, match=r"fcd\.xml: found no car, truck or bus with a box in all 2 frames"):
+        read(folder)
+
+
+FUZZED = {"fcd.xml": TRACE, "types.rou.xml": TYPES, "town.poly.xml": HOUSES, "fcd.csv": TABLE}
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    file=st.sampled_from(sorted(FUZZED)),
+    fraction=st.floats(0.0, 1.0),
+    replaced=st.integers(0, 30),
+    text=st.one_of(
+        st.binary(max_size=6),
+        st.sampled_from([b"<", b">", b"&a;", b'"', b";", b",", b"\n", b"-1", b"1e400", b"9" * 30, b"\x00", b"inf"]),
+    ),
+)
+def test_any_change_of_bytes_is_read_or_refused(
+    file: str, fraction: float, replaced: int, text: bytes, tmp_path: Path
+) -> None:
+    for name, content in FUZZED.items():
+        (tmp_path / name).write_text(content)
+    content = FUZZED[file].encode()
+    position = int(fraction * len(content))
+    (tmp_path / file).write_bytes(content[:position] + text + content[position + replaced :])
+    with contextlib.suppress(SceneError, ConfigurationError):
+        read(tmp_path / ("fcd.csv" if file == "fcd.csv" else "fcd.xml"))
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_twin_plays_without_and_with_attacks(name: str, twin: Path, tmp_path: Path) -> None:
+    agents = play_scored(tmp_path, name, f"sumo:{twin}", frames=len(twin_source()))
+    assert set(agents) == {"ego", "mobile_1", "mobile_2", "infra_1", "infra_2"}
+    picture = agents["ego"]["picture"]
+    assert picture["tp"]["mean"] > 2
+    assert name == "baseline" or picture["fp"]["mean"] > 0.3  # objects that the attack adds
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "buildings"),
+    [
+        ("sumo_veins_erlangen", dict(start_s=250.0, duration_s=3.0), True),
+        ("sumo_bologna_pasubio", dict(start_s=300.0, duration_s=3.0), False),
+    ],
+)
+def test_real_networks_are_read(name: str, parameters: dict, buildings: bool) -> None:
+    recording = read(reference(name), n_infrastructure=2, n_mobile=3, detector=CleanDetector(), **parameters)
+    assert len(recording) == 30
+    assert recording.period_ns == 100_000_000
+    assert bool(recording.buildings) == buildings
+    assert 5 < len(recording.truth) / 30 < 200
+    assert (recording.points >= 5).any(axis=0).all()
+    moved = np.gradient(recording.agent_position[:, 0], 0.1, axis=0)
+    # Positions are rounded to 1 cm, and speeds are those at the end of a step.
+    assert np.median(np.linalg.norm(moved - recording.agent_velocity[:, 0], axis=1)) < 0.3

@@ -1,0 +1,387 @@
+"""Reading TUMTraf-V2X from a twin of its layout, and refusal of damaged files."""
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from label_twins import DAMAGE, FRAMES, assert_read_or_refused, assert_same, play, source
+from mast_datasets import traffic, tumtraf
+from mast_datasets.tumtraf import TUMTrafV2X
+from tumtraf_writer import CAR, LABELS, POLE, write
+
+from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import detection_tables
+from mast_zenoh.scenes.recording import Recording
+
+OpenLabel = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a split; tests do not change it."""
+    folder = tmp_path_factory.mktemp("tumtraf") / "train"
+    write(folder, source())
+    return folder
+
+
+@pytest.fixture
+def split(tmp_path: Path, twin: Path) -> Path:
+    """The first frames of the twin, to be changed."""
+    (tmp_path / "train" / LABELS).mkdir(parents=True)
+    for file in sorted((twin / LABELS).iterdir())[:4]:
+        (tmp_path / "train" / LABELS / file.name).write_bytes(file.read_bytes())
+    return tmp_path / "train"
+
+
+def read(path: Path, **parameters: Any) -> Recording:
+    return TUMTrafV2X(path=str(path), **parameters).record(0, None)
+
+
+def files(split: Path) -> list[Path]:
+    return sorted((split / LABELS).iterdir())
+
+
+def change(file: Path, edit: Callable[[OpenLabel], object]) -> None:
+    content = json.loads(file.read_text())
+    edit(content["openlabel"])
+    file.write_text(json.dumps(content))
+
+
+def frame(content: OpenLabel) -> dict[str, Any]:
+    (only,) = content["frames"].values()
+    return only
+
+
+def objects(content: OpenLabel) -> dict[str, Any]:
+    return frame(content)["objects"]
+
+
+def first(content: OpenLabel) -> dict[str, Any]:
+    """The data of the first object of a frame."""
+    return next(iter(objects(content).values()))["object_data"]
+
+
+def transform(content: OpenLabel) -> dict[str, Any]:
+    return frame(content)["frame_properties"]["transforms"][f"{CAR}_to_{POLE}"]
+
+
+def pole(content: OpenLabel) -> dict[str, Any]:
+    return content["coordinate_systems"][POLE]
+
+
+def without_own(content: OpenLabel) -> None:
+    del objects(content)[str(source().agents[0].object_id)]
+
+
+def test_a_twin_has_the_poses_boxes_ids_and_visibility_of_its_source(twin: Path) -> None:
+    recording = read(twin)
+    assert recording.agent_names == ("ego", "infra_1")
+    assert len(recording) == FRAMES
+    assert_same(recording, [0, 2])
+
+
+@pytest.mark.parametrize("order", ["list", "list by columns"])
+def test_matrices_may_be_lists_of_16_numbers_in_either_order(tmp_path: Path, order: str) -> None:
+    write(tmp_path, source(), order=order)
+    assert_same(read(tmp_path), [0, 2])
+
+
+def test_the_label_folder_itself_and_the_older_name_of_its_parent_are_found(twin: Path, tmp_path: Path) -> None:
+    assert read(twin / LABELS).agent_names == ("ego", "infra_1")
+    (tmp_path / "val").mkdir()
+    (tmp_path / "val" / "_labels_point_clouds").symlink_to(twin / "labels_point_clouds")
+    assert len(read(tmp_path / "val")) == FRAMES
+
+
+def test_one_file_may_have_all_frames(split: Path) -> None:
+    whole = json.loads(files(split)[0].read_text())
+    for file in files(split)[1:]:
+        whole["openlabel"]["frames"] |= json.loads(file.read_text())["openlabel"]["frames"]
+        file.unlink()
+    whole["openlabel"]["frames"] = dict(reversed(whole["openlabel"]["frames"].items()))
+    files(split)[0].write_text(json.dumps(whole))
+    assert len(read(split)) == 4
+    assert_same(read(split), [0, 2])
+
+
+def test_fewer_agents_play_if_asked(twin: Path) -> None:
+    assert read(twin, n_infrastructure=0).agent_names == ("ego",)
+    assert read(twin, n_infrastructure=1, n_mobile=0).agent_names == ("ego", "infra_1")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        (dict(n_infrastructure=2), "n_infrastructure is 2, expected 0 to 1: the scene has 1 poles"),
+        (dict(n_mobile=1), "n_mobile is 1, expected 0 to 0: the scene has 0 cars besides the ego"),
+        (dict(n_mobile=-1), "n_mobile is -1"),
+        (dict(sequence=1), "sequence is 1, expected 0 to 0"),
+        (dict(max_gap_s=0), "max_gap_s is 0, expected a number above 0"),
+        (dict(lidars=[CAR, CAR]), "expected each of them once"),
+    ],
+)
+def test_impossible_parameters_are_refused(twin: Path, parameters: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"train: .*{message}"):
+        read(twin, **parameters)
+
+
+def test_more_frames_than_there_are_are_refused(twin: Path) -> None:
+    with pytest.raises(ConfigurationError, match="13 frames requested, the scene has 12"):
+        TUMTrafV2X(path=str(twin)).record(0, FRAMES + 1)
+
+
+def test_a_shorter_recording_is_the_start_of_a_longer_one(twin: Path) -> None:
+    short, whole = TUMTrafV2X(path=str(twin)).record(0, 2), read(twin)
+    np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
+    np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
+
+
+def test_a_gap_divides_sequences_and_one_is_chosen(twin: Path, tmp_path: Path) -> None:
+    (tmp_path / LABELS).mkdir(parents=True)
+    for k, file in enumerate(files(twin)):
+        if k != 4:
+            (tmp_path / LABELS / file.name).write_bytes(file.read_bytes())
+    with pytest.raises(SceneError, match=r"found 2 sequences, .* a gap of 0\.2 s before 16886257.*json, .*sequence=0"):
+        read(tmp_path)
+    assert [len(read(tmp_path, sequence=k)) for k in (0, 1)] == [4, 7]
+    assert len(read(tmp_path, max_gap_s=0.25)) == FRAMES - 1
+
+
+def test_a_car_without_a_label_gets_a_box_below_its_lidar(split: Path) -> None:
+    for file in files(split):
+        change(file, without_own)
+    recording = read(split)
+    own = recording.agents[0].object_id
+    assert own not in source().truth.id
+    for k in range(4):
+        row = int(np.flatnonzero(recording.truth_at(k).id == own)[0])
+        middle = recording.truth_at(k).position[row]
+        np.testing.assert_allclose(middle[:2], recording.agent_position[k, 0, :2], atol=1e-9)
+        assert recording.truth_at(k).size[row].tolist() == [4.8, 1.9, 1.7]
+        assert CLASSES[recording.truth_at(k).class_id[row]] == "car"
+
+
+def test_a_car_that_is_labelled_at_times_gets_a_box_of_its_own_throughout(split: Path) -> None:
+    change(files(split)[2], without_own)
+    recording = read(split)
+    assert source().agents[0].object_id not in recording.truth.id
+    assert np.count_nonzero(recording.truth.id == recording.agents[0].object_id) == 4
+
+
+def test_labels_may_name_their_coordinate_system_and_cuboids_may_be_listed(split: Path) -> None:
+    def edit(content: OpenLabel) -> None:
+        for entry in objects(content).values():
+            entry["object_data"]["cuboid"]["coordinate_system"] = POLE
+            entry["object_data"]["cuboid"] = [entry["object_data"]["cuboid"]]
+
+    expected = read(split)
+    for file in files(split):
+        change(file, edit)
+    np.testing.assert_allclose(read(split, label_system=CAR).truth.position, expected.truth.position)
+
+
+def test_a_cuboid_is_its_middle_then_a_quaternion_with_the_scalar_last_then_l_w_h(split: Path) -> None:
+    half = float(np.sqrt(0.5))
+    val = [691_000.0, 5_335_010.0, 480.75, 0.0, 0.0, half, half, 4.0, 2.0, 1.5]
+    cuboid = {"val": val, "coordinate_system": "s110_base"}
+    change(files(split)[0], lambda content: first(content).update(cuboid=cuboid))
+    number = int(next(iter(objects(json.loads(files(split)[0].read_text())["openlabel"]))))
+    truth = read(split).truth_at(0)
+    row = truth.id.tolist().index(number)
+    expected = np.array([0.0, 10.0, 0.75]) - source().agent_position[0, 0]
+    np.testing.assert_allclose(truth.position[row], expected, atol=1e-6)
+    np.testing.assert_allclose(truth.yaw[row], np.pi / 2)
+    assert truth.size[row].tolist() == [4.0, 2.0, 1.5]
+
+
+def test_the_cache_tracks_the_label_files(twin: Path, tmp_path: Path) -> None:
+    assert TUMTrafV2X(path=str(twin)).inputs() == (twin / LABELS,)
+    assert TUMTrafV2X(path=str(tmp_path / "nowhere")).inputs() == (tmp_path / "nowhere",)
+
+
+def test_tracks_with_text_for_a_name_are_numbered_by_it(split: Path) -> None:
+    def rename(content: OpenLabel) -> None:
+        frame(content)["objects"] = {f"uuid-{name:>06}": entry for name, entry in objects(content).items()}
+
+    expected = read(split)
+    for file in files(split):
+        change(file, rename)
+    recording = read(split)
+    assert recording.truth_at(0).id.tolist() == list(range(1, 1 + len(expected.truth_at(0).id)))
+    np.testing.assert_array_equal(recording.truth_at(0).position, expected.truth_at(0).position)
+
+
+def test_types_that_are_not_road_users_are_unknown(split: Path) -> None:
+    change(files(split)[0], lambda content: first(content).update(type="EMERGENCY_VEHICLE"))
+    assert CLASSES[read(split).truth_at(0).class_id[0]] == "unknown"
+
+
+def put(place: Callable[[OpenLabel], dict[str, Any]], **values: Any) -> Callable[[OpenLabel], object]:
+    return lambda content: place(content).update(values)
+
+
+def value(index: int, number: Any) -> Callable[[OpenLabel], object]:
+    """One of the ten numbers of the first cuboid."""
+    return lambda content: first(content)["cuboid"]["val"].__setitem__(index, number)
+
+
+IDENTITY = np.eye(4).tolist()
+TURNED = [0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def matrix4x4(numbers: Any) -> Callable[[OpenLabel], object]:
+    return put(transform, transform_src_to_dst={"matrix4x4": numbers})
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda content: content.pop("frames"), "openlabel: frames is missing"),
+        (lambda content: content.update(frames=[1]), r"openlabel.frames: found \[1\], expected an object"),
+        (lambda content: content.update(frames={"a": frame(content)}), "openlabel.frames: found 'a', expected a whole"),
+        (lambda content: frame(content).pop("frame_properties"), "frames.2: frame_properties is missing"),
+        (lambda content: frame(content)["frame_properties"].pop("timestamp"), "timestamp is missing"),
+        (lambda content: frame(content)["frame_properties"].update(timestamp=-1), "timestamp: found -1, expected"),
+        (lambda content: frame(content)["frame_properties"].update(timestamp="now"), "timestamp: found 'now'"),
+        (lambda content: frame(content)["frame_properties"].update(timestamp=7), "expected a time later than 16886"),
+        (lambda content: frame(content)["frame_properties"].pop("transforms"), f"found no coordinate system '{CAR}'"),
+        (lambda content: content.pop("coordinate_systems"), f"the root above {CAR} is '{POLE}', expected 's110_base'"),
+        (put(pole, pose_wrt_parent={}), "s110_lidar_ouster_south.pose_wrt_parent: matrix4x4 is missing"),
+        (lambda content: pole(content).pop("pose_wrt_parent"), f"{POLE}: pose_wrt_parent is missing"),
+        (put(pole, pose_wrt_parent={"matrix4x4": IDENTITY}), f"{POLE} is at .*expected .*: poles do not move"),
+        (put(pole, parent=CAR), "expected a tree of coordinate systems"),
+        (put(transform, src=POLE, dst=CAR), f"the root above {CAR} is '{CAR}', expected 's110_base'"),
+        (put(transform, src=3), "found 3, expected text"),
+        (matrix4x4([0.0] * 15), "matrix4x4: found .*, expected 4 rows of 4 numbers, or 16 numbers"),
+        (matrix4x4([0.0] * 16), "expected 16 numbers of a 4 x 4 matrix whose last row is 0, 0, 0, 1"),
+        (matrix4x4(TURNED), "without a translation, the order of 16 numbers cannot be known"),
+        (matrix4x4(np.diag([1, 1, -1, 1]).tolist()), "expected an orthonormal, right-handed rotation"),
+        (matrix4x4(np.diag([2, 1, 1, 1]).ravel().tolist()), "expected an orthonormal, right-handed rotation"),
+        (matrix4x4([*IDENTITY[:3], [0, 0, 1, 1]]), "whose last row is 0, 0, 0, 1"),
+        (matrix4x4([[1e200] * 4] * 4), r"matrix4x4\[0\]\[0\]: found 1e\+200, expected a finite number from"),
+        (put(frame, objects=[]), r"objects: found \[\], expected an object"),
+        (lambda content: first(content).pop("cuboid"), r"objects.\d+.object_data: cuboid is missing"),
+        (lambda content: first(content).pop("type"), "object_data: type is missing"),
+        (put(first, cuboid=[1, 2]), r"cuboid: found \[1, 2\], expected a list of 1"),
+        (put(first, coordinate_system="s110_bas"), "coordinate system 's110_bas', .*did you mean 's110_base'"),
+        (put(first, cuboid={"val": [0.0] * 9}), "cuboid.val: found .*, expected a list of 10"),
+        (value(0, None), r"cuboid.val\[0:3\]\[0\]: found None, expected a finite number"),
+        (value(2, 1e9), r"cuboid.val\[0:3\]\[2\]: found 1000000000.0, expected a finite number from"),
+        (value(6, 2.0), r"cuboid.val\[3:7\]: found .*, expected a quaternion x, y, z, w of length 1"),
+        (value(7, 0), r"cuboid.val\[7:10\]: found .*, expected 3 numbers above 0"),
+        (value(9, -1.5), r"cuboid.val\[7:10\]: found .*, expected 3 numbers above 0"),
+        (value(8, 1e4), r"cuboid.val\[7:10\]: found .*, expected 3 numbers above 0, at most 200"),
+    ],
+)
+def test_a_damaged_frame_is_refused_with_file_place_and_reason(
+    split: Path, edit: Callable[[OpenLabel], object], message: str
+) -> None:
+    file = files(split)[2]
+    change(file, edit)
+    with pytest.raises(SceneError, match=f"{file.name}: .*{message}"):
+        read(split)
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda content: content[:100], "not JSON: "),
+        (lambda content: b"", "not JSON: "),
+        (lambda content: b"\xff\xfe" + content, "can't decode byte"),
+        (lambda content: b"[" * 100_000, "not JSON: maximum recursion"),
+        (
+            lambda content: content.replace(b'"objects": {', b'"objects": {"7": 1, "7": 2, '),
+            "found '7' twice, expected",
+        ),
+        (lambda content: content.replace(b'"timestamp": 1', b'"timestamp": NaN, "x": 1'), "found NaN, expected"),
+        (lambda content: b"[]", r"found \[\], expected an object"),
+        (lambda content: b"{}", "openlabel is missing"),
+    ],
+)
+def test_a_file_that_is_no_labels_is_refused_by_name(split: Path, edit: Callable[[bytes], bytes], message: str) -> None:
+    file = files(split)[1]
+    file.write_bytes(edit(file.read_bytes()))
+    with pytest.raises(SceneError, match=f"{file.name}: .*{message}"):
+        read(split)
+
+
+def test_missing_folders_and_labels_are_refused_by_name(split: Path, tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="nowhere: no such folder"):
+        read(tmp_path / "nowhere")
+    with pytest.raises(
+        SceneError, match=r"found no label files \*.json, expected them there or in labels_point_clouds"
+    ):
+        read(tmp_path)
+    (split / LABELS).rename(split / "labels")
+    with pytest.raises(ConfigurationError, match=r"labels: the folder is not named .*_registered"):
+        read(split / "labels")
+    assert read(split / "labels", lidars=[CAR, POLE], label_system=POLE).agent_names == ("ego", "infra_1")
+    with pytest.raises(SceneError, match="expected at least one of a car"):
+        read(split / "labels", lidars=[POLE])
+
+
+def test_files_without_frames_are_refused(split: Path) -> None:
+    for file in files(split):
+        change(file, lambda content: content.update(frames={}))
+    with pytest.raises(SceneError, match="found no frames in 4 label files"):
+        read(split)
+
+
+def test_a_root_that_moves_is_refused(split: Path) -> None:
+    for file in files(split):
+        change(file, put(transform, src=POLE, dst=CAR))
+    with pytest.raises(SceneError, match=f"the root above {CAR} is '{CAR}', which moves"):
+        read(split)
+
+
+@pytest.mark.parametrize(
+    ("module", "limit", "message"),
+    [
+        (detection_tables, "MAX_FILE_BYTES", r"json: found \d+ bytes, expected at most 3"),
+        (tumtraf, "MAX_FILES", "found 4 label files, expected at most 3"),
+        (traffic, "MAX_BOXES", "found more than 3 boxes"),
+    ],
+)
+def test_scenes_beyond_the_limits_are_refused(
+    split: Path, monkeypatch: pytest.MonkeyPatch, module: Any, limit: str, message: str
+) -> None:
+    monkeypatch.setattr(module, limit, 3)
+    with pytest.raises(SceneError, match=message):
+        read(split)
+
+
+@settings(max_examples=150)
+@given(damage=DAMAGE, number=st.integers(0, 2))
+def test_a_damaged_file_is_read_or_refused(damaged_split: Path, damage: tuple[str, Any], number: int) -> None:
+    assert_read_or_refused(files(damaged_split)[number], damage, partial(read, damaged_split, n_infrastructure=0))
+
+
+@pytest.fixture(scope="module")
+def damaged_split(twin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("damaged")
+    (folder / LABELS).mkdir(parents=True)
+    for file in files(twin)[:3]:
+        (folder / LABELS / file.name).write_bytes(file.read_bytes())
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("scenario", "parameters"),
+    [
+        ("baseline", {}),
+        ("coordinated", dict(n_adversaries=1, attack_start_s=0.3)),
+        ("uncoordinated", dict(n_adversaries=1, attack_start_s=0.3)),
+    ],
+)
+def test_a_twin_plays_with_and_without_attacks(
+    twin: Path, tmp_path: Path, scenario: str, parameters: dict[str, Any]
+) -> None:
+    picture = play(scenario, dict(type="TUMTrafV2X", path=str(twin)), tmp_path / "run", **parameters)
+    assert picture["tp"]["mean"] > 1

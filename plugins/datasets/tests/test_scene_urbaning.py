@@ -1,0 +1,347 @@
+"""Reading UrbanIng-V2X from a twin of its layout, and refusal of damaged files."""
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from label_twins import DAMAGE, FRAMES, assert_read_or_refused, assert_same, play, source
+from mast_datasets import traffic, urbaning
+from mast_datasets.urbaning import UrbanIngV2X
+from urbaning_writer import POLES, SEQUENCE, SHIFT, TIME_MS, write, write_timesync
+
+from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import detection_tables
+from mast_zenoh.scenes.recording import Recording
+
+TIMESYNC = f"dataset/{SEQUENCE}/timesync_info.csv"
+CALIBRATION = f"dataset/{SEQUENCE}/calibration.json"
+STATE = f"dataset/{SEQUENCE}/vehicle1_state/{TIME_MS + 200}.json"
+LABELS = f"labels/{SEQUENCE}.json"
+OWN = "labels_av_track_ids.json"
+
+Edit = Callable[[Any], object]
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the data set; tests do not change it."""
+    root = tmp_path_factory.mktemp("urbaning")
+    write(root, source())
+    return root
+
+
+@pytest.fixture
+def root(tmp_path: Path, twin: Path) -> Path:
+    """A copy of the twin, to be changed."""
+    return Path(shutil.copytree(twin, tmp_path / "UrbanIng-V2X"))
+
+
+def read(path: Path, frames: int | None = None, **parameters: Any) -> Recording:
+    return UrbanIngV2X(path=str(path), **parameters).record(0, frames)
+
+
+def change(file: Path, edit: Edit) -> None:
+    content = json.loads(file.read_text())
+    edit(content)
+    file.write_text(json.dumps(content))
+
+
+def change_cells(file: Path, edit: Edit) -> None:
+    with file.open(newline="") as lines:
+        rows = list(csv.reader(lines))
+    edit(rows)
+    write_timesync(file, rows)
+
+
+def own_track(content: Any) -> dict[str, Any]:
+    """The track of the ego."""
+    return next(t for t in content["tracks"] if t["track_id"] == source().agents[0].object_id)
+
+
+def other_track(content: Any) -> dict[str, Any]:
+    return next(t for t in content["tracks"] if t["track_id"] not in [a.object_id for a in source().agents])
+
+
+def test_a_twin_has_the_poses_boxes_ids_and_visibility_of_its_source(twin: Path) -> None:
+    recording = read(twin)
+    assert recording.name == SEQUENCE
+    assert recording.agent_names == ("ego", "mobile_1", "infra_1", "infra_2")
+    assert len(recording) == FRAMES
+    assert_same(recording, [0, 1, 2, 3])
+
+
+def test_the_folder_of_a_sequence_is_found_in_its_data_set(twin: Path) -> None:
+    assert read(twin / "dataset" / SEQUENCE, 1).name == SEQUENCE
+    assert read(twin / "dataset" / SEQUENCE, 1, sequence=SEQUENCE).name == SEQUENCE
+    assert read(twin, 1, sequence=SEQUENCE).name == SEQUENCE
+
+
+def test_one_of_several_sequences_is_chosen_by_name(root: Path) -> None:
+    shutil.copytree(root / "dataset" / SEQUENCE, root / "dataset" / "other")
+    with pytest.raises(SceneError, match=r"found 2 sequences dataset/\*/timesync_info.csv, expected one, or the param"):
+        read(root)
+    assert read(root, 1, sequence=SEQUENCE).name == SEQUENCE
+    with pytest.raises(SceneError, match=r"labels_av_track_ids.json: other is missing"):
+        read(root, sequence="other")
+    with pytest.raises(
+        ConfigurationError, match="sequence is 'othr', expected a folder in dataset; did you mean 'othe"
+    ):
+        read(root, sequence="othr")
+    with pytest.raises(ConfigurationError, match=r"sequence is 'other', expected '2024.*: the path is that sequence"):
+        read(root / "dataset" / SEQUENCE, sequence="other")
+
+
+def test_fewer_agents_play_if_asked_and_the_other_car_stays_an_object(twin: Path) -> None:
+    recording = read(twin, 1, n_infrastructure=1, n_mobile=0)
+    assert recording.agent_names == ("ego", "infra_1")
+    assert source().agents[1].object_id in recording.truth.id
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        (dict(n_infrastructure=3), "n_infrastructure is 3, expected 0 to 2: the scene has 2 lidars on poles"),
+        (dict(n_mobile=2), "n_mobile is 2, expected 0 to 1: the scene has 1 cars besides the ego"),
+        (dict(n_mobile=-1), "n_mobile is -1, expected 0 to 1"),
+        (dict(frames=FRAMES + 1), "13 frames requested, the scene has 12"),
+    ],
+)
+def test_more_than_there_is_is_refused(twin: Path, parameters: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        read(twin, **parameters)
+
+
+def test_a_shorter_recording_is_the_start_of_a_longer_one(twin: Path) -> None:
+    short, whole = read(twin, 2), read(twin)
+    np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
+    np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
+
+
+def test_a_car_has_a_box_in_every_frame_although_its_labels_have_gaps(root: Path) -> None:
+    def cut(content: Any) -> None:
+        track = own_track(content)
+        for name in ("timestamps", "positions", "orientations"):
+            track[name] = track[name][3:7]
+        track["dimensions"] = track["dimensions"][:1]
+
+    change(root / LABELS, cut)
+    assert_same(read(root), [0, 1, 2, 3])
+
+
+def test_a_car_without_labels_has_the_size_in_av_vehicle_data(root: Path) -> None:
+    (root / "av_vehicle_data.json").write_text(json.dumps({"vehicle1": {"size": [5.1, 2.1, 1.9]}}))
+    change(root / OWN, lambda content: content[SEQUENCE].pop("vehicle1"))
+    change(root / LABELS, lambda content: content["tracks"].remove(own_track(content)))
+    recording = read(root)
+    own = recording.agents[0].object_id
+    assert own not in source().truth.id
+    assert recording.truth.size[recording.truth.id == own].tolist() == [[5.1, 2.1, 1.9]] * FRAMES
+    (root / "av_vehicle_data.json").unlink()
+    recording = read(root)
+    assert recording.truth.size[recording.truth.id == own].tolist() == [[4.8, 1.9, 1.7]] * FRAMES
+
+
+def test_the_cache_tracks_the_files_of_the_sequence(twin: Path) -> None:
+    inputs = UrbanIngV2X(path=str(twin)).inputs()
+    assert {twin / "dataset" / SEQUENCE, twin / LABELS, twin / OWN} < set(inputs)
+    assert UrbanIngV2X(path=str(twin), sequence="other").inputs() == (twin,)
+
+
+def test_tracks_with_text_for_a_name_are_numbered_by_it(root: Path) -> None:
+    names = {int(number): f"track-{int(number):06}" for number in np.unique(source().truth.id)}
+
+    def rename(content: Any) -> None:
+        for track in content["tracks"]:
+            track["track_id"] = names[track["track_id"]]
+
+    change(root / LABELS, rename)
+    change(root / OWN, lambda content: content.update({SEQUENCE: {k: names[v] for k, v in content[SEQUENCE].items()}}))
+    recording = read(root)
+    assert np.unique(recording.truth.id).tolist() == list(range(1, len(names) + 1))
+    np.testing.assert_allclose(recording.truth_at(3).size, source().truth_at(3).size)
+
+
+def test_an_unknown_type_is_read_and_a_van_is_a_car(root: Path) -> None:
+    change(root / LABELS, lambda content: other_track(content).update(object_type="Animal"))
+    change(root / LABELS, lambda content: own_track(content).update(object_type="Van"))
+    recording = read(root, 1)
+    classes = {int(number): CLASSES[k] for number, k in zip(recording.truth.id, recording.truth.class_id, strict=True)}
+    number = other_track(json.loads((root / LABELS).read_text()))["track_id"]
+    assert (classes[number], classes[source().agents[0].object_id]) == ("unknown", "car")
+
+
+def cell(row: int, column: int, text: str) -> Edit:
+    return lambda rows: rows[row].__setitem__(column, text)
+
+
+def drop_frame(rows: list[list[str]]) -> None:
+    for row in rows:
+        del row[4]
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (cell(1, 3, "later"), "row timestamp_ms, frame 2: found 'later', expected milliseconds"),
+        (cell(1, 3, ""), "row timestamp_ms, frame 2: found '', expected milliseconds"),
+        (cell(1, 3, "999999999999999"), "row timestamp_ms, frame 2: found '999999999999999', expected milliseconds"),
+        (cell(1, 3, str(TIME_MS)), f"row timestamp_ms, frame 2: found {TIME_MS}, expected a time after"),
+        (drop_frame, "frame 3: found a step of 200 ms, expected 100 ms: a frame is missing"),
+        (cell(1, 0, "timestamp"), "found no row timestamp_ms; did you mean 'timestamp'"),
+        (lambda rows: rows[2].pop(), "line 3: found 12 cells, expected 13"),
+        (lambda rows: rows.append(rows[2]), "line 7: found 'crossing2_11_lidar' again, expected each row once"),
+        (lambda rows: rows.__delitem__(slice(4, 6)), "found no row vehicle<number>_state"),
+        (lambda rows: rows.clear(), "found no row timestamp_ms"),
+        (lambda rows: [row.__delitem__(slice(1, None)) for row in rows], "found 0 frames, expected 1 to"),
+        (cell(4, 3, ""), "row vehicle1_state, frame 2: found '', expected a file name <milliseconds>.json"),
+        (cell(4, 3, "../1.json"), r"row vehicle1_state, frame 2: found '\.\./1\.json', expected a file name"),
+        (cell(4, 3, f"{TIME_MS}.json"), f"frame 2: found '{TIME_MS}.json', expected a time within 50 ms of"),
+    ],
+)
+def test_a_damaged_table_of_frames_is_refused_with_file_row_and_frame(root: Path, edit: Edit, message: str) -> None:
+    change_cells(root / TIMESYNC, edit)
+    with pytest.raises(SceneError, match=f"timesync_info.csv: .*{message}"):
+        read(root)
+
+
+def other(**values: Any) -> Edit:
+    return lambda content: other_track(content).update(values)
+
+
+def item(name: str, row: int, value: Any) -> Edit:
+    """A value of a list of a track that is no car with a lidar."""
+    return lambda content: other_track(content)[name].__setitem__(row, value)
+
+
+def extrinsics(name: str, **values: Any) -> Edit:
+    return lambda content: content[name].update(extrinsics=values)
+
+
+@pytest.mark.parametrize(
+    ("file", "edit", "message"),
+    [
+        (LABELS, lambda content: content.pop("tracks"), "tracks is missing"),
+        (LABELS, lambda content: content.update(tracks={}), r"tracks: found {}, expected a list"),
+        (LABELS, lambda content: other_track(content).pop("track_id"), r"tracks\[\d+\]: track_id is missing"),
+        (LABELS, other(track_id=-1), "track_id: found -1, expected a whole number, 0 or more"),
+        (LABELS, other(track_id=1.5), "track_id: found 1.5, expected a whole number"),
+        (LABELS, lambda c: c["tracks"].append(other_track(c)), "track_id: found .*, expected an id that no other"),
+        (LABELS, other(object_type=3), "object_type: found 3, expected text"),
+        (LABELS, item("timestamps", 1, 7.0), r"timestamps\[1\]: found 7.0, expected the time of a frame"),
+        (LABELS, item("timestamps", 1, TIME_MS / 1000), r"timestamps\[1\]: .*expected a time after the one before"),
+        (LABELS, item("timestamps", 1, TIME_MS / 1000 + 0.03), r"timestamps\[1\]: .*expected the time of a frame"),
+        (LABELS, item("timestamps", 1, None), r"timestamps\[1\]: found None, expected a finite number"),
+        (LABELS, lambda c: other_track(c)["positions"].pop(), "positions: found .*, expected a list of 12"),
+        (LABELS, item("positions", 2, [1.0, 2.0]), r"positions\[2\]: found \[1.0, 2.0\], expected a list of 3"),
+        (LABELS, item("positions", 2, [1.0, 2.0, 1e12]), r"positions\[2\]\[2\]: found .*, expected a finite number fr"),
+        (LABELS, item("orientations", 2, "north"), r"orientations\[2\]: found 'north', expected a finite number"),
+        (LABELS, item("orientations", 2, [0.0]), r"orientations\[2\]: found \[0.0\], expected a finite number"),
+        (LABELS, lambda c: other_track(c)["orientations"].pop(), "orientations: found .*, expected a list of 12"),
+        (LABELS, other(dimensions=[[4, 2, 1.5]] * 2), "dimensions: found .*, expected a list of 12"),
+        (LABELS, other(dimensions=[[4, 0, 1.5]]), r"dimensions\[0\]: found .*, expected 3 numbers above 0"),
+        (
+            LABELS,
+            other(dimensions=[[4, 2, 900]]),
+            r"dimensions\[0\]: found .*, expected 3 numbers above 0, at most 200",
+        ),
+        (
+            LABELS,
+            lambda content: own_track(content)["positions"].__setitem__(2, SHIFT.tolist()),
+            r"positions\[2\]: found .*, expected a position within 2 m of vehicle1 in its state",
+        ),
+        (STATE, lambda content: content.pop("gTv"), "gTv is missing"),
+        (STATE, lambda content: content.update(gTv=[[1.0] * 4] * 3), "gTv: found .*, expected a list of 4"),
+        (STATE, lambda content: content["gTv"].__setitem__(0, [2, 0, 0, 0]), "gTv: .*expected an orthonormal"),
+        (STATE, lambda content: content["gTv"].__setitem__(3, [1, 0, 0, 1]), "gTv: .*last row is 0, 0, 0, 1"),
+        (STATE, lambda content: content["gTv"][0].__setitem__(3, 1e200), r"gTv\[0\]\[3\]: found 1e\+200, expected a"),
+        (CALIBRATION, lambda c: c.pop(POLES[1]), "crossing2_31_lidar is missing"),
+        (CALIBRATION, extrinsics(POLES[0]), "crossing2_11_lidar.extrinsics: gTl is missing"),
+        (CALIBRATION, lambda c: c.pop("vehicle2_middle_lidar"), "found 0 sensors vehicle2_…_lidar, expected one"),
+        (CALIBRATION, lambda c: c.update(vehicle1_top_lidar={}), "found 2 sensors vehicle1_…_lidar, expected one"),
+        (CALIBRATION, extrinsics("vehicle1_middle_lidar", gTl=0), "vehicle1_middle_lidar.extrinsics: vTl is missing"),
+        (OWN, lambda content: content.pop(SEQUENCE), f"{SEQUENCE} is missing"),
+        (OWN, lambda content: content.update({SEQUENCE: 5}), f"{SEQUENCE}: found 5, expected an object"),
+        (OWN, lambda content: content[SEQUENCE].update(vehicle1=[1]), "vehicle1: found .*expected a whole number"),
+        (
+            OWN,
+            lambda content: content[SEQUENCE].update(vehicle2=content[SEQUENCE]["vehicle1"]),
+            "expected a different track for each vehicle",
+        ),
+    ],
+)
+def test_a_damaged_file_is_refused_with_its_place_and_reason(root: Path, file: str, edit: Edit, message: str) -> None:
+    change(root / file, edit)
+    with pytest.raises(SceneError, match=f"{Path(file).name}: .*{message}"):
+        read(root)
+
+
+@pytest.mark.parametrize("file", [TIMESYNC, CALIBRATION, STATE, LABELS, OWN])
+def test_a_missing_or_unreadable_file_is_refused_by_name(root: Path, file: str) -> None:
+    for content in (b"\xff\xfe\x00", b'"', b"[" * 100_000):
+        (root / file).write_bytes(content)
+        with pytest.raises(SceneError, match=Path(file).name):
+            read(root)
+    (root / file).unlink()
+    with pytest.raises(SceneError, match=Path(file).name):
+        read(root)
+
+
+def test_a_missing_folder_is_refused_by_name(root: Path) -> None:
+    with pytest.raises(SceneError, match="nowhere: no such folder"):
+        read(root / "nowhere")
+    with pytest.raises(SceneError, match=r"labels: found 0 sequences dataset/\*/timesync_info.csv"):
+        read(root / "labels")
+
+
+def test_a_table_with_a_quoted_cell_that_never_ends_is_refused(root: Path) -> None:
+    (root / TIMESYNC).write_text('"timestamp_ms,1\n')
+    with pytest.raises(SceneError, match=r"timesync_info.csv: not a table of comma-separated values"):
+        read(root)
+
+
+@pytest.mark.parametrize(
+    ("module", "limit", "message"),
+    [
+        (detection_tables, "MAX_FILE_BYTES", r"timesync_info.csv: found \d+ bytes, expected at most 3"),
+        (urbaning, "_MAX_FRAMES", "timesync_info.csv: found 12 frames, expected 1 to 3"),
+        (urbaning, "_MAX_TRACKS", "expected at most 3 tracks"),
+        (traffic, "MAX_BOXES", "found more than 3 boxes"),
+    ],
+)
+def test_scenes_beyond_the_limits_are_refused(
+    twin: Path, monkeypatch: pytest.MonkeyPatch, module: Any, limit: str, message: str
+) -> None:
+    monkeypatch.setattr(module, limit, 3)
+    with pytest.raises(SceneError, match=message):
+        read(twin)
+
+
+@pytest.fixture(scope="module")
+def damaged_root(twin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(shutil.copytree(twin, tmp_path_factory.mktemp("damaged") / "UrbanIng-V2X"))
+
+
+@settings(max_examples=150)
+@given(damage=DAMAGE, file=st.sampled_from([TIMESYNC, CALIBRATION, STATE, LABELS, LABELS, OWN]))
+def test_a_damaged_file_is_read_or_refused(damaged_root: Path, damage: tuple[str, Any], file: str) -> None:
+    assert_read_or_refused(damaged_root / file, damage, partial(read, damaged_root, 2, n_infrastructure=1))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "parameters"),
+    [("baseline", {}), ("coordinated", dict(attack_start_s=0.3)), ("uncoordinated", dict(attack_start_s=0.3))],
+)
+def test_a_twin_plays_with_and_without_attacks(
+    twin: Path, tmp_path: Path, scenario: str, parameters: dict[str, Any]
+) -> None:
+    picture = play(scenario, dict(type="UrbanIngV2X", path=str(twin)), tmp_path / "run", **parameters)
+    assert picture["tp"]["mean"] > 1

@@ -1,0 +1,105 @@
+"""XML and compressed text from outside cannot use up memory, and numbers in text are strict."""
+
+import gzip
+from pathlib import Path
+
+import pytest
+from mast_datasets import files
+from mast_datasets.files import MAX_LINE, TextElement, read_lines, read_pieces
+from mast_datasets.xml_files import read_xml
+
+from mast_zenoh.errors import SceneError
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "file"
+
+
+def test_elements_are_read_one_after_the_other_with_their_lines(file: Path) -> None:
+    file.write_text('<r a="1">\n<b><c>x</c></b>\n<other><b><b/></b></other></r>')
+    root, *elements = read_xml(file, "r", ("b",))
+    assert (root.tag, root.attributes, root.children) == ("r", {"a": "1"}, [])
+    assert [(element.line, len(element.children)) for element in elements] == [(2, 1), (3, 1)]
+    assert elements[0].child("c").text.text() == "x"
+
+
+@pytest.mark.parametrize("compress", [bytes, gzip.compress])
+def test_reading_stops_at_the_limit_of_the_unpacked_size(file: Path, compress) -> None:
+    file.write_bytes(compress(b"<r>" + b"  \n" * 700_000 + b"</r>"))
+    assert len(list(read_xml(file, "r", ()))) == 1
+    with pytest.raises(SceneError, match="file: found more than 1000000 bytes unpacked"):
+        list(read_xml(file, "r", (), max_bytes=1_000_000))
+    with pytest.raises(SceneError, match="found more than 1000000 bytes"):
+        list(read_lines(file, max_bytes=1_000_000))
+
+
+def test_entities_are_refused_before_any_is_expanded(file: Path) -> None:
+    entities = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 12))
+    file.write_text(f'<!DOCTYPE r [<!ENTITY e0 "lol">{entities}]><r>&e11;</r>')
+    with pytest.raises(SceneError, match="file: line 1: found a document type declaration"):
+        list(read_xml(file, "r", ("r",)))
+    file.write_text("<r>\n&e11;</r>")
+    with pytest.raises(SceneError, match="file: line 2: not XML: undefined entity"):
+        list(read_xml(file, "r", ()))
+
+
+def test_deep_nesting_and_elements_with_too_many_parts_are_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text("<r>" * 100_000)
+    with pytest.raises(SceneError, match="file: line 1: <r>: found more than 50 nested elements"):
+        list(read_xml(file, "r", ()))
+    monkeypatch.setattr("mast_datasets.xml_files._MAX_PARTS", 100)
+    file.write_text("<r>\n<b>" + "<c/>" * 101 + "</b></r>")
+    with pytest.raises(SceneError, match="line 2: <b>: found more than 100 elements in it"):
+        list(read_xml(file, "r", ("b",)))
+
+
+@pytest.mark.parametrize("content", ['<b a="{}"/>', "<b>{}</b>", '<b><c a="{}"/></b>'])
+def test_long_attributes_and_texts_are_refused(file: Path, content: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mast_datasets.xml_files._MAX_CHARACTERS", 1000)
+    file.write_text("<r>\n" + content.format("x" * 1000) + "</r>")
+    assert len(list(read_xml(file, "r", ("b",)))) == 2
+    file.write_text("<r>\n" + content.format("x" * 1001) + "</r>")
+    with pytest.raises(SceneError, match="file: line 2: <b>: found more than 1000 characters in it"):
+        list(read_xml(file, "r", ("b",)))
+
+
+def test_lines_are_read_across_pieces(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "_PIECE", 4)
+    file.write_bytes("\ufeffa,b\r\nüü\n\nlast".encode())
+    assert list(read_lines(file)) == ["a,b", "üü", "", "last"]
+
+
+def test_bytes_that_are_not_text_and_lines_without_end_are_refused(file: Path) -> None:
+    file.write_bytes(b"a\n\xff\n")
+    with pytest.raises(SceneError, match="file: line 2: 'utf-8' codec"):
+        list(read_lines(file))
+    file.write_bytes(b"a\n" + b"x" * (MAX_LINE + 1) * 3)
+    with pytest.raises(SceneError, match=f"file: line 2: found .* bytes, expected at most {MAX_LINE}"):
+        list(read_lines(file))
+
+
+def test_a_missing_file_is_refused(file: Path) -> None:
+    with pytest.raises(SceneError, match=r"file: cannot be read: .*No such file"):
+        list(read_pieces(file))
+
+
+@pytest.mark.parametrize(("text", "value"), [("1", 1.0), (" -1.5e3 ", -1500.0), ("+.5", 0.5), ("7.", 7.0)])
+def test_decimal_numbers_are_read(text: str, value: float) -> None:
+    assert TextElement(text, Path("file"), "x").number() == value
+
+
+@pytest.mark.parametrize("text", ["", "nan", "inf", "1_000", "0x1", "1e999", "1,5", "٣", "--1", "1 2"])
+def test_other_text_is_no_number(text: str) -> None:
+    with pytest.raises(SceneError, match=r"file: x: found .*, expected a finite number"):
+        TextElement(text, Path("file"), "x").number()
+    with pytest.raises(SceneError, match=r"file: x: found .*, expected a whole number"):
+        TextElement(text, Path("file"), "x").integer()
+
+
+def test_numbers_outside_their_range_are_shown_as_in_the_file() -> None:
+    with pytest.raises(SceneError, match="file: x: found '1e3', expected a finite number from 0 to 10"):
+        TextElement("1e3", Path("file"), "x").number(0, 10)
+    assert TextElement(" 12", Path("file"), "x").integer(0) == 12
+    with pytest.raises(SceneError, match="found '9999999999999999999', expected a whole number"):
+        TextElement("9999999999999999999", Path("file"), "x").integer()
