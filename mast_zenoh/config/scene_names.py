@@ -53,8 +53,8 @@ def parse_scene(text: str) -> dict[str, Any]:
     if name not in known and name in _DATA_SETS:
         raise plugins.not_found(f"scene {text!r}", _DATA_SETS[name])
     if name not in known:
-        forms = ", ".join(form for short, cls in known.items() for form in _forms(short, cls))
-        raise plugins.not_found(f"scene {text!r}: unknown name {name!r}{nearest(name, known)} (known: {forms})", "")
+        forms = "NAME:PATH, intersection or intersection:INDEX"
+        raise plugins.not_found(f"scene {text!r}: unknown name {name!r}{nearest(name, known)}; expected {forms}", "")
     cls = known[name]
     takes = inspect.signature(cls).parameters[cls.short_argument]
     if takes.default is takes.empty:
@@ -106,9 +106,3 @@ def _known() -> dict[str, type[scenes.Scene]]:
             )
         known[short] = cls
     return known
-
-
-def _forms(short: str, cls: type[scenes.Scene]) -> tuple[str, ...]:
-    """How the scene can be named."""
-    takes = inspect.signature(cls).parameters[cls.short_argument]
-    return (f"{short}:PATH",) if takes.default is takes.empty else (short, f"{short}:INDEX")

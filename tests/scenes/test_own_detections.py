@@ -103,7 +103,7 @@ def replayed(saved: Path, path: Path, **options: int) -> Recording:
 @pytest.mark.parametrize("write", [write_lines, write_table, write_folder])
 def test_detections_come_back_from_every_format(write, saved: Path, whole: Recording, tmp_path: Path) -> None:
     target = tmp_path / {"write_lines": "d.jsonl", "write_table": "d.parquet", "write_folder": "d"}[write.__name__]
-    recording = replayed(saved, write_detections(target, whole))
+    recording = replayed(saved, write(target, whole))
     assert len(whole.detections) > 8
     assert recording.detection_start.tolist() == whole.detection_start.tolist()
     for name in ("position", "size", "score"):

@@ -143,7 +143,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     assert recognised("intersection:3") == "intersection:3"
     (tmp_path / "objects").mkdir()
     (tmp_path / "objects" / "objectstate-npcs-1-0.1.txt").touch()
-    with pytest.raises(SceneError, match="found files of avstack and of av2; name one of them, avstack:"):
+    with pytest.raises(SceneError, match="found files of av2 and of avstack; name one of them, av2:"):
         recognised(str(tmp_path))
     with pytest.raises(ConfigurationError, match="no such file or folder, and no short name; did you mean 'sumo'"):
         recognised("sumoo")

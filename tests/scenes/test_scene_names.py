@@ -40,7 +40,7 @@ def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None
         ("rcooper:", "no path, expected rcooper:PATH"),
         ("intersection:x", "not an index"),
         ("intersecton", "did you mean 'intersection'"),
-        ("carla:x", "unknown name 'carla'.*known: intersection"),
+        ("carla:x", "unknown name 'carla'; known: av2, .* expected NAME:PATH, intersection or intersection:INDEX"),
         ("", "unknown name"),
     ],
 )

@@ -293,7 +293,7 @@ def test_track_names_that_are_numbers_are_ids() -> None:
 
 
 def test_every_class_of_the_page_is_read_as_it_says() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "scenes_dair.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "scenes_dair.md").read_text()
     rows = {}
     for line in page.split("## Classes")[1].split("##")[0].splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
