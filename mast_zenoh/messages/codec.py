@@ -59,7 +59,7 @@ def conform(header: Header, body: Body) -> Message:
         if exact is not None:
             return Message(header, exact)
         shapes, sizes = plan.shapes, layout.sizes(body)
-    except (KeyError, IndexError, ValueError):
+    except (AttributeError, KeyError, IndexError, ValueError):
         shapes = ()  # the loop below raises the error
     columns: dict[str, NDArray[Any]] = {}
     for index, column in enumerate(schema.columns):
@@ -73,6 +73,8 @@ def conform(header: Header, body: Body) -> Message:
             if array.flags.writeable:
                 array = array.view()
                 array.setflags(write=False)
+        elif not isinstance(array, np.ndarray):
+            raise MessageError(f"{schema.name}.{name}: found a {type(array).__name__}, expected text(...)")
         if not shapes or array.shape != shapes[index]:
             _check_shape(schema.name, column, array.shape, sizes)
         columns[name] = array
@@ -81,7 +83,10 @@ def conform(header: Header, body: Body) -> Message:
 
 def _converted(schema: str, column: str, array: Any, wire: np.dtype[Any]) -> NDArray[Any]:
     """A contiguous array converted to dtype `wire`; raises MessageError if values change."""
-    original = np.asarray(array)
+    try:
+        original = np.asarray(array)
+    except ValueError as error:
+        raise MessageError(f"{schema}.{column}: not an array: {error}") from None
     if original.dtype.kind not in "biuf":
         raise MessageError(f"{schema}.{column}: found {original.dtype}, expected {wire}")
     with np.errstate(all="ignore"):

@@ -24,6 +24,8 @@ from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.wiring.model import Wiring
 
+MAX_DELIVERIES = 200_000  #: of messages in one frame
+
 
 class InProcess:
     """A run in this process.
@@ -166,12 +168,16 @@ class InProcess:
             self._drain()
 
     def _drain(self) -> None:
-        """Deliver messages until none is left: the end of a frame."""
-        while self._pending:
+        """Deliver messages until none is left: the end of a frame; raises RunError if there is no end."""
+        for _ in range(MAX_DELIVERIES):
+            if not self._pending:
+                return
             name, (key, payload, step, flaw) = self._pending.next()
             host = self.hosts.get(name)
             if host:
                 host.deliver(key, payload, step, flaw=flaw)
+        problem = f"frame {self._source.frame}: more than {MAX_DELIVERIES} deliveries, the last one on {key} to {name}"
+        raise RunError(f"{problem}: expected that nodes stop answering each other")
 
     def _enqueue(self, message: Outgoing) -> None:
         """Queue a message that a node has sent, for each subscriber of its key."""

@@ -218,3 +218,16 @@ def test_a_node_cannot_send_a_column_of_the_wrong_shape() -> None:
         codec.conform(sound.header, {**sound.body, "yaw": np.zeros(2)})
     with pytest.raises(MessageError, match="missing"):
         codec.conform(sound.header, {})
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "reason"),
+    [
+        ("agents", ["ego"], r"collated.agents: found a list, expected text\(...\)"),
+        ("position", [[1.0], [2.0, 3.0]], "collated.position: not an array: .*inhomogeneous"),
+    ],
+)
+def test_a_list_in_place_of_an_array_is_refused_by_its_column(column: str, value: object, reason: str) -> None:
+    message = message_of("collated", {"n": 2, "a": 2})
+    with pytest.raises(MessageError, match=reason):
+        codec.conform(message.header, {**message.body, column: value})

@@ -10,6 +10,7 @@ from tiny_world import Run, tiny
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
 from mast_zenoh.errors import RunError
+from mast_zenoh.runtime import inproc
 from mast_zenoh.runtime.inproc import InProcess, find_result
 
 LINK = Path(__file__).with_name("lossy_link.py")
@@ -203,3 +204,9 @@ def test_a_run_needs_exactly_one_driver() -> None:
     without = Resolved(**{**vars(resolved), "nodes": nodes, "wiring": {"wires": wires}})
     with pytest.raises(RunError, match="0 nodes drive the scene, expected one simulator"):
         InProcess(without)
+
+
+def test_nodes_that_answer_each_other_without_end_fail_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inproc, "MAX_DELIVERIES", 8)
+    with pytest.raises(RunError, match=r"frame 0: more than 8 deliveries, the last one on .*: expected that"):
+        InProcess(world("baseline")).run()

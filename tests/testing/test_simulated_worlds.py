@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh import scenario, testing
-from mast_zenoh.errors import WiringError
+from mast_zenoh.errors import ConfigurationError, WiringError
 from mast_zenoh.node import Context, Received
 from mast_zenoh.testing.comparison import first_difference
 from mast_zenoh.testing.simulation import (
@@ -49,6 +49,11 @@ def test_an_inserted_node_that_changes_messages_is_found() -> None:
 def test_a_request_for_a_wire_that_does_not_exist_is_refused() -> None:
     with pytest.raises(WiringError, match="no wire 'agent/infra_9/tracks'; did you mean"):
         world(RELAY | {"wire": "agent/infra_9/tracks"})
+
+
+def test_a_request_that_is_no_dict_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"requests: found 'adversary\.py', expected dicts with wire, file"):
+        world("adversary.py")  # type: ignore[arg-type]
 
 
 class Failing(SmallAgent):

@@ -13,6 +13,7 @@ import numpy as np
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.control.interception import Intercept
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import interception
 from mast_zenoh.messages import user_types
 from mast_zenoh.node import Context, Node, Received, Source
@@ -46,10 +47,13 @@ class World:
         """
         user_types.use(resolved.messages)
         resolved.load_modules()
-        planned = (
-            request if isinstance(request, Intercept) else Intercept(*interception.plan(resolved, **request), ())
-            for request in requests
-        )
+        planned: list[Intercept] = []
+        for request in requests:
+            if isinstance(request, Mapping):
+                request = Intercept(*interception.plan(resolved, **request), ())
+            if not isinstance(request, Intercept):
+                raise ConfigurationError(f"requests: found {request!r:.60}, expected dicts with wire, file and name")
+            planned.append(request)
         return cls(resolved, lambda name, spec: build_node(spec, name), tuple(planned))
 
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from mast_datasets import DAIRScene, RCooperScene
 from mast_datasets.dair import linked, matched, numbered
 from mast_datasets.dair_files import CLASS_OF_TYPE, LEFT_OUT
+from mast_zenoh.testing.scenes import check_scene
 
 import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import heading, wrap_angle
@@ -23,7 +24,6 @@ from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import Intersection, Recording
 from mast_zenoh.scenes.recording import NO_MEASUREMENT
 from mast_zenoh.sensing import CleanDetector, sensor_pose, to_world
-from mast_zenoh.testing.scenes import check_scene
 
 FRAMES, FEW = 16, 4
 SEEN = writer.SEEN
