@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.launch import interception
+from mast_zenoh.launch import live_interception
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.writing import animate
 from mast_zenoh.runtime.mesh.session import open_client
@@ -63,9 +63,9 @@ def record_run(folder: Path) -> None:
             settings = ("attack.type=UncoordinatedAttack", "attack.start_s=0",
                         "attack.selection.type=UncoordinatedSelection", "attack.selection.n_false_positives=8",
                         "attack.selection.fraction_false_negatives=0")  # fmt: skip
-            print(interception.intercept(folder, WIRE, "adversary.py", name=NAME, settings=settings))
+            print(live_interception.intercept(folder, WIRE, "adversary.py", name=NAME, settings=settings))
             clock.wait(RELEASE)
-            print(interception.release(folder, name=NAME))
+            print(live_interception.release(folder, name=NAME))
         finally:
             clock.close()
         if process.wait(_DEADLINE_S):

@@ -34,9 +34,9 @@ def intercept(
     confirmed: Confirmed = False,
 ) -> None:
     """Insert a node into a wire during a run; no message is lost or duplicated."""
-    from mast_zenoh.launch import interception
+    from mast_zenoh.launch import live_interception
 
-    result = interception.intercept(
+    result = live_interception.intercept(
         run_folder,
         wire,
         node,
@@ -58,11 +58,11 @@ def release(
     confirmed: Confirmed = False,
 ) -> None:
     """Release a node from its wires during a run, after its messages are forwarded."""
-    from mast_zenoh.launch import interception
+    from mast_zenoh.launch import live_interception
 
     if (name is None) == (wire is None):
         raise typer.BadParameter("expected either --name or --wire", param_hint="--name / --wire")
-    result = interception.release(run_folder, name=name, wire=wire, allowed=allowed_code(confirmed=confirmed))
+    result = live_interception.release(run_folder, name=name, wire=wire, allowed=allowed_code(confirmed=confirmed))
     _show_result(f"{result['node']} is off", result)
 
 

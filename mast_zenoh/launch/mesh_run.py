@@ -23,8 +23,8 @@ from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.file_server import FileServer
-from mast_zenoh.launch.interception import InterceptionServer
 from mast_zenoh.launch.launcher_protocol import DRIVER_TIMEOUT_S, LauncherActions, LauncherProtocol, Report, churn_of
+from mast_zenoh.launch.live_interception import InterceptionServer
 from mast_zenoh.launch.local_mesh import BlockingClients
 from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.observation import Observation

@@ -14,7 +14,7 @@ from mast_zenoh.control import flow
 from mast_zenoh.control.codec import encode
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.file_server import FileServer
-from mast_zenoh.launch.interception import InterceptionServer, seal
+from mast_zenoh.launch.live_interception import InterceptionServer, seal
 
 context, file_server = findings.context, findings.file_server  # fixtures
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh.errors import NotRunning
-from mast_zenoh.launch import folder, interception, liveness
+from mast_zenoh.launch import folder, live_interception, liveness
 from mast_zenoh.report.narrative.run import status
 from mast_zenoh.report.runfolder import RunFolder
 
@@ -74,4 +74,4 @@ def test_every_tool_that_reads_the_folder_reports_a_killed_run(tmp_path: Path) -
     assert run.run["status"] == "killed"
     assert "cut off" in status(run)
     with pytest.raises(NotRunning, match="the run is over: killed"):
-        interception.release(tmp_path, name="x")
+        live_interception.release(tmp_path, name="x")

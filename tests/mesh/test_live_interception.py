@@ -14,7 +14,7 @@ import pytest
 from launched import Launched, Observer, eventually
 
 from mast_zenoh.errors import NotRunning, StartError
-from mast_zenoh.launch import interception
+from mast_zenoh.launch import live_interception
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
@@ -113,11 +113,11 @@ def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going)
     for i in range(TIMES):
         wire = (TRACKS, DETECTIONS)[i % 2]
         settings = ("keeps=True",) if i % 5 == 0 else ()
-        interceptions = interception.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
+        interceptions = live_interception.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
         reached = observer.frame() + 3
         eventually(lambda reached=reached: observer.frame() >= reached, "messages pass through the node")
         assert interceptions["wires"] == [wire]
-        assert interception.release(run.out, name="mallory")["node"] == "mallory"
+        assert live_interception.release(run.out, name="mallory")["node"] == "mallory"
     record = stop(run)
     assert [interceptions["action"] for interceptions in record["interceptions"]] == ["intercept", "release"] * TIMES
     taps = {wire: [m.seq for m in read(run.out) if m.tap and m.wire == wire] for wire in (TRACKS, DETECTIONS)}
@@ -156,11 +156,11 @@ def test_the_commands_report_success_or_the_reason_for_failure_which_changes_not
     dies = "assert not os.path.exists('wiring.json'), 'no licence found'"
     (tmp_path / "stillborn.py").write_text(f"import os\n{relay.replace('self.keeps = keeps', dies)}")
     with pytest.raises(StartError, match=r"exit code 1.*logs/stillborn_1\.log"):
-        interception.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
+        live_interception.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
     secret = (run.out / "control.key").read_bytes()
     (run.out / "control.key").write_bytes(b"guessed")
     with pytest.raises(Exception, match="not sealed with this run's secret"):
-        interception.intercept(run.out, TRACKS, RELAY)
+        live_interception.intercept(run.out, TRACKS, RELAY)
     (run.out / "control.key").write_bytes(secret)
     assert (run.out / "wiring.json").read_text() == wiring
     assert json.loads((run.out / "scenario.json").read_text())["nodes"] == nodes
@@ -175,4 +175,4 @@ def test_commands_do_not_wait_for_a_run_whose_launcher_was_killed(going) -> None
     run, _ = going("--mode", "realtime", "--rate", "2")
     run.kill()
     with pytest.raises(NotRunning, match="the run is over: killed"):
-        interception.intercept(run.out, TRACKS, RELAY)
+        live_interception.intercept(run.out, TRACKS, RELAY)

@@ -25,7 +25,7 @@ from sound_controls import CODECS, packed
 from test_flood import LIMIT_MB, peak_mb
 
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.launch.interception import SECRET_FILE
+from mast_zenoh.launch.live_interception import SECRET_FILE
 from mast_zenoh.messagelog.difference import compare, explain
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from launched import MAST, Launched
 
-from mast_zenoh.launch.interception import SECRET_FILE
+from mast_zenoh.launch.live_interception import SECRET_FILE
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 LAX = ("sh", "-c", 'umask 000; exec "$@"', "sh", *MAST)

@@ -19,7 +19,7 @@ from simulated_runs import (
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.interception import Intercept
-from mast_zenoh.launch import interception
+from mast_zenoh.launch import live_interception
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.testing.simulation import World, check, play, small_world
 from mast_zenoh.wiring.insertion import Place
@@ -90,7 +90,7 @@ def listening(world: World) -> World:
 
 def request(resolved: Resolved, wire: str, file: str, name: str, *settings: str) -> Intercept:
     """A request to insert a node, as `mast intercept` makes it."""
-    return Intercept(*interception.plan(resolved, wire, file, name=name, settings=settings), ())
+    return Intercept(*live_interception.plan(resolved, wire, file, name=name, settings=settings), ())
 
 
 def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing() -> None:

@@ -14,7 +14,7 @@ from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.control.interception import Intercept
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.launch import interception
+from mast_zenoh.launch import live_interception
 from mast_zenoh.messages import user_types
 from mast_zenoh.node import Context, Node, Received, Source
 from mast_zenoh.wiring.insertion import Place
@@ -50,7 +50,7 @@ class World:
         planned: list[Intercept] = []
         for request in requests:
             if isinstance(request, Mapping):
-                request = Intercept(*interception.plan(resolved, **request), ())
+                request = Intercept(*live_interception.plan(resolved, **request), ())
             if not isinstance(request, Intercept):
                 raise ConfigurationError(f"requests: found {request!r:.60}, expected dicts with wire, file and name")
             planned.append(request)
