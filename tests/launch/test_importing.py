@@ -23,20 +23,19 @@ def loaded_by(code: str) -> set[str]:
 IMPORT_NODE = f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.hosting, "
 
 
-@pytest.mark.parametrize("name", ["simulator", "broker", "recorder", "link"])
-def test_a_node_without_a_pipeline_loads_no_scipy(name: str) -> None:
+@pytest.mark.parametrize(
+    ("names", "absent"),
+    [
+        ("simulator, broker, recorder, link", {"scipy", "filterpy", *SLOW}),
+        ("agent, adversary, command_center, coordinator, evaluator", SLOW),
+    ],
+    ids=["without a pipeline", "with one"],
+)
+def test_nodes_load_nothing_that_they_do_not_need(names: str, absent: set[str]) -> None:
     loaded = loaded_by(
-        f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.hosting, {name}"
+        f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.hosting, {names}"
     )
-    assert not {"scipy", "filterpy", *SLOW} & loaded
-
-
-@pytest.mark.parametrize("name", ["agent", "adversary", "command_center", "coordinator", "evaluator"])
-def test_a_node_loads_nothing_that_only_the_launcher_needs(name: str) -> None:
-    loaded = loaded_by(
-        f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.hosting, {name}"
-    )
-    assert not SLOW & loaded
+    assert not absent & loaded
 
 
 def test_a_run_without_a_report_loads_no_drawing_library(tmp_path: Path) -> None:
