@@ -95,15 +95,19 @@ def test_malformed_reports_and_those_of_unknown_nodes_are_counted_and_ignored(me
     assert mesh.reports.by_node()["ego"]["failures"] == [FAILURE], "of the previous process"
 
 
-def test_malformed_reports_leave_room_for_valid_ones_and_no_more_than_the_limit_wait(mesh: Mesh) -> None:
+def test_malformed_reports_leave_room_for_valid_ones_and_no_more_than_the_limit_wait(
+    mesh: Mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Before the launcher's loop handles any of them."""
-    for _ in range(MAX_WAITING["failed"] + 1):
+    assert MAX_WAITING["failed"] == 1000
+    monkeypatch.setitem(MAX_WAITING, "failed", 50)
+    for _ in range(51):
         mesh.ask("ego", b"\xc1")
         mesh.fail("ego", b"\xc1")
-    for _ in range(MAX_WAITING["failed"] + 2):
+    for _ in range(52):
         mesh.fail("ego", VALID)
     assert [bool(mesh.ask("ego", results.pack(OUTCOME))) for _ in range(3)] == [False, False, True]
-    assert mesh.invalid.counts == {"failed/ego": 1003, "result/ego": 1002}
+    assert mesh.invalid.counts == {"failed/ego": 53, "result/ego": 52}
     assert mesh.take() == [Report("ego", FAILURE), Report("ego")]
     assert mesh.ask("ego", results.pack(OUTCOME)) == "", "there is room again"
 
