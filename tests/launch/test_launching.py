@@ -14,7 +14,7 @@ from tiny_world import tiny
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.launch import mesh_run, run, stop_signals
 from mast_zenoh.launch.context import Mesh
-from mast_zenoh.launch.launcher_protocol import Endings, RunState
+from mast_zenoh.launch.launcher_protocol import Endings, RunState, churn_of
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
@@ -125,3 +125,10 @@ def test_the_end_of_a_process_has_the_consequence_that_its_node_asks_for(
     assert bool(told) == bool(consequence)
     assert state.stop.requested == (problem is not None)
     assert state.restarted == ({"ego"} if consequence.endswith("restarted") else set())
+
+
+def test_a_node_whose_insertion_was_given_up_is_not_told_as_lost() -> None:
+    state = RunState(MagicMock(), print, lambda: 0.0)
+    state.given_up.add("eve")
+    losses = [{"frame": 3, "node": name, "what": "lost"} for name in ("eve", "ego")]
+    assert churn_of({"sim": {"sent_ns": {}, "churn": losses, "frames": 9}}, state) == losses[1:]
