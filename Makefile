@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run kernels dev test test-all fuzz insiders lint bench bench-quick docs pictures lock dist clean
+.PHONY: run kernels dev test test-all fuzz insiders lint lint-js bench bench-quick docs pictures lock dist clean
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
@@ -44,6 +44,17 @@ lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(if $(shell command -v npm),$(MAKE) lint-js)
+
+# The page's JavaScript: lint, types by JSDoc, unit tests. Node and npm are for development only.
+lint-js: node_modules/ready
+	npm run --silent lint
+	npm run --silent types
+	npm run --silent test
+
+node_modules/ready: package.json package-lock.json
+	npm ci --no-audit --no-fund --silent
+	touch $@
 
 # Speed in ratios, to the last release and to peers: in ten minutes, or roughly in one.
 bench: .venv/ready

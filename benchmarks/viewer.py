@@ -25,7 +25,7 @@ from typing import Any
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.playback.server import viewer_page
+from mast_zenoh.viewer.page.page import viewer_page
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 from chromium import browser as chromium
@@ -113,7 +113,7 @@ def main() -> None:
         if arguments.report:
             path = write_report(run)
         else:
-            path.write_text(viewer_page([run], 250), "utf-8")
+            path.write_bytes(viewer_page([run], 250))
         print(
             f"{path.stat().st_size / 1e6:.2f} MB; load {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores"
         )

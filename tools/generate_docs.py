@@ -11,11 +11,10 @@ from typing import Any
 
 import mast_zenoh
 from mast_zenoh import errors
-from mast_zenoh.api.agents import Agent
-from mast_zenoh.api.catalogue import Entry
+from mast_zenoh.api.catalogue import Entry, Parameter
 from mast_zenoh.api.messages import WireMessage
-from mast_zenoh.api.parameters import Parameter
 from mast_zenoh.api.plots import Plots
+from mast_zenoh.api.runs import Agent
 from mast_zenoh.api.scenes import PreparedAgent
 from mast_zenoh.api.surface import BASE_CLASSES, base_class
 from mast_zenoh.arrays.states import CLASSES

@@ -21,8 +21,8 @@ from chromium import Unavailable
 import mast_zenoh as mast
 from mast_zenoh.errors import nearest
 from mast_zenoh.report import html
-from mast_zenoh.report.playback.server import ViewerServer, viewer_page
 from mast_zenoh.study import comparison, definition
+from mast_zenoh.viewer.page.page import ViewerServer, viewer_page
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
 #: The frame of the attacked run that pictures show: long after the attack began.

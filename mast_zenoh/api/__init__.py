@@ -8,8 +8,7 @@ See docs/python.md.
     scenes       scene: truth, poses and detections of a scene, without a run
     plots        the report's figures of a run, or of several
     comparisons  compare: the same scores of several runs, and what differs in words
-    catalogue    list: what a scenario can name, with its parameters
-    parameters   the parameters of a class or function: defaults, units, meanings from the docstring
+    catalogue    list: what a scenario can name, with its parameters: defaults, units, meanings
     surface      the base classes that users derive from
 
 `mast.study` is in mast_zenoh.study.interface.

@@ -13,9 +13,10 @@ from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, side_by_side_figure
 from mast_zenoh.report.figures.over_time import REPORT_COLUMNS, causes_over_time, counts_over_time, driving_over_time
 from mast_zenoh.report.figures.style import Figure
-from mast_zenoh.report.figures.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.figures.view import check_frame, choose_common_frame, choose_frame, frame_view
 from mast_zenoh.report.tables.scores import ESTIMATES, score_table
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.run import RunRecord
 
 
 class Run(Protocol):
@@ -32,7 +33,7 @@ class Plots:
     Each method returns a Matplotlib figure: a notebook displays it, `figure.savefig("name.png")` saves it.
     """
 
-    def __init__(self, runs: Mapping[str, RunFolder]) -> None:
+    def __init__(self, runs: Mapping[str, RunRecord]) -> None:
         self._runs = dict(runs)
         self._first = next(iter(self._runs.values()))
 
@@ -99,7 +100,7 @@ class Plots:
         table = score_table({label: run.metrics for label, run in runs.items()}, agent=self._first.ego or "ego")
         return side_by_side_figure(views, table, estimate)
 
-    def _view(self, frame: int | None) -> FrameView:
+    def _view(self, frame: int | None) -> Frame:
         return _view(self._first, choose_frame(self._first) if frame is None else frame)
 
     def _require(self, figure: Figure | None, reason: str) -> Figure:
@@ -113,25 +114,25 @@ class Plots:
         return f"<plots of {', '.join(self._runs)}: {drawn}>"
 
 
-def labelled(runs: Sequence[Run], taken: Mapping[str, RunFolder]) -> dict[str, RunFolder]:
+def labelled(runs: Sequence[Run], taken: Mapping[str, RunRecord]) -> dict[str, RunRecord]:
     """Runs by unique label, none of which is in `taken`.
 
     A label is the scenario's name, else the folder's, else the name with a number.
     """
-    result: dict[str, RunFolder] = {}
+    result: dict[str, RunRecord] = {}
     for run in runs:
-        loaded = RunFolder.load(run.path)
+        loaded = RunRecord.load(run.path)
         names = [loaded.label, run.path.name, *(f"{loaded.label} ({number})" for number in range(2, 1000))]
         result[next(name for name in names if name not in {*taken, *result})] = loaded
     return result
 
 
-def _with_all_columns(run: RunFolder) -> RunFolder:
+def _with_all_columns(run: RunRecord) -> RunRecord:
     """The run with every column of metrics.parquet, of which the report needs few."""
     return replace(run, counts=read_table(run.path / "metrics.parquet")) if run.counts is not None else run
 
 
-def _view(run: RunFolder, frame: int | None) -> FrameView:
+def _view(run: RunRecord, frame: int | None) -> Frame:
     view = None if frame is None else frame_view(run, check_frame(run, frame))
     if view is None:
         reasons = " ".join(run.missing) or "no frame is both scored and settled: set `frame`"

@@ -14,7 +14,7 @@ from mast_zenoh.run_files import reading
 if TYPE_CHECKING:
     from mast_zenoh.report.film.look import Look
 
-RunFolder = Annotated[
+RunRecord = Annotated[
     Path,
     typer.Argument(metavar="RUN", help="The folder of a finished run.", autocompletion=completion.run_folders),
 ]
@@ -42,7 +42,7 @@ Captions = Annotated[
 
 
 def animate(
-    run_folder: RunFolder,
+    run_folder: RunRecord,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="A new file: .mp4, .gif or .webm.")],
     agent: Agent = None,
     estimates: Estimates = None,
@@ -81,7 +81,7 @@ def animate(
 
 
 def snapshot(
-    run_folder: RunFolder,
+    run_folder: RunRecord,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="A new file: .pdf, .svg or .png.")],
     frame: Annotated[int | None, typer.Option(help="The frame. Default: the one that the report shows.")] = None,
     agent: Agent = None,

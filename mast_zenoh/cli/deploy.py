@@ -40,7 +40,7 @@ Engine = Annotated[
     str,
     typer.Option(metavar="NAME|FILE", help="Where the nodes run: compose, swarm, ssh, or the file of your own engine."),
 ]
-RunFolder = Annotated[
+RunRecord = Annotated[
     Path, typer.Argument(metavar="RUN", help="The folder of a run.", autocompletion=completion.run_folders)
 ]
 
@@ -170,7 +170,7 @@ def certificates(
 
 
 @app.command()
-def status(run_folder: RunFolder, confirmed: Confirmed = False) -> None:
+def status(run_folder: RunRecord, confirmed: Confirmed = False) -> None:
     """List the nodes of a run, their state and place."""
     kind, record = _deployed(run_folder, confirmed)
     table = Table("node", "state", "where", box=None)
@@ -184,7 +184,7 @@ def status(run_folder: RunFolder, confirmed: Confirmed = False) -> None:
 
 @app.command()
 def logs(
-    run_folder: RunFolder,
+    run_folder: RunRecord,
     node: Annotated[str | None, typer.Argument(help="The node. Default: all.")] = None,
     follow: Annotated[bool, typer.Option("--follow", help="Continue with new output.")] = False,
     confirmed: Confirmed = False,
@@ -195,7 +195,7 @@ def logs(
 
 
 @app.command()
-def down(run_folder: RunFolder, confirmed: Confirmed = False) -> None:
+def down(run_folder: RunRecord, confirmed: Confirmed = False) -> None:
     """Remove what is left of a run that lost its launcher or machine."""
     kind, record = _deployed(run_folder, confirmed)
     kind.down(run_folder, record)

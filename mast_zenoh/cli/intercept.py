@@ -11,13 +11,13 @@ from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import Confirmed, allowed_code
 from mast_zenoh.cli.options import out as _out
 
-RunFolder = Annotated[
+RunRecord = Annotated[
     Path, typer.Argument(metavar="RUN", help="The folder of a running run.", autocompletion=completion.run_folders)
 ]
 
 
 def intercept(
-    run_folder: RunFolder,
+    run_folder: RunRecord,
     wire: Annotated[str, typer.Option(help="The wire to intercept: agent/infra_2/tracks.")],
     node: Annotated[
         str,
@@ -50,7 +50,7 @@ def intercept(
 
 
 def release(
-    run_folder: RunFolder,
+    run_folder: RunRecord,
     name: Annotated[str | None, typer.Option(help="The node to release.")] = None,
     wire: Annotated[
         str | None, typer.Option(help="Instead of a name: the wire whose only inserted node is released.")

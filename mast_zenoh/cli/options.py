@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
     from mast_zenoh.launch.run import Run
     from mast_zenoh.report.comparison import Reference
-    from mast_zenoh.report.runfolder import RunFolder
+    from mast_zenoh.viewer.run import RunRecord
 
 
 #: Control characters except tab and line feed, and characters that change the direction of text.
@@ -189,10 +189,10 @@ def reporting(folder: Path, command: str = "report") -> Iterator[None]:
 def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
     """Show a run's results; returns (why it was not compared, the reference run)."""
     from mast_zenoh.report import terminal
-    from mast_zenoh.report.runfolder import RunFolder
+    from mast_zenoh.viewer.run import RunRecord
 
     scored = (finished.folder / "metrics.json").is_file()
-    run = RunFolder.load(finished.folder)
+    run = RunRecord.load(finished.folder)
     reference, refusal = None, None
     if against is not None and scored:
         reference, refusal = _reference(run, against, interrupted=isinstance(finished.error, Interrupted))
@@ -208,7 +208,7 @@ def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolde
     return refusal, reference
 
 
-def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
+def _reference(run: RunRecord, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
     """The run to compare with, or why that is not possible."""
     from mast_zenoh.config.allowed_code import OWN_RUN
     from mast_zenoh.report import comparison

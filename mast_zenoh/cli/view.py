@@ -171,7 +171,7 @@ def _observe(target: str, options: _Options) -> None:
 
 
 def _show_finished(folders: list[Path], options: _Options) -> None:
-    from mast_zenoh.report.playback.server import ViewerServer, viewer_page
+    from mast_zenoh.viewer.page.page import ViewerServer, viewer_page
 
     with reading(folders[-1]):
         page = viewer_page(folders, options.frame)
@@ -184,11 +184,11 @@ def _show_finished(folders: list[Path], options: _Options) -> None:
 
 def _serve_to_other_viewers(folder: Path, options: _Options) -> None:
     """Serve a finished run to one of the other viewers until Ctrl-C."""
-    from mast_zenoh.viewer.frames import RunFrames
+    from mast_zenoh.viewer.recorded import RecordedRun
     from mast_zenoh.viewer.servers.other_viewers import serve_to_foxglove, serve_to_rerun
 
     with reading(folder):
-        run = RunFrames.load(folder)
+        run = RecordedRun.load(folder)
     never, print_line = threading.Event(), viewer_process.print_line
     if options.foxglove:
         serve_to_foxglove(run, options.port, never, print_line, rate=options.rate, loop=options.loop)

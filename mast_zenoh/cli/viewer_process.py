@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,14 +114,12 @@ def observe(
     allowed: which of the code that the run folder names may run
     foxglove, rerun: to these viewers instead of a browser
     """
-    from mast_zenoh.report.playback import live_view
-    from mast_zenoh.report.playback.feed import Feed
-    from mast_zenoh.report.playback.live_server import LiveServer
     from mast_zenoh.runtime.mesh import hosting
     from mast_zenoh.viewer.live import observed
     from mast_zenoh.viewer.live.measurement import evaluator_class
     from mast_zenoh.viewer.live.observer import Observer
-    from mast_zenoh.viewer.live.source import LiveFrames
+    from mast_zenoh.viewer.page import live_view
+    from mast_zenoh.viewer.page.live_server import Feed, LiveServer
     from mast_zenoh.viewer.servers.other_viewers import serve_to_foxglove, serve_to_rerun
 
     evaluator_class()  # before the run begins
@@ -146,7 +145,7 @@ def observe(
             return
         observer = Observer(running, session)
         stack.callback(observer.close)
-        frames = LiveFrames(observer, stop)
+        frames = replace(observer.record, frames=observer.frames(stop))
         if foxglove:
             serve_to_foxglove(frames, port, stop, print_line)
         else:

@@ -123,11 +123,11 @@ class AgentPipeline:
         key = [part.tobytes() for part in parts]
         if key != self._views.get(lidar, _NO_VIEW)[0]:
             agent, sensor = (rotation_from_quaternion(pose.quaternion) for pose in (base, mount))
-            self._views[lidar] = (key, view_of(lidar, *sensor_pose(base.position, agent, mount.position, sensor)))
+            self._views[lidar] = (key, frame_at(lidar, *sensor_pose(base.position, agent, mount.position, sensor)))
         return self._views[lidar][1]
 
 
-def view_of(lidar: LidarSensor, position: Floats, rotation: Floats) -> SensorView:
+def frame_at(lidar: LidarSensor, position: Floats, rotation: Floats) -> SensorView:
     """The field of view of a lidar at `position` (3,) with `rotation` (3, 3)."""
     return SensorView(
         position=position,

@@ -2,12 +2,10 @@
 
 See docs/report.md and docs/studies.md.
 
-runfolder, files   contents of a run folder
 comparison         the reference run of a comparison
 run_figure         the base class of figures of a run, those of users included
 figures/           the pictures and charts of runs and of studies
 film/              films and stills of runs
-playback/          runs frame by frame in a browser
 tables/            rows and cells, for every output
 narrative/         results in words
 html, study_page   the pages, which page renders from templates/

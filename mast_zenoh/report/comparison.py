@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.errors import NotComparable
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.run import RunRecord
 
 #: Settings of the evaluator that do not change how two runs are scored: users' metrics, which only add rows, and what
 #: describes the experiment itself (its faults, and how long its agents use a picture).
@@ -21,17 +21,17 @@ _NOT_OF_SCORING = ("agents", "metrics", "faults", "picture_ages_s")
 class Reference:
     """The reference run of a comparison, and the name that it has in the text."""
 
-    run: RunFolder
+    run: RunRecord
     name: str
 
 
-def reference(run: RunFolder, other: Path) -> Reference:
+def reference(run: RunRecord, other: Path) -> Reference:
     """Load the reference run with which `run` is compared.
 
     Raises NotComparable if either has no results, or if their scene, seed, agents, length or scoring differ, and
     RunFolderError if the folder holds no run.
     """
-    second = RunFolder.load(other)
+    second = RunRecord.load(other)
     for each in (run, second):
         if not each.metrics.get("agents"):
             problem = "has a damaged metrics.json" if each.metrics_damaged else "has no results (metrics.json)"
@@ -58,7 +58,7 @@ def reference(run: RunFolder, other: Path) -> Reference:
     return Reference(second, name)
 
 
-def _agents_difference(one: RunFolder, other: RunFolder) -> str:
+def _agents_difference(one: RunRecord, other: RunRecord) -> str:
     """Agents that only one of two runs has, scored or not, in words; empty: none."""
     here, there = (
         {*each.metrics["agents"], *(each.recording.agent_names if each.recording else ())} for each in (one, other)
@@ -75,7 +75,7 @@ def _agents_difference(one: RunFolder, other: RunFolder) -> str:
     return f"found {' and '.join(parts)}" if parts else ""
 
 
-def _scoring_difference(one: RunFolder, other: RunFolder) -> str:
+def _scoring_difference(one: RunRecord, other: RunRecord) -> str:
     """How the scoring of two runs differs, in words; empty: no known difference."""
     configs = [each.evaluator_config for each in (one, other)]
     if all(config is not None for config in configs):
@@ -100,7 +100,7 @@ def _flat(name: str, value: Any) -> dict[str, Any]:
     return {key: leaf for part, inner in value.items() for key, leaf in _flat(f"{name}.{part}", inner).items()}
 
 
-def _same_scene(one: RunFolder, other: RunFolder) -> bool:
+def _same_scene(one: RunRecord, other: RunRecord) -> bool:
     """Whether two runs have the same scene.
 
     Compares object positions in all frames or, without recordings, the scene settings.

@@ -15,26 +15,13 @@ import numpy as np
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.of_run import frame_choice, run_figures, save_user_figures, study_figures, user_figures
-from mast_zenoh.report.figures.view import (
-    PANELS,
-    FrameView,
-    check_frame,
-    choose_common_frame,
-    choose_frame,
-    frame_view,
-    has_boxes,
-    settled,
-)
+from mast_zenoh.report.figures.view import PANELS, check_frame, choose_common_frame, choose_frame, frame_view, settled
 from mast_zenoh.report.narrative.adversaries import attack_description
 from mast_zenoh.report.narrative.changes import largest_change
 from mast_zenoh.report.narrative.run import headline, reading, reference_status, study_headline, study_reading
 from mast_zenoh.report.page import render
-from mast_zenoh.report.playback.block import run_block
-from mast_zenoh.report.playback.inline import viewer_parts
 from mast_zenoh.report.run_facts import facts, facts_of_compared, healing
 from mast_zenoh.report.run_figure import FigureContext
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
 from mast_zenoh.report.tables.of_run import (
     achieved_rows,
     cause_groups,
@@ -51,6 +38,11 @@ from mast_zenoh.report.tables.of_run import (
 )
 from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.wiring import wire_rows
+from mast_zenoh.viewer.frame import Frame, has_boxes
+from mast_zenoh.viewer.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
+from mast_zenoh.viewer.page.block import run_block
+from mast_zenoh.viewer.page.page import ViewerParts, viewer_parts
+from mast_zenoh.viewer.run import RunRecord
 
 #: Runs of a study that its viewer holds.
 _MOST_IN_VIEWER = 4
@@ -67,12 +59,12 @@ def write_report(
     Returns the path of the report. Raises RunFolderError if the folder is not a run folder, or has no such frame;
     NotComparable if the runs cannot be compared.
     """
-    run = RunFolder.load(run_folder)
+    run = RunRecord.load(run_folder)
     return write_page(run, frame, None if against is None else comparison.reference(run, against), figures)
 
 
 def write_page(
-    run: RunFolder, frame: int | None = None, reference: Reference | None = None, figures: Sequence[Path] = ()
+    run: RunRecord, frame: int | None = None, reference: Reference | None = None, figures: Sequence[Path] = ()
 ) -> Path:
     """Write the report of a loaded run; see `write_report`."""
     estimate = _estimate(run, reference)
@@ -87,7 +79,7 @@ def write_page(
     return _write_run(FigureContext(run, view, frame_note, reference, estimate), figures)[1]
 
 
-def _estimate(run: RunFolder, reference: Reference | None) -> str:
+def _estimate(run: RunRecord, reference: Reference | None) -> str:
     """The ego's estimate with the largest change, if it has boxes, else the picture."""
     change = largest_change(run, reference.run if reference else None)
     drawable = change is not None and change.agent == run.ego and has_boxes(run, change.estimate)
@@ -104,7 +96,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     frame: the frame that all pictures show; by default from `view.choose_common_frame`
     Returns the path of the report. Raises RunFolderError like `write_report`.
     """
-    folders = {label: RunFolder.load(path) for label, path in runs.items()}
+    folders = {label: RunRecord.load(path) for label, path in runs.items()}
     reference = "baseline" if "baseline" in folders else next(iter(folders))
     largest_changes = [largest_change(run, folders[reference]) for run in folders.values()]
     change = max((each for each in largest_changes if each), key=lambda each: abs(each.weight), default=None)
@@ -138,7 +130,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     return render("study.html.j2", content, study_folder)
 
 
-def _view_to_show(run: RunFolder, frame: int | None, common: int | None) -> FrameView | None:
+def _view_to_show(run: RunRecord, frame: int | None, common: int | None) -> Frame | None:
     """The view of a run at the requested frame.
 
     Without one: at the common frame, or else at the run's own choice.
@@ -149,7 +141,7 @@ def _view_to_show(run: RunFolder, frame: int | None, common: int | None) -> Fram
     return None if chosen is None else frame_view(run, chosen)
 
 
-def _scores(runs: Mapping[str, RunFolder], reference: str | None = None) -> ScoreTable:
+def _scores(runs: Mapping[str, RunRecord], reference: str | None = None) -> ScoreTable:
     ego = next((run.ego for run in runs.values() if run.ego), "ego")
     metrics = {label: run.metrics for label, run in runs.items()}
     return score_table(metrics, counts={name: run.counts for name, run in runs.items()}, agent=ego, reference=reference)
@@ -170,7 +162,7 @@ def _write_run(
         each.save(run.path / "figures")
     save_user_figures(own, run.path / "figures")
     shown_runs = {run.label: run} | ({reference.name: reference.run} if reference is not None else {})
-    viewer, problems = _viewer(shown_runs, context.view.frame if context.view else None)
+    viewer, problems = _viewer(shown_runs, context.view.index if context.view else None)
     content = {
         "title": f"Run {run.run.get('id', run.label)}",
         "headline": headline(run, reference),
@@ -219,7 +211,7 @@ def _relative(path: Path, folder: Path) -> str:
     return quote(os.path.relpath(path, folder).replace(os.sep, "/"))
 
 
-def _viewer(runs: Mapping[str, RunFolder], frame: int | None) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+def _viewer(runs: Mapping[str, RunRecord], frame: int | None) -> tuple[ViewerParts | None, tuple[str, ...]]:
     """The moving picture of runs by label (None: nothing to show), and why it is left out."""
     try:
         blocks = [block for label, run in runs.items() if (block := run_block(run, frame, label))]
@@ -251,6 +243,6 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
     }
 
 
-def _command(run: RunFolder) -> str | None:
+def _command(run: RunRecord) -> str | None:
     command = run.run.get("command")
     return shlex.join(map(str, command)) if isinstance(command, list) else command

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.run import RunRecord
 
 
-def facts(run: RunFolder) -> list[str]:
+def facts(run: RunRecord) -> list[str]:
     """What identifies a run: id, status, scene, length, seed, mode and speed."""
     facts = [f"run {run.run['id']}"] if "id" in run.run else []
     facts += [str(run.run["status"])] if "status" in run.run else []
@@ -38,7 +38,7 @@ def _origin(replay: Mapping[str, Any]) -> str:
     )
 
 
-def healing(run: RunFolder) -> list[str]:
+def healing(run: RunRecord) -> list[str]:
     """When faults healed, and how soon the picture then equalled the fault-free one."""
     heals, converged = run.checks.get("heals_s") or [], run.checks.get("converged_after_s")
     facts = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
@@ -47,7 +47,7 @@ def healing(run: RunFolder) -> list[str]:
     return facts
 
 
-def facts_of_compared(runs: Mapping[str, RunFolder]) -> list[str]:
+def facts_of_compared(runs: Mapping[str, RunRecord]) -> list[str]:
     """What compared runs have in common, and which of them failed; runs: by label."""
     facts = [f"{len(runs)} runs"]
     scenes = {run.recording.name for run in runs.values() if run.recording}
@@ -60,6 +60,6 @@ def facts_of_compared(runs: Mapping[str, RunFolder]) -> list[str]:
     return facts + ([f"did not end well: {', '.join(bad)}"] if bad else [])
 
 
-def _frames(run: RunFolder) -> str:
+def _frames(run: RunRecord) -> str:
     scored = run.metrics.get("scored_frames")
     return f"{run.metrics['frames']} frames" + (f", scored from {scored[0]} to {scored[-1]}" if scored else "")

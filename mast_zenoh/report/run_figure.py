@@ -13,8 +13,8 @@ if TYPE_CHECKING:  # scenarios' files import this module, also in the processes 
     from matplotlib.figure import Figure
 
     from mast_zenoh.report.comparison import Reference
-    from mast_zenoh.report.figures.view import FrameView
-    from mast_zenoh.report.runfolder import RunFolder
+    from mast_zenoh.viewer.frame import Frame
+    from mast_zenoh.viewer.run import RunRecord
 
 #: The sections of a report that a figure can follow, in their order on the page.
 SECTIONS = (
@@ -34,8 +34,8 @@ class FigureContext:
     estimate:   of the ego, the one that charts of several runs show
     """
 
-    run: RunFolder
-    view: FrameView | None
+    run: RunRecord
+    view: Frame | None
     frame_note: str = ""
     reference: Reference | None = None
     estimate: str = "picture"
@@ -48,7 +48,7 @@ class FigureContext:
     @property
     def frame(self) -> int | None:
         """Index of the frame that pictures show; None: no pictures."""
-        return None if self.view is None else self.view.frame
+        return None if self.view is None else self.view.index
 
 
 class RunFigure(ABC):

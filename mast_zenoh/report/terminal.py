@@ -13,10 +13,10 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.changes import effects, plural
 from mast_zenoh.report.narrative.run import defence_sentence, headline, reference_status, status
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import BAD, interposers
 from mast_zenoh.report.tables.of_run import cause_table, check_lines, suspension_lines
 from mast_zenoh.report.tables.scores import as_rich, score_table
+from mast_zenoh.viewer.interposers import BAD, interposers
+from mast_zenoh.viewer.run import RunRecord
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
@@ -26,7 +26,7 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
     A run without a readable metrics.json gets dashes. Runs with links or faults also get the causes of their errors;
     runs with checks get the outcome of every check.
     """
-    folders = {label: RunFolder.load(path) for label, path in runs.items()}
+    folders = {label: RunRecord.load(path) for label, path in runs.items()}
     agent = next((run.ego for run in folders.values() if run.ego), "ego")
     console.print(as_rich(score_table({label: run.metrics for label, run in folders.items()}, agent=agent)))
     _show_causes(console, folders, agent)
@@ -42,18 +42,18 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
 
     Raises NotComparable if the two cannot be compared.
     """
-    run = RunFolder.load(run_folder)
+    run = RunRecord.load(run_folder)
     show_loaded(console, run, None if against is None else comparison.reference(run, against))
 
 
 def failure(run_folder: Path) -> str:
     """How a run failed, in one line; empty: it did not."""
-    run = RunFolder.load(run_folder)
+    run = RunRecord.load(run_folder)
     text, message = status(run), str(run.run.get("message") or "")
     return f"{text}: {message}" if text and message else text
 
 
-def show_loaded(console: Console, run: RunFolder, reference: Reference | None = None) -> None:
+def show_loaded(console: Console, run: RunRecord, reference: Reference | None = None) -> None:
     """Print the results of a loaded run; see `show_run`."""
     runs = {run.label: run} if reference is None else {reference.name: reference.run, run.label: run}
     metrics = {label: each.metrics for label, each in runs.items()}
@@ -69,13 +69,13 @@ def show_loaded(console: Console, run: RunFolder, reference: Reference | None = 
         console.print(escape(defence), highlight=False)
 
 
-def _show_causes(console: Console, runs: Mapping[str, RunFolder], agent: str) -> None:
+def _show_causes(console: Console, runs: Mapping[str, RunRecord], agent: str) -> None:
     causes = cause_table({label: run.metrics for label, run in runs.items() if run.faulted or run.withholds}, agent)
     if causes is not None:
         console.print(causes)
 
 
-def _show_lines(console: Console, label: str, run: RunFolder, reference: RunFolder | None = None) -> None:
+def _show_lines(console: Console, label: str, run: RunRecord, reference: RunRecord | None = None) -> None:
     """Print what interposers did, why it had limited effect, and every check."""
     lines = []
     notable = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]

@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 import mast_zenoh as mast
 from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, tracking
-from mast_zenoh.api.catalogue import KINDS, Entry
-from mast_zenoh.api.parameters import described, unit_of
+from mast_zenoh.api.catalogue import KINDS, Entry, described, unit_of
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import bundle, registry
 from mast_zenoh.errors import ConfigurationError

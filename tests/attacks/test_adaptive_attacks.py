@@ -80,7 +80,7 @@ def world_states(message: Message) -> ObjectStates:
     return states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
 
 
-def view_of(message: Message) -> SweptView:
+def frame_at(message: Message) -> SweptView:
     body = message.body
     limits = *body["azimuth"].tolist(), *body["elevation"].tolist(), float(body["max_range"][0])
     return SweptView(SensorView(body["position"], rotation_from_quaternion(body["rotation"]), *limits), body["free"])
@@ -99,7 +99,7 @@ def passages(attack: str) -> tuple[Passage, ...]:
             assert true_view.header == claimed.header
             assert sent.header.frame == claimed.header.frame
             states = world_states(sent), world_states(received)
-            result.append(Passage(sent.header.frame, agent, *states, view_of(true_view), view_of(claimed)))
+            result.append(Passage(sent.header.frame, agent, *states, frame_at(true_view), frame_at(claimed)))
     return tuple(result)
 
 
@@ -185,7 +185,7 @@ def test_nobody_honest_looks_at_what_is_invented_in_a_blind_spot() -> None:
     for passage in passages("BlindSpot"):
         for agent in (each for each in AGENTS if each != passage.agent):
             # Adversaries do not know of each other.
-            seen += np.count_nonzero(rows_seen(passage.inserted, view_of(views[agent][passage.frame]))[1])
+            seen += np.count_nonzero(rows_seen(passage.inserted, frame_at(views[agent][passage.frame]))[1])
         told += len(passage.inserted)
     assert told > 60
     assert seen <= 0.02 * told, "noise and the coarse grid of the view"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import mast_zenoh as testbed
-from mast_zenoh.report.playback.server import viewer_page
 from mast_zenoh.scenario.reading import load
+from mast_zenoh.viewer.page.page import viewer_page
 
 
 def test_a_defended_run_is_compared_with_the_same_run_without_its_fault(mast, tmp_path: Path) -> None:
@@ -22,4 +22,4 @@ def test_a_defended_run_is_compared_with_the_same_run_without_its_fault(mast, tm
     compared = testbed.compare(sound, faulted)
     assert compared.headline in " ".join(str(compared).split())
     assert len(set(compared.table["run"].to_pylist())) == 2
-    assert "defended and sound" in viewer_page([faulted.path, sound.path])
+    assert "defended and sound" in viewer_page([faulted.path, sound.path]).decode()

@@ -66,7 +66,7 @@ def test_the_wheel_always_has_the_same_sources_and_entry_points(tmp_path: Path) 
         recorded = {line.split(",")[0] for line in archive.read(f"{info}/RECORD").decode().splitlines()}
     assert recorded == set(names)
     assert {"mast_zenoh/bundled/deploy/Dockerfile", "mast_zenoh/bundled/nodes/agent.py"} <= recorded
-    assert "mast_zenoh/report/playback/page/main.js" in recorded, "a launcher writes reports"
+    assert "mast_zenoh/viewer/page/js/main.js" in recorded, "a launcher writes reports"
 
 
 @pytest.mark.mesh

@@ -27,7 +27,7 @@ from mast_zenoh import errors
 from mast_zenoh.cli import viewer_process
 from mast_zenoh.errors import MastError, UntrustedCode
 from mast_zenoh.report.figures import drawing
-from mast_zenoh.report.playback.server import ViewerServer
+from mast_zenoh.viewer.page.page import ViewerServer
 
 pytestmark = pytest.mark.heavy
 

@@ -14,7 +14,7 @@ import pytest
 from mast_zenoh.errors import NotRunning
 from mast_zenoh.launch import folder, live_interception, liveness
 from mast_zenoh.report.narrative.run import status
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.run import RunRecord
 
 SAYS_WHO = (
     "from mast_zenoh.launch import liveness; import json; print(json.dumps(liveness.identity()), flush=True); input()"
@@ -68,9 +68,9 @@ def test_a_finished_run_is_not_reported_as_killed() -> None:
 def test_every_tool_that_reads_the_folder_reports_a_killed_run(tmp_path: Path) -> None:
     record = {"id": "a-1", "status": "running", "runtime": "mesh", "launcher": liveness.identity()}
     folder.write_json(tmp_path / "run.json", record)
-    assert RunFolder.load(tmp_path).run["status"] == "running"
+    assert RunRecord.load(tmp_path).run["status"] == "running"
     folder.write_json(tmp_path / "run.json", record | {"launcher": liveness.identity() | {"began": "1"}})
-    run = RunFolder.load(tmp_path)
+    run = RunRecord.load(tmp_path)
     assert run.run["status"] == "killed"
     assert "cut off" in status(run)
     with pytest.raises(NotRunning, match="the run is over: killed"):

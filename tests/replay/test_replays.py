@@ -23,7 +23,7 @@ from mast_zenoh.messagelog.script import Script
 from mast_zenoh.report import html
 from mast_zenoh.report.comparison import reference
 from mast_zenoh.report.narrative.run import result
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.run import RunRecord
 
 PICTURE = ("cc/picture",)
 CLUSTERING = "command_center.pipeline.clustering.assign_radius"
@@ -230,7 +230,7 @@ def test_a_replay_has_no_twin(recorded: Callable[[str], Path], tmp_path: Path) -
 
 def test_an_unchanged_replay_is_not_told_as_different(recorded: Callable[[str], Path], tmp_path: Path) -> None:
     folder = recorded("uncoordinated")
-    run = RunFolder.load(replayed(folder, tmp_path / "replay").folder)
+    run = RunRecord.load(replayed(folder, tmp_path / "replay").folder)
     sentence = result(run, reference(run, folder))
     assert sentence.endswith("but every score that both runs have equals that of uncoordinated")
 

@@ -11,22 +11,22 @@ import pytest
 
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.adversaries import attack_description
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.run import RunRecord
 
 RunFolderFixture = Callable[..., Path]
 
 
-def edited(folder: Path, name: str, change: Callable[[Any], None]) -> RunFolder:
+def edited(folder: Path, name: str, change: Callable[[Any], None]) -> RunRecord:
     """The run after a change of one of its JSON files."""
     content = json.loads((folder / name).read_text())
     change(content)
     (folder / name).write_text(json.dumps(content))
-    return RunFolder.load(folder)
+    return RunRecord.load(folder)
 
 
 def test_each_adversary_has_a_sentence_with_its_place_its_effects_and_its_time(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
-    sentences = attack_description(RunFolder.load(folder))
+    sentences = attack_description(RunRecord.load(folder))
     assert len(sentences) == 2
     assert sentences[0].startswith("In the detections of infra_1, adversary_1 inserted ")
     assert sentences[0].endswith("from t = 1.5 s to 3.9 s.")

@@ -19,10 +19,10 @@ from mast_zenoh.report.html import write_page, write_report
 from mast_zenoh.report.narrative import changes
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.run import reading
-from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.of_run import achieved_rows, driving_rows
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.report.terminal import show_loaded
+from mast_zenoh.viewer.run import RunRecord
 
 ACHIEVED = {"inserted": 4, "inserted_share_centre": 1.0, "inserted_share_ego": 0.5, "inserted_s_centre": 9.25}
 ACHIEVED |= {"inserted_s_ego": None, "hidden": 0, "moved": 2, "moved_error_m_centre": 0.5, "moved_error_m_ego": 0.25}
@@ -30,11 +30,11 @@ ACHIEVED |= {"first_success_s_centre": 0.2, "first_success_s_ego": None, "id_swi
 
 
 @pytest.fixture
-def attacked(run_folder: Callable[..., Path]) -> RunFolder:
-    return RunFolder.load(run_folder("uncoordinated"))
+def attacked(run_folder: Callable[..., Path]) -> RunRecord:
+    return RunRecord.load(run_folder("uncoordinated"))
 
 
-def achieving(run: RunFolder, **achieved: Any) -> RunFolder:
+def achieving(run: RunRecord, **achieved: Any) -> RunRecord:
     run.metrics["achieved"] = {"adversary_1": achieved, "all": achieved}
     return run
 
@@ -51,7 +51,7 @@ def targets(kind: str, n: int = 10, **columns: Any) -> dict[str, np.ndarray]:
     }
 
 
-def why(run: RunFolder, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> str:
+def why(run: RunRecord, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> str:
     """The reasons of adversary_1; blamed_for: the only score changed by attacks."""
     achieving(run, **achieved)
     for summary in run.metrics["agents"]["ego"].values():
@@ -63,14 +63,14 @@ def why(run: RunFolder, table: dict[str, np.ndarray] | None, blamed_for: str = "
 
 @pytest.mark.parametrize(("error_m", "counts"), [(1.5, True), (15.0, False)])
 def test_duplicate_beyond_the_gate_is_false_and_not_in_the_rmse(
-    attacked: RunFolder, error_m: float, counts: bool
+    attacked: RunRecord, error_m: float, counts: bool
 ) -> None:
     object.__setattr__(attacked, "targets", targets("moved", error_m_centre=error_m))
     displaced = [each for each in changes.attributed(attacked) if each.kind == changes.DISPLACED]
     assert any(each.estimate == "picture" and each.weight > 0.0 for each in displaced) == counts
 
 
-def test_table_has_a_row_per_adversary_and_one_for_all(attacked: RunFolder) -> None:
+def test_table_has_a_row_per_adversary_and_one_for_all(attacked: RunRecord) -> None:
     attacked.metrics["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
     rows = achieved_rows(attacked)
     assert [row.adversary for row in rows] == ["adversary_1", "adversary_2", "all together"]
@@ -81,28 +81,28 @@ def test_table_has_a_row_per_adversary_and_one_for_all(attacked: RunFolder) -> N
 
 
 def test_run_without_adversaries_has_no_achievement_table(run_folder: Callable[..., Path]) -> None:
-    assert achieved_rows(RunFolder.load(run_folder())) == []
+    assert achieved_rows(RunRecord.load(run_folder())) == []
 
 
-def idle(run: RunFolder, received: int = 40) -> RunFolder:
+def idle(run: RunRecord, received: int = 40) -> RunRecord:
     summary = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": received, "effects": {}}
     summary |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
     run.metrics["interposers"] = {"adversary_1": summary}
     return run
 
 
-def test_reason_for_an_adversary_that_changed_nothing(attacked: RunFolder) -> None:
+def test_reason_for_an_adversary_that_changed_nothing(attacked: RunRecord) -> None:
     assert why(idle(attacked), None) == "it passed all 40 messages on unchanged"
     assert why(idle(attacked, received=0), None) == "no message reached it"
 
 
-def test_reason_for_an_attack_planned_after_the_end(attacked: RunFolder) -> None:
+def test_reason_for_an_attack_planned_after_the_end(attacked: RunRecord) -> None:
     plan = {"label": "Attack", "kind": "attack", "at_s": 60.0, "until_s": None, "nodes": ["adversary_1"]}
     attacked.scenario["timeline"] = [plan]
     assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
 
 
-def test_attack_settings_reveal_a_start_after_the_end(attacked: RunFolder) -> None:
+def test_attack_settings_reveal_a_start_after_the_end(attacked: RunRecord) -> None:
     attack = {"type": "UncoordinatedAttack", "start_s": 60.0}
     attacked.scenario["nodes"] = {"adversary_1": {"config": {"attack": attack}}}
     assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
@@ -110,14 +110,14 @@ def test_attack_settings_reveal_a_start_after_the_end(attacked: RunFolder) -> No
     assert why(idle(attacked), None) == "it passed all 40 messages on unchanged"
 
 
-def test_reason_for_an_adversary_that_failed_first(attacked: RunFolder) -> None:
+def test_reason_for_an_adversary_that_failed_first(attacked: RunRecord) -> None:
     attacked.run["nodes"]["adversary_1"]["failures"] = {"detections": 3}
     assert why(idle(attacked), None) == "it changed nothing: detections failed 3 times"
     attacked.run["nodes"]["adversary_1"] |= {"failures": [], "exit": 1, "ended": "exit code 1"}
     assert why(idle(attacked), None) == "it crashed before it changed anything: exit code 1"
 
 
-def test_reason_for_an_adversary_without_measurements(attacked: RunFolder) -> None:
+def test_reason_for_an_adversary_without_measurements(attacked: RunRecord) -> None:
     attacked.metrics.pop("interposers")
     assert why(attacked, None) == "what it did was not measured"
 
@@ -125,16 +125,16 @@ def test_reason_for_an_adversary_without_measurements(attacked: RunFolder) -> No
 NOT_ACCEPTED = {"inserted": 1, "inserted_share_centre": 0.0, "inserted_share_ego": 0.0}
 
 
-def test_objects_inserted_out_of_range_of_every_agent(attacked: RunFolder) -> None:
+def test_objects_inserted_out_of_range_of_every_agent(attacked: RunRecord) -> None:
     away = targets("inserted", x=500.0, judged_centre=False, judged_ego=False)
     assert why(attacked, away, **NOT_ACCEPTED) == "inserted: what it inserted was out of range of every agent (100 m)"
 
 
-def test_objects_inserted_out_of_the_egos_range_alone_were_rejected(attacked: RunFolder) -> None:
+def test_objects_inserted_out_of_the_egos_range_alone_were_rejected(attacked: RunRecord) -> None:
     assert "the fusion rejected" in why(attacked, targets("inserted", x=500.0, judged_ego=False), **NOT_ACCEPTED)
 
 
-def test_objects_inserted_on_a_real_object_match_it(attacked: RunFolder) -> None:
+def test_objects_inserted_on_a_real_object_match_it(attacked: RunRecord) -> None:
     truth = attacked.objects
     assert truth is not None
     at = (truth["frame"] == 20) & (truth["kind"] == "truth") & (truth["estimator"] == "picture")
@@ -146,18 +146,18 @@ def test_objects_inserted_on_a_real_object_match_it(attacked: RunFolder) -> None
     assert "the fusion rejected everything" in why(attacked, beside, **NOT_ACCEPTED)
 
 
-def test_reason_for_objects_rejected_by_the_fusion(attacked: RunFolder) -> None:
+def test_reason_for_objects_rejected_by_the_fusion(attacked: RunRecord) -> None:
     assert "the fusion rejected everything" in why(attacked, targets("inserted", x=30.0, y=40.0), **NOT_ACCEPTED)
     half = NOT_ACCEPTED | {"inserted_share_centre": 1.0}
     assert "the ego did not adopt it" in why(attacked, targets("inserted", x=30.0, y=40.0), **half)
 
 
-def test_accepted_objects_need_no_reason(attacked: RunFolder) -> None:
+def test_accepted_objects_need_no_reason(attacked: RunRecord) -> None:
     believed = {"inserted": 1, "inserted_share_centre": 1.0, "inserted_share_ego": 1.0}
     assert why(attacked, targets("inserted", x=30.0, y=40.0), **believed) == ""
 
 
-def test_reason_for_changes_in_unscored_frames(attacked: RunFolder) -> None:
+def test_reason_for_changes_in_unscored_frames(attacked: RunRecord) -> None:
     attacked.metrics["scored_frames"] = [0, 10]
     believed = {"inserted": 1, "inserted_share_centre": 1.0, "inserted_share_ego": 1.0}
     reason = "everything that it did was in frames that are not scored"
@@ -177,7 +177,7 @@ HIDDEN: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize(("columns", "reason"), HIDDEN.values(), ids=HIDDEN)
 def test_reasons_for_removed_objects_that_were_not_missed(
-    attacked: RunFolder, columns: dict[str, Any], reason: str
+    attacked: RunRecord, columns: dict[str, Any], reason: str
 ) -> None:
     nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
     assert reason in why(attacked, targets("removed", **columns), **nothing)
@@ -188,7 +188,7 @@ NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
 
 
 @pytest.mark.parametrize("first_dropped", [15, 25])
-def test_dropped_messages_have_their_own_reasons(attacked: RunFolder, first_dropped: int) -> None:
+def test_dropped_messages_have_their_own_reasons(attacked: RunRecord, first_dropped: int) -> None:
     effects = attacked.effects
     assert effects is not None
     selected = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
@@ -199,7 +199,7 @@ def test_dropped_messages_have_their_own_reasons(attacked: RunFolder, first_drop
     assert why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN) == f"{removed}dropped: {reason}"
 
 
-def test_unreachable_estimates_show_dashes(attacked: RunFolder) -> None:
+def test_unreachable_estimates_show_dashes(attacked: RunRecord) -> None:
     attacked.metrics["achieved"] = dict.fromkeys(("adversary_1", "adversary_2", "all"), ACHIEVED)
     for name in ("adversary_1", "adversary_2"):
         for wire in attacked.wiring["wires"]:
@@ -214,7 +214,7 @@ def test_unreachable_estimates_show_dashes(attacked: RunFolder) -> None:
     assert (row.accepted, row.error_m, row.switches) == ((DASH, "50%"), (DASH, "0.25"), (DASH, "0"))
 
 
-def seen_by(run: RunFolder, *agents: str) -> None:
+def seen_by(run: RunRecord, *agents: str) -> None:
     """Let only these agents see the objects of the scene."""
     scene = run.recording
     assert scene is not None
@@ -230,7 +230,7 @@ def by_both(kind: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("kind", ["removed", "moved"])
-def test_agent_with_the_object_removed_by_another_adversary_does_not_see_it(attacked: RunFolder, kind: str) -> None:
+def test_agent_with_the_object_removed_by_another_adversary_does_not_see_it(attacked: RunRecord, kind: str) -> None:
     table = by_both("removed")
     table["kind"][table["adversary"] == "adversary_2"] = kind
     seen_by(attacked, "infra_1", "infra_3")
@@ -239,20 +239,20 @@ def test_agent_with_the_object_removed_by_another_adversary_does_not_see_it(atta
     assert "removed: other agents still saw what it removed, all the time" in why(attacked, table, **NOT_HIDDEN)
 
 
-def test_an_agent_with_an_adversary_that_leaves_the_object_alone_sees_it(attacked: RunFolder) -> None:
+def test_an_agent_with_an_adversary_that_leaves_the_object_alone_sees_it(attacked: RunRecord) -> None:
     table = by_both("removed")
     table["object"][table["adversary"] == "adversary_2"] = 8
     seen_by(attacked, "infra_1", "infra_3")
     assert "removed: other agents still saw what it removed, all the time" in why(attacked, table, **NOT_HIDDEN)
 
 
-def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: RunFolder) -> None:
+def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: RunRecord) -> None:
     legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
     attacked.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
     assert why(attacked, None) == "it sat on the picture's path to infra_1, not to the ego"
 
 
-def test_terminal_and_page_show_limited_effects(attacked: RunFolder) -> None:
+def test_terminal_and_page_show_limited_effects(attacked: RunRecord) -> None:
     why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN)
     page = io.StringIO()
     show_loaded(Console(file=page, width=200), attacked)
@@ -263,7 +263,7 @@ def test_terminal_and_page_show_limited_effects(attacked: RunFolder) -> None:
     assert "no effect" not in html
 
 
-def test_reason_for_moved_objects_without_displacement(attacked: RunFolder) -> None:
+def test_reason_for_moved_objects_without_displacement(attacked: RunRecord) -> None:
     nothing = {"moved": 1, "moved_share_centre": 0.0, "moved_share_ego": 0.0, "moved_error_m_centre": 0.4}
     reason = "the tracks of what it {} are 0.40 m off on average, which does not count as a displacement"
     for kind, done in (("moved", "moved"), ("altered", "altered")):
@@ -274,7 +274,7 @@ def test_reason_for_moved_objects_without_displacement(attacked: RunFolder) -> N
             assert why(attacked, table, **nothing, **{f"id_switches_{judge}": 2}) == "", "they are also an effect"
 
 
-def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: RunFolder) -> None:
+def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: RunRecord) -> None:
     assert attacked.objects is not None
     by = np.where(attacked.objects["outcome"] != "matched", "adversary_1", "")
     attacked.objects["by"] = by.astype(object)
@@ -286,7 +286,7 @@ def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attack
     assert why(attacked, targets("removed"), "fp", **hidden) == "", "it only removed objects"
 
 
-def on_the_downlink(run: RunFolder) -> RunFolder:
+def on_the_downlink(run: RunRecord) -> RunRecord:
     assert run.effects is not None
     run.effects["message"] = np.full(len(run.effects["frame"]), "picture", object)
     return run
@@ -300,7 +300,7 @@ def on_the_downlink(run: RunFolder) -> RunFolder:
         (0, "what it removed was still tracked by the ego: tracks outlive a gap"),
     ],
 )
-def test_downlink_manipulations_are_judged_by_the_ego_alone(attacked: RunFolder, tracked: int, reason: str) -> None:
+def test_downlink_manipulations_are_judged_by_the_ego_alone(attacked: RunRecord, tracked: int, reason: str) -> None:
     nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
     objects = on_the_downlink(attacked).objects
     assert objects is not None
@@ -310,7 +310,7 @@ def test_downlink_manipulations_are_judged_by_the_ego_alone(attacked: RunFolder,
     assert why(attacked, targets("removed", seen_by_others=True), **nothing) == f"removed: {reason}"
 
 
-def test_visibility_for_other_agents_is_given_in_per_cent(attacked: RunFolder) -> None:
+def test_visibility_for_other_agents_is_given_in_per_cent(attacked: RunRecord) -> None:
     nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
     table = targets("removed", n=300)
     table["seen_by_others"] = np.arange(300) > 0
@@ -325,7 +325,7 @@ DRIVES = {
 }
 
 
-def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunFolder) -> None:
+def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunRecord) -> None:
     assert driving_rows(attacked) == []
     attacked.metrics["driving"] = {"ego": DRIVES}
     truth, mission = driving_rows(attacked)
@@ -334,8 +334,8 @@ def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunFolder) 
     assert (mission.needless, mission.omitted) == ("25.0% (12.5% by attack)", "0.0%")
 
 
-def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], attacked: RunFolder) -> None:
-    reference = RunFolder.load(run_folder())
+def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], attacked: RunRecord) -> None:
+    reference = RunRecord.load(run_folder())
     attacked.metrics["driving"] = {"ego": DRIVES}
     assert len(driving_rows(attacked, reference, "unattacked")) == 2, "the other run's value is unknown"
     mission = DRIVES["mission"] | {"needless_brake_share": 0.125, "brake_share": 0.3, "min_ttc_s": None}
@@ -360,9 +360,9 @@ def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], a
     [(0.0, 0.059, 0.0, "5.9%"), (0.1, 0.159, 0.02, "3.9%"), (0.0, 0.059, 0.059, ""), (0.1, 0.05, 0.0, "")],
 )
 def test_unattributed_increase_of_needless_braking_is_reported(
-    run_folder: Callable[..., Path], attacked: RunFolder, before: float, after: float, attack: float, more: str
+    run_folder: Callable[..., Path], attacked: RunRecord, before: float, after: float, attack: float, more: str
 ) -> None:
-    reference = RunFolder.load(run_folder())
+    reference = RunRecord.load(run_folder())
     share = "needless_brake_share"
     attacked.metrics["driving"] = {"ego": {"mission": {share: after, f"{share}_attack": attack}}}
     reference.metrics["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
@@ -375,7 +375,7 @@ def test_unattributed_increase_of_needless_braking_is_reported(
     assert any("not attributed" in each for each in sentences) == bool(more)
 
 
-def test_objects_overlapping_the_ego_have_their_own_column(attacked: RunFolder) -> None:
+def test_objects_overlapping_the_ego_have_their_own_column(attacked: RunRecord) -> None:
     mission = DRIVES["mission"] | {"overlapping_objects": 0.75}
     attacked.metrics["driving"] = {"ego": {"mission": mission}}
     assert driving_rows(attacked)[0].overlapping == "0.75"
@@ -397,7 +397,7 @@ def drive(needless: list[int]) -> dict[str, np.ndarray]:
     return {name: np.array(column) for name, column in part.items()}
 
 
-def test_needless_braking_is_drawn_when_it_happens(attacked: RunFolder) -> None:
+def test_needless_braking_is_drawn_when_it_happens(attacked: RunRecord) -> None:
     assert driving_over_time(attacked, None) is None
     object.__setattr__(attacked, "driving", drive([20, 21, 22, 30]))
     figure = driving_over_time(attacked, 21)
@@ -416,6 +416,6 @@ def test_older_runs_have_unknown_achievements(run_folder: Callable[..., Path]) -
     for name in ("achieved", "driving", "interposers"):
         metrics.pop(name)
     (folder / "metrics.json").write_text(json.dumps(metrics))
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert any("what attacks achieved is not known" in sentence for sentence in run.missing)
     assert {row.why for row in achieved_rows(run)} == {("what it did was not measured",)}

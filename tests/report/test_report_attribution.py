@@ -12,7 +12,7 @@ import pytest
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.attribution import join_differences, other_differences, reaches
 from mast_zenoh.report.narrative.run import headline, reading
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.run import RunRecord
 
 Edit = Callable[[dict[str, Any]], Any]
 
@@ -39,11 +39,11 @@ def pair(run_folder: Callable[..., Path]) -> tuple[Path, Path]:
     return folders
 
 
-def loaded(pair: tuple[Path, Path]) -> tuple[RunFolder, RunFolder]:
-    return RunFolder.load(pair[0]), RunFolder.load(pair[1])
+def loaded(pair: tuple[Path, Path]) -> tuple[RunRecord, RunRecord]:
+    return RunRecord.load(pair[0]), RunRecord.load(pair[1])
 
 
-def sentences_of(run: RunFolder, reference: RunFolder) -> str:
+def sentences_of(run: RunRecord, reference: RunRecord) -> str:
     other = Reference(reference, "other")
     return " ".join([headline(run, other), *reading(run, other)])
 
@@ -97,10 +97,10 @@ def test_only_three_differences_are_named() -> None:
 
 
 def test_the_same_adversaries_with_other_settings_are_a_difference(pair: tuple[Path, Path], tmp_path: Path) -> None:
-    run = RunFolder.load(pair[0])
+    run = RunRecord.load(pair[0])
     edit(pair[0] / "scenario.json", lambda data: data["nodes"]["adversary_1"]["config"].update(metres=1.5))
     edit(pair[0] / "metrics.json", lambda data: data["agents"]["ego"]["picture"]["fp"].update(mean=0.0))
-    weaker = RunFolder.load(pair[0])
+    weaker = RunRecord.load(pair[0])
     assert "not attributed: the runs differ in adversary_1.metres" in sentences_of(run, weaker)
     assert "due to" not in sentences_of(run, weaker)
 
@@ -132,7 +132,7 @@ def test_unreachable_changes_are_not_attributed_to_an_adversary(pair: tuple[Path
 def test_an_adversary_before_one_agent_reaches_neither_the_picture_nor_the_others(
     run_folder: Callable[..., Path],
 ) -> None:
-    run = RunFolder.load(run_folder())
+    run = RunRecord.load(run_folder())
     wire = next(wire for wire in run.wiring["wires"] if wire["key"] == "cc/picture")
     leg = {"key": "cc/picture/@tap/ego/0", "from": "eve", "to": ["ego"], "before": "ego"}
     wire.update(interposers=["eve"], legs=[*wire["legs"], leg])

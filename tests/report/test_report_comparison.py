@@ -15,8 +15,8 @@ from rich.console import Console
 from mast_zenoh.errors import NotComparable, RunFolderError
 from mast_zenoh.report import comparison
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.terminal import show_run
+from mast_zenoh.viewer.run import RunRecord
 
 Pair = tuple[Path, Path]
 
@@ -53,7 +53,7 @@ def test_runs_of_equal_name_are_distinguished_by_folder(pair: Pair) -> None:
     run, other = pair
     for folder in pair:
         edit(folder / "run.json", lambda data: data.update(name="mine"))
-    assert comparison.reference(RunFolder.load(run), other).name == "baseline"
+    assert comparison.reference(RunRecord.load(run), other).name == "baseline"
 
 
 def score_with(folder: Path, **options: Any) -> None:
@@ -66,7 +66,7 @@ def test_user_defined_metrics_do_not_prevent_comparison(pair: Pair) -> None:
     run, other = pair
     score_with(run, metrics=[{"type": "FalseNearby"}])
     score_with(other)
-    assert comparison.reference(RunFolder.load(run), other).name == "baseline-1"
+    assert comparison.reference(RunRecord.load(run), other).name == "baseline-1"
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_what_the_evaluator_knows_of_the_experiment_does_not_prevent_comparison(
     run, other = pair
     score_with(run, **experiment)
     score_with(other)
-    assert comparison.reference(RunFolder.load(run), other).name == "baseline-1"
-    assert comparison.reference(RunFolder.load(other), run).name == "uncoordinated-1"
+    assert comparison.reference(RunRecord.load(run), other).name == "baseline-1"
+    assert comparison.reference(RunRecord.load(other), run).name == "uncoordinated-1"
 
 
 REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
@@ -130,7 +130,7 @@ def test_incomparable_runs_are_rejected(pair: Pair, spoil: Callable[[Path], Any]
 
 def test_different_scene_is_rejected(pair: Pair) -> None:
     run, other = pair
-    scene = RunFolder.load(other).recording
+    scene = RunRecord.load(other).recording
     assert scene is not None
     moved = replace(scene.truth, position=scene.truth.position + 1.0)
     replace(scene, truth=moved).save(other / "scene.npz")
@@ -141,15 +141,15 @@ def test_different_scene_is_rejected(pair: Pair) -> None:
 def test_without_recordings_scenes_are_compared_by_scenario(pair: Pair) -> None:
     run, other = pair
     (other / "scene.npz").unlink()
-    assert comparison.reference(RunFolder.load(run), other).name == "baseline-1"
+    assert comparison.reference(RunRecord.load(run), other).name == "baseline-1"
     edit(other / "scenario.json", lambda data: data.update(scene={"type": "Other"}))
     with pytest.raises(NotComparable, match="an unknown scene"):
-        comparison.reference(RunFolder.load(run), other)
+        comparison.reference(RunRecord.load(run), other)
 
 
 def test_runs_with_different_unscored_agents_are_rejected(pair: Pair) -> None:
     run, other = pair
-    scene = RunFolder.load(other).recording
+    scene = RunRecord.load(other).recording
     assert scene is not None
     renamed = (*scene.agents[:-1], replace(scene.agents[-1], name="infra_9"))
     replace(scene, agents=renamed).save(other / "scene.npz")

@@ -12,10 +12,10 @@ import pytest
 
 from mast_zenoh.metrics import Consistency
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.of_run import estimate_rows, tracker_rows
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.tracking import Innovations
+from mast_zenoh.viewer.run import RunRecord
 
 
 def summary(scale: float, n: int = 400) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def folder(run_folder: Callable[..., Path]) -> Path:
 
 
 def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
-    picture, received, unknown = estimate_rows(RunFolder.load(folder))
+    picture, received, unknown = estimate_rows(RunRecord.load(folder))
     assert [row.estimate for row in (picture, received, unknown)] == ["the picture", "infra_1 as received", "infra_2"]
     assert picture.verdict == "velocity: overcautious"
     assert received.verdict == "position: overconfident; velocity: overconfident"
@@ -52,7 +52,7 @@ def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
 
 
 def test_each_tracker_has_a_row(folder: Path) -> None:
-    ego, silent = tracker_rows(RunFolder.load(folder))
+    ego, silent = tracker_rows(RunRecord.load(folder))
     assert ego.nis.startswith("1.90 (")
     assert (ego.pairs, ego.sudden, ego.verdict) == (100, 1, "")
     assert (silent.nis, silent.pairs) == (DASH, 0)
@@ -67,5 +67,5 @@ def test_the_page_has_both_tables_and_says_what_is_left_out(folder: Path) -> Non
 
 def test_runs_of_earlier_versions_have_no_such_section(run_folder: Callable[..., Path]) -> None:
     run = run_folder()
-    assert (estimate_rows(RunFolder.load(run)), tracker_rows(RunFolder.load(run))) == ([], [])
+    assert (estimate_rows(RunRecord.load(run)), tracker_rows(RunRecord.load(run))) == ([], [])
     assert 'id="confidence"' not in write_report(run).read_text()

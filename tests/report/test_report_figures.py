@@ -18,11 +18,12 @@ from mast_zenoh.report.figures.camera import Eye, clip_polygon
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, render, side_by_side_figure
 from mast_zenoh.report.figures.over_time import counts_over_time
 from mast_zenoh.report.figures.style import png
-from mast_zenoh.report.figures.view import FrameView, frame_view
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.sensing.sensors import Camera
+from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.palette import ADVERSARY, OUTCOME_COLOURS
+from mast_zenoh.viewer.run import RunRecord
 
 COLOURS = OUTCOME_COLOURS | {"adversary": ADVERSARY}
 
@@ -35,7 +36,7 @@ def pixels(image: np.ndarray, colour: str) -> int:
     return int((np.abs(image - to_rgb(COLOURS[colour])) < 0.02).all(axis=-1).sum())
 
 
-def panels(view: FrameView) -> Mapping[str, np.ndarray]:
+def panels(view: Frame) -> Mapping[str, np.ndarray]:
     """The insides of the bird's-eye figure's panels, without titles and key."""
     image = image_of(png(birdseye_figure(view)))
     third = image.shape[1] // 3
@@ -46,15 +47,15 @@ def panels(view: FrameView) -> Mapping[str, np.ndarray]:
 
 
 @pytest.fixture
-def attacked(run_folder: Callable[..., Path]) -> FrameView:
-    view = frame_view(RunFolder.load(run_folder("uncoordinated")), 33)
+def attacked(run_folder: Callable[..., Path]) -> Frame:
+    view = frame_view(RunRecord.load(run_folder("uncoordinated")), 33)
     assert view is not None
     return view
 
 
 @pytest.fixture
-def clean(run_folder: Callable[..., Path]) -> FrameView:
-    view = frame_view(RunFolder.load(run_folder()), 33)
+def clean(run_folder: Callable[..., Path]) -> Frame:
+    view = frame_view(RunRecord.load(run_folder()), 33)
     assert view is not None
     return view
 
@@ -71,7 +72,7 @@ def test_colours_follow_the_paper() -> None:
         assert np.abs(np.round(colour - 0.12) - [r, g, b]).max() == 0, outcome
 
 
-def test_false_tracks_and_insertions_are_absent_from_the_ego_alone_panel(attacked: FrameView) -> None:
+def test_false_tracks_and_insertions_are_absent_from_the_ego_alone_panel(attacked: Frame) -> None:
     drawn = panels(attacked)
     assert pixels(drawn["mission"], "track false") == pixels(drawn["picture"], "track false")
     assert pixels(drawn["picture"], "track false") > 250
@@ -80,7 +81,7 @@ def test_false_tracks_and_insertions_are_absent_from_the_ego_alone_panel(attacke
     assert pixels(drawn["picture"], "adversary") > pixels(drawn["local"], "adversary") + 300 > 300
 
 
-def test_missed_and_matched_objects_are_drawn_in_both_panels(clean: FrameView) -> None:
+def test_missed_and_matched_objects_are_drawn_in_both_panels(clean: Frame) -> None:
     drawn = panels(clean)
     for panel in drawn.values():
         assert pixels(panel, "truth missed") > 50
@@ -92,7 +93,7 @@ def test_missed_and_matched_objects_are_drawn_in_both_panels(clean: FrameView) -
 
 
 def test_unevaluated_objects_are_green(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder())
+    run = RunRecord.load(run_folder())
     with_one, without = frame_view(run, 27), frame_view(run, 28)
     assert with_one is not None
     assert without is not None
@@ -100,7 +101,7 @@ def test_unevaluated_objects_are_green(run_folder: Callable[..., Path]) -> None:
     assert pixels(panels(without)["local"], "unevaluated") == 0
 
 
-def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: FrameView) -> None:
+def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: Frame) -> None:
     figure = camera_figure(attacked)
     assert figure is not None
     image = image_of(png(figure))
@@ -109,7 +110,7 @@ def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: Frame
     assert pixels(image[half : half + 420], "track false") > 100
 
 
-def test_runs_side_by_side_have_a_panel_each(attacked: FrameView, clean: FrameView) -> None:
+def test_runs_side_by_side_have_a_panel_each(attacked: Frame, clean: Frame) -> None:
     views = {"baseline": clean, "uncoordinated": attacked}
     table = score_table({label: view.run.metrics for label, view in views.items()})
     image = image_of(png(side_by_side_figure(views, table)))
@@ -119,7 +120,7 @@ def test_runs_side_by_side_have_a_panel_each(attacked: FrameView, clean: FrameVi
     assert pixels(plots[:, width // 2 :], "track false") > 300
 
 
-def test_four_or_more_runs_use_more_rows(clean: FrameView) -> None:
+def test_four_or_more_runs_use_more_rows(clean: Frame) -> None:
     table = score_table({"a": clean.run.metrics})
     three = side_by_side_figure(dict.fromkeys("abc", clean), table)
     seven = side_by_side_figure(dict.fromkeys("abcdefg", clean), table)
@@ -128,7 +129,7 @@ def test_four_or_more_runs_use_more_rows(clean: FrameView) -> None:
 
 
 def test_counts_are_drawn_from_any_number_of_frames(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder())
+    run = RunRecord.load(run_folder())
     assert run.counts is not None
     few = {name: column[:2] for name, column in run.counts.items()}
     object.__setattr__(run, "counts", few)
@@ -138,7 +139,7 @@ def test_counts_are_drawn_from_any_number_of_frames(run_folder: Callable[..., Pa
 
 
 def test_smoothed_lines_do_not_rise_before_the_attack(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
+    run = RunRecord.load(run_folder("uncoordinated"))
     figure = counts_over_time({"run": run}, None)
     assert figure is not None
     bold = next(line for line in figure.axes[1].get_lines() if line.get_label() == "picture")
@@ -195,7 +196,7 @@ def test_what_is_clipped_lies_in_front_and_the_rest_is_unchanged(
     assert ((clipped >= low) & (clipped <= high)).all()
 
 
-def test_an_image_is_a_data_uri_with_its_size(clean: FrameView) -> None:
+def test_an_image_is_a_data_uri_with_its_size(clean: Frame) -> None:
     rendered = render("x", birdseye_figure(clean), "alt", "caption")
     assert rendered.source.startswith("data:image/png;base64,iVBOR")
     assert rendered.pixels == image_of(rendered.png).shape[1::-1]

@@ -17,8 +17,8 @@ import pytest
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.tables import read_table, write_table
 from mast_zenoh.report.html import write_report, write_study_report
-from mast_zenoh.report.playback.columns import unpack
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.page.columns import unpack
+from mast_zenoh.viewer.run import RunRecord
 
 RunFolderFixture = Callable[..., Path]
 
@@ -207,7 +207,7 @@ def test_a_missing_file_is_named_and_everything_else_is_shown(run_folder: RunFol
 def test_a_truncated_file_is_named(run_folder: RunFolderFixture, name: str) -> None:
     folder = run_folder("uncoordinated")
     (folder / name).write_bytes((folder / name).read_bytes()[:-20])
-    (problem,) = RunFolder.load(folder).missing
+    (problem,) = RunRecord.load(folder).missing
     assert problem.startswith(f"{name} cannot be read")
 
 

@@ -13,9 +13,9 @@ from mast_zenoh.report.figures.style import svg
 from mast_zenoh.report.narrative.changes import effects
 from mast_zenoh.report.narrative.run import compromised, reading
 from mast_zenoh.report.page import environment
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
 from mast_zenoh.report.tables.wiring import Spot, WireRow, all_wires, layout, wire_rows
+from mast_zenoh.viewer.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
+from mast_zenoh.viewer.run import RunRecord
 
 MEASURED = {"messages": 40, "effects": {"inserted": 3, "corrupted": 2}, "reports": 0, "agreement": "silent"}
 MEASURED |= {"unreported": 5, "unfounded": 0, "role": "adversary", "wires": ["agent/infra_1/tracks"]}
@@ -39,15 +39,15 @@ def run_of(
     measured: dict[str, Any] | None = None,
     nodes: dict[str, Any] | None = None,
     interceptions: tuple[dict[str, Any], ...] = (),
-) -> RunFolder:
+) -> RunRecord:
     roles = {"ego": "agent", "infra_1": "agent", "command_center": "command_center", "broker": "broker"}
     known = {name: {"role": role, "exit": 0, "ended": "ok"} for name, role in roles.items()} | (nodes or {})
     run = {"nodes": known, "interceptions": list(interceptions), "status": "ok"}
     metrics = {"interposers": measured or {}}
-    return RunFolder(Path("run"), run, {}, {"wires": wires}, metrics, None, None, None, None, ())
+    return RunRecord(Path("run"), run, {}, {"wires": wires}, metrics, None, None, None, None)
 
 
-def only(run: RunFolder) -> Interposer:
+def only(run: RunRecord) -> Interposer:
     (matches,) = interposers(run)
     return matches
 

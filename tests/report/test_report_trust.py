@@ -23,9 +23,10 @@ from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.run import defence_sentence
-from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.of_run import conduct_rows, suspension_lines, suspension_rows, trust_sentences
-from mast_zenoh.report.trust_facts import fault_spans, judged_agents, lie_spans, state_spans, states_at, withheld_at
+from mast_zenoh.report.trust_facts import judged_agents
+from mast_zenoh.viewer.events import fault_spans, lie_spans, state_spans, states_at, withheld_at
+from mast_zenoh.viewer.run import RunRecord
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 FRAMES, DETECTED, FAULTY = 40, 20, 25
@@ -96,7 +97,7 @@ def pixels(picture: bytes, colour: str) -> int:
 
 
 def test_the_state_of_an_agent_is_that_of_the_latest_message(folder: Path) -> None:
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert judged_agents(run) == list(AGENTS)
     assert states_at(run, DETECTED - 1) == dict.fromkeys(AGENTS, "trusted")
     assert states_at(run, FRAMES + 10) == dict.fromkeys(AGENTS, "trusted") | {
@@ -106,7 +107,7 @@ def test_the_state_of_an_agent_is_that_of_the_latest_message(folder: Path) -> No
 
 
 def test_spans_are_periods_of_a_state_and_of_faults(folder: Path) -> None:
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert run.trust is not None
     rows = {name: column[run.trust["agent"] == "infra_1"] for name, column in run.trust.items()}
     assert state_spans(rows, "suspended", 4.0) == [(2.0, 4.0)]
@@ -116,7 +117,7 @@ def test_spans_are_periods_of_a_state_and_of_faults(folder: Path) -> None:
 
 
 def test_lies_are_the_measured_changes_on_an_agents_own_wires(folder: Path) -> None:
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert run.attacks is not None
     wire = np.where(run.attacks["interposer"] == "adversary_1", "agent/infra_1/tracks", "cc/picture")
     run.attacks["wire"] = wire.astype(object)
@@ -126,7 +127,7 @@ def test_lies_are_the_measured_changes_on_an_agents_own_wires(folder: Path) -> N
 
 
 def test_agents_have_the_colour_of_their_state_and_withheld_objects_are_outlined(folder: Path) -> None:
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert len(withheld_at(run, DETECTED)[2]) == 1
     assert len(withheld_at(run, DETECTED - 1)[2]) == 0
     views = [frame_view(run, frame) for frame in (DETECTED - 1, FAULTY + 1)]
@@ -138,7 +139,7 @@ def test_agents_have_the_colour_of_their_state_and_withheld_objects_are_outlined
 
 
 def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
+    run = RunRecord.load(run_folder("uncoordinated"))
     view = frame_view(run, 33)
     assert view is not None
     assert pixels(png(birdseye_figure(view)), STATES["suspended"]) == 0
@@ -149,7 +150,7 @@ def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[...
 
 
 def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(folder: Path) -> None:
-    figure = trust_over_time(RunFolder.load(folder), 33)
+    figure = trust_over_time(RunRecord.load(folder), 33)
     assert figure is not None
     assert [axes.get_ylabel() for axes in figure.axes] == list(AGENTS)
 
@@ -166,7 +167,7 @@ def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(fold
 
 
 def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
-    rows = suspension_rows(RunFolder.load(folder))
+    rows = suspension_rows(RunRecord.load(folder))
     assert [(row.agent, row.from_s, row.until_s, row.conduct, row.after_s) for row in rows] == [
         ("infra_2", "1.0", "1.2", "honest", "\u2013"),
         ("infra_1", "2.0", "3.0", "lying", "0.5"),
@@ -177,7 +178,7 @@ def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
 
 
 def test_the_terminal_names_suspensions_with_their_reasons(folder: Path) -> None:
-    lines = suspension_lines(RunFolder.load(folder))
+    lines = suspension_lines(RunRecord.load(folder))
     assert lines[1] == (f"the command centre suspended infra_1 (lying) at 2.0 s, 0.5 s after its first lie: {REASON}")
 
 
@@ -226,7 +227,7 @@ def test_the_last_lines_of_a_run_without_defence_name_none(folder: Path) -> None
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
-    states, rows = conduct_rows(RunFolder.load(folder))
+    states, rows = conduct_rows(RunRecord.load(folder))
     assert states == ["unknown", "trusted", "faulty", "suspended"]
     assert rows == [("honest", ["0.0", "14.0", "0.0", "0.2"]), ("lying", ["0.0", "3.4", "0.0", "1.4"])]
 
@@ -243,4 +244,4 @@ def test_the_page_states_missed_liars_false_alarms_and_withheld_objects(folder: 
 
 def test_a_missing_trust_table_is_named(folder: Path) -> None:
     (folder / "trust.parquet").unlink()
-    assert "trust.parquet is absent: trust in agents is not shown." in RunFolder.load(folder).missing
+    assert "trust.parquet is absent: trust in agents is not shown." in RunRecord.load(folder).missing

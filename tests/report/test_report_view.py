@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure
-from mast_zenoh.report.figures.view import Marks, choose_common_frame, choose_frame, clipped, frame_view, window
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.figures.view import choose_common_frame, choose_frame, frame_view, window
+from mast_zenoh.viewer.run import RunRecord
 
 
 def a_run(
@@ -19,7 +19,7 @@ def a_run(
     local: list[tuple[int, int]] | None = None,
     attack: Any = None,
     scored: tuple[int, int] | None = None,
-) -> RunFolder:
+) -> RunRecord:
     """A run with known (FN, FP) and attacked frames only; frames start at 10."""
     rows = [("picture", k, *counts) for k, counts in enumerate(picture)]
     rows += [("local", k, *counts) for k, counts in enumerate(local or picture)]
@@ -32,7 +32,7 @@ def a_run(
         kinds = {"effect": np.full(len(attack), "inserted"), "role": np.full(len(attack), "adversary")}
         effects = {"frame": np.array(attack)} | kinds
     metrics = {} if scored is None else {"scored_frames": list(scored)}
-    return RunFolder(Path("run"), {}, {}, {}, metrics, counts, None, effects, None, ())
+    return RunRecord(Path("run"), {}, {}, {}, metrics, counts, None, effects, None)
 
 
 def test_the_worst_frame_since_the_attack_began_is_shown() -> None:
@@ -83,7 +83,7 @@ def test_a_run_without_counts_has_no_frame_to_display() -> None:
     run = a_run([(1, 0)])
     assert run.counts is not None
     empty = {name: column[:0] for name, column in run.counts.items()}
-    assert choose_frame(RunFolder(Path("run"), {}, {}, {}, {}, empty, None, None, None, ())) is None
+    assert choose_frame(RunRecord(Path("run"), {}, {}, {}, {}, empty, None, None, None)) is None
 
 
 def test_runs_share_the_frame_of_the_largest_effect() -> None:
@@ -95,7 +95,7 @@ def test_runs_share_the_frame_of_the_largest_effect() -> None:
 
 
 def test_window_is_square_and_contains_all_nearby_objects(run_folder: Callable[..., Path]) -> None:
-    view = frame_view(RunFolder.load(run_folder()), 20)
+    view = frame_view(RunRecord.load(run_folder()), 20)
     assert view is not None
     x, y, half = window([view])
     boxes = np.concatenate([boxes.position for of in view.boxes.values() for boxes in of.values()])
@@ -105,15 +105,15 @@ def test_window_is_square_and_contains_all_nearby_objects(run_folder: Callable[.
 
 
 def test_distant_manipulations_are_not_in_the_view(run_folder: Callable[..., Path]) -> None:
-    view = frame_view(RunFolder.load(run_folder("uncoordinated")), 20)
+    view = frame_view(RunRecord.load(run_folder("uncoordinated")), 20)
     assert view is not None
     assert len(view.before.added) == 10
     x, y, _ = view.before.added[0]
-    assert len(clipped(view, (float(x), float(y), 0.5)).before.added) == 1
+    assert len(replace(view, window=(float(x), float(y), 0.5)).before.added) == 1
 
 
 def test_the_estimate_used_to_choose_a_frame_is_shown(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
+    run = RunRecord.load(run_folder("uncoordinated"))
     assert run.objects is not None
     touched = run.objects["estimator"] == "picture"
     more = {name: np.concatenate([column, column[touched]]) for name, column in run.objects.items()}
@@ -125,8 +125,10 @@ def test_the_estimate_used_to_choose_a_frame_is_shown(run_folder: Callable[..., 
     assert view is not None
     assert list(view.boxes) == ["local", "picture_received", "mission"]
     assert len(view.boxes["picture_received"]["track false"]) == 10
-    behind = replace(view, before=Marks.none(), behind=view.before)
-    assert len(behind.marks("picture_received").added) == 10
+    assert run.effects is not None
+    run.effects["message"] = np.full(len(run.effects["frame"]), "picture")
+    assert len(replace(view, run=replace(run)).behind.added) == 10
+    assert len(replace(view, run=replace(run)).marks("picture_received").added) == 10
     titles = [axes.get_title(loc="left") for axes in birdseye_figure(view).axes]
     assert titles[1] == "the picture as the ego receives it"
     assert camera_figure(view) is not None

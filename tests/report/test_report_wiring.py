@@ -12,14 +12,14 @@ import pytest
 
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.style import svg
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import adversaries_by_agent, interposers
 from mast_zenoh.report.tables.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
+from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
+from mast_zenoh.viewer.run import RunRecord
 
 
-def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> RunFolder:
+def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> RunRecord:
     nodes = {name: {"role": role} for name, role in (roles or {}).items()}
-    return RunFolder(Path("run"), {"nodes": nodes}, {}, {"wires": wires}, {}, None, None, None, None, ())
+    return RunRecord(Path("run"), {"nodes": nodes}, {}, {"wires": wires}, {}, None, None, None, None)
 
 
 def a_wire(
@@ -32,7 +32,7 @@ def a_wire(
     return record | {"legs": legs, "interposers": list(chain)}
 
 
-def mesh(agents: int, chain: int, message: str) -> RunFolder:
+def mesh(agents: int, chain: int, message: str) -> RunRecord:
     """A run with `chain` links on each agent's wires of the type `message`, or "both"."""
     wires, roles = [], {"simulator": "simulator", "broker": "broker", "command_center": "command_center"}
     for name in ["ego", *(f"infra_{k}" for k in range(1, agents))]:
@@ -81,7 +81,7 @@ def test_a_listener_is_drawn_on_its_leg_and_named_in_the_table() -> None:
     assert wire_rows(run)[0].subscribers == ("broker", "guard (listens)", "source_guard (listens)")
 
 
-def branched(trunk: tuple[str, ...] = ()) -> RunFolder:
+def branched(trunk: tuple[str, ...] = ()) -> RunRecord:
     """The picture's wire with a link per agent and interposers on the trunk."""
     agents = ["ego", "infra_1", "infra_2"]
     wire = a_wire("cc/picture", "picture", "command_center", [*agents, "evaluator"], trunk)
@@ -122,7 +122,7 @@ def test_interposer_on_the_trunk_intercepts_all_branches() -> None:
 
 
 def test_a_coordinator_is_above_its_adversaries(run_folder: Callable[..., Path]) -> None:
-    plan = layout(RunFolder.load(run_folder("coordinated")))
+    plan = layout(RunRecord.load(run_folder("coordinated")))
     assert plan is not None
     coordinator = Spot("coordinator")
     assert plan.places[coordinator][1] < min(y for spot, (_, y) in plan.places.items() if spot != coordinator)
@@ -130,7 +130,7 @@ def test_a_coordinator_is_above_its_adversaries(run_folder: Callable[..., Path])
 
 
 def test_the_evaluator_is_in_the_table_but_not_in_the_diagram(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
+    run = RunRecord.load(run_folder("uncoordinated"))
     plan = layout(run)
     assert plan is not None
     assert Spot("evaluator") not in plan.places
@@ -139,14 +139,14 @@ def test_the_evaluator_is_in_the_table_but_not_in_the_diagram(run_folder: Callab
 
 
 def test_the_table_begins_with_the_intercepted_wires(run_folder: Callable[..., Path]) -> None:
-    rows = wire_rows(RunFolder.load(run_folder("uncoordinated")))
+    rows = wire_rows(RunRecord.load(run_folder("uncoordinated")))
     assert [row.key for row in rows if row.intercepted] == [row.key for row in rows[:2]]
     assert rows[0].taps == ("agent/infra_1/detections/@tap/0",)
     assert rows[0].interposers == ("adversary_1",)
 
 
 def test_adversaries_are_grouped_by_the_agent_of_their_wire(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
+    run = RunRecord.load(run_folder("uncoordinated"))
     assert adversaries_by_agent(interposers(run)) == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
     assert adversaries_by_agent(interposers(mesh(2, 1, "tracks"))) == {}
     without_roles = replace(run, run={}, metrics={})  # run.json is lost: a role follows from the name only

@@ -22,8 +22,8 @@ from mast_zenoh.report.narrative.run import (
     study_reading,
     while_attacked,
 )
-from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import number, score_table, signed
+from mast_zenoh.viewer.run import RunRecord
 
 
 def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
@@ -33,13 +33,13 @@ def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 
 def test_headline_of_an_unattacked_run_gives_missed_objects(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder())
+    run = RunRecord.load(run_folder())
     expected = "The common picture misses 1.18 objects a frame, the ego alone 10.53, the ego with the picture 1.18"
     assert headline(run) == expected
 
 
 def test_headline_of_an_attacked_run_names_largest_change_and_adversary(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
+    run = RunRecord.load(run_folder("uncoordinated"))
     assert compromised(run) == "two of four roadside sensors"
     assert headline(run) == (
         "Two of four roadside sensors compromised: 6.25 false objects a frame in the common picture are due to "
@@ -53,7 +53,7 @@ def test_headline_of_an_attacked_run_names_largest_change_and_adversary(run_fold
 
 
 def test_sentences_give_the_numbers_of_the_table(run_folder: Callable[..., Path]) -> None:
-    runs = {"baseline": RunFolder.load(run_folder()), "uncoordinated": RunFolder.load(run_folder("uncoordinated"))}
+    runs = {"baseline": RunRecord.load(run_folder()), "uncoordinated": RunRecord.load(run_folder("uncoordinated"))}
     table = score_table({label: run.metrics for label, run in runs.items()})
     rows = {(row.measure.key, row.run): row for row in table.rows}
     cells = rows["fn", "baseline"].cells
@@ -67,7 +67,7 @@ def test_sentences_give_the_numbers_of_the_table(run_folder: Callable[..., Path]
 
 
 def test_an_attack_in_a_single_frame_has_one_time(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
+    run = RunRecord.load(run_folder("uncoordinated"))
     assert run.effects is not None
     only = (run.effects["frame"] == 20) & (run.effects["interposer"] == "adversary_1")
     object.__setattr__(run, "effects", {name: column[only] for name, column in run.effects.items()})
@@ -79,7 +79,7 @@ def test_an_attack_in_a_single_frame_has_one_time(run_folder: Callable[..., Path
 
 
 def test_a_comparison_headline_names_the_difference(run_folder: Callable[..., Path]) -> None:
-    run, reference = RunFolder.load(run_folder("uncoordinated")), RunFolder.load(run_folder())
+    run, reference = RunRecord.load(run_folder("uncoordinated")), RunRecord.load(run_folder())
     assert "6.25 more false objects a frame in the common picture than unattacked, due to adversary_1 and" in headline(
         run, Reference(reference, "unattacked")
     )
@@ -99,7 +99,7 @@ SCORES = {
 def test_every_kind_of_change_in_every_estimate_is_reported(
     run_folder: Callable[..., Path], key: str, estimate: str
 ) -> None:
-    folder, reference = run_folder("coordinated"), RunFolder.load(run_folder())
+    folder, reference = run_folder("coordinated"), RunRecord.load(run_folder())
     phrase, more = SCORES[key]
 
     def change(metrics: dict[str, Any]) -> None:
@@ -110,7 +110,7 @@ def test_every_kind_of_change_in_every_estimate_is_reported(
         )
 
     edit(folder / "metrics.json", change)
-    assert phrase in headline(RunFolder.load(folder), Reference(reference, "unattacked"))
+    assert phrase in headline(RunRecord.load(folder), Reference(reference, "unattacked"))
 
 
 def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: Callable[..., Path]) -> None:
@@ -127,7 +127,7 @@ def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: C
 
     edit(folder / "metrics.json", change(2.0))
     edit(reference / "metrics.json", change(0.0))
-    text = headline(RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked"))
+    text = headline(RunRecord.load(folder), Reference(RunRecord.load(reference), "unattacked"))
     assert "2.00 more false objects a frame for infra_1 with the picture than unattacked" in text
 
 
@@ -180,14 +180,14 @@ def test_change_of_the_picture_in_transit_reports_what_the_ego_acts_on(
 
     edit(folder / "metrics.json", change(more))
     edit(reference / "metrics.json", change({}))
-    text = headline(RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked"))
+    text = headline(RunRecord.load(folder), Reference(RunRecord.load(reference), "unattacked"))
     assert text == expected
 
 
 def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., Path]) -> None:
-    folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
+    folder, reference = run_folder("uncoordinated"), RunRecord.load(run_folder())
     edit(folder / "metrics.json", lambda metrics: metrics.update(agents=reference.metrics["agents"]))
-    text = headline(RunFolder.load(folder), Reference(reference, "unattacked"))
+    text = headline(RunRecord.load(folder), Reference(reference, "unattacked"))
     assert text.startswith(
         "Interposers changed messages (adversary_1: 125 rows of objects inserted, 25 rows of objects removed"
     )
@@ -196,7 +196,7 @@ def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., 
 
 def test_difference_in_driving_alone_is_reported(run_folder: Callable[..., Path]) -> None:
     folder, other = run_folder("uncoordinated"), run_folder()
-    agents = RunFolder.load(other).metrics["agents"]
+    agents = RunRecord.load(other).metrics["agents"]
 
     def braking(share: float) -> Callable[[dict[str, Any]], None]:
         mission = {"needless_brake_share": share, "needless_brake_share_attack": share}
@@ -204,7 +204,7 @@ def test_difference_in_driving_alone_is_reported(run_folder: Callable[..., Path]
 
     edit(folder / "metrics.json", braking(0.125))
     edit(other / "metrics.json", braking(0.0))
-    run, reference = RunFolder.load(folder), Reference(RunFolder.load(other), "unattacked")
+    run, reference = RunRecord.load(folder), Reference(RunRecord.load(other), "unattacked")
     assert headline(run, reference).endswith(
         "but only driving differs from unattacked (because of attacks, the ego with the picture brakes "
         "needlessly in 12.5% of the scored frames)"
@@ -218,7 +218,7 @@ def test_headline_of_a_failed_run_begins_with_the_failure(run_folder: Callable[.
     failure = {"handler": "on_detections", "count": 19, "frames": 19, "first_frame": 11, "last_frame": 29}
     failure |= {"exception": "ValueError: no", "where": "mine.py:3"}
     edit(folder / "run.json", lambda run: run["nodes"]["adversary_1"].update(failures=[failure]))
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert headline(run) == "Handlers of adversary_1 failed in 19 frames: the numbers may be wrong"
     assert "6.25 false objects" in reading(run)[0]
     assert "adversary_1's handlers failed in 19 frames." in reading(run)
@@ -229,28 +229,28 @@ def test_headline_of_a_failed_run_begins_with_the_failure(run_folder: Callable[.
     [("handler_failures", "failed"), ("failed", "failed"), ("running", "has not ended"), ("killed", "was cut off")],
 )
 def test_a_reference_that_ended_badly_is_named_first(run_folder: Callable[..., Path], state: str, ended: str) -> None:
-    run, other = RunFolder.load(run_folder("uncoordinated")), run_folder()
+    run, other = RunRecord.load(run_folder("uncoordinated")), run_folder()
     edit(other / "run.json", lambda record: record.update(status=state))
-    text = headline(run, Reference(RunFolder.load(other), "unattacked"))
+    text = headline(run, Reference(RunRecord.load(other), "unattacked"))
     assert text.startswith(f"Compared with unattacked, which {ended}: Two of four roadside sensors compromised: 6.2")
 
 
 def test_damaged_and_absent_metrics_are_distinguished(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
     (folder / "metrics.json").write_text('{"agents": ')
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert headline(run) == "No scores: metrics.json is damaged"
     assert reading(run) == ["adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s."]
     (folder / "metrics.json").write_text('{"mine": 3}')
-    assert headline(RunFolder.load(folder)) == "No scores: metrics.json holds none of the common picture"
+    assert headline(RunRecord.load(folder)) == "No scores: metrics.json holds none of the common picture"
     (folder / "metrics.json").unlink()
-    assert headline(RunFolder.load(folder)) == "No scores: this run did not get as far as its evaluation"
+    assert headline(RunRecord.load(folder)) == "No scores: this run did not get as far as its evaluation"
 
 
 def test_passive_and_unmeasured_adversaries_are_distinguished(
     run_folder: Callable[..., Path],
 ) -> None:
-    folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
+    folder, reference = run_folder("uncoordinated"), RunRecord.load(run_folder())
 
     def change(metrics: dict[str, Any]) -> None:
         metrics["agents"] = reference.metrics["agents"]
@@ -258,9 +258,9 @@ def test_passive_and_unmeasured_adversaries_are_distinguished(
             each |= {"effects": {}, "agreement": "nothing to report"}
 
     edit(folder / "metrics.json", change)
-    assert "passed every message on unchanged" in headline(RunFolder.load(folder))
+    assert "passed every message on unchanged" in headline(RunRecord.load(folder))
     edit(folder / "metrics.json", lambda metrics: metrics.pop("interposers"))
-    assert "were not measured" in headline(RunFolder.load(folder))
+    assert "were not measured" in headline(RunRecord.load(folder))
 
 
 def test_silent_and_lying_adversaries_are_named(run_folder: Callable[..., Path]) -> None:
@@ -271,13 +271,13 @@ def test_silent_and_lying_adversaries_are_named(run_folder: Callable[..., Path])
         metrics["interposers"]["adversary_2"]["agreement"] = "disagrees"
 
     edit(folder / "metrics.json", change)
-    sentences = reading(RunFolder.load(folder))
+    sentences = reading(RunRecord.load(folder))
     assert "adversary_1 changed messages and reported nothing." in sentences
     assert "What adversary_2 reported does not match what was measured." in sentences
 
 
 def test_false_objects_during_the_attack_are_also_counted(run_folder: Callable[..., Path]) -> None:
-    base, run = RunFolder.load(run_folder()), RunFolder.load(run_folder("uncoordinated"))
+    base, run = RunRecord.load(run_folder()), RunRecord.load(run_folder("uncoordinated"))
     assert while_attacked(run, "fp") == pytest.approx(10.0)
     assert while_attacked(run, "fn", base) == pytest.approx(0.0)
     assert while_attacked(base, "fp") is None
@@ -286,7 +286,7 @@ def test_false_objects_during_the_attack_are_also_counted(run_folder: Callable[.
 def test_only_scored_frames_count_during_the_attack(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
     edit(folder / "metrics.json", lambda metrics: metrics.update(scored_frames=[0, 29]))
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert run.counts is not None
     run.counts["fp"] = np.where(run.counts["frame"] >= 30, 1000, run.counts["fp"])
     assert while_attacked(run, "fp") == pytest.approx(10.0)
@@ -298,7 +298,7 @@ def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(
 ) -> None:
     folder, reference = run_folder("uncoordinated"), run_folder()
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["picture"]["fn"].update(mean=50.0))
-    run, other = RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked")
+    run, other = RunRecord.load(folder), Reference(RunRecord.load(reference), "unattacked")
     missed = while_attacked(run, "fn")
     assert f"; while they did, the picture has {missed:.2f} missed objects a frame." in " ".join(reading(run, other))
 
@@ -309,12 +309,12 @@ def test_attacked_frames_are_counted_if_fewer_than_half(
 ) -> None:
     folder = run_folder("uncoordinated")
     edit(folder / "metrics.json", lambda metrics: metrics.update(scored_frames=[0, last]))
-    sentences = [each for each in reading(RunFolder.load(folder)) if "scored frames" in each]
+    sentences = [each for each in reading(RunRecord.load(folder)) if "scored frames" in each]
     assert sentences == [counted] * bool(counted)
 
 
 def test_braking_caused_by_attacks_is_mentioned(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
+    run = RunRecord.load(run_folder("uncoordinated"))
     mission = {"needless_brake_share_attack": 0.125, "missed_brake_share_attack": 0.0}
     run.metrics["driving"] = {"ego": {"mission": mission}}
     sentence = "Because of attacks, the ego with the picture brakes needlessly in 12.5% of the scored frames."
@@ -324,7 +324,7 @@ def test_braking_caused_by_attacks_is_mentioned(run_folder: Callable[..., Path])
 
 
 def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, Path]) -> None:
-    runs = {label: RunFolder.load(path) for label, path in three_runs.items()}
+    runs = {label: RunRecord.load(path) for label, path in three_runs.items()}
     table = score_table({label: run.metrics for label, run in runs.items()})
     assert "(uncoordinated): 6.25 more false objects a frame in the common picture than baseline" in study_headline(
         runs, table
@@ -353,7 +353,7 @@ def test_every_kind_of_change_is_named_with_its_own_cause(run_folder: Callable[.
     edit(folder / "metrics.json", change)
     partition = {"label": "Partition infra_2", "kind": "fault", "at_s": 0.5, "until_s": 1.0}
     edit(folder / "scenario.json", lambda scenario: scenario.update(timeline=[partition]))
-    run = RunFolder.load(folder)
+    run = RunRecord.load(folder)
     assert headline(run).endswith("are due to adversary_1 and adversary_2")
     assert "0.50 missed objects a frame in the common picture are due to Partition infra_2." in reading(run)
 
@@ -363,7 +363,7 @@ def test_the_causes_of_other_changes_are_named_again(run_folder: Callable[..., P
     split = {"fault": 0.0, "attack": 0.5, "natural": 0.7}
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["picture"].update(fn_split=split))
     sentence = "0.50 missed objects a frame in the common picture are due to adversary_1 and adversary_2."
-    assert sentence in reading(RunFolder.load(folder))
+    assert sentence in reading(RunRecord.load(folder))
 
 
 def test_changes_of_the_picture_in_transit_are_reported(run_folder: Callable[..., Path]) -> None:
@@ -375,14 +375,14 @@ def test_changes_of_the_picture_in_transit_are_reported(run_folder: Callable[...
 
     edit(folder / "metrics.json", change)
     sentence = "The picture when it arrives has 0.49 m more RMSE than when the command centre sent it."
-    assert sentence in reading(RunFolder.load(folder))
+    assert sentence in reading(RunRecord.load(folder))
 
 
 def test_difference_without_measured_cause_is_reported(run_folder: Callable[..., Path]) -> None:
     folder = run_folder()
-    reference = RunFolder.load(folder)
+    reference = RunRecord.load(folder)
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["local"]["fn"].update(mean=30.0))
-    text = headline(RunFolder.load(folder), Reference(reference, "the other"))
+    text = headline(RunRecord.load(folder), Reference(reference, "the other"))
     assert text == "19.48 more missed objects a frame in what the ego sees alone than the other, by no measured cause"
 
 
@@ -401,7 +401,7 @@ def test_headline_without_reference_reports_attacks_on_what_the_ego_acts_on(
         metrics["same_as"] = {}
 
     edit(folder / "metrics.json", change)
-    assert headline(RunFolder.load(folder)).endswith(
+    assert headline(RunRecord.load(folder)).endswith(
         "6.00 missed objects a frame in the picture that the ego receives are due to adversary_1 and adversary_2; "
         "in what the ego acts on, 1.10 missed objects a frame and 12 identity switches"
     )

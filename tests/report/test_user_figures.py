@@ -18,7 +18,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.report.figures.of_run import OURS, user_figures
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.run import RunRecord
 
 Folder = Callable[..., Path]
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(100)
@@ -150,7 +150,7 @@ def test_a_broken_list_of_earlier_figures_is_left_out(run_folder: Folder, tmp_pa
     for name, picture in (("text", b"no picture"), ("birdseye", PNG)):
         (folder / "figures" / f"{name}.png").write_bytes(picture)
     (folder / "figures" / "user_figures.json").write_text(content)
-    assert user_figures(FigureContext(RunFolder.load(folder), None)) == []
+    assert user_figures(FigureContext(RunRecord.load(folder), None)) == []
 
 
 def test_a_figure_that_cannot_be_drawn_is_named_with_the_reason(run_folder: Folder, tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def test_the_command_adds_the_figures_of_a_file(run_folder: Folder, tmp_path: Pa
 
 def test_the_built_in_figures_use_the_same_base_class(run_folder: Folder) -> None:
     assert {kind.label() for kind in OURS} == {"birdseye", "trust", "camera", "counts", "causes", "driving", "wiring"}
-    context = FigureContext(RunFolder.load(run_folder("uncoordinated")), None)
+    context = FigureContext(RunRecord.load(run_folder("uncoordinated")), None)
     drawn: dict[str, Any] = {kind.label(): kind().draw(context) for kind in OURS}
     assert {name for name, figure in drawn.items() if figure is not None} == {"counts", "wiring"}
     assert all(issubclass(kind, RunFigure) and kind.after in SECTIONS for kind in OURS)

@@ -6,14 +6,15 @@ from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.viewer.frames import RunFrames
-from mast_zenoh.viewer.live.measurement import FrameMeter, MeasuredFrame
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
 from mast_zenoh.viewer.live.observer import Insertion
-from mast_zenoh.viewer.live.reception import Sample
-from mast_zenoh.viewer.live.wires import WireState
+from mast_zenoh.viewer.live.reception import Sample, WireState
+from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.wiring.model import Wiring
 
 NUMBERS = (9, 10, 22)
@@ -22,23 +23,32 @@ NUMBERS = (9, 10, 22)
 class RecordedObserver:
     """An observer that measures some frames of the recording of the run in a folder."""
 
-    def __init__(self, folder: Path, numbers: Sequence[int] = NUMBERS, wires: Sequence[WireState] = ()) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        numbers: Sequence[int] = NUMBERS,
+        wires: Sequence[WireState] = (),
+        *,
+        has_scene: bool = True,
+    ) -> None:
         resolved = Resolved.read(folder)
         self.wiring = Wiring.from_json(resolved.wiring)
         self.meter = FrameMeter(resolved)
-        self.run = SimpleNamespace(scene=RunFrames.load(folder).scene, id="run-1", resolved=resolved)
+        scene = RecordedRun.load(folder).recording if has_scene else None  # a user's own simulator prepares none
+        self.run: Any = SimpleNamespace(scene=scene, id="run-1", resolved=resolved)
+        self.record = LiveRun.of(self.run, self.wiring, self.meter.agents)
         self.insertions: list[Insertion] = []
         self.down: list[str] = []
         self.frame = numbers[-1]
         self._wires = [*wires]
         messages = [(m.frame, (m.key, Sample(m.step, m.payload))) for m in read(folder)]
         roles = {name: spec.role for name, spec in resolved.nodes.items()}
-        self.waiting: deque[MeasuredFrame | None] = deque([None])
+        self.waiting: deque[Frame | None] = deque([None])
         for number in numbers:
             own = [sample for frame, sample in messages if frame == number]
-            self.waiting += [self.meter.measure(number, own, self.wiring, roles), None]
+            self.waiting += [self.meter.measure(self.record, number, own, self.wiring, roles), None]
 
-    def advance(self) -> MeasuredFrame | None:
+    def advance(self) -> Frame | None:
         return self.waiting.popleft() if self.waiting else None
 
     def is_over(self) -> bool:

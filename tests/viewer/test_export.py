@@ -45,7 +45,7 @@ def test_the_command_names_what_it_wrote_and_what_is_missing(cli: Mast, recorded
     code, out, err = cli("export", str(folder), "--to", "mot", "-o", str(tmp_path / "mot"))
     assert code == 0
     assert f"exported: {tmp_path / 'mot'}" in out
-    assert "warning: objects.parquet is absent: no object is marked as matched, missed or false" in err
+    assert "warning: objects.parquet is absent: no outcomes of objects, no bird's-eye and camera views." in err
     assert (tmp_path / "mot" / "seqmap.txt").is_file()
 
 
@@ -71,7 +71,7 @@ def test_a_write_error_leaves_nothing_behind(
     def fail(self: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mast_zenoh.viewer.frames.RunFrames.__iter__", fail)
+    monkeypatch.setattr("mast_zenoh.viewer.recorded.RecordedRun.__iter__", fail)
     with pytest.raises(mast.MastError, match="No space left on device"):
         export(recorded.path, name, tmp_path / "exported")
     assert list(tmp_path.iterdir()) == []

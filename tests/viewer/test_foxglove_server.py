@@ -17,10 +17,9 @@ from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.servers import foxglove as foxglove_server
-from mast_zenoh.viewer.servers.foxglove import FoxgloveServer
-from mast_zenoh.viewer.servers.playback import Playback, Status
+from mast_zenoh.viewer.servers.foxglove import FoxgloveServer, Playback, Status
 
 PLAYING, PAUSED, ENDED = 0, 1, 3
 MESSAGE, TIME, STATE = 1, 2, 5
@@ -33,8 +32,8 @@ def run_apart(work: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def run(recorded: mast.Run) -> RunFrames:
-    return RunFrames.load(recorded.path)
+def run(recorded: mast.Run) -> RecordedRun:
+    return RecordedRun.load(recorded.path)
 
 
 class Client:
@@ -79,13 +78,13 @@ class Client:
         await self.connection.write_message(request, binary=True)
 
 
-def number_of_channels(run: RunFrames) -> int:
+def number_of_channels(run: RecordedRun) -> int:
     scenes = 2 * len(run.topics) - 1 + 2
     return scenes + 2 + len(run.agents) + 1 + len(run.scored)
 
 
 @pytest.fixture
-def server(run: RunFrames) -> Iterator[FoxgloveServer]:
+def server(run: RecordedRun) -> Iterator[FoxgloveServer]:
     """Plays a finished run, faster than in reality."""
     running = FoxgloveServer(run, 0, Playback(run, rate=50.0))
     thread = threading.Thread(target=running.serve)
@@ -97,7 +96,7 @@ def server(run: RunFrames) -> Iterator[FoxgloveServer]:
 
 
 def test_a_client_gets_every_frame_and_may_go_back_when_it_has_ended(
-    server: FoxgloveServer, run: RunFrames, record: PlainRecord
+    server: FoxgloveServer, run: RecordedRun, record: PlainRecord
 ) -> None:
     times = [frame.time_ns for frame in run]
 
@@ -126,7 +125,7 @@ def test_a_client_gets_every_frame_and_may_go_back_when_it_has_ended(
 
 
 def test_a_client_that_stops_reading_is_disconnected_and_memory_does_not_grow(
-    run: RunFrames, monkeypatch: pytest.MonkeyPatch
+    run: RecordedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(foxglove_server, "BACKLOG", 64)
     frames, rounds = list(run), 16  # several times what the buffers of the system hold
@@ -155,13 +154,13 @@ def test_a_client_that_stops_reading_is_disconnected_and_memory_does_not_grow(
         server.close()
 
 
-def test_a_port_in_use_is_refused_by_name(run: RunFrames, server: FoxgloveServer) -> None:
+def test_a_port_in_use_is_refused_by_name(run: RecordedRun, server: FoxgloveServer) -> None:
     port = int(server.url.rpartition(":")[2])
     with pytest.raises(ConfigurationError, match=f"--port: found {port}, which cannot be used"):
         FoxgloveServer(run, port)
 
 
-def test_a_playback_keeps_to_the_time_of_the_scene(run: RunFrames) -> None:
+def test_a_playback_keeps_to_the_time_of_the_scene(run: RecordedRun) -> None:
     now = [100.0]
     playback = Playback(run, rate=2.0, clock=lambda: now[0])
     times = [frame.time_ns for frame in run]

@@ -19,17 +19,17 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.viewer import frames
-from mast_zenoh.viewer.evaluated import Outcomes
+from mast_zenoh.viewer import recorded as recordings
 from mast_zenoh.viewer.export.columns import stem
-from mast_zenoh.viewer.frames import RunFrames
-from mast_zenoh.viewer.routes import TRUTH, routes
+from mast_zenoh.viewer.frame import Outcomes
+from mast_zenoh.viewer.recorded import RecordedRun
+from mast_zenoh.viewer.routes import TRUTH
 from mast_zenoh.wiring.model import Wiring
 
 
 @pytest.fixture(scope="module")
-def run(recorded: mast.Run) -> RunFrames:
-    return RunFrames.load(recorded.path)
+def run(recorded: mast.Run) -> RecordedRun:
+    return RecordedRun.load(recorded.path)
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def copy(recorded: mast.Run, tmp_path: Path) -> Path:
     return Path(shutil.copytree(recorded.path, tmp_path / "copy"))
 
 
-def test_every_frame_has_the_recorded_objects_of_every_estimate(run: RunFrames, record: PlainRecord) -> None:
+def test_every_frame_has_the_recorded_objects_of_every_estimate(run: RecordedRun, record: PlainRecord) -> None:
     frames = list(run)
     assert [frame.index for frame in frames] == record.frames
     assert {stem(series): topic for series, topic in run.topics.items()} == record.topics
@@ -50,7 +50,7 @@ def test_every_frame_has_the_recorded_objects_of_every_estimate(run: RunFrames, 
         assert_same_boxes(found, record.boxes[stem(series)], 0.0)
 
 
-def test_estimates_as_received_are_there_only_for_intercepted_wires(run: RunFrames) -> None:
+def test_estimates_as_received_are_there_only_for_intercepted_wires(run: RecordedRun) -> None:
     assert {series.agent for series in run.topics if series.estimator == "received"} == {"infra_1", "infra_2"}
     inserted = [frame for frame in run if "inserted" in frame.changes.effect]
     assert inserted
@@ -59,7 +59,7 @@ def test_estimates_as_received_are_there_only_for_intercepted_wires(run: RunFram
         assert set(local.id.tolist()) <= set(received.id.tolist())
 
 
-def test_outcomes_are_those_of_the_evaluator(recorded: mast.Run, run: RunFrames) -> None:
+def test_outcomes_are_those_of_the_evaluator(recorded: mast.Run, run: RecordedRun) -> None:
     judged: dict[tuple[int, str, str, str], dict[int, tuple[str, int]]] = {}
     for row in recorded.objects.to_pylist():
         place = row["frame"], row["agent"], row["estimator"], row["kind"]
@@ -81,7 +81,7 @@ def outcomes_of(outcomes: Outcomes) -> tuple[list[str], list[int]]:
     return outcomes.names, outcomes.match_id.tolist()
 
 
-def test_scores_and_poses_are_those_of_the_run(recorded: mast.Run, run: RunFrames, record: PlainRecord) -> None:
+def test_scores_and_poses_are_those_of_the_run(recorded: mast.Run, run: RecordedRun, record: PlainRecord) -> None:
     rows = {(row["frame"], row["agent"], row["estimator"]): row for row in recorded.metrics.to_pylist()}
     for frame in run:
         for (agent, estimator), score in frame.scores.items():
@@ -89,19 +89,19 @@ def test_scores_and_poses_are_those_of_the_run(recorded: mast.Run, run: RunFrame
             assert (score.fn, score.fp, score.tp) == (row["fn"], row["fp"], row["tp"])
         for agent in run.agents:
             assert frame.poses[agent].position.tolist() == record.poses[agent][frame.index][0].tolist()
-    assert run.ego == run.agents[0] == "ego"
+    assert run.main_agent == run.ego == "ego"
 
 
 def test_a_wire_that_is_intercepted_later_has_the_estimate_as_received_from_then_on(
-    recorded: mast.Run, record: PlainRecord, run: RunFrames
+    recorded: mast.Run, record: PlainRecord, run: RecordedRun
 ) -> None:
     """The same recording, as if the adversaries had come after frame 14, and sent their own tracks before."""
-    wiring = json.loads((recorded.path / "wiring.json").read_text())
-    attacked = routes(Wiring.from_json(wiring), run.agents)
-    before = {key: series for key, series in attacked.items() if "@tap" not in key} | {
-        f"agent/{agent}/tracks": [Series(agent, "local")] for agent in run.agents
-    }
-    later = replace(run, _wirings=[(-1, before), (14, attacked)])
+    attacked = json.loads((recorded.path / "wiring.json").read_text())
+    free = json.loads(json.dumps(attacked))
+    for wire in free["wires"]:
+        wire["legs"] = [wire["legs"][0] | {"key": wire["key"], "to": wire["legs"][-1]["to"]}]
+    later = RecordedRun.load(recorded.path)
+    vars(later)["wirings"] = [(-1, Wiring.from_json(free)), (14, Wiring.from_json(attacked))]
     local, received = Series("infra_1", "local"), Series("infra_1", "received")
     for frame in later:
         sent = record.boxes["infra_1.received" if frame.index <= 14 else "infra_1.local"][frame.index]
@@ -112,10 +112,10 @@ def test_a_wire_that_is_intercepted_later_has_the_estimate_as_received_from_then
 @pytest.mark.parametrize(
     ("name", "lack"),
     [
-        ("objects.parquet", "no object is marked as matched, missed or false"),
-        ("metrics.parquet", "no scores"),
-        ("attacks.parquet", "no changes are shown"),
-        ("scene.npz", "no buildings, and cameras are the default ones"),
+        ("objects.parquet", "no outcomes of objects, no bird's-eye and camera views."),
+        ("metrics.parquet", "no counts over time."),
+        ("attacks.parquet", "what interposers changed is not marked."),
+        ("scene.npz", "no buildings, agents and camera view in the pictures."),
     ],
 )
 @pytest.mark.parametrize("damage", ["absent", "damaged", "of another version"])
@@ -127,7 +127,7 @@ def test_an_absent_or_damaged_table_is_named_with_its_consequence(
         (copy / name).write_bytes(b"damaged")
     elif damage == "of another version":
         parquet.write_table(pyarrow.table({"frame": [0]}), copy / name)
-    run = RunFrames.load(copy)
+    run = RecordedRun.load(copy)
     assert len(list(run)) == 30
     (sentence,) = run.missing
     assert sentence.startswith(f"{name} is absent" if damage == "absent" else f"{name} cannot be read")
@@ -138,34 +138,34 @@ def test_an_absent_or_damaged_table_is_named_with_its_consequence(
 def test_a_recording_that_was_cut_off_gives_its_whole_frames_and_says_so(copy: Path) -> None:
     file = copy / "messages.mcap"
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 9 // 10])
-    run = RunFrames.load(copy)
+    run = RecordedRun.load(copy)
     count = len(list(run))
     assert 0 < count < 30
     assert run.missing == [f"messages.mcap: the recording ends at frame {count - 1} of 30: later frames are missing"]
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(RunFolderError, match="found no whole frame"):
-        list(RunFrames.load(copy))
+        list(RecordedRun.load(copy))
 
 
 def test_a_run_in_progress_is_refused_and_a_failed_one_is_named(copy: Path) -> None:
     record = json.loads((copy / "run.json").read_text())
     (copy / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": liveness.identity()}))
     with pytest.raises(RunFolderError, match="still in progress"):
-        RunFrames.load(copy)
+        RecordedRun.load(copy)
     (copy / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": {"machine": "another"}}))
-    assert "cannot be known from here" in RunFrames.load(copy).missing[0]
+    assert "cannot be known from here" in RecordedRun.load(copy).missing[0]
     (copy / "run.json").write_text(json.dumps(record | {"status": "stalled", "message": "waited for ego"}))
-    assert RunFrames.load(copy).missing == ["the run is stalled: waited for ego"]
+    assert RecordedRun.load(copy).missing == ["the run is stalled: waited for ego"]
 
 
 def test_what_is_no_recorded_run_is_refused(copy: Path, tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="no such folder"):
-        RunFrames.load(tmp_path / "nothing")
+        RecordedRun.load(tmp_path / "nothing")
     with pytest.raises(RunFolderError, match="expected the folder of a run"):
-        RunFrames.load(copy / "messages.mcap")
+        RecordedRun.load(copy / "messages.mcap")
     (copy / "run.json").write_text("[]")
     with pytest.raises(RunFolderError, match=r"run\.json: .*found \[\], expected an object"):
-        RunFrames.load(copy)
+        RecordedRun.load(copy)
 
 
 def test_an_invalid_message_is_left_out_and_counted(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +174,7 @@ def test_an_invalid_message_is_left_out_and_counted(copy: Path, monkeypatch: pyt
             invalid = message.wire == "cc/picture" and message.frame == 7
             yield replace(message, payload=message.payload[:-1]) if invalid else message
 
-    monkeypatch.setattr(frames, "read", spoilt)
-    run = RunFrames.load(copy)
+    monkeypatch.setattr(recordings, "read", spoilt)
+    run = RecordedRun.load(copy)
     assert [frame.index for frame in run if Series("", "picture") not in frame.objects] == [7]
     assert run.missing == ["messages.mcap: invalid messages, which receivers refuse, are left out: 1"]

@@ -18,22 +18,20 @@ from rerun.chunk import RrdReader
 
 import mast_zenoh as mast
 from mast_zenoh.viewer.export import rrd
-from mast_zenoh.viewer.frames import RunFrames
-from mast_zenoh.viewer.servers import rrd_stream
-from mast_zenoh.viewer.servers.rerun import RerunServer
-from mast_zenoh.viewer.servers.rrd_stream import RrdStream
-from mast_zenoh.viewer.servers.web_viewer import FILES, web_viewer_files
+from mast_zenoh.viewer.recorded import RecordedRun
+from mast_zenoh.viewer.servers import rerun
+from mast_zenoh.viewer.servers.rerun import FILES, RerunServer, RrdStream, web_viewer_files
 
 pytestmark = pytest.mark.heavy
 
 
 @pytest.fixture(scope="module")
-def run(recorded: mast.Run) -> RunFrames:
-    return RunFrames.load(recorded.path)
+def run(recorded: mast.Run) -> RecordedRun:
+    return RecordedRun.load(recorded.path)
 
 
 @pytest.fixture(scope="module")
-def file(run: RunFrames, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def file(run: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("rerun_server") / "run.rrd"
     rrd.write(run, path)
     return path
@@ -79,7 +77,7 @@ def test_only_the_recording_is_served_and_only_to_this_computer(file: Path) -> N
 class Live:
     """A run whose frames come when the test allows it."""
 
-    def __init__(self, run: RunFrames) -> None:
+    def __init__(self, run: RecordedRun) -> None:
         self.agents, self.ego, self.topics, self.scored = run.agents, run.ego, run.topics, run.scored
         self.scene, self.name, self.frames = run.scene, run.name, list(run)
         self.going_on = threading.Event()
@@ -90,7 +88,7 @@ class Live:
         yield from self.frames[10:]
 
 
-def test_a_growing_recording_reaches_clients_while_the_run_goes_on(run: RunFrames, tmp_path: Path) -> None:
+def test_a_growing_recording_reaches_clients_while_the_run_goes_on(run: RecordedRun, tmp_path: Path) -> None:
     live = Live(run)
     stream = RrdStream(live)
     encoding = threading.Thread(target=stream.encode)
@@ -106,9 +104,9 @@ def test_a_growing_recording_reaches_clients_while_the_run_goes_on(run: RunFrame
 
 
 def test_a_client_that_is_too_slow_is_disconnected_with_a_message(
-    run: RunFrames, monkeypatch: pytest.MonkeyPatch
+    run: RecordedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rrd_stream, "PORTION_S", 0.05)
+    monkeypatch.setattr(rerun, "PORTION_S", 0.05)
     live = Live(run)
     live.going_on.set()
     live.frames = live.frames[:10] * 6

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mast_zenoh.errors import ExportError
-from mast_zenoh.viewer.servers.web_viewer import web_viewer_files
+from mast_zenoh.viewer.servers.rerun import web_viewer_files
 
 
 def test_a_web_viewer_that_fails_at_once_is_reported_with_its_last_line(

@@ -28,11 +28,11 @@ from mast_zenoh.report.figures.style import (
     dark_axes,
     plain,
 )
-from mast_zenoh.report.figures.view import Boxes, FrameView, Marks
-from mast_zenoh.report.tables.interposers import adversaries_by_agent, interposers
-from mast_zenoh.report.trust_facts import states_at, withheld_at
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.sensing import sensor_pose, to_world
+from mast_zenoh.viewer.events import states_at, withheld_at
+from mast_zenoh.viewer.frame import Boxes, Frame, Marks
+from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
 from mast_zenoh.viewer.palette import ADVERSARY, AGENT, BUILDING_EDGE, OUTCOME_COLOURS
 
 #: Minimum length and width of drawn boxes, m, so that pedestrians are visible.
@@ -46,7 +46,7 @@ _DASHED = (0, (3.0, 2.0))
 _HALO = [patheffects.withStroke(linewidth=2.5, foreground=GROUND)]
 
 
-def draw_birdseye(axes: Axes, view: FrameView, estimator: str, window: tuple[float, float, float]) -> None:
+def draw_birdseye(axes: Axes, view: Frame, estimator: str, window: tuple[float, float, float]) -> None:
     """Draw the boxes of one estimator in a frame.
 
     estimator: one of `view.PANELS`; window: as from `view.window`, m
@@ -114,8 +114,8 @@ def draw_boxes(
     axes.add_collection(LineCollection(list(np.concatenate(lines)), colors=colour, linewidths=1.1, zorder=zorder))
 
 
-def _draw_withheld(axes: Axes, view: FrameView) -> None:
-    position, size, yaw = withheld_at(view.run, view.frame)
+def _draw_withheld(axes: Axes, view: Frame) -> None:
+    position, size, yaw = withheld_at(view.run, view.index)
     if len(yaw):
         corners = box_corners(position, np.maximum(size, _SMALLEST), yaw)[:, :4, :2]
         boxes = PolyCollection(list(corners), facecolors="none", edgecolors=WITHHELD, linewidths=1.2, zorder=3.5)
@@ -134,16 +134,16 @@ def _draw_attack(axes: Axes, marks: Marks) -> None:
         axes.annotate("", after[:2], before[:2], arrowprops=arrow, annotation_clip=True, zorder=_MARKS)
 
 
-def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]) -> None:
+def _draw_agents(axes: Axes, view: Frame, window: tuple[float, float, float]) -> None:
     recording = view.run.recording
-    if recording is None or view.frame >= len(recording):
+    if recording is None or view.index >= len(recording):
         return
     x, y, half = window
     occupied: list[tuple[float, float, float, float]] = []
     attacked = adversaries_by_agent(interposers(view.run))
-    states = states_at(view.run, view.frame)
+    states = states_at(view.run, view.index)
     for index, agent in enumerate(recording.agents):
-        position = recording.agent_position[view.frame, index]
+        position = recording.agent_position[view.index, index]
         if max(abs(position[0] - x), abs(position[1] - y)) > half:
             continue
         state = states.get(agent.name, "unknown")
@@ -151,7 +151,7 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         name_colour = ADVERSARY if agent.name in attacked else colour
         label = f"{agent.name}\n{state}" if state in ("faulty", "suspended") else agent.name
         sector = agent.sensor.azimuth_max_deg - agent.sensor.azimuth_min_deg
-        facing = recording.agent_rotation[view.frame, index] @ agent.sensor.mount_rotation
+        facing = recording.agent_rotation[view.index, index] @ agent.sensor.mount_rotation
         turn = float(heading(facing))
         if sector < 359.0:
             start = np.degrees(turn) + agent.sensor.azimuth_min_deg
@@ -202,7 +202,7 @@ def free_side(
     return right, above
 
 
-def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
+def key(views: Sequence[Frame], *, agents: bool = True) -> list[Artist]:
     """Legend handles for `views`: all outcomes, and agents and attacks if present."""
     handles: list[Artist] = []
     for outcome in ("truth matched", "track matched", "truth missed", "track false", "unevaluated"):
@@ -212,7 +212,7 @@ def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
         filled = to_rgba(colour, 0.35 if outcome in ("truth missed", "track false") else 0.0)
         handles.append(Patch(facecolor=filled, edgecolor=colour, linewidth=1.5, label=OUTCOME_LABELS[outcome]))
     if agents and any(v.run.recording is not None for v in views):
-        states = {state for v in views for state in states_at(v.run, v.frame).values()}
+        states = {state for v in views for state in states_at(v.run, v.index).values()}
         handles.append(_marker("o", WITHHELD if states else AGENT, "vehicle with sensors", hollow=True))
         handles.append(_marker("^", WITHHELD if states else AGENT, "roadside sensor"))
         attacked = any(adversaries_by_agent(interposers(v.run)) for v in views)
@@ -221,7 +221,7 @@ def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
             name = Line2D([], [], linestyle="", marker="$name$", ms=24, mew=0.0, color=ADVERSARY)
             name.set_label("adversary on its wire")
             handles.append(name if states else _marker("^", ADVERSARY, "adversary on its wire"))
-    if any(len(withheld_at(v.run, v.frame)[2]) for v in views):
+    if any(len(withheld_at(v.run, v.index)[2]) for v in views):
         handles.append(Patch(facecolor="none", edgecolor=WITHHELD, linewidth=1.2, linestyle=_DASHED, label="withheld"))
     marks = [v.before.joined(v.behind) for v in views]
     if any(len(each.added) for each in marks):

@@ -13,8 +13,8 @@ from matplotlib.colors import to_rgb, to_rgba
 from mast_zenoh.arrays.geometry import along_and_across, box_corners, heading, to_world
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.report.figures.style import BUILDING, GROUND
-from mast_zenoh.report.figures.view import Boxes, FrameView
 from mast_zenoh.sensing.sensors import Camera
+from mast_zenoh.viewer.frame import Boxes, Frame
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS
 
 
@@ -113,17 +113,17 @@ class Eye:
         return self.camera.height * (IMAGE_CROP[1] - IMAGE_CROP[0]) / self.camera.width
 
 
-def ego_eye(view: FrameView) -> Eye | None:
+def ego_eye(view: Frame) -> Eye | None:
     """The ego's camera in a frame; None: not in the recorded scene."""
     recording, ego = view.run.recording, view.run.ego
-    if recording is None or ego not in recording.agent_names or view.frame >= len(recording):
+    if recording is None or ego not in recording.agent_names or view.index >= len(recording):
         return None
     index = recording.agent_names.index(ego)
-    pose = recording.agent_position[view.frame, index], recording.agent_rotation[view.frame, index]
+    pose = recording.agent_position[view.index, index], recording.agent_rotation[view.index, index]
     return Eye(recording.agents[index].camera, *pose)
 
 
-def draw_camera(axes: Axes, view: FrameView, estimator: str, eye: Eye, colours: CameraColours = DARK_CAMERA) -> None:
+def draw_camera(axes: Axes, view: Frame, estimator: str, eye: Eye, colours: CameraColours = DARK_CAMERA) -> None:
     """Draw the boxes of one estimator in a frame, as seen by the ego's camera.
 
     estimator: one of `view.PANELS`
@@ -205,7 +205,7 @@ def _draw_ground(axes: Axes, eye: Eye, colours: CameraColours) -> None:
     axes.add_collection(LineCollection(segments, colors=colours.grid, linewidths=0.7, zorder=1))
 
 
-def _draw_buildings(axes: Axes, view: FrameView, eye: Eye, colours: CameraColours) -> None:
+def _draw_buildings(axes: Axes, view: Frame, eye: Eye, colours: CameraColours) -> None:
     """Walls, the farthest first, paler with distance."""
     recording = view.run.recording
     if recording is None:

@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from matplotlib import figure as figures
 from matplotlib.axes import Axes
 
 from mast_zenoh.report.figures.birdseye import draw_birdseye, key
 from mast_zenoh.report.figures.camera import draw_camera, ego_eye
 from mast_zenoh.report.figures.style import FAINT, GROUND, Figure, pdf, plain, png, svg
-from mast_zenoh.report.figures.view import FrameView, clipped, window
+from mast_zenoh.report.figures.view import window
 from mast_zenoh.report.tables.scores import MEASURES, ScoreTable, number
 from mast_zenoh.run_files import subfolder, write_bytes
+from mast_zenoh.viewer.frame import Frame
 
 _PANELS = {
     "local": "the ego alone: its own tracks",
@@ -86,7 +86,7 @@ def render(
     )
 
 
-def _dark_figure(views: Sequence[FrameView], width: float, height: float, *, agents: bool = True) -> Figure:
+def _dark_figure(views: Sequence[Frame], width: float, height: float, *, agents: bool = True) -> Figure:
     """An empty dark figure with the legend of `views` below.
 
     height: inches, without the legend
@@ -114,10 +114,10 @@ def _panel(figure: Figure, left: float, top: float, width: float, height: float)
     return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h))
 
 
-def birdseye_figure(view: FrameView) -> Figure:
+def birdseye_figure(view: Frame) -> Figure:
     """Bird's-eye views of the ego's own tracks, the picture, and both together."""
     shared_window = window([view])
-    view = clipped(view, shared_window)
+    view = replace(view, window=shared_window)
     width = 14.4
     pitch = width / len(view.boxes)
     side = pitch - 0.74
@@ -131,21 +131,19 @@ def birdseye_figure(view: FrameView) -> Figure:
     return figure
 
 
-def _title(axes: Axes, title: str, view: FrameView, size: float = 12.5, *, when: bool = True) -> None:
+def _title(axes: Axes, title: str, view: Frame, size: float = 12.5, *, when: bool = True) -> None:
     axes.set_title(plain(title), color=_WHITE, fontsize=size, loc="left", pad=6)
     if when:
         axes.set_title(view.time_label, color=FAINT, fontsize=10.5, loc="right", pad=6)
 
 
-def camera_figure(view: FrameView) -> Figure | None:
+def camera_figure(view: Frame) -> Figure | None:
     """Camera views of the ego alone and of what it acts on; None: ego not in scene."""
     eye = ego_eye(view)
     if eye is None:
         return None
     height = 11.7 * eye.crop_aspect
-    view = clipped(view, window([view]))
-    without_arrows = [marks._replace(moved=np.zeros((0, 2, 3))) for marks in (view.before, view.behind)]
-    view = replace(view, before=without_arrows[0], behind=without_arrows[1])  # arrows are not readable in perspective
+    view = replace(view, window=window([view]), arrows=False)  # which are not readable in perspective
     first, *_, last = view.boxes
     estimates = first, last
     figure = _dark_figure([view], 12.0, 2 * (height + 0.42) + 0.1, agents=False)
@@ -156,11 +154,11 @@ def camera_figure(view: FrameView) -> Figure | None:
     return figure
 
 
-def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estimate: str = "picture") -> Figure:
+def side_by_side_figure(views: Mapping[str, Frame], table: ScoreTable, estimate: str = "picture") -> Figure:
     """One estimate of several runs in the same frame with scores, three runs per row."""
     columns = min(len(views), 3)
     shared_window = window(list(views.values()))
-    views = {label: clipped(view, shared_window) for label, view in views.items()}
+    views = {label: replace(view, window=shared_window) for label, view in views.items()}
     pitch = 14.4 / columns
     side, foot = pitch - 0.74, 1.62
     lines = -(-len(views) // columns)

@@ -25,13 +25,13 @@ from mast_zenoh.report.figures.drawing import (
 from mast_zenoh.report.figures.over_time import SMOOTH, causes_over_time, counts_over_time, driving_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import trust_over_time
-from mast_zenoh.report.figures.view import FrameView
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import interposers
 from mast_zenoh.report.tables.scores import ESTIMATES, ScoreTable
-from mast_zenoh.report.trust_facts import states_at, suspensions
 from mast_zenoh.run_files import check_plain, read_json, write_bytes
+from mast_zenoh.viewer.events import states_at, suspensions
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.interposers import interposers
+from mast_zenoh.viewer.run import RunRecord
 
 _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
@@ -59,7 +59,7 @@ class Birdseye(RunFigure):
             "together, on which it acts. The tick on a box points ahead; thin lines are the limits and "
             "the range of a roadside sensor."
         )
-        if states_at(context.view.run, context.view.frame):
+        if states_at(context.view.run, context.view.index):
             caption += (
                 " Agents have the colour of their state at the command centre; dashed: objects that it withholds."
             )
@@ -180,19 +180,19 @@ def rendered(figure: RunFigure, context: FigureContext) -> RenderedFigure | None
     return render(figure.label(), drawn, figure.alt(context), figure.caption(context), vector=figure.vector)
 
 
-def _the_picture(view: FrameView) -> str:
+def _the_picture(view: Frame) -> str:
     """The picture that a view shows, in words."""
     variants = {"picture_received": "as the ego receives it", "picture_on_arrival": "when it reaches the ego"}
     variant = next((way for name, way in variants.items() if name in view.boxes), "")
     return f"the common picture {variant}".strip()
 
 
-def counts_caption(runs: Sequence[RunFolder]) -> str:
+def counts_caption(runs: Sequence[RunRecord]) -> str:
     """How to read the counts of runs over time."""
     return _COUNTS_CAPTION + (_BANDS_CAPTION if any(run.faulted and run.timeline for run in runs) else "")
 
 
-def tally(view: FrameView, estimator: str) -> str:
+def tally(view: Frame, estimator: str) -> str:
     """The numbers of boxes of an estimate in a frame, in words."""
     boxes = view.boxes[estimator]
     return (
@@ -316,9 +316,9 @@ _FULL_NAMES = {"local": "The ego alone", "picture": "The common picture", "missi
 
 
 def study_figures(
-    runs: Mapping[str, RunFolder],
+    runs: Mapping[str, RunRecord],
     table: ScoreTable,
-    views: Mapping[str, FrameView],
+    views: Mapping[str, Frame],
     estimate: str = "picture",
     *,
     chosen: bool,
@@ -334,14 +334,14 @@ def study_figures(
             caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate]}', beyond=beyond)}."
         alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {tallies}."
         figures.append(render("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
-    over_time = counts_over_time(runs, next(iter(views.values())).frame if views else None, estimate)
+    over_time = counts_over_time(runs, next(iter(views.values())).index if views else None, estimate)
     if over_time is not None:
         alt = f"Missed objects, false objects and RMSE over time: ego alone, and {ESTIMATES[estimate]} of every run."
         figures.append(render("counts", over_time, alt, counts_caption(list(runs.values()))))
     return {each.name: each for each in figures}
 
 
-def frame_choice(run: RunFolder, estimate: str, reference: str = "") -> str:
+def frame_choice(run: RunRecord, estimate: str, reference: str = "") -> str:
     """A sentence that explains how a frame was chosen.
 
     reference: name of the run whose errors were subtracted

@@ -22,11 +22,10 @@ from mast_zenoh.report.figures.style import (
     plain,
 )
 from mast_zenoh.report.figures.timeaxis import HATCH, bands, fault_legend, padded, rows_over_time, shade
-from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.narrative.changes import scored
-from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.of_run import DRIVEN_BY
 from mast_zenoh.report.tables.scores import ESTIMATES, shown_estimates
+from mast_zenoh.viewer.run import RunRecord, Table, rows
 
 _LABELS = {
     "fn": "missed objects\nper frame",
@@ -47,7 +46,7 @@ SMOOTH = 5
 
 
 def counts_over_time(
-    runs: Mapping[str, RunFolder],
+    runs: Mapping[str, RunRecord],
     frame: int | None,
     estimate: str = "picture",
     columns: Sequence[str] = REPORT_COLUMNS,
@@ -63,7 +62,7 @@ def counts_over_time(
     lines = _lines(runs_with_counts, estimate)
     timed = all(run.seconds(counts["frame"]) is not None for _, run, counts, _ in lines)
 
-    def times(run: RunFolder, frames: NDArray[Any]) -> NDArray[np.float64]:
+    def times(run: RunRecord, frames: NDArray[Any]) -> NDArray[np.float64]:
         seconds = run.seconds(frames) if timed else None
         return frames.astype(np.float64) if seconds is None else seconds
 
@@ -96,7 +95,7 @@ def counts_over_time(
     return figure
 
 
-def _top(lines: list[tuple[str, RunFolder, Table, _LineStyle]], column: str) -> float:
+def _top(lines: list[tuple[str, RunRecord, Table, _LineStyle]], column: str) -> float:
     """The upper limit of an axis, above all values in scored frames."""
     maxima = [
         float(np.nanmax(counts[column][inside].astype(np.float64), initial=0.0))
@@ -115,7 +114,7 @@ class _LineStyle(NamedTuple):
 _ALONE = _LineStyle(LOCAL, (0, (1, 1)))
 
 
-def _lines(runs: Mapping[str, RunFolder], estimate: str) -> list[tuple[str, RunFolder, Table, _LineStyle]]:
+def _lines(runs: Mapping[str, RunRecord], estimate: str) -> list[tuple[str, RunRecord, Table, _LineStyle]]:
     """Name, run, counts and style of each line."""
     first = next(iter(runs.values()))
     lines = [("ego alone", first, first.counts_of("local"), _ALONE)]
@@ -159,7 +158,7 @@ _CAUSE_COLOURS = {
 }
 
 
-def causes_over_time(run: RunFolder, frame: int | None) -> Figure | None:
+def causes_over_time(run: RunRecord, frame: int | None) -> Figure | None:
     """Missed and false objects of the ego's picture by time, stacked by cause.
 
     frame: marked by a line, if given
@@ -227,7 +226,7 @@ _BRAKING = {
 }
 
 
-def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
+def driving_over_time(run: RunRecord, frame: int | None) -> Figure | None:
     """Time to collision, wrong objects and braking over time; None: not a vehicle."""
     if run.driving is None or not np.any(run.driving["agent"] == run.ego):
         return None

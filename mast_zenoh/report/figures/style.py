@@ -17,34 +17,23 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from PIL import Image
 
 from mast_zenoh.viewer.palette import ADVERSARY as ADVERSARY
+from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT as ADVERSARY_ON_LIGHT
 from mast_zenoh.viewer.palette import AGENT as AGENT
+from mast_zenoh.viewer.palette import BUILDING as BUILDING
 from mast_zenoh.viewer.palette import BUILDING_EDGE as BUILDING_EDGE
+from mast_zenoh.viewer.palette import FAINT as FAINT
+from mast_zenoh.viewer.palette import FAULT_ON_LIGHT as FAULT_ON_LIGHT
+from mast_zenoh.viewer.palette import GRID as GRID
+from mast_zenoh.viewer.palette import GROUND as GROUND
+from mast_zenoh.viewer.palette import INK as INK
+from mast_zenoh.viewer.palette import LOCAL as LOCAL
 from mast_zenoh.viewer.palette import OUTCOME_COLOURS as OUTCOME_COLOURS
-
-OUTCOME_LABELS = {
-    "truth matched": "truth, matched",
-    "track matched": "track, matched",
-    "truth missed": "missed truth",
-    "track false": "false track",
-    "unevaluated": "not evaluated",
-}
-
-ADVERSARY_ON_LIGHT = "#b5128f"
-#: States of agents at the command centre: on dark panels, and those that light charts mark.
-STATES = {"unknown": "#9aa7b8", "trusted": "#7fe3ff", "faulty": "#ffb347", "suspended": "#ff7a59"}
-STATES_ON_LIGHT = {"faulty": "#f0c75e", "suspended": "#ef8a6a"}
-#: Objects that the command centre withholds.
-WITHHELD = "#c9d2de"
-#: Links, faults and their effects.
-FAULT_ON_LIGHT = "#8a6100"
-
-#: Dark panels.
-GROUND, BUILDING, GRID, FAINT = "#10141b", "#2a313d", "#222934", "#9aa7b8"
-
-#: Light figures. The line colours are Okabe and Ito's, distinguishable under every colour-vision deficiency.
-INK, PALE = "#1b1f24", "#d5dae1"
-LOCAL = "#6b7280"
-RUN_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#cc79a7")
+from mast_zenoh.viewer.palette import OUTCOME_LABELS as OUTCOME_LABELS
+from mast_zenoh.viewer.palette import PALE as PALE
+from mast_zenoh.viewer.palette import RUN_COLOURS as RUN_COLOURS
+from mast_zenoh.viewer.palette import STATES as STATES
+from mast_zenoh.viewer.palette import STATES_ON_LIGHT as STATES_ON_LIGHT
+from mast_zenoh.viewer.palette import WITHHELD as WITHHELD
 
 DPI = 110
 #: Of PNG files, 0 to 9: higher levels take twice as long for little gain.

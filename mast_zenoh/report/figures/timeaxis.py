@@ -13,9 +13,9 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath
 
-from mast_zenoh.messagelog.churn import LOST
 from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, Figure, plain
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.events import absences
+from mast_zenoh.viewer.run import RunRecord
 
 #: Inches: height of a lane, and gap between a band and the next label. Points: font size of labels.
 LANE, _GAP, _FONT_SIZE = 0.2, 0.14, 8.5
@@ -49,7 +49,7 @@ class PlacedBand:
     align: str
 
 
-def bands(runs: Iterable[RunFolder], *, timed: bool) -> list[Band]:
+def bands(runs: Iterable[RunRecord], *, timed: bool) -> list[Band]:
     """Distinct bands of the timelines of runs, sorted by start; empty without faults.
 
     timed: in s of scene time; else in frames
@@ -66,17 +66,6 @@ def bands(runs: Iterable[RunFolder], *, timed: bool) -> list[Band]:
     if all(band.attack for band in unique_bands):
         return []
     return sorted(unique_bands, key=lambda band: (band.start, band.end, band.label))
-
-
-def absences(run: RunFolder) -> list[tuple[str, float, float]]:
-    """(node, frame of its loss, frame of its return) of lost nodes."""
-    absences, lost_since = [], dict[str, float]()
-    for each in run.lost:
-        if each["what"] == LOST:
-            lost_since.setdefault(each["node"], each["frame"])
-        elif each["node"] in lost_since:
-            absences.append((each["node"], lost_since.pop(each["node"]), float(each["frame"])))
-    return [*absences, *((node, start, np.inf) for node, start in lost_since.items())]
 
 
 def place_bands(bands: Sequence[Band], low: float, high: float, width: float) -> tuple[list[PlacedBand], int]:

@@ -22,8 +22,8 @@ from mast_zenoh.report.figures.style import (
     plain,
 )
 from mast_zenoh.report.figures.timeaxis import HATCH, padded
-from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.trust_facts import trust_in_agents
+from mast_zenoh.viewer.run import RunRecord
 
 
 class Scale(NamedTuple):
@@ -48,7 +48,7 @@ _NAMED = 0.7
 _LIES, _FAULTS, _BAND = -0.24, -0.46, 0.18
 
 
-def trust_over_time(run: RunFolder, frame: int | None) -> Figure | None:
+def trust_over_time(run: RunRecord, frame: int | None) -> Figure | None:
     """Mean trust in each agent by time; None: the run's command centre judges nobody.
 
     Background: when an agent was taken to be faulty, or was suspended. Bands below: when it lied, and when it was

@@ -1,14 +1,9 @@
 """Films and stills of finished runs, for talks and papers (docs/animations.md).
 
-writing    `animate` and `snapshot`: from the folder of a run to a file
-look       what a film shows and how it looks: options, checked
-takes      what one panel shows: an estimate of an agent in a run, frame by frame
-attacks    when attacks are on, and what they do in a frame
-captions   what happens in a run, in words
-framing    which part of the scene panels show
-schedule   which frame of the run each image of a film shows
-layout     where the parts of an image are
-sheet      the whole image, of these parts: birdseye_panel, agent_marks, camera_panel, strip, legend, theme
-pixels     draws only what changes from one image to the next
-gif, video encode images
+writing   `animate` and `snapshot`: from the folder of a run to a file; which frame each image shows
+look      what a film shows and how it looks: options, checked; colours
+takes     what one panel shows, frame by frame: boxes, attacks, captions, which part of the scene
+panels    bird's-eye view, agents, camera view, and errors over time
+sheet     the whole image: where its parts are, and its legend
+encoding  images as pixels, and files of them
 """

@@ -1,19 +1,65 @@
-"""What a film or still shows and how it looks: options as users write them, checked."""
+"""What a film or still shows and how it looks: options as users write them, checked; colours."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.report.film.theme import THEMES, Theme
-from mast_zenoh.report.tables.scores import ESTIMATES
+from mast_zenoh.metrics.estimates import ESTIMATES, TRUTH
+from mast_zenoh.report.figures.camera import DARK_CAMERA, CameraColours
+from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, GRID, GROUND, GROUNDS, INK, KEYS
 
-#: The objects of the scene, as an estimate.
-TRUTH = "truth"
+
+@dataclass(frozen=True)
+class Theme:
+    """Colours, `#rrggbb`.
+
+    outcomes: of boxes, by the keys of OUTCOME_COLOURS;  states: of judged agents
+    ink: text;  faint: secondary text and the outlines of sensors;  camera: of camera views
+    """
+
+    ground: str
+    building: str
+    building_edge: str
+    grid: str
+    faint: str
+    ink: str
+    outcomes: Mapping[str, str]
+    adversary: str
+    fault: str
+    agent: str
+    states: Mapping[str, str]
+    withheld: str
+    camera: CameraColours
+
+
+def _theme(name: str, ground: str, grid: str, ink: str, camera: CameraColours) -> Theme:
+    """The colours of the page, with the ground, grid and ink of print."""
+    base, key = GROUNDS[name], KEYS["paper"][name]
+    of_objects = key.outcomes, key.adversary, key.fault, key.agent, key.states, base.withheld
+    return Theme(ground, base.building, base.building_edge, grid, base.faint, ink, *of_objects, camera)
+
+
+_LIGHT_CAMERA = CameraColours(
+    ground="#ffffff",
+    frame="#7a7a7a",
+    sky="#e6e6e6",
+    road="#f0f0f0",
+    grid="#dfdfdf",
+    building="#dcdcdc",
+    horizon="#c5c5c5",
+    outcomes=KEYS["paper"]["light"].outcomes,
+    adversary=ADVERSARY_ON_LIGHT,
+)
+#: By name.
+THEMES = {
+    "dark": _theme("dark", GROUND, GRID, "#f2f5f9", DARK_CAMERA),
+    "light": _theme("light", "#ffffff", GROUNDS["light"].grid, INK, _LIGHT_CAMERA),
+}
 #: What panels can show.
 SHOWN = (*ESTIMATES, TRUTH)
 #: Largest number of panels.

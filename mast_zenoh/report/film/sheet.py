@@ -4,28 +4,213 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
+from matplotlib import figure as figures
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.text import Text
 
-from mast_zenoh.errors import RunFolderError
-from mast_zenoh.report.figures.style import Figure, plain
-from mast_zenoh.report.film import legend
-from mast_zenoh.report.film.attacks import Attacks
-from mast_zenoh.report.film.birdseye_panel import BirdseyePanel
-from mast_zenoh.report.film.camera_panel import CameraPanel, image_crop_aspect
-from mast_zenoh.report.film.captions import Captions
-from mast_zenoh.report.film.framing import Framing, framing
-from mast_zenoh.report.film.layout import CAMERA_GAP, MARGIN, layout
-from mast_zenoh.report.film.look import TRUTH, Look
-from mast_zenoh.report.film.strip import Strip
-from mast_zenoh.report.film.takes import Take
+from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.report.figures.style import OUTCOME_LABELS, Figure, plain
+from mast_zenoh.report.film.look import Look, Theme
+from mast_zenoh.report.film.panels import BirdseyePanel, CameraPanel, Strip, image_crop_aspect
+from mast_zenoh.report.film.takes import Attacks, Captions, Framing, Take, framing
+from mast_zenoh.viewer.events import states_at, withheld_at
+from mast_zenoh.viewer.frame import Frame
+
+#: Left and right of the panels; between them; between a bird's-eye view and a camera view.
+MARGIN, GAP, CAMERA_GAP = 0.12, 0.14, 0.06
+#: Heights: of the title with and without a line for the state of the run; of a panel's title, and of its own state;
+#: of the numbers; of a strip with the labels of its axis; of the caption.
+_HEAD, _HEAD_OF_SEVERAL, _TITLE, _STATE = 0.58, 0.36, 0.28, 0.28
+_COUNTS, _STRIP, _LABELS, _CAPTION = 0.26, 0.5, 0.22, 0.4
+#: Space of a plain sheet above and below its panels.
+_PLAIN_HEAD, _PLAIN_FOOT = 0.04, 0.12
+#: Of a bird's-eye view, at least.
+_LEAST = 1.0
+
+
+class Layout(NamedTuple):
+    """Of a sheet, from top to bottom. All panels are alike, and none of the parts overlap.
+
+    width, height: of the sheet;  panel: width of a panel
+    head:   title;  title: of panels, with the state of the run if panels differ in it
+    view:   bird's-eye view;  camera: camera view with the gap above it, 0: none
+    counts: numbers;  strip: of errors over time, without its labels, 0: none
+    """
+
+    width: float
+    height: float
+    panel: float
+    head: float
+    title: float
+    view: float
+    camera: float
+    counts: float
+    strip: float
+
+    def left(self, panel: int) -> float:
+        """Where a panel begins."""
+        return MARGIN + panel * (self.panel + GAP)
+
+    @property
+    def top(self) -> float:
+        """Where bird's-eye views begin."""
+        return self.head + self.title
+
+    @property
+    def below(self) -> float:
+        """Where bird's-eye views and camera views end."""
+        return self.top + self.view + self.camera
+
+    @property
+    def caption(self) -> float:
+        """Where the caption begins."""
+        return self.below + self.counts + self.strip + _LABELS
+
+
+def layout(look: Look, panels: int, legend: float, aspect: float | None, *, several: bool) -> Layout:
+    """The layout of a sheet.
+
+    panels: their number;  legend: its height;  aspect: height by width of a camera view, None: without
+    several: panels show several runs
+    Raises ConfigurationError if a panel would be too small.
+    """
+    pixels = look.pixels(panels)
+    width, height = (each / look.dpi for each in pixels)
+    panel = (width - 2 * MARGIN - (panels - 1) * GAP) / panels
+    camera = panel * aspect + CAMERA_GAP if aspect else 0.0
+    if look.plain:
+        head, title, counts, strip, labels, caption = _PLAIN_HEAD, _TITLE, 0.0, 0.0, 0.0, _PLAIN_FOOT
+    else:
+        head, title = (_HEAD_OF_SEVERAL, _TITLE + _STATE) if several else (_HEAD, _TITLE)
+        counts, strip, labels, caption = _COUNTS, _STRIP, _LABELS, _CAPTION
+    view = height - head - title - camera - counts - strip - labels - caption - legend
+    if min(view, panel) < _LEAST:
+        hint = "" if look.plain else ", or plain"
+        raise ConfigurationError(
+            f"size: found {pixels[0]}x{pixels[1]} px at {look.dpi} dpi, which leaves no room for "
+            f"{panels} panel{'s' if panels > 1 else ''}: expected a larger size or fewer dpi{hint}"
+        )
+    return Layout(width, height, panel, head, title, view, camera, counts, strip)
+
+
+#: In the order of the legend.
+_OUTCOMES = ("truth matched", "track matched", "truth missed", "track false", "unevaluated")
+#: Inches for each point of the font's size: width of a letter, of an entry's symbol and gaps; height of a line.
+_LETTER, _ENTRY, _LINE = 0.0081, 0.056, 0.0235
+#: Inches, least width of a figure with text of the ordinary size; points, that size and the one of narrow figures.
+_NARROW, _SIZE, _SMALL_SIZE = 5.0, 9.0, 7.0
+
+
+def legend_entries(
+    takes: Sequence[Take], attacks: Sequence[Attacks], frames: Sequence[int], theme: Theme
+) -> list[Artist]:
+    """The entries for all that the panels show in these frames of the first take."""
+    views = [(take, take.view(take.frame_at(takes[0].seconds(frame)))) for take in takes for frame in frames]
+    shown = {name for take, view in views for name, boxes in view.boxes[take.estimate].items() if len(boxes)}
+    if all(take.estimate == TRUTH for take in takes):
+        handles: list[Artist] = [Patch(facecolor="none", edgecolor=theme.outcomes["truth matched"], label="object")]
+    else:
+        handles = [_outcome(name, theme) for name in _OUTCOMES if name != "unevaluated" or name in shown]
+    if any(take.run.recording is not None for take in takes):
+        states = {state for take, view in views for state in states_at(take.run, view.index).values()}
+        colour = theme.withheld if states else theme.agent
+        kinds = {agent.kind for take in takes if take.run.recording for agent in take.run.recording.agents}
+        handles += [_mark("o", colour, "vehicle with sensors", hollow=True)] if kinds - {"static"} else []
+        handles += [_mark("^", colour, "roadside sensor")] if "static" in kinds else []
+        handles += [_mark("^", theme.states[state], f"{state} agent") for state in theme.states if state in states]
+    return handles + _conduct(views, attacks, theme)
+
+
+def _conduct(views: Sequence[tuple[Take, Frame]], attacks: Sequence[Attacks], theme: Theme) -> list[Artist]:
+    handles: list[Artist] = []
+    if any(each.possible for each in attacks):
+        handles.append(_mark("^", theme.adversary, "adversary on its wire"))
+        band = Patch(facecolor=to_rgba(theme.adversary, 0.28), edgecolor=theme.adversary, label="attack")
+        handles.append(band)
+    if any(len(withheld_at(view.run, view.index)[2]) for _, view in views):
+        handles.append(Patch(facecolor="none", edgecolor=theme.withheld, linestyle="--", label="withheld"))
+    marks = [view.marks(take.estimate) for take, view in views]
+    for kind, marker, label in (
+        ("added", "D", "inserted by adversary"),
+        ("removed", "x", "removed by adversary"),
+        ("moved", "$\\rightarrow$", "moved by adversary"),
+    ):
+        if any(len(getattr(each, kind)) for each in marks):
+            handles.append(_mark(marker, theme.adversary, label, hollow=marker == "D"))
+    return handles
+
+
+def _legend_lines(handles: Sequence[Artist], width: float) -> int:
+    """Lines that entries need in a width in inches."""
+    points = width / _font_size(width)
+    return next((count for count in range(1, len(handles)) if _breadth(handles, count) <= points), len(handles))
+
+
+def legend_height(handles: Sequence[Artist], width: float) -> float:
+    """Inches that entries need in a width in inches."""
+    return _LINE * _font_size(width) * _legend_lines(handles, width)
+
+
+def _font_size(width: float) -> float:
+    return _SIZE if width >= _NARROW else _SMALL_SIZE
+
+
+def _breadth(handles: Sequence[Artist], count: int) -> float:
+    """Width of a legend of so many lines, inches for each point of the font's size.
+
+    Matplotlib fills it column by column, the first ones the fullest.
+    """
+    columns = -(-len(handles) // count)
+    full, left = divmod(len(handles), columns)
+    ends = [full * column + min(column, left) for column in range(columns + 1)]
+    widths = [[_width(each) for each in handles[start:end]] for start, end in pairwise(ends)]
+    return sum(max(column) for column in widths if column)
+
+
+def draw_legend(figure: figures.Figure, handles: Sequence[Artist], theme: Theme) -> None:
+    """Put entries at the bottom of a figure."""
+    count = _legend_lines(handles, figure.get_figwidth())
+    figure.legend(
+        handles=list(handles),
+        loc="lower center",
+        ncols=-(-len(handles) // count),
+        frameon=False,
+        labelcolor=theme.ink,
+        fontsize=_font_size(figure.get_figwidth()),
+        handlelength=1.3,
+        columnspacing=1.3,
+        labelspacing=0.4,
+        borderaxespad=0.2,
+    )
+
+
+def _width(entry: Artist) -> float:
+    return _ENTRY + _LETTER * len(str(entry.get_label()))
+
+
+def _outcome(name: str, theme: Theme) -> Patch:
+    colour = theme.outcomes[name]
+    face = to_rgba(colour, 0.35 if name in ("truth missed", "track false") else 0.0)
+    return Patch(facecolor=face, edgecolor=colour, linewidth=1.5, label=OUTCOME_LABELS[name])
+
+
+def _mark(marker: str, colour: str, label: str, *, hollow: bool = False) -> Line2D:
+    face = "none" if hollow else colour
+    return Line2D([], [], linestyle="", marker=marker, ms=7, mfc=face, mec=colour, mew=1.5, label=label)
+
 
 #: Inches between the left edge of a panel and its strip, for the labels of the axis.
 _STRIP_LEFT = 0.26
 #: Of text, inches for each letter and point of its size.
-_LETTER = 0.0086
+_TEXT_LETTER = 0.0086
 
 
 class Sheet:
@@ -45,11 +230,11 @@ class Sheet:
         aspect = image_crop_aspect(takes[0]) if look.camera else None
         if look.camera and aspect is None:
             raise RunFolderError(f"{takes[0].run.path}: {takes[0].run.ego} has no camera: it is not in the scene")
-        handles = legend.entries(takes, self._attacks, frames, self._theme)
+        handles = legend_entries(takes, self._attacks, frames, self._theme)
         width, height = (each / look.dpi for each in look.pixels(len(takes)))
-        place = layout(look, len(takes), legend.height(handles, width), aspect, several=self._several)
+        place = layout(look, len(takes), legend_height(handles, width), aspect, several=self._several)
         self.figure = Figure(figsize=(width, height), dpi=look.dpi, facecolor=self._theme.ground)
-        legend.draw(self.figure, handles, self._theme)
+        draw_legend(self.figure, handles, self._theme)
         self._place, self.changing = place, list[Artist]()
         chosen = framing(look.window_choice(), takes, frames, place.panel / place.view)
         self._place_panels(chosen)
@@ -178,5 +363,5 @@ class Sheet:
     @staticmethod
     def _shortened(text: str, size: float, width: float) -> str:
         """Text that fits into a width in inches."""
-        most = max(int(width / (_LETTER * size)), 4)
+        most = max(int(width / (_TEXT_LETTER * size)), 4)
         return text if len(text) <= most else text[: most - 1] + "…"

@@ -1,8 +1,11 @@
-"""What one panel shows: an estimate of an agent in a run, frame by frame."""
+"""What one panel shows: an estimate of an agent in a run, frame by frame, and which part of the scene."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -10,11 +13,13 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
-from mast_zenoh.report.figures.view import Boxes, FrameView, has_boxes, view_of
-from mast_zenoh.report.files import Table, rows
-from mast_zenoh.report.film.look import SHOWN, TRUTH
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.viewer.palette import OUTCOME_COLOURS
+from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.report.film.look import SHOWN, WindowChoice
+from mast_zenoh.viewer import events
+from mast_zenoh.viewer.events import spans
+from mast_zenoh.viewer.frame import Frame, ego_position, frame_at, has_boxes
+from mast_zenoh.viewer.interposers import interposers
+from mast_zenoh.viewer.run import RunRecord, Table, rows
 
 #: What panels are titled.
 TITLES = {
@@ -44,7 +49,7 @@ class Take:
     Raises ConfigurationError for an estimate that the run does not have, RunFolderError for a run without boxes.
     """
 
-    def __init__(self, run: RunFolder, estimate: str, title: str = "") -> None:
+    def __init__(self, run: RunRecord, estimate: str, title: str = "") -> None:
         if run.objects is None or not len(run.objects["frame"]):
             reasons = " ".join(run.missing) or "objects.parquet holds no boxes of this agent."
             raise RunFolderError(
@@ -76,17 +81,9 @@ class Take:
         """Whether the run is over at a time."""
         return seconds > float(self.times[-1]) + self.run.period_s / 2
 
-    def _view(self, frame: int) -> FrameView:
+    def _view(self, frame: int) -> Frame:
         """The boxes and manipulations of a frame."""
-        view = view_of(self.run, frame, [self.estimate])
-        recording = self.run.recording
-        if self.estimate == TRUTH and recording is not None:
-            truth = recording.truth_at(min(frame, len(recording) - 1))
-            nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-            boxes = dict.fromkeys(OUTCOME_COLOURS, nothing)
-            boxes["truth matched"] = Boxes(truth.position, truth.size, truth.yaw)
-            view = replace(view, boxes={TRUTH: boxes})
-        return view
+        return frame_at(self.run, frame, [self.estimate])
 
     def agent_positions(self, frame: int) -> Floats:
         """(a, 2) m, where the agents are; none without a scene."""
@@ -117,3 +114,192 @@ class Take:
         times = self.times[np.minimum(table["frame"].astype(np.int64), self.last)]
         missed, false = (table[name].astype(np.float64) for name in ("fn", "fp"))
         return times, missed, false
+
+
+#: s: an attack that changes nothing for so long is over.
+_PAUSE_S = 1.0
+#: Adversaries or agents that are named; more are counted.
+_NAMED = 2
+
+
+class Attacks:
+    """The attacks of a run.
+
+    spans: first frame and the frame after the last of each period with changes by adversaries
+    """
+
+    def __init__(self, run: RunRecord) -> None:
+        self._effects = run.attacks
+        frames = np.unique(run.attacks["frame"]).astype(np.int64) if run.attacks is not None else np.zeros(0, np.int64)
+        breaks = np.flatnonzero(np.diff(frames) * run.period_s > _PAUSE_S)
+        parts = np.split(frames, breaks + 1) if len(frames) else []
+        self.spans = [(int(part[0]), int(part[-1]) + 1) for part in parts]
+        self._interposers = [each for each in interposers(run) if not each.is_link]
+
+    def on(self, frame: int) -> bool:
+        """Whether an attack is on in a frame."""
+        return any(start <= frame < end for start, end in self.spans)
+
+    def attacked(self, frame: int) -> set[str]:
+        """The agents on whose wires an adversary sits in a frame."""
+        present = [
+            each
+            for each in self._interposers
+            if (each.live is None or each.live <= frame) and (each.released is None or frame < each.released)
+        ]
+        return {agent for each in present for agent in (*each.agents, *each.before)}
+
+    @property
+    def possible(self) -> bool:
+        """Whether any adversary is ever on a wire."""
+        return bool(self._interposers)
+
+    def sentence(self, frame: int) -> str:
+        """What is done in a frame, in words."""
+        if self._effects is None:
+            return "attacks were not measured" if self.possible else "no attack"
+        if not self.on(frame):
+            waiting = self.attacked(frame)
+            return (
+                f"no attack; adversary on the wires of {_names(sorted(waiting), 'agents')}" if waiting else "no attack"
+            )
+        here = rows(self._effects, self._effects["frame"] == frame)
+        changes = Counter(here["effect"].astype(str).tolist())
+        names = sorted(set(here["interposer"].astype(str).tolist()))
+        what = ", ".join(f"{count} {effect}" for effect, count in sorted(changes.items()))
+        return f"attack by {_names(names, 'adversaries')}: {what}" if names else "attack: nothing changed in this frame"
+
+
+def _names(names: list[str], noun: str) -> str:
+    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} {noun}"
+
+
+class Captions:
+    """The caption of every frame of a film.
+
+    takes: one for each run
+    own:   the user's captions by frame, each in place of the run's of this frame alone
+    """
+
+    def __init__(self, takes: list[Take], own: Mapping[int, str]) -> None:
+        texts: dict[int, list[str]] = {}
+        for take in takes:
+            label = f" ({take.run.label})" if len(takes) > 1 else ""
+            for frame, text in happenings(take):
+                shown = takes[0].frame_at(take.seconds(frame))
+                texts.setdefault(shown, []).append(text + label)
+        merged = {frame: "; ".join(dict.fromkeys(each)) for frame, each in texts.items()} | dict(own)
+        self._frames = sorted(merged)
+        self._texts = [f"frame {frame}: {merged[frame]}" for frame in self._frames]
+
+    def at(self, frame: int) -> str:
+        """The newest caption up to a frame; empty: nothing has happened."""
+        place = bisect_right(self._frames, frame)
+        return self._texts[place - 1] if place else ""
+
+
+def happenings(take: Take) -> list[tuple[int, str]]:
+    """(frame, words) of interceptions, attacks, faults, absences and suspensions, the earliest first."""
+    happened = events.happenings(take.run, spans(take.run, take.times), take.times)
+    happened.sort(key=lambda each: (each.frame, each.kind != "interception", each.text))
+    return [(max(each.frame, take.first), each.text) for each in happened if each.frame <= take.last]
+
+
+#: m: agents and objects farther than this from the agent do not matter.
+_MATTERS_M = 105.0
+#: Share of the objects on either side that may lie outside.
+_OUTLIERS = 0.04
+#: m: free space around what matters; half of the shorter side, at least.
+_MARGIN_M, _LEAST_HALF_M = 8.0, 20.0
+
+
+class Window(NamedTuple):
+    """A rectangle of the scene, m. x, y: its centre;  across, up: half of its width and height"""
+
+    x: float
+    y: float
+    across: float
+    up: float
+
+    @property
+    def half(self) -> float:
+        """m, half of the shorter side."""
+        return min(self.across, self.up)
+
+    @property
+    def corners(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """m, the lower left corner and the upper right one."""
+        return (self.x - self.across, self.y - self.up), (self.x + self.across, self.y + self.up)
+
+    def contains(self, position: Floats) -> bool:
+        """Whether a position (2,) or (3,) m is inside."""
+        return bool(abs(position[0] - self.x) <= self.across and abs(position[1] - self.y) <= self.up)
+
+
+@dataclass(frozen=True)
+class Framing:
+    """The window of every frame; the same size in all of them.
+
+    fixed:  in the middle of the film's window, or relative to the followed agent
+    follow: the take whose agent is followed
+    """
+
+    fixed: Window
+    follow: Take | None = None
+
+    def window(self, frame: int) -> Window:
+        """The window in a frame."""
+        at = None if self.follow is None else ego_position(self.follow.run, frame)
+        return self.fixed if at is None else self.fixed._replace(x=float(at[0]), y=float(at[1]))
+
+
+def framing(choice: WindowChoice, takes: Sequence[Take], frames: Sequence[int], aspect: float) -> Framing:
+    """The window that a user chose for panels of one shape.
+
+    frames: of the first take, all that the film shows;  aspect: width by height of a panel
+    """
+    across, up = (aspect, 1.0) if aspect >= 1.0 else (1.0, 1.0 / aspect)
+    if choice.centre is not None and choice.half is not None:
+        return Framing(Window(*choice.centre, choice.half * across, choice.half * up))
+    always, mostly = _places(takes, frames, relative=choice.follow)
+    if choice.follow:
+        sides = np.array([_limits(np.abs(always[:, axis]), np.abs(mostly[:, axis]))[1] for axis in (0, 1)])
+        middle = np.zeros(2)
+    else:
+        limits = np.array([_limits(always[:, axis], mostly[:, axis]) for axis in (0, 1)])
+        middle, sides = limits.mean(axis=1), np.diff(limits, axis=1)[:, 0] / 2
+    needed = (sides + _MARGIN_M) / [across, up]
+    half = choice.half or max(float(needed.max()), _LEAST_HALF_M)
+    fixed = Window(float(middle[0]), float(middle[1]), half * across, half * up)
+    return Framing(fixed, takes[0] if choice.follow else None)
+
+
+def _places(takes: Sequence[Take], frames: Sequence[int], *, relative: bool) -> tuple[Floats, Floats]:
+    """(a, 2) m, where agents are, and (n, 2) m, where boxes and manipulations are; of those that matter.
+
+    relative: to the agent
+    """
+    always, mostly = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for take in takes:
+        for frame in frames:
+            shown = take.frame_at(takes[0].seconds(frame))
+            own = ego_position(take.run, shown)
+            view = take.view(shown)
+            marks = view.marks(take.estimate)
+            boxes = [each.position[:, :2] for each in view.boxes[take.estimate].values()]
+            for places, result in (
+                (take.agent_positions(shown), always),
+                (np.concatenate([*boxes, marks.added[:, :2], marks.removed[:, :2]]), mostly),
+            ):
+                if own is not None:
+                    places = places[np.hypot(*(places - own[:2]).T) <= _MATTERS_M]
+                result.append(places - own[:2] if relative and own is not None else places)
+    return np.concatenate(always), np.concatenate(mostly)
+
+
+def _limits(always: Floats, mostly: Floats) -> tuple[float, float]:
+    """Between which all of `always` are, and all but few of `mostly`; (0, 0) without any."""
+    ordered = np.sort(mostly)
+    cut = int(len(ordered) * _OUTLIERS)
+    inner = np.concatenate([always, ordered[cut : len(ordered) - cut]])
+    return (float(inner.min()), float(inner.max())) if len(inner) else (0.0, 0.0)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib import figure as figures
 from matplotlib import rc_context
@@ -16,13 +17,54 @@ from mast_zenoh.errors import ConfigurationError, ExportError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.folder import check_free, write_new
 from mast_zenoh.report.figures.view import choose_frame
-from mast_zenoh.report.film import gif, video
+from mast_zenoh.report.film.encoding import ffmpeg, images, write_gif, write_video
 from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.pixels import images
-from mast_zenoh.report.film.schedule import check_frame, schedule
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import TITLES, Take
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.run import RunRecord
+
+#: Images per second at most, unless the user asks for more.
+_SMOOTH_FPS = 30.0
+_MOST_FPS = 120.0
+
+
+class Schedule(NamedTuple):
+    """frames: of the run, one for each image of the film;  fps: images per second"""
+
+    frames: Sequence[int]
+    fps: float
+
+
+def schedule(take: Take, start: int | None, end: int | None, speed: float, fps: float | None) -> Schedule:
+    """The frames of a film.
+
+    start, end: first and last frame, None: of the run;  speed: of the film over that of the scene
+    fps:        images per second; None: every frame once, but at most 30
+
+    Raises RunFolderError for frames that the run does not have, ConfigurationError for an invalid speed or rate.
+    """
+    first, last = (default if given is None else check_frame(take, given)
+                   for given, default in ((start, take.first), (end, take.last)))  # fmt: skip
+    if last < first:
+        raise ConfigurationError(f"frames: found {first} to {last}, expected the first not to be after the last")
+    if not (math.isfinite(speed) and 0.01 <= speed <= 100):
+        raise ConfigurationError(f"speed: found {speed:g}, expected 0.01 to 100")
+    if fps is not None and not (math.isfinite(fps) and 0.1 <= fps <= _MOST_FPS):
+        raise ConfigurationError(f"fps: found {fps:g}, expected 0.1 to {_MOST_FPS:g}")
+    native = speed / take.run.period_s
+    if fps is None and native <= _SMOOTH_FPS:
+        return Schedule(range(first, last + 1), native)
+    fps = fps or _SMOOTH_FPS
+    count = max(1, math.ceil((last + 1 - first) / native * fps - 1e-9))
+    return Schedule([min(first + math.floor(k * native / fps + 1e-9), last) for k in range(count)], fps)
+
+
+def check_frame(take: Take, frame: int) -> int:
+    """Return a frame; raises RunFolderError if the run does not have it."""
+    if not take.first <= frame <= take.last:
+        raise RunFolderError(f"{take.run.path}: found frame {frame}, expected one of {take.first} to {take.last}")
+    return frame
+
 
 #: What the names of films end with.
 FILMS = ("mp4", "gif", "webm")
@@ -60,7 +102,7 @@ def animate(
     """
     kind = _kind_of(out, FILMS)
     if kind != "gif":
-        video.ffmpeg()
+        ffmpeg()
     takes = open_takes(run, look, against)
     plan = schedule(takes[0], start, end, speed, fps)
     shown = sorted(set(plan.frames))
@@ -70,9 +112,9 @@ def animate(
         if kind == "gif":
             theme = look.colours
             key = (theme.ground, theme.ink, theme.adversary, theme.building, *theme.outcomes.values())
-            gif.write_gif(path, lambda frames: images(sheet, frames), plan.frames, plan.fps, key)
+            write_gif(path, lambda frames: images(sheet, frames), plan.frames, plan.fps, key)
         else:
-            video.write_video(path, images(sheet, plan.frames), look.pixels(len(takes)), plan.fps)
+            write_video(path, images(sheet, plan.frames), look.pixels(len(takes)), plan.fps)
 
     write_new(out, write)
     return len(plan.frames)
@@ -135,8 +177,8 @@ def _kind_of(out: Path, kinds: Sequence[str]) -> str:
     return kind
 
 
-def _opened(path: Path, agent: str | None) -> RunFolder:
-    folder = RunFolder.load(path)
+def _opened(path: Path, agent: str | None) -> RunRecord:
+    folder = RunRecord.load(path)
     if folder.run.get("status") == RUNNING:
         raise RunFolderError(f"{path}: the run is still in progress: expected a finished run")
     return folder if agent is None else folder.seen_by(agent)

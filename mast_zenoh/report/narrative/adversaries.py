@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.achievement import DISPLACED_M
-from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.narrative.attribution import culprit_names
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
@@ -25,8 +24,8 @@ from mast_zenoh.report.narrative.changes import (
     plural,
     scored,
 )
-from mast_zenoh.report.runfolder import RunFolder, agent_of
-from mast_zenoh.report.tables.interposers import OF_OBJECTS, Interposer, interposers
+from mast_zenoh.viewer.interposers import OF_OBJECTS, Interposer, interposers
+from mast_zenoh.viewer.run import RunRecord, Table, agent_of, rows
 
 #: Adversaries with a sentence of their own; the others share one.
 _DESCRIBED = 3
@@ -56,7 +55,7 @@ _MESSAGES = {
 }
 
 
-def attack_description(run: RunFolder) -> list[str]:
+def attack_description(run: RunRecord) -> list[str]:
     """Sentences: what each adversary did, where and when; which coordinators directed it; faults of the scenario."""
     adversaries = [each for each in interposers(run) if not each.is_link]
     active = [each for each in adversaries if each.changed]
@@ -80,7 +79,7 @@ def attack_description(run: RunFolder) -> list[str]:
     return sentences + _faults(run)
 
 
-def _sentence(run: RunFolder, adversary: Interposer) -> str:
+def _sentence(run: RunRecord, adversary: Interposer) -> str:
     """`In the detections of infra_1, adversary_1 inserted four objects that did not exist, from t = 4.0 s to 5.9 s.`"""
     effects = adversary.effects or {}
     clauses = [_of_objects(adversary, name, effects[name]) for name in OF_OBJECTS if effects.get(name)]
@@ -104,7 +103,7 @@ def _of_objects(adversary: Interposer, effect: str, rows: int) -> str:
     return _OBJECTS[effect].format(what)
 
 
-def _places(run: RunFolder, adversary: Interposer) -> list[str]:
+def _places(run: RunRecord, adversary: Interposer) -> list[str]:
     """The messages that an adversary changed, in words."""
     wires: Mapping[str, Mapping[str, Any]] = {wire["key"]: wire for wire in run.wiring.get("wires", ())}
     changed: set[str] = set()
@@ -125,7 +124,7 @@ def _places(run: RunFolder, adversary: Interposer) -> list[str]:
     return list(places)
 
 
-def _when(run: RunFolder, adversary: Interposer) -> str:
+def _when(run: RunRecord, adversary: Interposer) -> str:
     """When it changed messages, and whether it was inserted during the run; empty: not known."""
     parts = []
     if run.attacks is not None:
@@ -139,14 +138,14 @@ def _when(run: RunFolder, adversary: Interposer) -> str:
     return "".join(f", {part}" for part in parts)
 
 
-def _period(run: RunFolder, first: int, last: int) -> str:
+def _period(run: RunRecord, first: int, last: int) -> str:
     times = run.seconds(np.array([first, last]))
     if times is None:
         return f"in frame {first}" if first == last else f"from frame {first} to {last}"
     return f"at t = {times[0]:.1f} s" if first == last else f"from t = {times[0]:.1f} s to {times[1]:.1f} s"
 
 
-def _faults(run: RunFolder) -> list[str]:
+def _faults(run: RunRecord) -> list[str]:
     """A sentence about the faults of the scenario; none without faults."""
     timeline = run.scenario.get("timeline") if isinstance(run.scenario, Mapping) else None
     faults: Sequence[Mapping[str, Any]] = [each for each in timeline or () if each.get("kind") == "fault"]
@@ -161,7 +160,7 @@ def _faults(run: RunFolder) -> list[str]:
 _MIN_POINTS = 5
 
 
-def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str, tuple[str, ...]]:
+def explanations(run: RunRecord, reference: RunRecord | None = None) -> dict[str, tuple[str, ...]]:
     """Reasons for limited effects on the picture or the ego, by interposer.
 
     Links have none.
@@ -181,7 +180,7 @@ def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str
     return result
 
 
-def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[str]:
+def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[str]:
     """Reasons for limited effects of one interposer.
 
     blamed_for: the kind of the largest change if this interposer causes it, else empty
@@ -223,7 +222,7 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
     return reasons
 
 
-def _other_interposers(run: RunFolder, interposer: Interposer) -> str:
+def _other_interposers(run: RunRecord, interposer: Interposer) -> str:
     """Names of other interposers on its wires that changed something; empty: none."""
     names = [
         each.name
@@ -233,7 +232,7 @@ def _other_interposers(run: RunFolder, interposer: Interposer) -> str:
     return ", ".join(names)
 
 
-def _idle(run: RunFolder, interposer: Interposer) -> str:
+def _idle(run: RunRecord, interposer: Interposer) -> str:
     """Why an interposer changed nothing."""
     if interposer.failures:
         did = "it changed nothing" if interposer.failed_frames else "it crashed before it changed anything"
@@ -246,7 +245,7 @@ def _idle(run: RunFolder, interposer: Interposer) -> str:
     return f"it passed all {interposer.received} messages on unchanged"
 
 
-def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
+def late_start_s(run: RunRecord, interposer: Interposer) -> float | None:
     """s, start of an attack planned for after the end of the run; None: otherwise.
 
     Older runs list such attacks in the timeline; for others, the start is in the attack's settings.
@@ -264,11 +263,11 @@ def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
     return min(starts) if starts and duration and min(starts) >= duration else None
 
 
-def _duration_s(run: RunFolder) -> float:
+def _duration_s(run: RunRecord) -> float:
     return float(run.metrics.get("frames", 0) * run.period_s)
 
 
-def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+def _inserted(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
     """Reasons why no tracks followed inserted objects."""
     reasons = []
     if not achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
@@ -288,7 +287,7 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
     return reasons
 
 
-def _removed(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+def _removed(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
     """Reasons why objects in removed rows or dropped messages were not missed."""
     dropped = np.zeros(len(targets["frame"]), bool)
     if run.attacks is not None:
@@ -306,7 +305,7 @@ def _removed(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> lis
     ]
 
 
-def _reasons_not_missed(run: RunFolder, targets: Table, achieved: Mapping[str, Any], objects: str) -> list[str]:
+def _reasons_not_missed(run: RunRecord, targets: Table, achieved: Mapping[str, Any], objects: str) -> list[str]:
     """Reasons why objects were not missed; objects: their description in words."""
     were = "were" if objects.startswith("the objects") else "was"
     are = "are" if were == "were" else "is"
@@ -336,7 +335,7 @@ def _how_often(share: float) -> str:
     return "all the time" if share >= 1.0 else f"{np.floor(100.0 * share):.0f}% of the time"
 
 
-def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+def _moved(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
     """Reasons for missing displacement of objects; identity switches count as effects."""
     effects = "moved_share", "altered_share", "id_switches"
     if any(achieved.get(f"{effect}_{viewer}") for effect in effects for viewer in ("centre", "ego")):
@@ -353,7 +352,7 @@ def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[
     return []
 
 
-def _only_downlink(run: RunFolder, targets: Table) -> bool:
+def _only_downlink(run: RunRecord, targets: Table) -> bool:
     """Whether an adversary changed only pictures in transit."""
     if run.attacks is None or "message" not in run.attacks or not len(targets["frame"]):
         return False
@@ -366,7 +365,7 @@ def _judged(targets: Table) -> Bools:
     return np.asarray(targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool))
 
 
-def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
+def _seen_by_others(run: RunRecord, targets: Table) -> Bools:
     """(n,) bool: targets seen by an agent whose report of them is unchanged.
 
     No adversary changes the agent's report of the target in that frame.
@@ -389,7 +388,7 @@ def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
     return np.asarray(seen)
 
 
-def _seen_by_ego(run: RunFolder, targets: Table) -> Bools:
+def _seen_by_ego(run: RunRecord, targets: Table) -> Bools:
     """(n,) bool: targets matched by one of the ego's own tracks in their frame."""
     if run.objects is None:
         return np.zeros(len(targets["frame"]), bool)
@@ -400,7 +399,7 @@ def _seen_by_ego(run: RunFolder, targets: Table) -> Bools:
     return np.array([each in tracked for each in wanted], bool)
 
 
-def _sees(run: RunFolder, number: int, frame: int, excluded: set[str]) -> bool:
+def _sees(run: RunRecord, number: int, frame: int, excluded: set[str]) -> bool:
     """Whether an agent not in `excluded` sees an object in a frame of the scene."""
     scene = run.recording
     if scene is None or not 0 <= frame < len(scene):
@@ -411,7 +410,7 @@ def _sees(run: RunFolder, number: int, frame: int, excluded: set[str]) -> bool:
     return bool((scene.points[rows_of_object][:, columns] >= _MIN_POINTS).any())
 
 
-def _on_real_objects(run: RunFolder, targets: Table) -> Bools | None:
+def _on_real_objects(run: RunRecord, targets: Table) -> Bools | None:
     """(n,) bool: targets within the gate of a true object; None: no truth."""
     if run.objects is None:
         return None

@@ -22,13 +22,13 @@ from mast_zenoh.report.narrative.changes import (
     join_names,
     withheld_from,
 )
-from mast_zenoh.report.runfolder import RunFolder, agent_of
-from mast_zenoh.report.tables.interposers import failures_of, interposers
 from mast_zenoh.report.tables.wiring import all_wires
+from mast_zenoh.viewer.interposers import failures_of, interposers
+from mast_zenoh.viewer.run import RunRecord, agent_of
 from mast_zenoh.wiring.model import Passage
 
 
-def reaches(run: RunFolder, node: str, estimate: str, agent: str | None = None) -> bool:
+def reaches(run: RunRecord, node: str, estimate: str, agent: str | None = None) -> bool:
     """Whether a node's messages can affect an estimate of an agent.
 
     agent: by default the ego
@@ -40,7 +40,7 @@ def reaches(run: RunFolder, node: str, estimate: str, agent: str | None = None) 
     return not passages or bool(influence(passages, series, np.zeros(len(passages), bool)).any())
 
 
-def _passages(run: RunFolder, node: str) -> list[Passage]:
+def _passages(run: RunRecord, node: str) -> list[Passage]:
     """Its passages through all wires that it was ever on, including live insertions."""
     passages = []
     for wire in all_wires(run):
@@ -64,7 +64,7 @@ _SETTINGS = ("mode", "period_ns", "scene", "network")
 _MAX_NAMED = 3
 
 
-def other_differences(run: RunFolder, reference: RunFolder) -> tuple[str, ...]:
+def other_differences(run: RunRecord, reference: RunRecord) -> tuple[str, ...]:
     """Settings, nodes, wires and failures in which two runs differ.
 
     From scenario.json and wiring.json.
@@ -98,28 +98,28 @@ def join_differences(differences: tuple[str, ...]) -> str:
     return join_names([*listed, f"{more} more"] if more > 0 else listed)
 
 
-def attacking_nodes(run: RunFolder) -> frozenset[str]:
+def attacking_nodes(run: RunRecord) -> frozenset[str]:
     """Adversaries, their coordinators, and all other interposers except links."""
     return frozenset(_attackers(run))
 
 
-def _played(run: RunFolder) -> list[str]:
+def _played(run: RunRecord) -> list[str]:
     """The nodes of a replay that only send what was recorded."""
     return list((run.run.get("replay") or {}).get("played", ()))
 
 
-def _attackers(run: RunFolder) -> set[str]:
+def _attackers(run: RunRecord) -> set[str]:
     interposer_names = {each.name for each in interposers(run) if not each.is_link}
     return interposer_names | {name for name in _names(run) if run.role(name) in _HOSTILE}
 
 
-def _names(run: RunFolder) -> list[str]:
+def _names(run: RunRecord) -> list[str]:
     """Every node of a run that can affect its results."""
     known = [*run.scenario.get("nodes", {}), *run.run.get("nodes", {}), *(each.name for each in interposers(run))]
     return [name for name in dict.fromkeys(known) if run.role(name) not in _PASSIVE]
 
 
-def _nodes(run: RunFolder) -> dict[str, dict[str, Any]]:
+def _nodes(run: RunRecord) -> dict[str, dict[str, Any]]:
     """Settings by node; empty for nodes that are not in scenario.json."""
     specs = {name: run.node_spec(name) for name in _names(run)}
     settings = {name: {**(spec.pop("config", None) or {}), **spec} for name, spec in specs.items()}
@@ -143,7 +143,7 @@ def _differing_keys(here: Mapping[str, Any], there: Mapping[str, Any]) -> list[s
     return [name for name in dict.fromkeys([*here, *there]) if here.get(name) != there.get(name)]
 
 
-def _versions(run: RunFolder, reference: RunFolder) -> list[str]:
+def _versions(run: RunRecord, reference: RunRecord) -> list[str]:
     """Packages with different versions, and algorithm files with different paths."""
     versions = [each.run.get("versions") or {} for each in (run, reference)]
     files = [{Path(path).name: path for path in each.scenario.get("modules", ())} for each in (run, reference)]
@@ -153,7 +153,7 @@ def _versions(run: RunFolder, reference: RunFolder) -> list[str]:
     ]
 
 
-def _steps(run: RunFolder, excluded: set[str]) -> dict[str, Any]:
+def _steps(run: RunRecord, excluded: set[str]) -> dict[str, Any]:
     """The scenario's steps by node."""
     steps: dict[str, Any] = {}
     for step in run.scenario.get("steps", ()):
@@ -162,7 +162,7 @@ def _steps(run: RunFolder, excluded: set[str]) -> dict[str, Any]:
     return steps
 
 
-def _wires(run: RunFolder, excluded: set[str]) -> dict[str, Any]:
+def _wires(run: RunRecord, excluded: set[str]) -> dict[str, Any]:
     """The nodes of each wire, without `excluded` nodes and listeners."""
     passive = {name for name in run.run.get("nodes", {}) if run.role(name) in (*_PASSIVE, "evaluator")}
     ignored = excluded | passive | {"recorder", "visualizer", "evaluator"}
@@ -182,7 +182,7 @@ def _wires(run: RunFolder, excluded: set[str]) -> dict[str, Any]:
     }
 
 
-def _interceptions(run: RunFolder, added: set[str]) -> dict[str, Any]:
+def _interceptions(run: RunRecord, added: set[str]) -> dict[str, Any]:
     """Live insertions and releases by node, as (action, frame)."""
     events: dict[str, Any] = {}
     for event in run.run.get("interceptions", ()):
@@ -191,7 +191,7 @@ def _interceptions(run: RunFolder, added: set[str]) -> dict[str, Any]:
     return events
 
 
-def _failures(run: RunFolder) -> dict[str, Any]:
+def _failures(run: RunRecord) -> dict[str, Any]:
     """Failed handlers and their counts by node, without attackers."""
     failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if name not in _attackers(run)}
     return {
@@ -205,14 +205,14 @@ def _failures(run: RunFolder) -> dict[str, Any]:
 _MAX_CULPRITS = 3
 
 
-def due_to_causes(run: RunFolder, changes: Sequence[Change]) -> str:
+def due_to_causes(run: RunRecord, changes: Sequence[Change]) -> str:
     """`are due to adversary_1 and adversary_2`: measured causes shared by all changes."""
     singular = ("1 ", "1.0 ", "no ")
     one = len(changes) == 1 and (changes[0].kind == DISPLACED or amount(changes[0], run.ego).startswith(singular))
     return f"{'is' if one else 'are'} due to {join_names(causes(run, changes[0]))}"
 
 
-def cause_clause(run: RunFolder, change: Change, reference: RunFolder) -> str:
+def cause_clause(run: RunRecord, change: Change, reference: RunRecord) -> str:
     """`, due to adversary_1`: the cause of a change, or why none is named."""
     others = other_differences(run, reference)
     if others:
@@ -224,7 +224,7 @@ def cause_clause(run: RunFolder, change: Change, reference: RunFolder) -> str:
     return f", due to {join_names(names)}" if names else ", by no measured cause"
 
 
-def causes(run: RunFolder, change: Change, reference: RunFolder | None = None) -> list[str]:
+def causes(run: RunRecord, change: Change, reference: RunRecord | None = None) -> list[str]:
     """Adversaries, links, faults and the defence that cause a change.
 
     May be empty with a reference.
@@ -245,7 +245,7 @@ def causes(run: RunFolder, change: Change, reference: RunFolder | None = None) -
     return descriptions or ["adversaries"] if reference is None else descriptions
 
 
-def culprit_names(run: RunFolder, change: Change, reference: RunFolder | None = None) -> list[str]:
+def culprit_names(run: RunRecord, change: Change, reference: RunRecord | None = None) -> list[str]:
     """Adversaries that cause a change, those with the most rows first; may be empty.
 
     For a change over a run that differs in adversaries alone, these are all adversaries whose changes can reach the
@@ -265,7 +265,7 @@ def culprit_names(run: RunFolder, change: Change, reference: RunFolder | None = 
     return [name for name in candidates if name in added and reaches(run, name, change.estimate, change.agent)]
 
 
-def _defence(run: RunFolder, change: Change) -> str:
+def _defence(run: RunRecord, change: Change) -> str:
     """The integrity stage, and the agents of which it withheld what they reported."""
     agents = [name for name, _ in withheld_from(run, change.estimate).most_common()] if change.agent == run.ego else []
     of_whom = f"{count(len(agents))} agents" if len(agents) > _MAX_CULPRITS else join_names(sorted(agents))
@@ -273,7 +273,7 @@ def _defence(run: RunFolder, change: Change) -> str:
     return f"{run.defence or 'the command centre'}, which withheld {what}"
 
 
-def _faults(run: RunFolder, *, any_effect: bool = False) -> list[str]:
+def _faults(run: RunRecord, *, any_effect: bool = False) -> list[str]:
     """Links and faults in words; any_effect: only if links had a measured effect."""
     acting = [each for each in interposers(run) if each.is_link and each.changed]
     planned = [str(each["label"]) for each in run.timeline if each["kind"] != "attack"]

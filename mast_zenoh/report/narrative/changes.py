@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import EFFECTS, OF_OBJECTS, Interposer
 from mast_zenoh.report.tables.scores import ESTIMATES
+from mast_zenoh.viewer.interposers import EFFECTS, OF_OBJECTS, Interposer
+from mast_zenoh.viewer.run import RunRecord
 
 FALSE, MISSED, DISPLACED, IDENTITY = "false", "missed", "displaced", "identity"
 #: By kind, its key in metrics.json.
@@ -76,7 +76,7 @@ class Change:
         return self.withheld is not None and _share(self.withheld, self.amount) >= MIN_NAMED_SHARE
 
 
-def against(run: RunFolder, reference: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
+def against(run: RunRecord, reference: RunRecord, agents: Iterable[str] | None = None) -> list[Change]:
     """Changes of scores over a reference run of the same scene; by default the ego's."""
     changes = []
     for agent in agents or [run.ego or ""]:
@@ -87,7 +87,7 @@ def against(run: RunFolder, reference: RunFolder, agents: Iterable[str] | None =
 
 
 def between(
-    run: RunFolder, here: Summary, there: Summary, agent: str | None = None, estimate: str = ""
+    run: RunRecord, here: Summary, there: Summary, agent: str | None = None, estimate: str = ""
 ) -> list[Change]:
     """Changes of one summary of metrics.json over another with as many frames."""
     changes = []
@@ -107,7 +107,7 @@ def between(
     return changes
 
 
-def attributed(run: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
+def attributed(run: RunRecord, agents: Iterable[str] | None = None) -> list[Change]:
     """Errors of a run due to attacks, links and faults, and the defence, by its own measurements."""
     changes = []
     for agent in agents or [run.ego or ""]:
@@ -160,7 +160,7 @@ def _first_alike(changes: Sequence[Change]) -> Change:
     return min(candidates, key=lambda change: order.index(change.estimate))
 
 
-def largest_change(run: RunFolder, reference: RunFolder | None) -> Change | None:
+def largest_change(run: RunRecord, reference: RunRecord | None) -> Change | None:
     """The largest change for the ego, or, if there is none, for another agent."""
     others = [agent for agent in run.metrics.get("agents", {}) if agent != run.ego]
 
@@ -171,7 +171,7 @@ def largest_change(run: RunFolder, reference: RunFolder | None) -> Change | None
 
 
 def _change(
-    run: RunFolder,
+    run: RunRecord,
     agent: str,
     estimate: str,
     kind: str,
@@ -181,7 +181,7 @@ def _change(
     return Change(agent, estimate, kind, *numbers, by)
 
 
-def culprits(run: RunFolder, estimate: str, kind: str) -> Counter[str]:
+def culprits(run: RunRecord, estimate: str, kind: str) -> Counter[str]:
     """Number of the ego's errors of a kind in scored frames, by responsible adversary."""
     if kind in (FALSE, MISSED) and run.objects is not None and "by" in run.objects:
         outcome, box_kind = ("false", "track") if kind == FALSE else ("missed", "truth")
@@ -200,7 +200,7 @@ def culprits(run: RunFolder, estimate: str, kind: str) -> Counter[str]:
     return Counter({name: count for name, count in switches.items() if count})
 
 
-def withheld_from(run: RunFolder, estimate: str) -> Counter[str]:
+def withheld_from(run: RunRecord, estimate: str) -> Counter[str]:
     """Number of the ego's missed objects in scored frames that the centre withheld, by agent that reported them."""
     if run.objects is None or "by" not in run.objects:
         return Counter()
@@ -214,14 +214,14 @@ def _names(by: np.ndarray) -> Counter[str]:
     return Counter(name for names in by.tolist() for name in str(names).split("+") if name)
 
 
-def scored(run: RunFolder, frames: np.ndarray) -> np.ndarray:
+def scored(run: RunRecord, frames: np.ndarray) -> np.ndarray:
     """(n,) bool: which of n frames are scored."""
     first, last = run.scored_frames or (-np.inf, np.inf)
     in_range: np.ndarray = (frames >= first) & (frames <= last)
     return in_range
 
 
-def _displacement(run: RunFolder, estimate: str) -> tuple[float | None, float]:
+def _displacement(run: RunRecord, estimate: str) -> tuple[float | None, float]:
     """The part of an RMSE due to moved and altered objects: (m, weight).
 
     None: not known.
@@ -249,13 +249,13 @@ def _displacement(run: RunFolder, estimate: str) -> tuple[float | None, float]:
     return rmse - float(np.sqrt(max(rmse**2 - excess / pairs, 0.0))), excess / frames / OBJECT_M2
 
 
-def _weight(run: RunFolder, kind: str, summary: Summary, amount: float) -> float:
+def _weight(run: RunRecord, kind: str, summary: Summary, amount: float) -> float:
     if kind == DISPLACED:
         return (_mean(summary.get("tp")) or 0.0) * amount**2 / OBJECT_M2
     return amount * SWITCH / (_frames(run) or 1) if kind == IDENTITY else amount
 
 
-def _frames(run: RunFolder) -> int:
+def _frames(run: RunRecord) -> int:
     if run.scored_frames is None:
         return int(run.metrics.get("frames", 0))
     return run.scored_frames[1] - run.scored_frames[0] + 1

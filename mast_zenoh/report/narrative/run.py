@@ -9,7 +9,6 @@ import numpy as np
 
 from mast_zenoh.messagelog import churn
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.narrative.adversaries import late_start_s
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
 from mast_zenoh.report.narrative.changes import (
@@ -37,13 +36,13 @@ from mast_zenoh.report.narrative.changes import (
     plural,
     scored,
 )
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import Interposer, failures_of, frames_of, interposers
 from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, driving_differs, unattributed_braking
 from mast_zenoh.report.tables.scores import ScoreTable
+from mast_zenoh.viewer.interposers import Interposer, failures_of, frames_of, interposers
+from mast_zenoh.viewer.run import RunRecord, Table, rows
 
 
-def compromised(run: RunFolder) -> str:
+def compromised(run: RunRecord) -> str:
     """Positions of adversaries in words; empty: none.
 
     `two of four roadside sensors`, `the picture's path to ego`
@@ -66,7 +65,7 @@ def compromised(run: RunFolder) -> str:
     return " and ".join(places)
 
 
-def status(run: RunFolder) -> str:
+def status(run: RunRecord) -> str:
     """How a run failed, in a sentence without a full stop; empty: it did not."""
     failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
     if failed:
@@ -85,7 +84,7 @@ def status(run: RunFolder) -> str:
     return f"{text}; {partial}" if partial else text
 
 
-def _partly_recorded(run: RunFolder) -> str:
+def _partly_recorded(run: RunRecord) -> str:
     """A note if the numbers come from an incomplete recording; else empty."""
     recording = run.metrics.get("recording")
     if not recording:
@@ -114,7 +113,7 @@ def reference_status(reference: Reference | None) -> str:
 _MOST_NAMES = 8
 
 
-def defence_sentence(run: RunFolder) -> str:
+def defence_sentence(run: RunRecord) -> str:
     """Which agents the defence suspended, when, and what it withheld, as measured; empty: the run has no defence."""
     measured: dict[str, Any] = run.metrics.get("integrity", {})
     if not measured or run.defence == "NoIntegrity":
@@ -147,7 +146,7 @@ def _when(agent: dict[str, Any]) -> str:
     return " and ".join([*lying, *(f"while {conduct}" for conduct in conducts if not lying or conduct != "lying")])
 
 
-def attack_sentences(run: RunFolder, change: Change | None) -> list[str]:
+def attack_sentences(run: RunRecord, change: Change | None) -> list[str]:
     """When adversaries changed messages, the scores in that period, needless braking.
 
     change: the headline's change; its kind and estimate select the scores
@@ -173,7 +172,7 @@ def attack_sentences(run: RunFolder, change: Change | None) -> list[str]:
     return sentences + ([f"Because of attacks, {braking}."] if braking else [])
 
 
-def _attacked_frames(run: RunFolder) -> tuple[int, int]:
+def _attacked_frames(run: RunRecord) -> tuple[int, int]:
     """Numbers of scored frames with an adversary's change, and of all; 0: not known."""
     if run.attacks is None or run.scored_frames is None:
         return 0, 0
@@ -181,7 +180,7 @@ def _attacked_frames(run: RunFolder) -> tuple[int, int]:
     return int(scored(run, frames).sum()), run.scored_frames[1] - run.scored_frames[0] + 1
 
 
-def _scores(run: RunFolder, change: Change | None) -> str:
+def _scores(run: RunRecord, change: Change | None) -> str:
     """The ego's score during the attack, of the change's kind or else false objects."""
     is_ego = change is not None and change.agent == run.ego
     kind, estimate = (change.kind, change.estimate) if change is not None and is_ego else (FALSE, "picture")
@@ -205,7 +204,7 @@ def _scores(run: RunFolder, change: Change | None) -> str:
 
 
 def while_attacked(
-    run: RunFolder, column: str, baseline: RunFolder | None = None, *, estimate: str = "picture"
+    run: RunRecord, column: str, baseline: RunRecord | None = None, *, estimate: str = "picture"
 ) -> float | None:
     """Mean per frame of the ego's estimate over the scored frames of the attack.
 
@@ -221,7 +220,7 @@ def while_attacked(
     return None if baseline_counts is None else mean - float(baseline_counts[column].mean())
 
 
-def _counts_during_attack(run: RunFolder, estimate: str, attacked: RunFolder) -> Table | None:
+def _counts_during_attack(run: RunRecord, estimate: str, attacked: RunRecord) -> Table | None:
     """Counts of a run in the scored frames of an attack; None: no such frames.
 
     attacked: the run whose first and last change define the attack
@@ -234,7 +233,7 @@ def _counts_during_attack(run: RunFolder, estimate: str, attacked: RunFolder) ->
     return rows(counts, in_attack) if in_attack.any() else None
 
 
-def headline(run: RunFolder, reference: Reference | None = None) -> str:
+def headline(run: RunRecord, reference: Reference | None = None) -> str:
     """A sentence without a full stop on a run's failure or else its largest change.
 
     reference: the run that it is compared with; None: uses its own measurements
@@ -242,7 +241,7 @@ def headline(run: RunFolder, reference: Reference | None = None) -> str:
     return status(run) or result(run, reference)
 
 
-def result(run: RunFolder, reference: Reference | None = None) -> str:
+def result(run: RunRecord, reference: Reference | None = None) -> str:
     """The largest change and its cause, in a sentence without a full stop.
 
     It begins with the reference if that failed.
@@ -251,7 +250,7 @@ def result(run: RunFolder, reference: Reference | None = None) -> str:
     return f"{capital(unsound)}: {_result(run, reference)}" if unsound else _result(run, reference)
 
 
-def _result(run: RunFolder, reference: Reference | None) -> str:
+def _result(run: RunRecord, reference: Reference | None) -> str:
     picture = run.summary("picture")
     if not picture:
         if run.metrics_damaged:
@@ -270,7 +269,7 @@ def _result(run: RunFolder, reference: Reference | None) -> str:
     return capital(f"{start}{amount(change, run.ego)} {due_to_causes(run, [change])}{limits}")
 
 
-def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
+def _limits(run: RunRecord, reference: Reference | None, change: Change) -> str:
     """The effect of a change of the picture in transit on its use; empty for others."""
     if change.estimate not in IN_TRANSIT or change.agent != run.ego:
         return ""
@@ -292,11 +291,11 @@ def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
     return f"; in what the ego acts on, {join_names([more_or_less(each, run.ego, where=False) for each in relevant])}"
 
 
-def _largest(run: RunFolder, reference: Reference | None) -> Change | None:
+def _largest(run: RunRecord, reference: Reference | None) -> Change | None:
     return largest_change(run, reference.run if reference else None)
 
 
-def _unchanged(run: RunFolder, places: str, reference: Reference | None) -> str:
+def _unchanged(run: RunRecord, places: str, reference: Reference | None) -> str:
     """The result if no score differs."""
     active = [each for each in interposers(run) if each.changed and not (reference and each.is_link)]
     if active:
@@ -316,7 +315,7 @@ def _unchanged(run: RunFolder, places: str, reference: Reference | None) -> str:
     return capital(_missed_sentence(run))
 
 
-def _same_scores(run: RunFolder, reference: RunFolder, name: str) -> str:
+def _same_scores(run: RunRecord, reference: RunRecord, name: str) -> str:
     """States that all scores equal those of another run, or that only driving differs.
 
     A replay of what agents sent lacks the estimates that they made of the picture.
@@ -329,7 +328,7 @@ def _same_scores(run: RunFolder, reference: RunFolder, name: str) -> str:
     return f"only driving differs from {name}" + (f" (because of attacks, {braking})" if braking else "")
 
 
-def _missed_sentence(run: RunFolder) -> str:
+def _missed_sentence(run: RunRecord) -> str:
     def missed(estimate: str) -> float | None:
         mean = run.summary(estimate).get("fn", {}).get("mean")
         return None if mean is None else float(mean)
@@ -343,7 +342,7 @@ def _missed_sentence(run: RunFolder) -> str:
     return ", ".join(parts)
 
 
-def reading(run: RunFolder, reference: Reference | None = None) -> list[str]:
+def reading(run: RunRecord, reference: Reference | None = None) -> list[str]:
     """Sentences on one run."""
     sentences = [f"{result(run, reference)}."] if status(run) else []
     sentences += (
@@ -360,12 +359,12 @@ def reading(run: RunFolder, reference: Reference | None = None) -> list[str]:
     return sentences
 
 
-def _is_missed(run: RunFolder, reference: Reference | None) -> bool:
+def _is_missed(run: RunRecord, reference: Reference | None) -> bool:
     """Whether the headline already states the missed objects."""
     return _largest(run, reference) is None and not any(each.changed for each in interposers(run))
 
 
-def _other_changes(run: RunFolder, reference: Reference | None) -> list[str]:
+def _other_changes(run: RunRecord, reference: Reference | None) -> list[str]:
     """The largest notable change of each kind that the headline does not name."""
     all_changes = attributed(run) if reference is None else against(run, reference.run)
     main = largest(all_changes)
@@ -389,7 +388,7 @@ def _other_changes(run: RunFolder, reference: Reference | None) -> list[str]:
     return sentences
 
 
-def _transit(run: RunFolder) -> list[str]:
+def _transit(run: RunRecord) -> list[str]:
     """Differences of the picture between the command centre and the ego."""
     sent = run.summary("picture")
     sentences = []
@@ -420,7 +419,7 @@ def _verdicts(all_interposers: Sequence[Interposer]) -> list[str]:
     ]
 
 
-def _blame(run: RunFolder) -> list[str]:
+def _blame(run: RunRecord) -> list[str]:
     """Causes of the picture's missed objects; empty without links and faults, and if nothing is withheld."""
     split = run.summary("picture").get("fn_split") or {}
     if split.get("fault") is None or split.get("attack") is None:
@@ -435,7 +434,7 @@ def _blame(run: RunFolder) -> list[str]:
     return [f"Of the objects that the picture misses, {', '.join(parts)}, and {natural}."]
 
 
-def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
+def study_headline(runs: Mapping[str, RunRecord], table: ScoreTable) -> str:
     """A sentence without a full stop on the largest change over the reference."""
     failed = [label for label, run in runs.items() if status(run)]
     if failed:
@@ -449,7 +448,7 @@ def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
     return capital(f"{start}{more_or_less(change, runs[label].ego)} than {table.reference}")
 
 
-def _changes(runs: Mapping[str, RunFolder], table: ScoreTable) -> dict[str, Change]:
+def _changes(runs: Mapping[str, RunRecord], table: ScoreTable) -> dict[str, Change]:
     """The largest change of each run over the reference, without unchanged runs."""
     if table.reference is None:
         return {}
@@ -458,7 +457,7 @@ def _changes(runs: Mapping[str, RunFolder], table: ScoreTable) -> dict[str, Chan
     return {label: change for label, change in largest_changes.items() if change is not None}
 
 
-def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]:
+def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]:
     """Sentences on several runs."""
     sentences = []
     reference = runs.get(table.reference or "")

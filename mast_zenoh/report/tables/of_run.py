@@ -11,10 +11,10 @@ from rich.table import Table
 from mast_zenoh.metrics.estimates import subject_of
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.attribution import reaches
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import interposers
 from mast_zenoh.report.tables.text_table import DASH
-from mast_zenoh.report.trust_facts import suspensions
+from mast_zenoh.viewer.events import suspensions
+from mast_zenoh.viewer.interposers import interposers
+from mast_zenoh.viewer.run import RunRecord
 
 ALL = "all"
 
@@ -46,7 +46,7 @@ class AchievedRow(NamedTuple):
     why: tuple[str, ...]
 
 
-def achieved_rows(run: RunFolder, reference: RunFolder | None = None) -> list[AchievedRow]:
+def achieved_rows(run: RunRecord, reference: RunRecord | None = None) -> list[AchievedRow]:
     """A row per interposer other than links, and a total if there are several.
 
     reference: the run that this one is compared with, see `explanations`
@@ -116,7 +116,7 @@ class TrackerRow(NamedTuple):
     verdict: str
 
 
-def estimate_rows(run: RunFolder) -> list[EstimateRow]:
+def estimate_rows(run: RunRecord) -> list[EstimateRow]:
     """A row for each estimate of each agent; empty for a run of an earlier version."""
     rows = []
     for agent, estimates in run.metrics.get("consistency", {}).items():
@@ -135,7 +135,7 @@ def estimate_rows(run: RunFolder) -> list[EstimateRow]:
     return rows
 
 
-def tracker_rows(run: RunFolder) -> list[TrackerRow]:
+def tracker_rows(run: RunRecord) -> list[TrackerRow]:
     """A row for each node with a tracker that tells; empty for a run of an earlier version."""
     return [
         TrackerRow(
@@ -201,7 +201,7 @@ class DrivingRow(NamedTuple):
     omitted: str
 
 
-def driving_rows(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> list[DrivingRow]:
+def driving_rows(run: RunRecord, reference: RunRecord | None = None, name: str = "") -> list[DrivingRow]:
     """Rows for the truth, the ego alone and the ego with the picture.
 
     Empty if the ego is not a vehicle.
@@ -217,13 +217,13 @@ def driving_rows(run: RunFolder, reference: RunFolder | None = None, name: str =
     return result
 
 
-def driving_differs(run: RunFolder, reference: RunFolder) -> bool:
+def driving_differs(run: RunRecord, reference: RunRecord) -> bool:
     """Whether the ego's driving metrics differ between two runs, for an estimate that both have."""
     own, references = _summaries(run), _summaries(reference)
     return any(own[estimate] != references[estimate] for estimate in own.keys() & references.keys())
 
 
-def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
+def _summaries(run: RunRecord | None) -> dict[str, dict[str, Any]]:
     """The ego's driving metrics by estimate."""
     if run is None:
         return {}
@@ -275,13 +275,13 @@ def _driving_row(
     )
 
 
-def braking_by_attack(run: RunFolder) -> str:
+def braking_by_attack(run: RunRecord) -> str:
     """How attacks made the ego with picture brake wrongly, in words; or empty."""
     mission = _summaries(run).get("mission", {})
     return _braking({words: mission.get(f"{key}_attack") for key, words in _WRONG_BRAKING.items()})
 
 
-def unattributed_braking(run: RunFolder, reference: RunFolder, name: str) -> str:
+def unattributed_braking(run: RunRecord, reference: RunRecord, name: str) -> str:
     """Unattributed increase in wrong braking over another run, in words; or empty."""
     own, other = (_summaries(each).get("mission", {}) for each in (run, reference))
     braking = _braking({words: _unattributed(own, other, key) for key, words in _WRONG_BRAKING.items()})
@@ -313,7 +313,7 @@ class SuspensionRow(NamedTuple):
     false_alarm: bool
 
 
-def suspension_rows(run: RunFolder) -> list[SuspensionRow]:
+def suspension_rows(run: RunRecord) -> list[SuspensionRow]:
     """All suspensions, with the reason that the command centre gave for each."""
     agents = run.metrics.get("integrity", {}).get("agents", {})
     result, detected = [], set()
@@ -336,7 +336,7 @@ def suspension_rows(run: RunFolder) -> list[SuspensionRow]:
     return result
 
 
-def conduct_rows(run: RunFolder) -> tuple[list[str], list[tuple[str, list[str]]]]:
+def conduct_rows(run: RunRecord) -> tuple[list[str], list[tuple[str, list[str]]]]:
     """States, and for each conduct the seconds of all agents in each state; ([], []) without trust."""
     seconds = run.metrics.get("integrity", {}).get("seconds", {})
     states = list(next(iter(seconds.values()), {}))
@@ -347,7 +347,7 @@ def conduct_rows(run: RunFolder) -> tuple[list[str], list[tuple[str, list[str]]]
     ]
 
 
-def trust_sentences(run: RunFolder) -> list[str]:
+def trust_sentences(run: RunRecord) -> list[str]:
     """The result in sentences: who was never suspended, false alarms, and withheld objects."""
     part: dict[str, Any] = run.metrics.get("integrity", {})
     if not part:
@@ -367,7 +367,7 @@ def trust_sentences(run: RunFolder) -> list[str]:
     return [*missed, alarms or "No honest agent was suspended", *([objects] if withheld else [])]
 
 
-def suspension_lines(run: RunFolder) -> list[str]:
+def suspension_lines(run: RunRecord) -> list[str]:
     """Which agents the command centre suspended, when and why, a line each."""
     lines = [
         f"the command centre suspended {row.agent} ({row.conduct}) at {row.from_s} s"

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.tables.interposers import interposers
+from mast_zenoh.viewer.interposers import interposers
+from mast_zenoh.viewer.run import RunRecord
 
 #: Roles along the flow of a frame, left to right; the agents stand one above the other.
 FLOW = ("simulator", "agent", "broker", "command_center")
@@ -48,7 +48,7 @@ class WireRow:
         return len(self.links) < len(self.interposers)
 
 
-def wire_rows(run: RunFolder) -> list[WireRow]:
+def wire_rows(run: RunRecord) -> list[WireRow]:
     """All wires: the intercepted ones first, then those with links, then by key."""
     when = live_frames(run)
     rows = [
@@ -81,7 +81,7 @@ def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     return subscribers
 
 
-def all_wires(run: RunFolder) -> list[dict[str, Any]]:
+def all_wires(run: RunRecord) -> list[dict[str, Any]]:
     """The final wires of wiring.json, with interposers that were removed earlier."""
     wires = {wire["key"]: wire for wire in run.wiring.get("wires", [])}
     for each in interposers(run):
@@ -102,7 +102,7 @@ def _with_interposer(wire: dict[str, Any], node: str) -> dict[str, Any]:
     return {**wire, "legs": legs, "interposers": [*wire.get("interposers", ()), node]}
 
 
-def live_frames(run: RunFolder) -> dict[str, str]:
+def live_frames(run: RunRecord) -> dict[str, str]:
     """The frames of live interposers on their wire, in words."""
     live_interposers = {each.name: each for each in interposers(run) if each.live is not None}
     return {
@@ -147,7 +147,7 @@ class Layout:
     floor: float
 
 
-def layout(run: RunFolder) -> Layout | None:
+def layout(run: RunRecord) -> Layout | None:
     """Place the nodes of a run in columns along the flow of a frame.
 
     None: there is nothing to draw.
@@ -214,13 +214,13 @@ def _orders(wire: Mapping[str, Any]) -> dict[str, tuple[int, str]]:
     return orders
 
 
-def _gap(run: RunFolder, wire: Mapping[str, Any]) -> int:
+def _gap(run: RunRecord, wire: Mapping[str, Any]) -> int:
     """The column to the left of a wire's interposers."""
     ends = [run.role(end) for end in (wire["publisher"], *wire["subscribers"][:1])]
     return min((FLOW.index(role) for role in ends if role in FLOW), default=len(FLOW) - 1)
 
 
-def _lines(run: RunFolder, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
+def _lines(run: RunRecord, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
     columns_by_node: dict[str, int] = {}
     for wire in wires:
         for node in wire.get("interposers", ()):

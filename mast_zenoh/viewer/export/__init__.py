@@ -10,7 +10,7 @@ from typing import NamedTuple
 from mast_zenoh.errors import ExportError, nearest
 from mast_zenoh.launch.folder import check_free, write_new
 from mast_zenoh.viewer.formats import FORMATS, Format
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.recorded import RecordedRun
 
 
 class Exported(NamedTuple):
@@ -36,7 +36,7 @@ def export(run: Path, to: str, out: Path) -> Exported:
         raise ExportError(f"unknown format {to!r}: expected one of {', '.join(FORMATS)}{nearest(to, FORMATS)}")
     check_free(out)
     write = _writer(FORMATS[to])
-    frames = RunFrames.load(run)
+    frames = RecordedRun.load(run)
     written = write_new(out, lambda path: write(frames, path))
     return Exported(written, tuple(frames.missing))
 
@@ -49,11 +49,11 @@ def not_installed(error: ModuleNotFoundError, extra: str) -> Exception:
     return ExportError(f"{package} is not installed: pip install 'mast-zenoh[{extra}]'")
 
 
-def _writer(form: Format) -> Callable[[RunFrames, Path], None]:
+def _writer(form: Format) -> Callable[[RecordedRun, Path], None]:
     """The function that writes a format; raises ExportError if its packages are not installed."""
     module, _, name = form.writer.partition(".")
     try:
-        writer: Callable[[RunFrames, Path], None] = getattr(
+        writer: Callable[[RecordedRun, Path], None] = getattr(
             importlib.import_module(f"mast_zenoh.viewer.export.{module}"), name
         )
     except ModuleNotFoundError as error:

@@ -1,17 +1,21 @@
-"""Names and numbers that several formats share."""
+"""Names, numbers, cameras and transforms that several formats share."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import CLASSES, Floats, ObjectStates
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES
 from mast_zenoh.run_files import EXPECTED_NAME, is_name
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.sensing import Camera
+from mast_zenoh.viewer.frame import Frame, FramedRun, Pose
 from mast_zenoh.viewer.palette import OUTCOME_COLOURS, rgb
 from mast_zenoh.viewer.routes import TRUTH
 
@@ -72,3 +76,24 @@ def wall_lines(scene: Recording) -> Floats:
             np.stack(ends, axis=1) for ends in ((low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), (low, high))
         ]
     return np.concatenate(segments)
+
+
+#: Components in the axes of an image (x right, y down, z ahead) of a vector in ours (x ahead, y left, z up).
+AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+#: Name of the world frame.
+WORLD = "world"
+
+
+def transforms_of(agent: str, pose: Pose, camera: Camera) -> Iterator[tuple[str, str, Floats, Floats]]:
+    """(parent, child, position (3,) m, quaternion (4,) x y z w) of an agent and of its camera's optical frame."""
+    mount = camera.mount_position, camera.mount_rotation @ AXES.T
+    for parent, child, place in ((WORLD, agent, pose), (agent, f"{agent}/camera", mount)):
+        yield parent, child, place[0], np.roll(quaternion_from_rotation(place[1]), -1)
+
+
+def cameras(run: FramedRun) -> dict[str, Camera]:
+    """The camera of each agent; the default one if the scene is not known."""
+    known = {agent.name: agent.camera for agent in run.recording.agents} if run.recording is not None else {}
+    return {agent: known.get(agent, Camera()) for agent in run.agents}

@@ -2,32 +2,279 @@
 
 from __future__ import annotations
 
+import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import foxglove
 import numpy as np
 from foxglove import channels
 from foxglove.messages import (
     CameraCalibration,
+    Color,
     CompressedImage,
+    CubePrimitive,
     FrameTransform,
     FrameTransforms,
+    KeyValuePair,
+    LinePrimitive,
+    LinePrimitiveLineType,
     Log,
     LogLevel,
+    Point3,
+    Pose,
+    Quaternion,
     SceneEntity,
+    SceneEntityDeletion,
+    SceneEntityDeletionType,
+    SceneUpdate,
+    SpherePrimitive,
+    Timestamp,
+    Vector3,
+)
+from PIL import Image
+
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.metrics.record import PICTURE, Series
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.sensing import Camera
+from mast_zenoh.viewer.export.columns import (
+    WORLD,
+    cameras,
+    class_names,
+    colours,
+    missed,
+    quaternions,
+    transforms_of,
+    wall_lines,
+)
+from mast_zenoh.viewer.frame import Frame, FramedRun, Score
+from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb
+from mast_zenoh.viewer.routes import TRUTH
+
+TRANSFORMS, BUILDINGS, CHANGES, LOG = "/tf", "/scene/buildings", "/changes", "/log"
+
+
+def object_topics(run: FramedRun) -> dict[Series, str]:
+    """The topic of the objects of each series."""
+    return {series: f"/{topic}" for series, topic in run.topics.items()}
+
+
+def missed_topics(run: FramedRun) -> dict[Series, str]:
+    """The topic of the objects that each estimate misses."""
+    return {series: f"{topic}/missed" for series, topic in object_topics(run).items() if series != TRUTH}
+
+
+def score_topic(series: Series) -> str:
+    """The topic of the scores of an estimate."""
+    return f"/scores/{series.agent}/{series.estimator}"
+
+
+def camera_topic(agent: str) -> str:
+    """The topic of the calibration of an agent's camera."""
+    return f"/agent/{agent}/camera"
+
+
+def image_topic(agent: str) -> str:
+    """The topic of the image of an agent's camera."""
+    return f"{camera_topic(agent)}/image"
+
+
+def replacement(time_ns: int, entities: list[SceneEntity]) -> SceneUpdate:
+    """Replaces all entities of a topic."""
+    everything = SceneEntityDeletion(timestamp=timestamp_of(time_ns), type=SceneEntityDeletionType.All)
+    return SceneUpdate(deletions=[everything], entities=entities)
+
+
+def building_entity(scene: Recording, time_ns: int) -> SceneEntity:
+    """The edges of the buildings of a scene."""
+    lines = LinePrimitive(
+        type=LinePrimitiveLineType.LineList,
+        thickness=0.15,
+        points=[Point3(x=x, y=y, z=z) for x, y, z in wall_lines(scene).reshape(-1, 3).tolist()],
+        color=_colour(rgb(BUILDING_EDGE)),
+    )
+    return SceneEntity(timestamp=timestamp_of(time_ns), frame_id=WORLD, id="0", lines=[lines])
+
+
+def change_entities(frame: Frame) -> list[SceneEntity]:
+    """A mark for everything that an adversary inserted, removed or moved; none for the effects of links."""
+    made, entities = frame.changes, []
+    colour = _colour(rgb(ADVERSARY), 0.6)
+    for k in range(len(made.effect)):
+        places = [place[k] for place in (made.before, made.after) if np.isfinite(place[k]).all()]
+        if not places or made.role[k] == "link":
+            continue
+        spheres = [SpherePrimitive(pose=_pose(places[-1]), size=Vector3(x=1.0, y=1.0, z=1.0), color=colour)]
+        ends = [Point3(x=x, y=y, z=z) for x, y, z in np.array(places).tolist()]
+        lines = [LinePrimitive(thickness=0.2, points=ends, color=colour)] if len(ends) == 2 else []
+        words = [KeyValuePair(key=name, value=str(getattr(made, name)[k])) for name in ("interposer", "wire", "effect")]
+        entities.append(
+            SceneEntity(
+                timestamp=timestamp_of(frame.time_ns),
+                frame_id=WORLD,
+                id=str(k),
+                metadata=words,
+                spheres=spheres,
+                lines=lines,
+            )
+        )
+    return entities
+
+
+def box_entities(frame: Frame, states: ObjectStates, colour: Ints, outcomes: Sequence[str]) -> list[SceneEntity]:
+    """An entity for each object, named by its id: its box, a line ahead, and its other values as text."""
+    turns, kinds = quaternions(states.yaw), class_names(states)
+    ahead = np.stack([np.cos(states.yaw), np.sin(states.yaw), 0 * states.yaw], axis=1) * (states.size[:, :1] / 2 + 1.2)
+    lines = np.stack([states.position, states.position + ahead], axis=1).tolist()
+    entities = []
+    for k, number in enumerate(states.id.tolist()):
+        words = {
+            "class": kinds[k],
+            "outcome": outcomes[k],
+            "score": f"{states.score[k]:.3f}",
+            "velocity": " ".join(f"{value:.3f}" for value in states.velocity[k]),
+        }
+        entities.append(
+            SceneEntity(
+                timestamp=timestamp_of(frame.time_ns),
+                frame_id=WORLD,
+                id=str(number),
+                metadata=[KeyValuePair(key=key, value=value) for key, value in words.items()],
+                cubes=[
+                    CubePrimitive(
+                        pose=_pose(states.position[k], turns[k]),
+                        size=vector(states.size[k]),
+                        color=_colour(colour[k], 0.5),
+                    )
+                ],
+                lines=[
+                    LinePrimitive(
+                        thickness=0.1, points=[Point3(x=x, y=y, z=z) for x, y, z in lines[k]], color=_colour(colour[k])
+                    )
+                ],
+            )
+        )
+    return entities
+
+
+def blank_image(camera: Camera) -> bytes:
+    """An empty image, because image panels draw boxes only on an image."""
+    buffer = io.BytesIO()
+    Image.new("P", (camera.width, camera.height)).save(buffer, format="png", optimize=True)
+    return buffer.getvalue()
+
+
+def timestamp_of(time_ns: int) -> Timestamp:
+    """A time of the scene."""
+    return Timestamp(sec=time_ns // 10**9, nsec=time_ns % 10**9)
+
+
+def vector(values: Floats) -> Vector3:
+    """values: (3,)"""
+    x, y, z = values.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def quaternion(values: Floats) -> Quaternion:
+    """values: (4,) x y z w"""
+    x, y, z, w = values.tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _pose(position: Floats, turn: Floats | None = None) -> Pose:
+    return Pose(position=vector(position), orientation=Quaternion(w=1.0) if turn is None else quaternion(turn))
+
+
+def _colour(values: Sequence[int] | Ints, opacity: float = 1.0) -> Color:
+    r, g, b = (float(value) / 255 for value in values)
+    return Color(r=r, g=g, b=b, a=opacity)
+
+
+_FROM_ABOVE, _CAMERA, _FALSE, _MISSED_PLOT, _LOG = (
+    "3D!objects",
+    "Image!camera",
+    "Plot!false",
+    "Plot!missed",
+    "RosOut!changes",
 )
 
-from mast_zenoh.metrics.record import Series
-from mast_zenoh.viewer.evaluated import Score
-from mast_zenoh.viewer.export import foxglove_messages as messages
-from mast_zenoh.viewer.export import foxglove_topics as topics
-from mast_zenoh.viewer.export.cameras import cameras, transforms_of
-from mast_zenoh.viewer.export.columns import colours, missed
-from mast_zenoh.viewer.export.foxglove_layout import layout
-from mast_zenoh.viewer.frame import Frame, FrameSource
-from mast_zenoh.viewer.palette import OUTCOME_COLOURS, rgb
-from mast_zenoh.viewer.routes import TRUTH
+
+def layout(run: FramedRun) -> dict[str, Any]:
+    """A layout with the truth, the picture and what it misses from above and in the main agent's camera; and series."""
+    shown = {topic: series.estimator in (PICTURE, TRUTH.estimator) for series, topic in object_topics(run).items()}
+    shown |= {topic: series.estimator == PICTURE for series, topic in missed_topics(run).items()}
+    shown |= {BUILDINGS: True, CHANGES: True}
+    main = run.main_agent
+    centre, distance = _view(run)
+    scene = {
+        "topics": {topic: {"visible": visible} for topic, visible in shown.items()},
+        "layers": {
+            "grid": {"layerId": "foxglove.Grid", "instanceId": "grid", "visible": True, "size": 200, "divisions": 10}
+            | {"color": "#2a3340ff"}
+        },
+        "transforms": {},
+        # without lines from the world's origin to every agent
+        "scene": {"backgroundColor": GROUND, "transforms": {"lineWidth": 0}},
+    }
+    panels: dict[str, Any] = {
+        _FROM_ABOVE: scene
+        | {
+            "followMode": "follow-none",
+            "followTf": WORLD,
+            "cameraState": {
+                "perspective": False,
+                "distance": distance,
+                "phi": 0,
+                "thetaOffset": 0,
+                "fovy": 45,
+                "near": 0.5,
+                "far": 5000,
+                "target": [0, 0, 0],
+                "targetOrientation": [0, 0, 0, 1],
+                "targetOffset": [*centre, 0],
+            },
+        },
+        _CAMERA: scene | {"imageMode": {"calibrationTopic": camera_topic(main), "imageTopic": image_topic(main)}},
+        _FALSE: _plot(run, "false objects", "fp"),
+        _MISSED_PLOT: _plot(run, "missed objects", "fn"),
+        _LOG: {"topicToRender": LOG, "minLogLevel": 1},
+    }
+    right = _split("column", _CAMERA, _split("column", _FALSE, _split("column", _MISSED_PLOT, _LOG, 50), 33), 40)
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _split("row", _FROM_ABOVE, right, 62),
+    }
+
+
+def _split(direction: str, first: Any, second: Any, percentage: int) -> dict[str, Any]:
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": percentage}
+
+
+def _plot(run: FramedRun, title: str, field: str) -> dict[str, Any]:
+    """A plot of a score of the main agent's estimates over time."""
+    series: list[Series] = [each for each in run.scored if each.agent == run.main_agent]
+    paths = [
+        {"value": f"{score_topic(each)}.{field}", "label": each.estimator, "enabled": True}
+        | {"timestampMethod": "receiveTime"}
+        for each in series
+    ]
+    return {"title": title, "paths": paths, "showLegend": True, "xAxisVal": "timestamp", "isSynced": True}
+
+
+def _view(run: FramedRun) -> tuple[list[float], float]:
+    """The centre of the view, m, and a distance from which it holds all agents, m."""
+    if run.recording is None:
+        return [0.0, 0.0], 150.0
+    places = run.recording.agent_position[..., :2].reshape(-1, 2)
+    low, high = places.min(axis=0), places.max(axis=0)
+    return ((low + high) / 2).tolist(), max(float(np.ptp(places, axis=0).max()), 60.0) * 1.5
+
 
 _MISSED = rgb(OUTCOME_COLOURS["truth missed"])
 _NUMBERS = {name: {"type": "number"} for name in Score._fields}
@@ -38,7 +285,7 @@ _SCORE = foxglove.Schema(
 )
 
 
-def write(run: FrameSource, path: Path) -> None:
+def write(run: FramedRun, path: Path) -> None:
     """Write the file, and next to it a layout, STEM.layout.json.
 
     Times are those of the scene, from 0.
@@ -53,7 +300,7 @@ def write(run: FrameSource, path: Path) -> None:
     write_layout(run, path.with_name(f"{path.stem}.layout.json"))
 
 
-def write_layout(run: FrameSource, path: Path) -> None:
+def write_layout(run: FramedRun, path: Path) -> None:
     """Write the layout of a run."""
     path.write_text(json.dumps(layout(run), indent=1) + "\n", encoding="utf-8")
 
@@ -64,21 +311,21 @@ class RunChannels:
     context: holds the channels
     """
 
-    def __init__(self, run: FrameSource, context: foxglove.Context) -> None:
+    def __init__(self, run: FramedRun, context: foxglove.Context) -> None:
         self.run = run
-        self.objects, self.missed = topics.objects(run), topics.missed(run)
-        scene = [*self.objects.values(), *self.missed.values(), topics.BUILDINGS, topics.CHANGES]
+        self.objects, self.missed = object_topics(run), missed_topics(run)
+        scene = [*self.objects.values(), *self.missed.values(), BUILDINGS, CHANGES]
         self.scenes = {topic: channels.SceneUpdateChannel(topic, context=context) for topic in scene}
-        self.transforms = channels.FrameTransformsChannel(topics.TRANSFORMS, context=context)
-        self.log = channels.LogChannel(topics.LOG, context=context)
+        self.transforms = channels.FrameTransformsChannel(TRANSFORMS, context=context)
+        self.log = channels.LogChannel(LOG, context=context)
         self.cameras = cameras(run)
         self.calibrations = {
-            agent: channels.CameraCalibrationChannel(topics.camera(agent), context=context) for agent in run.agents
+            agent: channels.CameraCalibrationChannel(camera_topic(agent), context=context) for agent in run.agents
         }
-        self.image = channels.CompressedImageChannel(topics.image(run.ego), context=context)
-        self.blank = messages.blank_image(self.cameras[run.ego])
+        self.image = channels.CompressedImageChannel(image_topic(run.main_agent), context=context)
+        self.blank = blank_image(self.cameras[run.main_agent])
         self.scores = {
-            series: foxglove.Channel(topics.scores(series), message_encoding="json", schema=_SCORE, context=context)
+            series: foxglove.Channel(score_topic(series), message_encoding="json", schema=_SCORE, context=context)
             for series in run.scored
         }
 
@@ -95,28 +342,28 @@ class RunChannels:
 
     def write_buildings(self, time_ns: int) -> None:
         """Write what does not change with the frame."""
-        if self.run.scene is not None:
-            self._replace(topics.BUILDINGS, time_ns, [messages.buildings(self.run.scene, time_ns)])
+        if self.run.recording is not None:
+            self._replace(BUILDINGS, time_ns, [building_entity(self.run.recording, time_ns)])
 
     def _objects(self, frame: Frame, series: Series) -> None:
         """The objects of a series, and those that it misses; nothing where no message was recorded."""
         entities: list[SceneEntity] = []
         if series in frame.objects:
             outcomes = frame.outcomes[series].names
-            entities = messages.boxes(frame, frame.objects[series], colours(frame, series), outcomes)
+            entities = box_entities(frame, frame.objects[series], colours(frame, series), outcomes)
         self._replace(self.objects[series], frame.time_ns, entities)
         if series != TRUTH:
             lost = missed(frame, series)
             colour = np.tile(_MISSED, (len(lost), 1))
-            entities = messages.boxes(frame, lost, colour, ["missed"] * len(lost))
+            entities = box_entities(frame, lost, colour, ["missed"] * len(lost))
             self._replace(self.missed[series], frame.time_ns, entities)
 
     def _replace(self, topic: str, time_ns: int, entities: list[SceneEntity]) -> None:
-        self.scenes[topic].log(messages.replacement(time_ns, entities), log_time=time_ns)
+        self.scenes[topic].log(replacement(time_ns, entities), log_time=time_ns)
 
     def _poses(self, frame: Frame) -> None:
         """The poses of the agents and of their cameras, in one message; the calibrations, and the blank image."""
-        time, transforms = messages.time(frame.time_ns), []
+        time, transforms = timestamp_of(frame.time_ns), []
         for agent, pose in frame.poses.items():
             camera = self.cameras[agent]
             for parent, child, position, turn in transforms_of(agent, pose, camera):
@@ -125,8 +372,8 @@ class RunChannels:
                         timestamp=time,
                         parent_frame_id=parent,
                         child_frame_id=child,
-                        translation=messages.vector(position),
-                        rotation=messages.quaternion(turn),
+                        translation=vector(position),
+                        rotation=quaternion(turn),
                     )
                 )
             k = [camera.focal, 0.0, camera.width / 2, 0.0, camera.focal, camera.height / 2, 0.0, 0.0, 1.0]
@@ -140,16 +387,16 @@ class RunChannels:
                 P=[*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0],
             )
             self.calibrations[agent].log(calibration, log_time=frame.time_ns)
-            if agent == self.run.ego:
+            if agent == self.run.main_agent:
                 image = CompressedImage(timestamp=time, frame_id=f"{agent}/camera", data=self.blank, format="png")
                 self.image.log(image, log_time=frame.time_ns)
         self.transforms.log(FrameTransforms(transforms=transforms), log_time=frame.time_ns)
 
     def _changes(self, frame: Frame) -> None:
         """What adversaries inserted, removed and moved, as marks and as lines of a log."""
-        self._replace(topics.CHANGES, frame.time_ns, messages.changes(frame))
-        for name, sentence in zip(frame.changes.interposer.tolist(), frame.changes.sentences(), strict=True):
+        self._replace(CHANGES, frame.time_ns, change_entities(frame))
+        for name, sentence in zip(frame.changes.interposer.tolist(), frame.changes.sentences, strict=True):
             message = Log(
-                timestamp=messages.time(frame.time_ns), level=LogLevel.Warning, name=str(name), message=sentence
+                timestamp=timestamp_of(frame.time_ns), level=LogLevel.Warning, name=str(name), message=sentence
             )
             self.log.log(message, log_time=frame.time_ns)

@@ -17,10 +17,9 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.sensing import Camera, LidarSensor
-from mast_zenoh.viewer.export.cameras import AXES, cameras
-from mast_zenoh.viewer.export.columns import class_names, stem
+from mast_zenoh.viewer.export.columns import AXES, cameras, class_names, stem
 from mast_zenoh.viewer.frame import Frame, Pose
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.routes import TRUTH
 
 SEQUENCE = "0000"
@@ -32,7 +31,7 @@ _NOT_IN_IMAGE = (-1.0, -1.0, -1.0, -1.0)
 _VISIBLE, _OCCLUDED = 0, 2
 
 
-def write(run: RunFrames, path: Path) -> None:
+def write(run: RecordedRun, path: Path) -> None:
     """Write label_02, calib and oxts of one sequence, and trackers/ESTIMATE/data with a line for each track.
 
     A frame without a pose of the main agent has no labels.
@@ -43,30 +42,31 @@ def write(run: RunFrames, path: Path) -> None:
     files[TRUTH] = path / "label_02" / f"{SEQUENCE}.txt"
     for file in files.values():
         file.parent.mkdir(parents=True, exist_ok=True)
-    camera = cameras(run)[run.ego]
+    main = run.main_agent
+    camera = cameras(run)[main]
     (path / "calib" / f"{SEQUENCE}.txt").write_text(_calibration(camera, _lidar(run)), encoding="ascii")
     poses: dict[int, Pose] = {}
     without_pose = 0
     with ExitStack() as stack:
         opened = {series: stack.enter_context(file.open("w", encoding="ascii")) for series, file in files.items()}
         for frame in run:
-            if run.ego not in frame.poses:
+            if run.main_agent not in frame.poses:
                 without_pose += 1
                 continue
-            poses[frame.index] = frame.poses[run.ego]
+            poses[frame.index] = frame.poses[run.main_agent]
             for series, states in frame.objects.items():
                 _write_objects(opened[series], run, frame, series, states, camera)
     if without_pose:
-        run.note(f"messages.mcap: frames without a pose of {run.ego}, and therefore without labels: {without_pose}")
+        run.note(f"messages.mcap: frames without a pose of {main}, and therefore without labels: {without_pose}")
     (path / "oxts" / f"{SEQUENCE}.txt").write_text("".join(_positions(poses)), encoding="ascii")
     last = max(poses, default=-1)
     (path / "evaluate_tracking.seqmap.training").write_text(f"{SEQUENCE} empty 000000 {last + 1:06d}\n", "ascii")
 
 
-def _lidar(run: RunFrames) -> LidarSensor:
+def _lidar(run: RecordedRun) -> LidarSensor:
     """The lidar of the main agent; the default one if the scene is not known."""
-    known = {agent.name: agent.sensor for agent in run.scene.agents} if run.scene is not None else {}
-    return known.get(run.ego, LidarSensor())
+    known = {agent.name: agent.sensor for agent in run.recording.agents} if run.recording is not None else {}
+    return known.get(run.main_agent, LidarSensor())
 
 
 def _calibration(camera: Camera, lidar: LidarSensor) -> str:
@@ -101,15 +101,15 @@ def _positions(poses: dict[int, Pose]) -> Iterator[str]:
 
 
 def _write_objects(
-    file: TextIO, run: RunFrames, frame: Frame, series: Series, states: ObjectStates, camera: Camera
+    file: TextIO, run: RecordedRun, frame: Frame, series: Series, states: ObjectStates, camera: Camera
 ) -> None:
     """Write the objects of a series; the main agent's own object is not labelled, as in the benchmark."""
     occluded = np.full(len(states), -1)
     if series == TRUTH:
-        seen = frame.points[:, run.agents.index(run.ego)] >= SEEN_RETURNS
-        kept = states.id != frame.own.get(run.ego, -1)
+        seen = frame.points[:, run.agents.index(run.main_agent)] >= SEEN_RETURNS
+        kept = states.id != frame.own.get(run.main_agent, -1)
         states, occluded = states.select(kept), np.where(seen, _VISIBLE, _OCCLUDED)[kept]
-    for words in _labels(frame, states, frame.poses[run.ego], camera, occluded):
+    for words in _labels(frame, states, frame.poses[run.main_agent], camera, occluded):
         file.write(" ".join(words[:-1] if series == TRUTH else words) + "\n")
 
 

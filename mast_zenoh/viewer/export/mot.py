@@ -13,13 +13,13 @@ from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.viewer.export.columns import stem
 from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.routes import TRUTH
 
 
-def write(run: RunFrames, path: Path) -> None:
+def write(run: RecordedRun, path: Path) -> None:
     """Write gt/RUN and trackers/ESTIMATE/data, as TrackEval expects them, and the list of sequences."""
-    name = re.sub(r"[^\w-]", "_", run.name)
+    name = re.sub(r"[^\w-]", "_", run.id)
     sequence = path / "gt" / name
     files = {series: path / "trackers" / stem(series) / "data" / f"{name}.txt" for series in run.topics}
     files[TRUTH] = sequence / "gt" / "gt.txt"

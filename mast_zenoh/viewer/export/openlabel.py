@@ -15,14 +15,14 @@ import numpy as np
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.viewer.export.columns import class_names, quaternions, standard_deviations, stem
 from mast_zenoh.viewer.frame import Frame, Pose
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.routes import TRUTH
 
 #: Name of the data with an object's box.
 CUBOID = "box"
 
 
-def write(run: RunFrames, path: Path) -> None:
+def write(run: RecordedRun, path: Path) -> None:
     """Write the files into a folder, frame by frame."""
     path.mkdir()
     with ExitStack() as stack:
@@ -55,7 +55,7 @@ class _File:
             self.present[track].append(number)
             self.kinds[track][element["object_data"]["cuboid"][0]["attributes"]["text"][0]["val"]] += 1
 
-    def end(self, run: RunFrames, series: Series) -> None:
+    def end(self, run: RecordedRun, series: Series) -> None:
         """Write the objects, the coordinate systems and the metadata."""
         objects = {
             track: {
@@ -72,7 +72,7 @@ class _File:
         content = {
             "metadata": {
                 "schema_version": "1.0.0",
-                "name": f"{run.name}: {stem(series)}",
+                "name": f"{run.id}: {stem(series)}",
                 "annotator": "mast-zenoh",
                 "comment": "x east, y north, z up, m; sizes are length, width, height",
             },

@@ -13,10 +13,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.viewer.export.cameras import WORLD, cameras, transforms_of
-from mast_zenoh.viewer.export.columns import class_names, colours, quaternions
+from mast_zenoh.viewer.export.columns import WORLD, cameras, class_names, colours, quaternions, transforms_of
 from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.recorded import RecordedRun
 
 #: Appended to the topic of an estimate.
 MARKERS = "/markers"
@@ -37,7 +36,7 @@ _TF = "tf2_msgs/msg/TFMessage"
 _CUBE, _ADD, _DELETE_ALL = 1, 0, 3
 
 
-def write(run: RunFrames, path: Path) -> None:
+def write(run: RecordedRun, path: Path) -> None:
     """Write a bag as MCAP, compressed by zstd in chunks, in the folder `path`.
 
     Times are those of the scene, from 0.
@@ -51,7 +50,7 @@ def write(run: RunFrames, path: Path) -> None:
 class _Bag:
     """Writes the messages of a run to a bag."""
 
-    def __init__(self, run: RunFrames, bag: Writer) -> None:
+    def __init__(self, run: RecordedRun, bag: Writer) -> None:
         self.run, self.bag = run, bag
         self.store = get_typestore(Stores.ROS2_HUMBLE)
         for name, text in VISION_MSGS.items():
@@ -173,6 +172,6 @@ class _Bag:
         return self._new("geometry_msgs/msg/Pose", self._vector(position, "Point"), self._vector(turn, "Quaternion"))
 
 
-def topic_of(run: RunFrames, series: Series) -> str:
+def topic_of(run: RecordedRun, series: Series) -> str:
     """The topic of a series: its key expression, in the letters that ROS allows."""
     return "/" + re.sub(r"[^A-Za-z0-9_/]", "_", run.topics[series])

@@ -13,9 +13,8 @@ import rerun.blueprint as views
 
 from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.metrics.record import PICTURE, Series
-from mast_zenoh.viewer.export.cameras import cameras
-from mast_zenoh.viewer.export.columns import class_names, colours, missed, quaternions, wall_lines
-from mast_zenoh.viewer.frame import Frame, FrameSource
+from mast_zenoh.viewer.export.columns import cameras, class_names, colours, missed, quaternions, wall_lines
+from mast_zenoh.viewer.frame import Frame, FramedRun
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb
 from mast_zenoh.viewer.routes import TRUTH
 
@@ -25,9 +24,9 @@ FRAME, TIME = "frame", "scene_time"
 BUILDINGS, CHANGES, LOG, SCORES, MISSED = "scene/buildings", "changes", "log", "scores", "missed"
 
 
-def write(run: FrameSource, path: Path) -> None:
+def write(run: FramedRun, path: Path) -> None:
     """Write the file: an entity for each estimate, named by its key expression, with a batch of boxes a frame."""
-    stream = rerun.RecordingStream(APPLICATION, recording_id=run.name)
+    stream = rerun.RecordingStream(APPLICATION, recording_id=run.id)
     stream.set_log_time_enabled(False)  # the time of the export
     stream.save(path, default_blueprint=blueprint(run))
     try:
@@ -43,7 +42,7 @@ def pose_entity(agent: str) -> str:
     return f"agent/{agent}/pose"
 
 
-def write_static(run: FrameSource, stream: rerun.RecordingStream) -> None:
+def write_static(run: FramedRun, stream: rerun.RecordingStream) -> None:
     """What does not change: axes, cameras, buildings, names of series."""
     stream.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for agent, camera in cameras(run).items():
@@ -54,8 +53,8 @@ def write_static(run: FrameSource, stream: rerun.RecordingStream) -> None:
         # x ahead, y left, z up, as the agent
         pinhole = rerun.Pinhole(focal_length=camera.focal, resolution=size, camera_xyz=rerun.ViewCoordinates.FLU)
         stream.log(entity, pinhole, static=True)
-    if run.scene is not None:
-        walls = rerun.LineStrips3D(list(wall_lines(run.scene)), colors=[rgb(BUILDING_EDGE)])
+    if run.recording is not None:
+        walls = rerun.LineStrips3D(list(wall_lines(run.recording)), colors=[rgb(BUILDING_EDGE)])
         stream.log(BUILDINGS, walls, static=True)
     for series in run.scored:
         for name in ("fn", "fp", "rmse_m"):
@@ -63,7 +62,7 @@ def write_static(run: FrameSource, stream: rerun.RecordingStream) -> None:
             stream.log(_score(series, name), rerun.SeriesLines(names=[label]), static=True)
 
 
-def write_frame(run: FrameSource, frame: Frame, stream: rerun.RecordingStream) -> None:
+def write_frame(run: FramedRun, frame: Frame, stream: rerun.RecordingStream) -> None:
     """What a frame holds, at its time."""
     stream.set_time(FRAME, sequence=frame.index)
     stream.set_time(TIME, duration=np.timedelta64(frame.time_ns, "ns"))
@@ -90,7 +89,7 @@ def write_frame(run: FrameSource, frame: Frame, stream: rerun.RecordingStream) -
     ]
     marks = rerun.Points3D(places[shown], colors=[rgb(ADVERSARY)], radii=[0.5], labels=labels, show_labels=False)
     stream.log(CHANGES, marks)
-    for sentence in changes.sentences():
+    for sentence in changes.sentences:
         stream.log(LOG, rerun.TextLog(sentence, level=rerun.TextLogLevel.WARN))
     for series, score in frame.scores.items():
         for name in ("fn", "fp", "rmse_m"):
@@ -118,7 +117,7 @@ def _score(series: Series, name: str) -> str:
     return f"{SCORES}/{series.agent}/{series.estimator}/{name}"
 
 
-def blueprint(run: FrameSource) -> views.Blueprint:
+def blueprint(run: FramedRun) -> views.Blueprint:
     """3D view and the main agent's camera with the truth, the picture and what it misses; two charts; the log."""
     shown = [topic for series, topic in run.topics.items() if series.estimator in (PICTURE, TRUTH.estimator)]
     shown += [f"{topic}/{MISSED}" for series, topic in run.topics.items() if series.estimator == PICTURE]
@@ -128,13 +127,13 @@ def blueprint(run: FrameSource) -> views.Blueprint:
         views.TimeSeriesView(
             name=title,
             origin="/",
-            contents=[f"+ /{_score(series, name)}" for series in run.scored if series.agent == run.ego],
+            contents=[f"+ /{_score(series, name)}" for series in run.scored if series.agent == run.main_agent],
         )
         for title, name in (("false objects", "fp"), ("missed objects", "fn"))
     ]
     ground = list(rgb(GROUND))  # boxes of the truth are white
     camera = views.Spatial2DView(
-        name=run.ego, origin=f"/{pose_entity(run.ego)}/camera", contents=contents, background=ground
+        name=run.main_agent, origin=f"/{pose_entity(run.main_agent)}/camera", contents=contents, background=ground
     )
     return views.Blueprint(
         views.Horizontal(

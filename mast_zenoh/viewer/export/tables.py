@@ -15,7 +15,7 @@ import pyarrow.parquet
 from mast_zenoh.arrays.states import COVARIANCE_ORDER
 from mast_zenoh.viewer.export.columns import class_names, standard_deviations
 from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.routes import TRUTH
 
 #: Frames that are written together.
@@ -34,19 +34,19 @@ SCHEMA = pyarrow.schema(
 )
 
 
-def write_csv(run: RunFrames, path: Path) -> None:
+def write_csv(run: RecordedRun, path: Path) -> None:
     """Write the table as CSV; what is not known is empty."""
     with pyarrow.csv.CSVWriter(path, SCHEMA) as writer:
         _write(run, writer)
 
 
-def write_parquet(run: RunFrames, path: Path) -> None:
+def write_parquet(run: RecordedRun, path: Path) -> None:
     """Write the table as Parquet; what is not known is null."""
     with pyarrow.parquet.ParquetWriter(path, SCHEMA, compression="zstd") as writer:
         _write(run, writer)
 
 
-def _write(run: RunFrames, writer: Any) -> None:
+def _write(run: RecordedRun, writer: Any) -> None:
     frames = iter(run)
     while batch := list(islice(frames, _BATCH)):
         writer.write_table(pyarrow.concat_tables(table for frame in batch for table in _tables(frame)))

@@ -1,21 +1,25 @@
-"""One frame of a running run, measured as the evaluator measures it."""
+"""A running run, frame by frame, measured as the evaluator measures it."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from pathlib import Path
 from typing import Any
 
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
+from mast_zenoh.launch.tables import as_read, to_arrow
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.messages.schemas import Body
-from mast_zenoh.metrics.record import Series
+from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Series
 from mast_zenoh.runtime.host import Host
+from mast_zenoh.viewer.frame import Frame, FramedRun
+from mast_zenoh.viewer.live.observed import ObservedRun
 from mast_zenoh.viewer.live.reception import Sample
 from mast_zenoh.viewer.routes import CLOCK, routes
 from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
@@ -29,23 +33,74 @@ _SILENT.disabled = True
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredFrame:
-    """A frame.
+class LiveRun(FramedRun):
+    """A running run as of one frame, which alone its tables have: of trust, the latest rows.
 
-    number:  its index in the run;  time_ns: its time, ns since the scene began
-    bodies:  by series, the columns of the first valid message about it
-    tables:  the evaluator's tables, with the columns of the files of a run: metrics, objects, attacks; trust and
-             trust_objects where a command centre judges agents
-    same_as: by agent, estimates with the same messages as others
-    refused: number of messages about it that receivers refuse
+    all_objects: the evaluator's table of objects, as Arrow has it
+    frames:      as they are measured
+
+    Topics are those of the wiring at the beginning. A node that is inserted later is seen by its changes.
     """
 
-    number: int
-    time_ns: int
-    bodies: Mapping[Series, Body]
-    tables: Mapping[str, Mapping[str, Any]]
-    same_as: Mapping[str, Mapping[str, str]]
-    refused: int
+    all_objects: Any = None
+    first_wiring: Wiring | None = None
+    frames: Iterable[Frame] = ()
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self.frames)
+
+    @classmethod
+    def of(cls, run: ObservedRun, wiring: Wiring, agents: Iterable[str]) -> LiveRun:
+        """A run before its first frame. wiring: the current one;  agents: their names"""
+        return cls(
+            path=Path(),
+            run={"id": run.id, "name": run.resolved.name},
+            scenario=run.resolved.to_json(),
+            wiring=wiring.to_json(),
+            metrics={"agents": dict.fromkeys(agents)},
+            counts=None,
+            objects=None,
+            effects=None,
+            recording=run.scene,
+            first_wiring=wiring,
+        )
+
+    @cached_property
+    def wirings(self) -> Sequence[tuple[int, Wiring]]:
+        """The wiring at the beginning."""
+        assert self.first_wiring is not None
+        return [(-1, self.first_wiring)]
+
+    @cached_property
+    def agents(self) -> tuple[str, ...]:
+        """The agents that are evaluated, the main one first."""
+        return tuple(sorted(self.metrics["agents"], key=lambda name: name != "ego"))
+
+    @property
+    def scored(self) -> list[Series]:
+        """Agents and estimates that can have scores."""
+        known = {series.estimator for series in self.topics}
+        estimators = [name for name in (LOCAL, RECEIVED, PICTURE, PICTURE_RECEIVED, MISSION) if name in known]
+        series = [Series(agent, name) for agent in self.agents for name in estimators]
+        return [each for each in series if each.estimator == PICTURE or each in self.topics]
+
+    def read_objects(self) -> Any:
+        """The objects of this frame, of every agent, as an Arrow table."""
+        return self.all_objects
+
+    def at(self, tables: Mapping[str, Any]) -> LiveRun:
+        """The run as of a frame with these tables of the evaluator."""
+        names = [name for name in tables if name not in ("objects", "same_as")]
+        read = {name: as_read(tables[name]) for name in names}
+        return replace(
+            self,
+            metrics={"agents": self.metrics["agents"], "same_as": tables["same_as"]},
+            counts=read["metrics"],
+            all_objects=to_arrow(tables["objects"]),
+            effects=read["attacks"],
+            trust=read.get("trust", self.trust),
+            trust_objects=read.get("trust_objects"),
+        )
 
 
 @cache
@@ -87,11 +142,17 @@ class FrameMeter:
         return next((key for key, series in routes(wiring, self.agents).items() if CLOCK in series), "")
 
     def measure(
-        self, number: int, messages: Iterable[tuple[str, Sample]], wiring: Wiring, roles: Mapping[str, str]
-    ) -> MeasuredFrame | None:
+        self,
+        run: LiveRun,
+        number: int,
+        messages: Iterable[tuple[str, Sample]],
+        wiring: Wiring,
+        roles: Mapping[str, str],
+    ) -> Frame | None:
         """Measure a frame; None if its clock is not among the messages.
 
-        messages: those about this frame, perhaps among others;  roles: of all nodes
+        run:      as of an earlier frame;  roles: of all nodes
+        messages: those about this frame, perhaps among others
         """
         host, node = self._host(wiring)
         types = {leg.key: wire.message for wire, leg in wiring.legs()}
@@ -122,9 +183,7 @@ class FrameMeter:
             host.deliver(key, sample.payload, sample.step, counted=False)
         if time_ns < 0:
             return None
-        tables = node.evaluation.frame_tables(node.data)
-        same_as = tables.pop("same_as")
-        return MeasuredFrame(number, time_ns, bodies, tables, same_as, refused)
+        return Frame(run.at(node.evaluation.frame_tables(node.data)), number, time_ns, bodies, refused)
 
     def _build(self) -> Any:
         return registry.construct(self._evaluator, self._config, f"scenario.json: {_NAME}")

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import zenoh
 
 from mast_zenoh.config.resolved import driver_of
 from mast_zenoh.control import prefix
-from mast_zenoh.viewer.live.measurement import FrameMeter, MeasuredFrame
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
 from mast_zenoh.viewer.live.observed import ObservedRun
-from mast_zenoh.viewer.live.reception import Reception
-from mast_zenoh.viewer.live.wires import WireMeter, WireState
+from mast_zenoh.viewer.live.reception import Reception, WireMeter, WireState
 from mast_zenoh.wiring.model import Wiring
 
 #: Most frames a second that are measured.
@@ -59,7 +60,7 @@ class Observer:
     session: a client of the run's router, with the viewer's credentials if the mesh is secure
 
     run:    the observed run;  insertions: nodes inserted since the observer joined
-    wiring: the current one;  meter: measures its frames
+    wiring: the current one;  meter: measures its frames;  record: the run as of the newest measured frame
     """
 
     def __init__(self, run: ObservedRun, session: zenoh.Session) -> None:
@@ -104,6 +105,7 @@ class Observer:
         self.wiring = Wiring.from_json(run.resolved.wiring)
         if (current := run.current_wiring(session)) is not None:
             self.wiring, self.roles = current
+        self.record = LiveRun.of(run, self.wiring, self.meter.agents)
         self._follow()
 
     @property
@@ -118,7 +120,7 @@ class Observer:
         """The newest frame that has begun; -1: none yet."""
         return self._newest
 
-    def advance(self) -> MeasuredFrame | None:
+    def advance(self) -> Frame | None:
         """Take what has arrived, and measure the newest whole frame; None if there is no newer one."""
         self.keep_up()
         now, newest = time.monotonic(), self._newest
@@ -134,7 +136,8 @@ class Observer:
             return None
         begun = time.process_time()
         try:
-            measured = self.meter.measure(number, self._reception.sent_since(number), self.wiring, self.roles)
+            messages = self._reception.sent_since(number)
+            measured = self.meter.measure(self.record, number, messages, self.wiring, self.roles)
         except Exception as error:  # of an open mesh anything may come: one frame is lost, and the page says so
             self.note(f"frame {number} cannot be measured: {error!r:.200}")
             measured, self._last = None, number
@@ -146,7 +149,19 @@ class Observer:
         self._due = now + max(1.0 / _MOST_FRAMES_PER_S, effort_s / _PROCESSOR_SHARE[self.run.resolved.mode])
         if measured is not None:
             self._last, self._time_s = number, measured.time_ns * 1e-9
+            assert isinstance(measured.run, LiveRun)
+            self.record = measured.run
         return measured
+
+    def frames(self, stop: threading.Event) -> Iterator[Frame]:
+        """All frames that are measured, until the run ends or `stop` is set."""
+        while not stop.is_set():
+            frame = self.advance()
+            if frame is not None:
+                yield frame
+            elif self.is_over():
+                return
+            stop.wait(POLL_S)
 
     def listen(self, *, everything: bool) -> None:
         """Receive everything that frames need, or only the clock, which costs the run nothing."""
@@ -244,4 +259,5 @@ class Observer:
                 self.insertions[index] = each._replace(until_s=self._time_s)
         del self.insertions[:-_MOST_INSERTIONS]
         self.wiring = wiring
+        self.record = replace(self.record, wiring=wiring.to_json())
         self._follow()

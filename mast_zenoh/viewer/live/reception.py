@@ -1,4 +1,4 @@
-"""Receives copies of a run's messages, and keeps only the newest of each key.
+"""Receives copies of a run's messages, keeps only the newest of each key, and measures rates, lag and loss on wires.
 
 Zenoh itself fills a ring for each key, and drops the oldest: no message waits for Python, so neither this process nor
 what it does with a frame can hold back the run.
@@ -7,15 +7,24 @@ what it does with a frame can hold back the run.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import zenoh
 
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.traffic import stamp_of
+from mast_zenoh.wiring.model import Wire, Wiring
 
 #: Messages of a key that wait in its ring, and that are kept after they were taken from it.
 KEPT = 16
+#: s, over which a rate is measured.
+_WINDOW_S = 2.0
+#: How many shown frames a share of lost messages is from: of each, some steps are compared.
+_COMPARED = 5
+#: Frames of the run before the newest that do not count as lost: their messages may be under way.
+_UNDER_WAY = 2
 
 
 class Sample(NamedTuple):
@@ -84,3 +93,94 @@ class Reception:
     def close(self) -> None:
         """Unsubscribe."""
         self.subscribe(())
+
+
+class LegState(NamedTuple):
+    """A leg of a wire.
+
+    node:    its publisher;  role: the publisher's role;  key: the leg's key
+    rate_hz: messages per s, from the numbers in their headers; None: not known yet
+    lag:     frames between the clock and the newest message; None: none has arrived
+    lost:    share of recent messages that came in but did not leave the publisher in the same frame; 0 for the
+             first leg of a wire; None: unknown
+    """
+
+    node: str
+    role: str
+    key: str
+    rate_hz: float | None
+    lag: int | None
+    lost: float | None
+
+
+class WireState(NamedTuple):
+    """A wire: its key, its legs from the publisher on, and the nodes that finally receive it."""
+
+    key: str
+    legs: tuple[LegState, ...]
+    subscribers: tuple[str, ...]
+
+
+class WireMeter:
+    """Follows the numbers of messages on the received keys of a run."""
+
+    def __init__(self, reception: Reception) -> None:
+        self._reception = reception
+        self._numbers: dict[str, deque[tuple[float, int]]] = {}
+        self._compared: dict[str, deque[tuple[int, int]]] = {}  # by leg: messages that came in, and that were lost
+
+    def note(self, now_s: float, types: Mapping[str, str]) -> None:
+        """Note the newest messages. now_s: monotonic time;  types: message types of the received keys"""
+        for key in self._numbers.keys() - types.keys():
+            del self._numbers[key]
+        for key, message in types.items():
+            payload = self._reception.newest(key)
+            if payload is None:
+                continue
+            try:
+                number = codec.decode_header_only(payload, message).seq
+            except MessageError:
+                continue
+            seen = self._numbers.setdefault(key, deque())
+            if seen and number < seen[-1][1]:  # its publisher was started again
+                seen.clear()
+            seen.append((now_s, number))
+            while len(seen) > 2 and now_s - seen[0][0] > _WINDOW_S:
+                seen.popleft()
+
+    def states(self, wiring: Wiring, types: Mapping[str, str], roles: Mapping[str, str], step: int) -> list[WireState]:
+        """The received wires, those with interposers first. step: of the newest clock"""
+        wires = [wire for wire in wiring.wires if any(leg.key in types for leg in wire.every_leg)]
+        wires.sort(key=lambda wire: not wire.interposers)
+        return [self._state(wire, roles, step) for wire in wires]
+
+    def _state(self, wire: Wire, roles: Mapping[str, str], step: int) -> WireState:
+        legs = []
+        entering = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
+        for index, leg in enumerate(wire.every_leg):
+            node = leg.publisher.node
+            lost = 0.0 if not index else self._lost(entering.get(node, ""), leg.key, step)
+            legs.append(
+                LegState(node, roles.get(node, ""), leg.key, self._rate(leg.key), self._lag(leg.key, step), lost)
+            )
+        return WireState(wire.key, tuple(legs), tuple(end.node for end in wire.subscribers))
+
+    def _rate(self, key: str) -> float | None:
+        seen: Sequence[tuple[float, int]] = self._numbers.get(key, ())
+        if len(seen) < 2 or seen[-1][0] - seen[0][0] < _WINDOW_S / 4:
+            return None
+        return (seen[-1][1] - seen[0][1]) / (seen[-1][0] - seen[0][0])
+
+    def _lag(self, key: str, step: int) -> int | None:
+        newest = self._reception.newest_step(key)
+        return max(step - newest, 0) if newest >= 0 else None
+
+    def _lost(self, before: str, after: str, step: int) -> float | None:
+        received, sent = {*self._reception.steps(before)}, {*self._reception.steps(after)}
+        # Each ring holds its own newest messages: compare where both have some.
+        first = min(sent, default=min(received, default=0))
+        common = {each for each in received if first <= each <= step - _UNDER_WAY}
+        compared = self._compared.setdefault(after, deque(maxlen=_COMPARED))
+        compared.append((len(common), len(common - sent)))
+        came, lost = map(sum, zip(*compared, strict=True))
+        return lost / came if came else None

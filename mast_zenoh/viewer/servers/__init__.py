@@ -1,9 +1,6 @@
-"""Serves runs to other viewers, on the loopback address alone.
+"""Runs for other viewers, over a port of this computer.
 
-other_viewers  serves a run to Foxglove, Lichtblick or Rerun, for the command line
-playback       where a finished run is being played: pace, pause, seek
-foxglove       the WebSocket server of Foxglove and Lichtblick
-rerun          recordings for the Rerun viewer over HTTP, and its web viewer
-rrd_stream     a live run as a growing recording for the Rerun viewer
-web_viewer     the files of Rerun's web viewer
+foxglove       WebSocket server of Foxglove and Lichtblick, and where a finished run is being played
+rerun          recordings for Rerun over HTTP, growing ones of live runs, and its web viewer
+other_viewers  serves a run to one of these, and prints its address
 """

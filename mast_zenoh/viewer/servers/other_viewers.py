@@ -10,17 +10,17 @@ from pathlib import Path
 
 from mast_zenoh.errors import ExportError
 from mast_zenoh.viewer.export import not_installed
-from mast_zenoh.viewer.frame import FrameSource
-from mast_zenoh.viewer.frames import RunFrames
+from mast_zenoh.viewer.frame import FramedRun
 from mast_zenoh.viewer.loopback import tunnel
-from mast_zenoh.viewer.servers.playback import Playback
+from mast_zenoh.viewer.recorded import RecordedRun
+from mast_zenoh.viewer.servers.foxglove import Playback
 
 #: Prints a line for the user.
 PrintLine = Callable[[str], None]
 
 
 def serve_to_foxglove(
-    run: FrameSource, port: int, stop: threading.Event, print_line: PrintLine, *, rate: float = 1.0, loop: bool = False
+    run: FramedRun, port: int, stop: threading.Event, print_line: PrintLine, *, rate: float = 1.0, loop: bool = False
 ) -> None:
     """Play a finished run for Foxglove and Lichtblick until Ctrl-C, or send a running one as it comes.
 
@@ -34,7 +34,7 @@ def serve_to_foxglove(
         from mast_zenoh.viewer.export.foxglove import write_layout
         from mast_zenoh.viewer.servers.foxglove import FoxgloveServer
 
-    playback = Playback(run, rate=rate, loop=loop) if isinstance(run, RunFrames) else None
+    playback = Playback(run, rate=rate, loop=loop) if isinstance(run, RecordedRun) else None
     with tempfile.TemporaryDirectory(prefix="mast-foxglove-") as folder:
         layout = Path(folder) / f"{_name(run)}.layout.json"
         write_layout(run, layout)
@@ -51,7 +51,7 @@ def serve_to_foxglove(
             server.close()
 
 
-def serve_to_rerun(run: FrameSource, port: int, stop: threading.Event, print_line: PrintLine) -> None:
+def serve_to_rerun(run: FramedRun, port: int, stop: threading.Event, print_line: PrintLine) -> None:
     """Serve a run to the Rerun viewer, in a browser or native: a finished one until Ctrl-C, a running one as it comes.
 
     port: 0 for any free one;  stop: ends the server of a running run, also after the run
@@ -61,13 +61,12 @@ def serve_to_rerun(run: FrameSource, port: int, stop: threading.Event, print_lin
     """
     with _required("rerun"):
         from mast_zenoh.viewer.export import rrd
-        from mast_zenoh.viewer.servers.rerun import RerunServer, serve_live
-        from mast_zenoh.viewer.servers.rrd_stream import RrdStream
+        from mast_zenoh.viewer.servers.rerun import RerunServer, RrdStream, serve_live
 
     viewer = _web_viewer(print_line)
     with tempfile.TemporaryDirectory(prefix="mast-rerun-") as folder:
         recording: Path | RrdStream
-        if isinstance(run, RunFrames):
+        if isinstance(run, RecordedRun):
             recording = Path(folder) / "run.rrd"
             rrd.write(run, recording)
         else:
@@ -95,13 +94,13 @@ def _required(extra: str) -> Iterator[None]:
         raise not_installed(error, extra) from None
 
 
-def _name(run: FrameSource) -> str:
-    return run.path.resolve().name if isinstance(run, RunFrames) else run.name
+def _name(run: FramedRun) -> str:
+    return run.path.resolve().name if isinstance(run, RecordedRun) else run.id
 
 
 def _web_viewer(print_line: PrintLine) -> dict[str, bytes]:
     """The files of Rerun's web viewer; empty, and a line for the user, if they cannot be found."""
-    from mast_zenoh.viewer.servers.web_viewer import web_viewer_files
+    from mast_zenoh.viewer.servers.rerun import web_viewer_files
 
     try:
         return web_viewer_files()
@@ -110,9 +109,9 @@ def _web_viewer(print_line: PrintLine) -> dict[str, bytes]:
         return {}
 
 
-def _print_end(url: str, run: FrameSource, print_line: PrintLine) -> None:
+def _print_end(url: str, run: FramedRun, print_line: PrintLine) -> None:
     """Print the last lines of every server; what a finished run lacks is known when it has been read."""
     print_line(f"from another computer: {tunnel(url)}")
-    for sentence in run.missing if isinstance(run, RunFrames) else ():
+    for sentence in run.missing if isinstance(run, RecordedRun) else ():
         print_line(f"warning: {sentence}")
     print_line("Ctrl-C ends it.")

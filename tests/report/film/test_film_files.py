@@ -20,8 +20,8 @@ import mast_zenoh as mast
 from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ExportError
 from mast_zenoh.report.film import writing
+from mast_zenoh.report.film.encoding import images
 from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.pixels import images
 
 pytestmark = pytest.mark.heavy
 

@@ -11,8 +11,7 @@ import pytest
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError, ExportError, MastError, RunFolderError
 from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.schedule import schedule
-from mast_zenoh.report.film.writing import open_takes
+from mast_zenoh.report.film.writing import open_takes, schedule
 
 INVALID: list[tuple[str, dict[str, Any], type[MastError], str]] = [
     ("film.avi", {}, ExportError, r"film\.avi: expected a name that ends with \.mp4, \.gif or \.webm"),

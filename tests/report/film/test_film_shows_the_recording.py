@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from PIL import Image
 
 import mast_zenoh as mast
 from mast_zenoh.launch.tables import write_table
+from mast_zenoh.report.film.encoding import images
 from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.pixels import images
 from mast_zenoh.report.film.writing import snapshot
 
 
@@ -125,7 +126,9 @@ def test_many_adversaries_are_counted(edited: Path) -> None:
     (frame, *_) = (row["frame"] for row in rows)
     names = ("adversary_1", "adversary_2", "adversary_3")
     more = [{**rows[0], "interposer": name} for name in names]
-    write_table(edited / "attacks.parquet", {name: [row[name] for row in (*more, *rows)] for name in rows[0]})
+    columns = {name: [row[name] for row in (*more, *rows)] for name in rows[0]}
+    known = {name: [math.nan if value is None else value for value in values] for name, values in columns.items()}
+    write_table(edited / "attacks.parquet", known)
     sheet = sheet_of(edited)
     sheet.show(frame)
     assert "attack by 3 adversaries: " in " ".join(text.get_text() for text in sheet.figure.texts)

@@ -12,8 +12,8 @@ from browser import FRAME, FRAMES, WatchedPage, chromium
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.playback.server import viewer_page
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.page.page import viewer_page
+from mast_zenoh.viewer.run import RunRecord
 
 
 @pytest.fixture(scope="session")
@@ -44,8 +44,8 @@ def play(name: str, settings: list[str], folder: Path, frames: int = FRAMES) -> 
 
 
 @pytest.fixture(scope="session")
-def loaded_run(attacked_run: Path) -> RunFolder:
-    return RunFolder.load(attacked_run)
+def loaded_run(attacked_run: Path) -> RunRecord:
+    return RunRecord.load(attacked_run)
 
 
 @pytest.fixture(scope="session")
@@ -64,7 +64,7 @@ def report(attacked_run: Path) -> Path:
 def compared(attacked_run: Path, baseline_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page with the attacked run and the same run without its adversaries."""
     path = tmp_path_factory.mktemp("pages") / "compared.html"
-    path.write_text(viewer_page([attacked_run, baseline_run], FRAME), "utf-8")
+    path.write_bytes(viewer_page([attacked_run, baseline_run], FRAME))
     return path
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable, Iterator
-from importlib import resources
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +15,9 @@ from mast_zenoh.arrays.geometry import box_corners, to_local, to_world
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.report.figures.camera import clip_polygon
-from mast_zenoh.report.playback.block import run_block
-from mast_zenoh.report.playback.columns import unpack
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.page.block import run_block
+from mast_zenoh.viewer.page.columns import unpack
+from mast_zenoh.viewer.run import RunRecord
 
 pytestmark = pytest.mark.heavy
 
@@ -38,43 +36,6 @@ FACES = {
 }
 
 
-@pytest.fixture(scope="module")
-def clipping(browser: Any) -> Iterator[Callable[[str, list[Any]], Any]]:
-    """Calls a function of clipping.js in an empty page; planes are an axis and a limit."""
-    source = (resources.files("mast_zenoh.report.playback") / "page" / "clipping.js").read_bytes()
-    address = "data:text/javascript;base64," + base64.b64encode(source).decode()
-    page = browser.new_page()
-
-    def call(name: str, arguments: list[Any]) -> Any:
-        script = """async ([address, name, points, axis, limit]) => {
-          const side = (point) => point[axis] - limit;
-          const module = await import(address);
-          return name === "clipSegment" ? module[name](...points, side) : module[name](points, side);
-        }"""
-        return page.evaluate(script, [address, name, *arguments])
-
-    yield call
-    page.close()
-
-
-def test_polygons_are_cut_at_a_plane(clipping: Callable[[str, list[Any]], Any]) -> None:
-    square = [[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]
-    assert clipping("clipPolygon", [square, 0, -1]) == square
-    assert clipping("clipPolygon", [square, 0, 0]) == square, "what touches the plane is kept"
-    assert clipping("clipPolygon", [square, 0, 5]) == []
-    assert clipping("clipPolygon", [square, 0, 1]) == [[1, 0, 0], [4, 0, 0], [4, 4, 0], [1, 4, 0]]
-    corner = clipping("clipPolygon", [[[0, 0, 0], [4, 0, 0], [0, 4, 0]], 0, 1])
-    assert corner == [[1, 0, 0], [4, 0, 0], [1, 3, 0]]
-
-
-def test_lines_are_cut_at_a_plane(clipping: Callable[[str, list[Any]], Any]) -> None:
-    line = [[-2, 0, 0], [2, 8, 4]]
-    assert clipping("clipSegment", [line, 0, -2]) == line
-    assert clipping("clipSegment", [line, 0, 0]) == [[0, 4, 2], [2, 8, 4]]
-    assert clipping("clipSegment", [line[::-1], 0, 0]) == [[2, 8, 4], [0, 4, 2]]
-    assert clipping("clipSegment", [line, 0, 3]) is None
-
-
 def test_random_polygons_are_cut_as_numpy_cuts_them(clipping: Callable[[str, list[Any]], Any]) -> None:
     rng = np.random.default_rng(3)
     for count in rng.integers(3, 9, 40).tolist():
@@ -86,7 +47,7 @@ def test_random_polygons_are_cut_as_numpy_cuts_them(clipping: Callable[[str, lis
 class RecordedCamera:
     """The camera of an agent in a frame, from the recording alone."""
 
-    def __init__(self, run: RunFolder, agent: str, frame: int) -> None:
+    def __init__(self, run: RunRecord, agent: str, frame: int) -> None:
         assert run.recording is not None
         index = run.recording.agent_names.index(agent)
         self.camera = run.recording.agents[index].camera
@@ -122,7 +83,7 @@ def same_outline(found: NDArray[Any], expected: Floats, tolerance: NDArray[Any])
 
 
 def test_boxes_are_projected_as_the_recorded_camera_does(
-    report: Path, attacked_run: Path, loaded_run: RunFolder, open_page: OpenPage
+    report: Path, attacked_run: Path, loaded_run: RunRecord, open_page: OpenPage
 ) -> None:
     page = open_page(report)
     table = read_table(attacked_run / "objects.parquet")
@@ -163,7 +124,7 @@ def test_boxes_are_projected_as_the_recorded_camera_does(
     assert own > 0
 
 
-def test_places_around_a_camera_never_fold_over(report: Path, loaded_run: RunFolder, open_page: OpenPage) -> None:
+def test_places_around_a_camera_never_fold_over(report: Path, loaded_run: RunRecord, open_page: OpenPage) -> None:
     page = open_page(report)
     block = run_block(loaded_run)
     assert block is not None

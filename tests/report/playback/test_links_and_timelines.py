@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from browser import FRAMES, WatchedPage
 
-from mast_zenoh.report.playback.conduct import spans
-from mast_zenoh.report.playback.server import viewer_page
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.events import spans
+from mast_zenoh.viewer.page.page import viewer_page
+from mast_zenoh.viewer.run import RunRecord
 
 OpenPage = Callable[..., WatchedPage]
 
@@ -24,7 +24,7 @@ AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 def both(partitioned_run: Path, attacked_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page with a short run, in which agents are cut off, and a longer one."""
     path = tmp_path_factory.mktemp("pages") / "both.html"
-    path.write_text(viewer_page([partitioned_run, attacked_run], 25), "utf-8")
+    path.write_bytes(viewer_page([partitioned_run, attacked_run], 25))
     return path
 
 
@@ -62,7 +62,7 @@ def test_a_partition_cuts_the_links_of_its_agents(both: Path, open_page: OpenPag
     page.screenshot("partition")
 
 
-def test_spans_name_the_agents_whose_links_are_cut_or_impaired(loaded_run: RunFolder) -> None:
+def test_spans_name_the_agents_whose_links_are_cut_or_impaired(loaded_run: RunRecord) -> None:
     def affected(type_: str, backend: str, nodes: list[str]) -> dict[str, Any]:
         fault = {"label": type_, "kind": "fault", "type": type_, "at_s": 1.0, "until_s": 2.0}
         scenario = loaded_run.scenario | {"timeline": [fault | {"nodes": nodes, "backend": backend}]}

@@ -11,8 +11,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from mast_zenoh.report.playback.feed import MOST_PAGES, QUEUED, Feed
-from mast_zenoh.report.playback.live_server import FRAMES, LiveServer
+from mast_zenoh.viewer.page.live_server import FRAMES, MOST_PAGES, QUEUED, Feed, LiveServer
 
 LASTING = {"label": "a run"}
 

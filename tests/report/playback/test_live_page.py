@@ -11,10 +11,9 @@ import pytest
 from launched import eventually
 from recorded_observer import RecordedObserver
 
-from mast_zenoh.report.playback.feed import Feed
-from mast_zenoh.report.playback.live_block import LiveBlocks
-from mast_zenoh.report.playback.live_server import LiveServer
-from mast_zenoh.viewer.live.wires import LegState, WireState
+from mast_zenoh.viewer.live.reception import LegState, WireState
+from mast_zenoh.viewer.page.live_server import Feed, LiveServer
+from mast_zenoh.viewer.page.live_view import LiveBlocks
 
 pytestmark = pytest.mark.heavy
 

@@ -9,15 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from mast_zenoh.launch.tables import read_table
-from mast_zenoh.report.playback.block import run_block
-from mast_zenoh.report.playback.columns import Packer, unpack
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.viewer.page.block import run_block
+from mast_zenoh.viewer.page.columns import Packer, unpack
+from mast_zenoh.viewer.run import RunRecord
 
 Block = tuple[dict, dict[str, NDArray[np.float64]]]
 
 
 @pytest.fixture(scope="module")
-def block(loaded_run: RunFolder) -> Block:
+def block(loaded_run: RunRecord) -> Block:
     data = run_block(loaded_run)
     assert data is not None
     return unpack(data)
@@ -71,7 +71,7 @@ def test_matched_tracks_know_the_object_that_they_follow(block: Block, attacked_
     assert sorted(found) == expected
 
 
-def test_velocities_and_covariances_come_from_the_messages(block: Block, loaded_run: RunFolder) -> None:
+def test_velocities_and_covariances_come_from_the_messages(block: Block, loaded_run: RunRecord) -> None:
     _, columns = block
     assert columns["box.known"].all(), "every track of this run was recorded"
     truth = columns["box.truth"] > 0
@@ -121,7 +121,7 @@ def test_events_say_when_the_attack_begins_and_when_it_first_succeeds(block: Blo
     assert frames == sorted(frames)
 
 
-def test_a_frame_takes_less_than_two_and_a_half_kilobytes(loaded_run: RunFolder) -> None:
+def test_a_frame_takes_less_than_two_and_a_half_kilobytes(loaded_run: RunRecord) -> None:
     data = run_block(loaded_run)
     assert data is not None
     header, _ = unpack(data)
@@ -144,4 +144,4 @@ def test_columns_keep_their_numbers_within_half_their_resolution() -> None:
 
 def test_a_run_without_boxes_or_scene_has_no_picture(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
-    assert run_block(RunFolder.load(tmp_path)) is None
+    assert run_block(RunRecord.load(tmp_path)) is None

@@ -12,8 +12,7 @@ import pytest
 from launched import eventually
 from websockets.sync.client import connect
 
-from mast_zenoh.report.playback.feed import Feed
-from mast_zenoh.report.playback.live_server import FRAMES, LiveServer
+from mast_zenoh.viewer.page.live_server import FRAMES, Feed, LiveServer
 
 _UPGRADE = (
     "GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

@@ -14,12 +14,12 @@ import pytest
 from browser import WatchedPage
 
 from mast_zenoh.errors import ConfigurationError, NotComparable, RunFolderError
-from mast_zenoh.report.playback.server import ViewerServer, viewer_page
+from mast_zenoh.viewer.page.page import ViewerServer, viewer_page
 
 
 @pytest.fixture
 def server() -> Iterator[ViewerServer]:
-    with ViewerServer("<p>page</p>") as running:
+    with ViewerServer(b"<p>page</p>") as running:
         thread = threading.Thread(target=running.serve_forever)
         thread.start()
         yield running
@@ -51,7 +51,7 @@ def test_other_paths_and_other_hosts_get_nothing(server: ViewerServer) -> None:
 
 def test_a_port_in_use_is_refused_by_name(server: ViewerServer) -> None:
     with pytest.raises(ConfigurationError, match=f"--port: found {server.server_port}, which cannot be used"):
-        ViewerServer("", server.server_port)
+        ViewerServer(b"", server.server_port)
 
 
 def test_folders_that_hold_nothing_to_show_are_refused(tmp_path: Path, attacked_run: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh import scenario
-from mast_zenoh.viewer.live.wires import LegState, WireMeter
+from mast_zenoh.viewer.live.reception import LegState, WireMeter
 from mast_zenoh.wiring.model import Wiring
 
 

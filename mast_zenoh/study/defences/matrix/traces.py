@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans, TrustPanel
-from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.trust_facts import trust_in_agents
+from mast_zenoh.viewer.run import RunRecord
 
 #: States that the figure shows.
 _DRAWN_STATES = ("faulty", "suspended")
@@ -23,7 +23,7 @@ MAX_AGENTS = 5
 
 def trace(folder: Path) -> dict[str, Any] | None:
     """The trust in each agent of a run, as JSON values; None: nobody is judged."""
-    agents, end_s = trust_in_agents(RunFolder.load(folder), _DRAWN_STATES, "log_odds")
+    agents, end_s = trust_in_agents(RunRecord.load(folder), _DRAWN_STATES, "log_odds")
     if not agents:
         return None
     return {"end_s": round(end_s, 6), "agents": {agent.agent: _agent_trace(agent) for agent in agents}}

@@ -1,0 +1,229 @@
+"""What happens in a run: attacks, faults, absences, lies and suspensions over time, and each event in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.evaluation.trust import UPSTREAM
+from mast_zenoh.messagelog.churn import LOST
+from mast_zenoh.metrics.study_results import Spans
+from mast_zenoh.viewer.run import RunRecord, Table, agent_of, column, rows
+
+#: Manipulations that have a place, as verbs.
+EFFECTS = {"inserted": "inserts", "removed": "removes", "moved": "moves"}
+#: Faults that separate agents from the command centre.
+PARTITIONS = ("Partition", "HostPartition")
+
+
+class Event(NamedTuple):
+    """Something that happened.
+
+    frame: when;  kind: attack, fault, interception, suspension or effect;  text: in words
+    x, y:  m, where, if it has a place
+    """
+
+    frame: int
+    kind: str
+    text: str
+    x: float | None = None
+    y: float | None = None
+
+
+def happenings(run: RunRecord, periods: list[dict[str, Any]], times: Floats) -> list[Event]:
+    """Beginnings and ends of periods and of nodes' absences, in any order; periods, times: as for `events`."""
+    result = []
+    for each in periods:
+        for at, words in ((each["from_s"], each["begins"]), (each["until_s"], each["ends"])):
+            frame = int(np.searchsorted(times, at - 1e-6))
+            if words and frame < len(times):
+                result.append(Event(frame, each["kind"], words))
+    for node, start, end in node_absences(run):
+        result.append(Event(int(start), "fault", f"{node} is down"))
+        if end < len(times):
+            result.append(Event(int(end), "fault", f"{node} is back"))
+    return result
+
+
+def first_changes(run: RunRecord) -> list[Event]:
+    """The first manipulation of each kind by each adversary."""
+    table, result = run.attacks, []
+    if table is None:
+        return []
+    for name in np.unique(table["interposer"].astype(str)).tolist():
+        for effect in np.unique(table["effect"][table["interposer"] == name].astype(str)).tolist():
+            own = rows(table, (table["interposer"] == name) & (table["effect"] == effect))
+            first = int(np.argmin(own["frame"]))
+            when = "before" if effect == "removed" else "after"
+            x, y = (float(own[f"{when}_{axis}"][first]) for axis in "xy")
+            place = (round(x, 2), round(y, 2)) if effect in EFFECTS and np.isfinite([x, y]).all() else (None, None)
+            action = (
+                f"{EFFECTS[effect]} its first object" if effect in EFFECTS else f"changes its first message ({effect})"
+            )
+            result.append(Event(int(own["frame"][first]), "effect", f"{name} {action}", *place))
+    return result
+
+
+def spans(run: RunRecord, times: Floats) -> list[dict[str, Any]]:
+    """Attacks, faults, interceptions and suspensions as periods.
+
+    Each has label, kind, from_s, until_s (within the run, s), nodes, and `begins` and `ends`, what to say when it does;
+    faults of links also `cut` or `impaired`, the agents whose link to the command centre is. Nothing is said of nodes
+    that are lost: `node_absences` has them.
+    """
+    end = float(times[-1]) + run.period_s if len(times) else 0.0
+    result: list[dict[str, Any]] = []
+
+    def add(
+        label: str, kind: str, start: float, until: float | None, nodes: Iterable[str], begins: str = "", ends: str = ""
+    ) -> None:
+        if start < end:
+            until = end if until is None else min(until, end)
+            period = {"from_s": round(start, 3), "until_s": round(until, 3), "begins": begins, "ends": ends}
+            result.append({"label": label, "kind": kind, **period, "nodes": list(nodes)})
+
+    for each in run.timeline:
+        kind = "attack" if each["kind"] == "attack" else "fault"
+        before, label = len(result), str(each["label"])
+        words = f"{label} begins", f"{label} {'ends' if kind == 'attack' else 'heals'}"
+        add(label, kind, float(each["at_s"]), each.get("until_s"), each.get("nodes") or (), *words)
+        if result[before:] and kind == "fault":
+            result[-1] |= _affected_links(run, each)
+    for node, start, until in absences(run):
+        add(f"{node} lost", "fault", start * run.period_s, until * run.period_s, [node])
+    opened: dict[str, dict[str, Any]] = {}
+    for event in run.run.get("interceptions", ()):
+        at, node = second(times, int(event["frame"])), event["node"]
+        wires = ", ".join(event["wires"])
+        if event["action"] == "intercept":
+            words = f"{node} inserted on {wires}", f"{node} removed from {wires}"
+            add(f"{node} inserted live", "interception", at, None, [node], *words)
+            opened[node] = result[-1]
+        elif node in opened:
+            verb = "released" if event["action"] == "release" else "cut off"
+            opened.pop(node).update(until_s=round(at, 3), ends=f"{node} {verb} from {wires}")
+    for each in suspensions(run):
+        agent, period = each["agent"], (float(each["from_s"]), each["until_s"])
+        words = f"the command centre suspends {agent}", f"the suspension of {agent} is lifted"
+        add(f"{agent} suspended", "suspension", *period, [agent], *words)
+    return sorted(result, key=lambda each: (each["from_s"], each["label"]))
+
+
+def _affected_links(run: RunRecord, fault: dict[str, Any]) -> dict[str, list[str]]:
+    """The agents whose link to the command centre a fault cuts or impairs; {}: none, or a fault of processes."""
+    if fault.get("backend") not in ("links", "network"):
+        return {}
+    agents = list(run.recording.agent_names) if run.recording else list(run.metrics.get("agents", ()))
+    nodes = fault.get("nodes") or ()
+    # A partition of the centre's host separates the agents elsewhere.
+    centre = any(run.role(node) in ("broker", "command_center") for node in nodes)
+    separated = [agent for agent in agents if (agent in nodes) != centre]
+    if not separated:
+        return {}
+    return {"cut" if str(fault.get("type")) in PARTITIONS else "impaired": separated}
+
+
+def second(times: Floats, frame: int) -> float:
+    """The time of a frame in s; of frames outside the run, that of its first or last."""
+    return float(times[min(max(frame, 0), len(times) - 1)]) if len(times) else 0.0
+
+
+def absences(run: RunRecord) -> list[tuple[str, float, float]]:
+    """(node, frame of its loss, frame of its return) of lost nodes."""
+    lost, lost_since = [], dict[str, float]()
+    for each in run.lost:
+        if each["what"] == LOST:
+            lost_since.setdefault(each["node"], each["frame"])
+        elif each["node"] in lost_since:
+            lost.append((each["node"], lost_since.pop(each["node"]), float(each["frame"])))
+    return [*lost, *((node, start, np.inf) for node, start in lost_since.items())]
+
+
+def node_absences(run: RunRecord) -> list[tuple[str, float, float]]:
+    """(node, first frame without it, frame of its return or inf): stopped, paused, cut off or lost."""
+    result, down_since = absences(run), dict[str, float]()
+    for step in run.run.get("steps") or ():
+        node, frame = str(step["node"]), float(step["frame"])
+        if step["action"] not in ("start", "resume", "connect"):
+            down_since.setdefault(node, frame)
+        elif node in down_since:
+            result.append((node, down_since.pop(node), frame))
+    return [*result, *((node, since, float("inf")) for node, since in down_since.items())]
+
+
+def states_at(run: RunRecord, frame: int) -> dict[str, str]:
+    """The state of each agent in a frame: the one in the latest message up to then."""
+    states: dict[str, str] = {}
+    if run.trust is not None:
+        earlier = rows(run.trust, run.trust["frame"] <= frame)
+        states.update(zip(earlier["agent"].tolist(), earlier["state"].tolist(), strict=True))  # sorted by frame
+    return states
+
+
+def withheld_at(run: RunRecord, frame: int) -> tuple[Floats, Floats, Floats]:
+    """Positions (n, 3) m, sizes (n, 3) m and yaws (n,) rad of the objects withheld in a frame."""
+    table = run.trust_objects
+    if table is None:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    here = rows(table, (table["frame"] == frame) & table["withheld"].astype(bool))
+    position, size = (np.column_stack([column(here, name) for name in names]) for names in ("xyz", "lwh"))
+    return position, size, column(here, "yaw")
+
+
+def state_spans(table: Table, state: str, end_s: float) -> Spans:
+    """When an agent was in a state.
+
+    table: its rows of the trust table;  end_s: s, of the run
+    """
+    times = np.append(column(table, "time_s"), end_s)
+    return _spans(np.asarray(table["state"] == state), times)
+
+
+def lie_frames(run: RunRecord, agent: str) -> Ints:
+    """(n,) The frames in which adversaries changed what an agent sent, as measured on its wires."""
+    changes = run.attacks
+    if changes is None:
+        return np.zeros(0, np.int64)
+    wires = [
+        wire
+        for wire in np.unique(changes["wire"]).tolist()
+        if agent_of(wire) == agent and wire.rpartition("/")[2] in UPSTREAM
+    ]
+    return np.unique(changes["frame"][np.isin(changes["wire"], wires)]).astype(np.int64)
+
+
+def lie_spans(run: RunRecord, agent: str) -> Spans:
+    """When adversaries changed what an agent sent, as measured on its wires."""
+    frames = lie_frames(run, agent)
+    if not len(frames):
+        return []
+    every = np.arange(frames[0], frames[-1] + 2)
+    seconds = run.seconds(every)
+    times = every * run.period_s if seconds is None else seconds
+    return _spans(np.isin(every[:-1], frames), times)
+
+
+def fault_spans(run: RunRecord, agent: str, end_s: float) -> list[tuple[str, float, float]]:
+    """Type, beginning and end of the faults of an agent, as planned; end_s: s, of the run."""
+    config = run.evaluator_config or {}
+    return [
+        (str(kind), float(start), end_s if end is None else min(float(end), end_s))
+        for kind, start, end in config.get("faults", {}).get(agent, ())
+    ]
+
+
+def suspensions(run: RunRecord) -> list[dict[str, Any]]:
+    """All suspensions of a run in the order of their beginnings, each with its agent; see docs/metrics.md."""
+    agents = run.metrics.get("integrity", {}).get("agents", {})
+    every = [{"agent": name, **each} for name, agent in agents.items() for each in agent["suspensions"]]
+    return sorted(every, key=lambda each: (each["from_s"], each["agent"]))
+
+
+def _spans(active: Bools, times: Floats | Sequence[float]) -> Spans:
+    """Periods in which something holds; times: (n + 1,) s, of n rows and of the end."""
+    edges = np.diff(active.astype(np.int8), prepend=0, append=0)
+    starts, ends = np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist()
+    return [(float(times[start]), float(times[end])) for start, end in zip(starts, ends, strict=True)]

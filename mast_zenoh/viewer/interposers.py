@@ -1,0 +1,240 @@
+"""The interposers and nodes of a run: wires, measured effects, agreement of reports, failures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.control import failures
+from mast_zenoh.control.failures import how_often
+from mast_zenoh.viewer.run import RunRecord, agent_of
+
+#: Effects with their own column; all others share one.
+EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
+#: Verdicts that need attention.
+BAD = ("crashed", "failed", "silent", "disagrees")
+#: Effects on objects, counted in rows: an object in a message. The others are counted in messages.
+OF_OBJECTS = ("inserted", "removed", "moved", "altered")
+
+
+@dataclass(frozen=True, slots=True)
+class Interposer:
+    """A node on wires.
+
+    wires:    keys;  agents: owners of these wires;  before: agents whose copy of the picture alone passes through it
+    live:     first frame on its wire, if inserted during the run
+    released: first frame after its removal, if removed during the run
+    effects:  measured number of objects or messages by effect; None: not measured
+    received: incoming messages; reports: changes that it reported; unreported: measured but not reported;
+              unfounded: reported but not measured
+    verdict:  "agrees", "silent", "disagrees", "nothing to report", "failed" (a handler), "crashed" (its process) or
+              "not measured"
+    failures: of its handlers, or how its process ended, in words; empty: none
+    failed_frames: number of frames in which a handler failed
+    objects:  by effect of OF_OBJECTS, number of scene objects in its rows, and whether some rows are clutter; only
+              where this is known for all rows
+    """
+
+    name: str
+    role: str
+    wires: tuple[str, ...]
+    agents: tuple[str, ...] = ()
+    before: tuple[str, ...] = ()
+    live: int | None = None
+    released: int | None = None
+    effects: Mapping[str, int] | None = None
+    received: int | None = None
+    reports: int = 0
+    unreported: int = 0
+    unfounded: int = 0
+    verdict: str = "not measured"
+    failures: str = ""
+    failed_frames: int = 0
+    objects: Mapping[str, tuple[int, bool]] = field(default_factory=dict)
+
+    @property
+    def is_link(self) -> bool:
+        """Whether it models the network; all other interposers count as adversaries."""
+        return self.role == "link"
+
+    @property
+    def changed(self) -> int:
+        """The measured number of its changes."""
+        return sum(count for name, count in (self.effects or {}).items() if name != "unsettled")
+
+    @property
+    def other(self) -> str:
+        """Effects that are not in EFFECTS, in words."""
+        more = {name: n for name, n in (self.effects or {}).items() if name not in EFFECTS}
+        return ", ".join(f"{count} {name}" for name, count in more.items())
+
+    @property
+    def reports_text(self) -> str:
+        """The number of its reports, with contradictions to measurements."""
+        if not self.reports:
+            return "nothing"
+        contradictions = [f"{self.unreported} unreported"] * bool(self.unreported)
+        contradictions += [f"{self.unfounded} unfounded"] * bool(self.unfounded)
+        return str(self.reports) + (f" ({', '.join(contradictions)})" if contradictions else "")
+
+    @property
+    def place(self) -> str:
+        """Its wires, and the subscribers that it serves, if not all."""
+        before = f" only before {', '.join(self.before)}" if self.before else ""
+        return ", ".join(self.wires) + before
+
+    @property
+    def description(self) -> str:
+        """Its name, and its first frame if inserted live."""
+        return f"{self.name} (inserted live in frame {self.live})" if self.live is not None else self.name
+
+
+def interposers(run: RunRecord) -> tuple[Interposer, ...]:
+    """Every interposer of a run, including live ones: adversaries first, then links."""
+    wires: dict[str, dict[str, None]] = {}
+    before: dict[str, dict[str, None]] = {}
+    for wire in run.wiring.get("wires", []):
+        for node in wire.get("interposers", ()):
+            wires.setdefault(node, {})[wire["key"]] = None
+        for leg in wire.get("legs", ()):
+            if leg.get("before", wire.get("subject")) != wire.get("subject"):  # nobody else needs an agent's own wire
+                before.setdefault(leg["from"], {})[leg["before"]] = None
+    measured = run.metrics.get("interposers", {})
+    for node, summary in measured.items():
+        wires.setdefault(node, {}).update(dict.fromkeys(summary.get("wires", ())))
+    live: dict[str, int] = {}
+    released: dict[str, int] = {}
+    for event in run.run.get("interceptions", ()):
+        node = event["node"]
+        wires.setdefault(node, {}).update(dict.fromkeys(event.get("wires", ())))
+        (live if event["action"] == "intercept" else released)[node] = event["frame"]
+    result = []
+    for node, keys in wires.items():
+        crash, summary = _crash(run, node), measured.get(node, {})
+        failed_frames = frames_of(failures_of(run.run.get("nodes", {}).get(node, {})))
+        agents = dict.fromkeys(agent for agent in map(agent_of, keys) if agent)
+        result.append(
+            Interposer(
+                name=node,
+                role=run.role(node),
+                wires=tuple(keys),
+                agents=tuple(agents),
+                before=tuple(before.get(node, ())),
+                live=live.get(node),
+                released=released.get(node),
+                effects=summary.get("effects"),
+                received=summary.get("messages"),
+                reports=summary.get("reports", 0),
+                unreported=summary.get("unreported", 0),
+                unfounded=summary.get("unfounded", 0),
+                verdict=_verdict(failed_frames, crash) or summary.get("agreement", "not measured"),
+                failures=crash,
+                failed_frames=failed_frames,
+                objects=_objects(run, node, summary.get("effects") or {}),
+            )
+        )
+    return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
+
+
+def adversaries_by_agent(all_interposers: tuple[Interposer, ...]) -> dict[str, tuple[str, ...]]:
+    """Adversaries by the agent on whose wires, or before which, they sit."""
+    result: dict[str, list[str]] = {}
+    for each in all_interposers:
+        for agent in () if each.is_link else (*each.agents, *each.before):
+            result.setdefault(agent, []).append(each.name)
+    return {agent: tuple(names) for agent, names in sorted(result.items())}
+
+
+def _verdict(failed_frames: int, crash: str) -> str:
+    """The verdict on failures; empty: none."""
+    return "failed" if failed_frames else "crashed" if crash else ""
+
+
+def _objects(run: RunRecord, node: str, effects: Mapping[str, int]) -> dict[str, tuple[int, bool]]:
+    """Number of objects and presence of clutter by effect, where every row is known."""
+    if run.targets is None:
+        return {}
+    objects = {}
+    for effect in OF_OBJECTS:
+        ids = run.targets["object"][(run.targets["adversary"] == node) & (run.targets["kind"] == effect)]
+        if len(ids) and len(ids) == effects.get(effect):
+            real = ids if effect == "inserted" else ids[ids >= 0]
+            objects[effect] = len(np.unique(real)), len(real) < len(ids)
+    return objects
+
+
+def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:
+    """Number of frames with failures of the handler that failed most often."""
+    return max((int(str(entry.get("frames", entry["count"]))) for entry in failures), default=0)
+
+
+def _crash(run: RunRecord, node: str) -> str:
+    """How a node's handlers or process failed, in words; empty: as expected."""
+    record = run.run.get("nodes", {}).get(node, {})
+    failures = failures_of(record)
+    if failures:
+        first = failures[0]
+        return f"{first['handler']} failed {how_often(first)}"
+    if record.get("exit") and not exit_expected(record) and run.run.get("status") != "interrupted":
+        return str(record.get("ended") or f"exit code {record['exit']}")
+    return ""
+
+
+def exit_expected(node: Mapping[str, Any]) -> bool:
+    """Whether a node ended by scenario or request, without a crash after restart."""
+    parts = str(node.get("ended")).split("; ")
+    endings = parts if parts[-1] == "ok" else parts[-2:]
+    return any(words in part for part in endings for words in ("by the scenario", "released", "told to leave"))
+
+
+def failures_of(node: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The failed handlers of a node of run.json; older runs hold only their number."""
+    failures = node.get("failures") or []
+    if isinstance(failures, Mapping):
+        unknown = "the exception is in the node's log, in a run of an older version"
+        return [{"handler": name, "count": count, "exception": unknown} for name, count in failures.items()]
+    return [dict(entry) for entry in failures]
+
+
+def node_row(run: RunRecord, name: str) -> dict[str, Any]:
+    """What run.json says about a node, for a row of the table."""
+    record = run.run["nodes"][name]
+    return {key: record.get(key) for key in ("pid", "exit", "restarts")} | {
+        "role": run.role(name),
+        "ended": record.get("ended") or "not known",
+        "bad": record.get("ended") != "ok" and not exit_expected(record),
+        "last_frame": record.get("last_frame"),
+        "troubles": _troubles(record),
+    }
+
+
+def failure_lines(run: RunRecord) -> list[str]:
+    """A line for each handler that failed."""
+    nodes = run.run.get("nodes", {})
+    failed = {name: failures_of(node) for name, node in nodes.items() if node.get("failures")}
+    located = {name: [entry for entry in entries if "where" in entry] for name, entries in failed.items()}
+    lines = failures.lines(located, {name: nodes[name].get("log") or "not written" for name in located})
+    unlocated = [(name, entry) for name, entries in failed.items() for entry in entries if "where" not in entry]
+    return lines + [
+        f"{name}.{entry['handler']} failed {failures.how_often(entry)}: {entry['exception']}"
+        for name, entry in unlocated
+    ]
+
+
+def _troubles(record: Mapping[str, Any]) -> str:
+    """Rejected messages and handler failures of a node; empty: none."""
+    refused, foreign = (_total(record.get(key)) for key in ("rejected", "foreign"))
+    counts = (
+        (refused, "messages rejected"),
+        (foreign, "messages from outside the run"),
+        (sum(entry["count"] for entry in failures_of(record)), "handler failures"),
+    )
+    return ", ".join(f"{number} {label}" for number, label in counts if number)
+
+
+def _total(counts: object) -> int:
+    """The sum of counts by key; older runs hold the sum itself."""
+    return sum(counts.values()) if isinstance(counts, Mapping) else int(str(counts or 0))

@@ -1,0 +1,525 @@
+"""Frames of a run, finished or running, as one block of bytes: everything that the page shows of them.
+
+The block holds a header (JSON) and columns of integers (`columns`). `docs/viewer.md` describes the content.
+objects.parquet has a row per box, agent and estimate: a truth object appears up to thirty times in a frame, and the
+picture once for every agent. Here a box is stored once, next to the same object's box in the next frame, so that
+neighbours differ little. Velocities, covariances and classes come from the messages and the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.geometry import heading
+from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
+from mast_zenoh.errors import MastError
+from mast_zenoh.launch.tables import read_arrow
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
+from mast_zenoh.metrics.estimates import ESTIMATES
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.viewer.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
+from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
+from mast_zenoh.viewer.page.columns import Packer
+from mast_zenoh.viewer.palette import STATES, page_colours
+from mast_zenoh.viewer.run import RunRecord, Table, column, rows
+
+FORMAT = 1
+#: m, rad and 1: resolution of positions and sizes, of headings, and of scores.
+LENGTH, ANGLE, SCORE = 0.01, 0.002, 0.01
+#: m/s, m and 1: resolution of velocities, of standard deviations and of correlations; m, of the swept free space.
+_SPEED, _SPREAD, _CORRELATION, _SWEPT = 0.05, 0.02, 0.02, 0.5
+#: m, greatest standard deviation that is kept: more is not drawn.
+_MOST_M = 300.0
+#: Flags of an agent in a frame, above its state (0: not judged, else 1 + the row of STATES).
+DOWN, LYING = 8, 16
+#: Damage to objects.parquet, which the report names among its missing files.
+_DAMAGE = (OSError, ValueError, KeyError, pyarrow.ArrowException)
+_GEOMETRY = ("x", "y", "z", "l", "w", "h", "yaw")
+_COLUMNS = ("frame", "agent", "estimator", "kind", "outcome", "id", "match_id", *_GEOMETRY)
+
+
+class View(NamedTuple):
+    """An estimate of an agent that has its own boxes."""
+
+    agent: str
+    estimate: str
+
+
+class Meaning(NamedTuple):
+    """What a box is in a view: outcome, cause and adversary (empty: none)."""
+
+    outcome: str
+    cause: str
+    by: str
+
+
+class Truth(NamedTuple):
+    """The n objects of the scene in some frames. frame: (n,)"""
+
+    frame: Ints
+    states: ObjectStates
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTable:
+    """m boxes, those of one object in consecutive rows, and their meaning in v views.
+
+    truth:    (m,) whether a box is the truth, not a track
+    frame, id: (m,)
+    geometry: (m, 7) x y z l w h in m, yaw in rad;  score: (m,) 0 to 1, 0 for truth
+    codes:    (v, m) 0: not in this view; otherwise 1 + the row of `meanings`
+    matches:  (v, m) id of the object that a matched track follows; -1: none
+    """
+
+    truth: Bools
+    frame: Ints
+    id: Ints
+    geometry: Floats
+    score: Floats
+    views: tuple[View, ...]
+    meanings: tuple[Meaning, ...]
+    codes: NDArray[np.uint16]
+    matches: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The agents in f frames. position: (f, a, 3) m;  rotation: (f, a, 3, 3) agent to world;  sweeps: of a Recording"""
+
+    position: Floats
+    rotation: Floats
+    sweeps: tuple[NDArray[Any], ...]
+
+
+def run_block(run: RunRecord, frame: int | None = None, label: str = "") -> bytes | None:
+    """The block of a finished run; None if it has nothing to show: neither boxes nor a scene.
+
+    frame: the frame to show first; None: the first of the run
+    label: the name that the page gives it; empty: its own
+    Raises ValueError if a number is too large for the block.
+    """
+    scene = run.recording
+    truth = truth_of(scene)
+    try:
+        boxes = boxes_of(read_arrow(run.path / "objects.parquet"), truth)
+    except _DAMAGE:
+        boxes = boxes_of(None, truth)
+    if not len(boxes.frame):
+        return None
+    frames = int(boxes.frame.max()) + 1
+    if frame is not None and frame >= frames:
+        raise ValueError(f"found frame {frame}, expected one of 0 to {frames - 1}")
+    seconds = run.seconds(np.arange(frames))
+    times = np.asarray(np.arange(frames) * run.period_s if seconds is None else seconds, np.float64)
+    surroundings = None
+    if scene is not None:
+        shown = np.minimum(np.arange(frames), len(scene) - 1)  # a scene that is shorter keeps its last poses
+        sweeps = tuple(sweep[shown] for sweep in scene.sweeps)
+        surroundings = Surroundings(scene.agent_position[shown], scene.agent_rotation[shown], sweeps)
+    packer = Packer()
+    packer.add("time", times, scale=1e-3)
+    try:
+        motion = motion_of(boxes, truth, _recorded_tracks(run.path))
+    except (MastError, OSError):
+        motion = motion_of(boxes, truth, ())
+    periods = spans(run, times)
+    header = {
+        **pack_frames(packer, run, boxes, motion, surroundings, range(frames)),
+        "label": label or run.label,
+        "folder": run.path.name,
+        "frame": frame if frame is not None else 0,
+        "recorded": (run.path / "messages.mcap").is_file(),
+        "spans": periods,
+        "events": _events(run, boxes, periods, times),
+    }
+    return packer.block(header)
+
+
+def pack_frames(
+    packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, surroundings: Surroundings | None, frames: range
+) -> dict[str, Any]:
+    """Add all columns of some frames but their times, and return the part of the header that describes them.
+
+    motion: from `motion_of`;  surroundings: None: not known;  frames: their numbers in the run
+    """
+    header: dict[str, Any] = {
+        "format": FORMAT,
+        "id": str(run.run.get("id", "")),
+        "frames": len(frames),
+        "ego": run.ego or "",
+        "scored": run.scored_frames,
+        "gate_m": run.gate_m,
+        "range_m": run.range_m,
+        "classes": CLASSES,
+        "colours": page_colours(),
+    }
+    header |= _add_boxes(packer, run, boxes, motion, frames.start)
+    header |= _add_surroundings(packer, run, surroundings)
+    header |= _add_agent_states(packer, run, [agent["name"] for agent in header["agents"]], frames)
+    header |= _add_manipulations(packer, run, frames.start)
+    _add_withheld(packer, run, frames.start)
+    header["series"] = _add_series(packer, run, frames)
+    return header
+
+
+def truth_of(scene: Recording | None) -> Truth:
+    """All objects of a scene."""
+    if scene is None:
+        return Truth(np.zeros(0, np.int64), ObjectStates.empty())
+    return Truth(np.repeat(np.arange(len(scene)), np.diff(scene.truth_start)), scene.truth)
+
+
+def boxes_of(content: Any | None, truth: Truth) -> BoxTable:
+    """The boxes of an Arrow table with the columns of objects.parquet, None: absent; and all objects of the scene.
+
+    Raises ValueError if a column is absent.
+    """
+    if content is None:
+        content = pyarrow.table({name: pyarrow.array([], pyarrow.int64()) for name in _COLUMNS})
+    table, names = _table(content)
+    views = tuple(View(*pair) for pair in names["view"])
+    is_truth = table["kind"] == 1
+    # The truth of a frame is the same in every view: its id alone identifies it.
+    geometry = np.stack([table[name] for name in _GEOMETRY], axis=1)
+    score = np.nan_to_num(table["score"])
+    of_tracks = np.where(is_truth[:, None], 0.0, np.column_stack([geometry, score]))
+    key = row_keys(table["frame"], table["id"], is_truth, of_tracks)
+    unique, first, row = np.unique(key, return_index=True, return_inverse=True)
+    stream = np.full(len(unique), len(views))
+    np.minimum.at(stream, row, table["view"])
+    columns = [is_truth[first], table["frame"][first], table["id"][first], geometry[first], score[first]]
+    unseen = _unseen(truth, columns[0], columns[1], columns[2])
+    columns = [np.concatenate(pair) for pair in zip(columns, unseen, strict=True)]
+    stream = np.where(columns[0], -1, np.append(stream, np.zeros(len(unseen[0]), int)))
+    order = np.lexsort((columns[1], columns[2], stream))
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    codes = np.zeros((len(views), len(order)), np.uint16)
+    codes[table["view"], place[row]] = table["meaning"] + 1
+    matches = np.full((len(views), len(order)), -1, np.int64)
+    followed = ~is_truth & (table["match_id"] >= 0)
+    matches[table["view"][followed], place[row[followed]]] = table["match_id"][followed]
+    meanings = tuple(Meaning(*each) for each in names["meaning"])
+    is_truth, frame, ids, geometry, score = (each[order] for each in columns)
+    return BoxTable(is_truth, frame, ids, geometry, score, views, meanings, codes, matches)
+
+
+def _table(content: Any) -> tuple[Table, dict[str, list[tuple[str, ...]]]]:
+    """The columns as numbers, with `view` and `meaning` as rows of the returned names."""
+    if absent := sorted(set(_COLUMNS) - set(content.column_names)):
+        raise ValueError(f"found no column {', '.join(absent)}")
+    count = content.num_rows
+    table = {name: content[name].to_numpy() for name in ("frame", "id", "match_id", *_GEOMETRY)}
+    table["score"] = content["score"].to_numpy() if "score" in content.column_names else np.zeros(count)
+    text = {name: _words(content, name) for name in ("agent", "estimator", "kind", "outcome", "cause", "by")}
+    kind_words, kinds = text["kind"]
+    table["kind"] = np.array([word == "truth" for word in kind_words], np.int64)[kinds] if count else kinds
+    names = {}
+    for name, parts in (("view", ("agent", "estimator")), ("meaning", ("outcome", "cause", "by"))):
+        combined = np.zeros(count, np.int64)
+        for part in parts:
+            combined = combined * (len(text[part][0]) + 1) + text[part][1]
+        _, first, table[name] = np.unique(combined, return_index=True, return_inverse=True)
+        names[name] = [tuple(text[part][0][text[part][1][row]] for part in parts) for row in first]
+    return table, names
+
+
+def _words(content: Any, name: str) -> tuple[list[str], Ints]:
+    """The distinct texts of a column, and the row of each in them; one empty text if the column is absent."""
+    if name not in content.column_names:
+        return [""], np.zeros(content.num_rows, np.int64)
+    column = content[name].combine_chunks()
+    column = column.chunk(0) if hasattr(column, "chunk") else column
+    if not hasattr(column, "dictionary"):  # of another writer
+        words, place = np.unique(np.array(column.to_pylist(), str), return_inverse=True)
+        return words.tolist(), place.astype(np.int64)
+    return column.dictionary.to_pylist(), column.indices.to_numpy(zero_copy_only=False).astype(np.int64)
+
+
+def _unseen(truth: Truth, is_truth: Bools, frame: Ints, ids: Ints) -> list[NDArray[Any]]:
+    """The objects of the scene that no view has, as columns of BoxTable up to the score."""
+    states, last = truth.states, frame.max() if len(frame) else truth.frame.max(initial=-1)
+    known = row_keys(frame[is_truth], ids[is_truth])
+    new = ~np.isin(row_keys(truth.frame, states.id), known) & (truth.frame <= last)
+    geometry = np.column_stack([states.position, states.size, states.yaw])[new]
+    return [np.ones(new.sum(), bool), truth.frame[new], states.id[new], geometry, np.zeros(new.sum())]
+
+
+def row_keys(*columns: NDArray[np.generic]) -> NDArray[np.uint64]:
+    """(n,) A 64-bit hash of the bits of each row."""
+    result = np.zeros(len(columns[0]), np.uint64)
+    for values in columns:
+        numbers = np.asarray(values, np.float64)
+        for part in numbers.T if numbers.ndim > 1 else [numbers]:
+            bits = np.ascontiguousarray(part + 0.0).view(np.uint64)
+            result = (result ^ bits) * np.uint64(0x9E3779B97F4A7C15)
+            result ^= result >> np.uint64(29)
+    return result
+
+
+def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]]) -> Table:
+    """What is known of m boxes besides their geometry.
+
+    known:    (m,) bool;  the other columns are 0 where it is False
+    velocity: (m, 2) m/s, world frame
+    spread:   (m, 3) standard deviations in m of x and of y, and their correlation; 0: exact, or not known
+    kind:     (m,) index into CLASSES
+
+    tracks: frame and columns of the messages that hold the tracks, on every leg of their wires
+    """
+    count = len(boxes.frame)
+    motion = {
+        "known": np.zeros(count, bool),
+        "velocity": np.zeros((count, 2)),
+        "spread": np.zeros((count, 3)),
+        "kind": np.zeros(count, np.int64),
+    }
+    keys, of_tracks = _motion_of_tracks(tracks)
+    scene: Table = {"velocity": truth.states.velocity[:, :2], "kind": truth.states.class_id}
+    own = row_keys(boxes.frame, boxes.id)
+    placed = row_keys(boxes.frame, boxes.id, boxes.geometry[:, :2])
+    for own_keys, wanted, known_keys, values in (
+        (own, boxes.truth, row_keys(truth.frame, truth.states.id), scene),
+        (placed, ~boxes.truth, keys, of_tracks),
+    ):
+        if not len(known_keys):
+            continue
+        order = np.argsort(known_keys, kind="stable")
+        place = order[np.minimum(np.searchsorted(known_keys, own_keys, sorter=order), len(known_keys) - 1)]
+        found = (known_keys[place] == own_keys) & wanted
+        motion["known"][found] = True
+        for name in values:
+            motion[name][found] = values[name][place[found]]
+    return motion
+
+
+def _recorded_tracks(folder: Path) -> Iterator[tuple[int, Body]]:
+    """Frame and columns of all recorded tracks."""
+    for message in read(folder):
+        if not message.malformed and message.message in ("tracks", "picture"):
+            yield message.frame, codec.decode_lazily(message.payload, message.type).body
+
+
+def _motion_of_tracks(tracks: Iterable[tuple[int, Body]]) -> tuple[NDArray[np.uint64], Table]:
+    """Keys of tracks with the columns of `motion_of`."""
+    keys, velocity, spread, kind = [], [], [], []
+    for frame, body in tracks:
+        position, covariance = body["position"], body["covariance"]
+        keys.append(row_keys(np.full(len(position), frame), body["id"], position[:, :2]))
+        velocity.append(body["velocity"][:, :2])
+        x, y, both = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+        deviations = np.sqrt(np.maximum(np.stack([x, y], axis=1), 0.0))
+        product = np.maximum(deviations.prod(axis=1), 1e-12)
+        correlation = np.clip(both / product, -1.0, 1.0)
+        spread.append(np.column_stack([np.minimum(deviations, _MOST_M), correlation]))
+        kind.append(body["class_id"])
+    if not keys:
+        return np.zeros(0, np.uint64), {}
+    columns = {"velocity": velocity, "spread": spread, "kind": kind}
+    return np.concatenate(keys), {name: np.concatenate(parts) for name, parts in columns.items()}
+
+
+def _add_boxes(packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, first: int) -> dict[str, Any]:
+    """Add the columns of boxes and of their meaning in each view, and return `views` and `meanings`."""
+    packer.add("box.frame", boxes.frame - first)
+    packer.add("box.id", boxes.id)
+    packer.add("box.truth", boxes.truth, differences=False)
+    for index, name in enumerate(_GEOMETRY):
+        packer.add(f"box.{name}", boxes.geometry[:, index], scale=ANGLE if name == "yaw" else LENGTH)
+    packer.add("box.score", boxes.score, scale=SCORE)
+    packer.add("box.known", motion["known"], differences=False)
+    for index, name in enumerate(("vx", "vy")):
+        packer.add(f"box.{name}", motion["velocity"][:, index], scale=_SPEED)
+    for index, (name, scale) in enumerate({"sx": _SPREAD, "sy": _SPREAD, "rho": _CORRELATION}.items()):
+        packer.add(f"box.{name}", motion["spread"][:, index], scale=scale)
+    packer.add("box.kind", motion["kind"], differences=False)
+    packer.add("code", boxes.codes, differences=False)
+    packer.add("match", boxes.matches[boxes.matches >= 0])
+    packer.add("matched", boxes.matches >= 0, differences=False)
+    row_by_view = {tuple(view): row for row, view in enumerate(boxes.views)}
+    views = dict(row_by_view)
+    for agent, pairs in run.metrics.get("same_as", {}).items():
+        for estimate, original in pairs.items():
+            if (agent, original) in row_by_view:
+                views.setdefault((agent, estimate), row_by_view[agent, original])
+    order = list(ESTIMATES)
+    known = sorted((each for each in views if each[1] in order), key=lambda each: (each[0], order.index(each[1])))
+    shown = [{"agent": agent, "estimate": estimate, "row": views[agent, estimate]} for agent, estimate in known]
+    return {
+        "views": shown,
+        "estimates": {key: name.column for key, name in ESTIMATES.items()},
+        "meanings": [list(each) for each in boxes.meanings],
+    }
+
+
+def _add_surroundings(packer: Packer, run: RunRecord, surroundings: Surroundings | None) -> dict[str, Any]:
+    """Add the columns `agents.*` and `swept`, and return `buildings`, their `tops` and `agents` of the header."""
+    scene = run.recording
+    if scene is None or surroundings is None:
+        return {"buildings": [], "tops": [], "agents": []}
+    attacked = adversaries_by_agent(interposers(run))
+    agents: list[dict[str, Any]] = [
+        _agent(agent) | {"adversaries": attacked.get(agent.name, ())} for agent in scene.agents
+    ]
+    for axis, name in enumerate("xyz"):  # frame by frame of one agent: neighbours are alike
+        packer.add(f"agents.{name}", surroundings.position[:, :, axis].T, scale=LENGTH)
+    for name, turn in _turns(scene, surroundings.rotation).items():
+        packer.add(f"agents.{name}", turn.T, scale=ANGLE)
+    if surroundings.sweeps:
+        swept = [_swept(sweep, agent) for sweep, agent in zip(surroundings.sweeps, scene.agents, strict=True)]
+        for entry, distances in zip(agents, swept, strict=True):
+            entry["sectors"] = distances.shape[1]
+        packer.add("swept", np.concatenate([each.T.ravel() for each in swept]), scale=_SWEPT)
+    outlines = [np.round(outline, 2).tolist() for outline in scene.buildings]
+    return {"buildings": outlines, "tops": np.round(scene.building_height, 2).tolist(), "agents": agents}
+
+
+def _agent(agent: SceneAgent) -> dict[str, Any]:
+    sensor, camera = agent.sensor, agent.camera
+    return {
+        "name": agent.name,
+        "kind": agent.kind,
+        "object": agent.object_id,
+        "range_m": sensor.max_range_m,
+        "sector": [float(np.radians(sensor.azimuth_min_deg)), float(np.radians(sensor.azimuth_max_deg))],
+        "camera": {
+            "position": np.asarray(camera.mount_position, float).tolist(),
+            "rotation": np.asarray(camera.mount_rotation, float).ravel().tolist(),
+            **{name: getattr(camera, name) for name in ("width", "height", "focal")},
+        },
+    }
+
+
+def _turns(scene: Recording, rotation: Floats) -> dict[str, Floats]:
+    """(f, a) rad: heading of the sensor, and yaw, pitch and roll of the agent."""
+    mounts = np.stack([agent.sensor.mount_rotation for agent in scene.agents])
+    headings = np.stack([heading(rotation[:, i] @ mount) for i, mount in enumerate(mounts)], axis=1)
+    return {
+        "heading": np.unwrap(headings, axis=0),
+        "yaw": np.unwrap(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]), axis=0),
+        "pitch": np.arcsin(np.clip(-rotation[..., 2, 0], -1.0, 1.0)),
+        "roll": np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2]),
+    }
+
+
+def _swept(sweep: NDArray[Any], agent: SceneAgent) -> Floats:
+    """(f, sectors) m, horizontally, to the first obstacle in any band of each sector."""
+    edges = np.radians(
+        np.linspace(agent.sensor.elevation_min_deg, agent.sensor.elevation_max_deg, max(sweep.shape[1], 1) + 1)
+    )
+    across = np.cos((edges[:-1] + edges[1:]) / 2)
+    nearest: Floats = (sweep.astype(np.float64) * across[None, :, None]).min(axis=1)
+    return nearest
+
+
+def _add_agent_states(packer: Packer, run: RunRecord, names: list[str], frames: range) -> dict[str, Any]:
+    """Add the states of agents and `trust`, a row per agent and frame."""
+    numbers = np.arange(frames.start, frames.stop)
+    state, trust = np.zeros((len(names), len(frames)), np.int64), np.full((len(names), len(frames)), -1.0)
+    for row, name in enumerate(names):
+        if run.trust is not None:
+            own = rows(run.trust, run.trust["agent"] == name)
+            place = np.searchsorted(own["frame"], numbers, side="right") - 1
+            if len(own["frame"]):
+                codes = np.array([1 + list(STATES).index(each) for each in own["state"].tolist()])
+                state[row] = np.where(place >= 0, codes[place], 0)
+                trust[row] = np.where(place >= 0, column(own, "mean")[place], -1.0)
+        for node, start, end in node_absences(run):
+            if node == name:
+                state[row, (numbers >= int(start)) & (numbers < end)] += DOWN
+        state[row, np.isin(numbers, lie_frames(run, name))] += LYING
+    packer.add("agents.state", state)
+    packer.add("trust", trust, scale=0.001)
+    return {"states": list(STATES), "flags": {"down": DOWN, "lying": LYING}, "judged": run.trust is not None}
+
+
+def _add_manipulations(packer: Packer, run: RunRecord, first: int) -> dict[str, Any]:
+    """Add the columns `effects.*`: a row per object that an adversary inserted, removed or moved in a message."""
+    effects = list(EFFECTS)
+    places = ("before_x", "before_y", "before_z", "after_x", "after_y", "after_z")
+    table = run.attacks if run.attacks is not None else {}
+    placed = rows(table, np.isin(table["effect"], effects)) if table else {}
+    if placed:
+        order = np.lexsort((placed["frame"], placed["interposer"]))
+        placed = {name: values[order] for name, values in placed.items()}
+    none = np.zeros(0, str)
+    subscriber = placed.get("before_subscriber", none).astype(str)
+    adversaries, subscribers = (sorted(set(map(str, each))) for each in (placed.get("interposer", none), subscriber))
+    packer.add("effects.frame", placed.get("frame", np.zeros(0)) - first)
+    packer.add("effects.effect", np.array([effects.index(each) for each in placed.get("effect", ())]))
+    packer.add("effects.by", np.array([adversaries.index(each) for each in placed.get("interposer", ())]))
+    packer.add("effects.downlink", placed.get("message", none) == "picture")
+    packer.add("effects.subscriber", np.array([subscribers.index(each) for each in subscriber]))
+    for name in places:
+        packer.add(f"effects.{name}", np.nan_to_num(column(placed, name)) if placed else np.zeros(0), scale=LENGTH)
+    return {"effects": effects, "adversaries": adversaries, "subscribers": subscribers}
+
+
+def _add_withheld(packer: Packer, run: RunRecord, first: int) -> None:
+    """Add the columns `withheld.*`: the objects that the command centre withholds."""
+    names = ("frame", "id", *_GEOMETRY)
+    withheld: Table = {name: np.zeros(0) for name in names}
+    if (table := run.trust_objects) is not None:
+        withheld = rows(table, table["withheld"].astype(bool))
+        order = np.lexsort((withheld["frame"], withheld["id"]))
+        withheld = {name: values[order] for name, values in withheld.items()}
+    for name in names:
+        scale = {"frame": 1.0, "id": 1.0, "yaw": ANGLE}.get(name, LENGTH)
+        packer.add(f"withheld.{name}", column(withheld, name) - (first if name == "frame" else 0), scale=scale)
+
+
+def _add_series(packer: Packer, run: RunRecord, frames: range) -> list[dict[str, str]]:
+    """Add `series.*`, a row per frame of each estimate in metrics.parquet, and return which they are.
+
+    RMSE is -1 where there is no matched pair.
+    """
+    if run.counts is None:
+        return []
+    table = rows(run.counts, (run.counts["frame"] >= frames.start) & (run.counts["frame"] < frames.stop))
+    of_rows = list(zip(table["agent"].tolist(), table["estimator"].tolist(), strict=True))
+    pairs = sorted(set(of_rows))
+    number = {pair: index for index, pair in enumerate(pairs)}
+    series = np.array([number[pair] for pair in of_rows], np.int64)
+    for name in ("fn", "fp", "tp", "rmse_m"):
+        values = np.full((len(pairs), len(frames)), -1.0)
+        values[series, table["frame"].astype(np.int64) - frames.start] = np.nan_to_num(column(table, name), nan=-1.0)
+        packer.add(f"series.{name}", values, scale=0.001 if name == "rmse_m" else 1.0)
+    return [{"agent": agent, "estimate": estimate} for agent, estimate in pairs]
+
+
+def _events(run: RunRecord, boxes: BoxTable, periods: list[dict[str, Any]], times: Floats) -> list[dict[str, Any]]:
+    """All events, the earliest first. periods: from `spans`;  times: (f,) s, of the frames"""
+    everything = [*happenings(run, periods, times), *first_changes(run), *_first_successes(run, boxes)]
+    inside = [each for each in dict.fromkeys(everything) if 0 <= each.frame < len(times)]
+    inside.sort(key=lambda each: (each.frame, each.kind, each.text))
+    return [{name: value for name, value in each._asdict().items() if value is not None} for each in inside]
+
+
+def _first_successes(run: RunRecord, boxes: BoxTable) -> list[Event]:
+    """The first error of each kind in the ego's copy of the picture that is due to each adversary."""
+    result = []
+    for estimate, words in (("picture", "the picture"), ("mission", f"{run.ego} with the picture")):
+        row = next((i for i, view in enumerate(boxes.views) if view == (run.ego, estimate)), None)
+        if row is None:
+            continue
+        for number, meaning in enumerate(boxes.meanings, 1):
+            if not meaning.by or meaning.outcome not in ("false", "missed"):
+                continue
+            places = np.flatnonzero((boxes.codes[row] == number) & (boxes.truth == (meaning.outcome == "missed")))
+            if not len(places):
+                continue
+            first = places[np.argmin(boxes.frame[places])]
+            what = "shows a false object" if meaning.outcome == "false" else "misses an object"
+            text = f"{words} {what} because of {meaning.by} ({meaning.cause})"
+            x, y = (round(float(value), 2) for value in boxes.geometry[first, :2])
+            result.append(Event(int(boxes.frame[first]), "effect", text, x, y))
+    return result

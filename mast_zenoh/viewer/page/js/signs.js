@@ -1,0 +1,168 @@
+// Draws agents, the signs of manipulations and labels, from above and in camera views.
+
+/** @typedef {(wide: number, high: number) => [number, number][]} Places upper left corners for a label of a size, px */
+
+/** px: height of a line. */
+const LINE = 14;
+
+/**
+ * Write lines at the first free place.
+ * @param {{context: CanvasRenderingContext2D, width: number, height: number, palette: import("./palette.js").Palette}} canvas
+ * @param {string[]} lines
+ * @param {Places} places to try, the best first
+ * @param {string} colour
+ * @param {number[][]} taken left, top, right and bottom of all labels so far; the new one is added
+ * @param {{font?: string, needed?: boolean}} [style] needed: written at the first place even if that is taken
+ * @returns {number[] | null} where it is; null: nowhere
+ */
+export function writeLabel(canvas, lines, places, colour, taken, { font = "600 12px system-ui, sans-serif", needed = false } = {}) {
+  const { context, width, height, palette } = canvas;
+  context.font = font;
+  const wide = Math.max(...lines.map((text) => context.measureText(text).width));
+  const high = LINE * lines.length;
+  const tried = places(wide, high);
+  const free = tried.find(([left, top]) => {
+    const inside = left >= 2 && top >= 2 && left + wide <= width - 2 && top + high <= height - 2;
+    return inside && !taken.some((box) => left < box[2] && box[0] < left + wide && top < box[3] && box[1] < top + high);
+  });
+  if (!free && !needed) return null;
+  const [left, top] = free ?? tried[0];
+  const place = [left, top, left + wide, top + high];
+  taken.push(place);
+  context.textAlign = "left";
+  context.textBaseline = "top";
+  context.lineWidth = 3;
+  context.lineJoin = "round";
+  context.strokeStyle = palette.ground;
+  context.fillStyle = colour;
+  lines.forEach((text, index) => {
+    context.strokeText(text, left, top + LINE * index);
+    context.fillText(text, left, top + LINE * index);
+  });
+  return place;
+}
+
+/**
+ * Places above, below and beside a rectangle.
+ * @param {number[]} box left, top, right and bottom
+ * @returns {Places}
+ */
+export function around([left, top, right, bottom]) {
+  return (wide, high) => {
+    const [middle, level] = [(left + right - wide) / 2, (top + bottom - high) / 2];
+    return [[middle, top - high - 2], [middle, bottom + 3], [right + 4, level], [left - wide - 4, level], [right + 2, top - high - 2]];
+  };
+}
+
+/** @param {number[][]} places @returns {number[]} left, top, right, bottom */
+export function boundsOf(places) {
+  const [across, down] = [places.map((each) => each[0]), places.map((each) => each[1])];
+  return [Math.min(...across), Math.min(...down), Math.max(...across), Math.max(...down)];
+}
+
+/** @param {import("./marks.js").AgentMark} mark @param {import("./palette.js").Palette} palette */
+export function colourOfAgent(mark, palette) {
+  if (mark.down) return palette.faint;
+  if (mark.state) return palette.states[mark.state];
+  return mark.adversaries.length ? palette.adversary : palette.agent;
+}
+
+/** @param {import("./marks.js").AgentMark} mark @returns {string} what is wrong with it; empty: nothing */
+export function troubleOf(mark) {
+  if (mark.down) return "down";
+  const troubles = mark.state === "faulty" || mark.state === "suspended" ? [mark.state] : [];
+  if (mark.cutOff) troubles.push("cut off");
+  return troubles.join(", ");
+}
+
+/**
+ * @param {import("./above.js").Canvas} canvas
+ * @param {import("./marks.js").AgentMark[]} agents
+ * @param {number[][]} taken by labels; those of the agents are added
+ */
+export function drawAgents(canvas, agents, taken) {
+  const { viewport, width, height } = canvas;
+  const signs = agents.map((mark) => viewport.toScreen(mark.x, mark.y, width, height));
+  for (const [x, y] of signs) taken.push([x - 12, y - 12, x + 12, y + 12]);
+  for (const mark of agents) {
+    const [x, y] = signs[mark.index];
+    if (x < -20 || y < -20 || x > width + 20 || y > height + 20) continue;
+    const colour = drawAgentSign(canvas, mark, x, y);
+    const trouble = troubleOf(mark);
+    const lines = trouble ? [mark.name, trouble] : [mark.name];
+    writeLabel(canvas, lines, behindOf(x, y, mark.heading), colour, taken, { needed: true });
+  }
+}
+
+/**
+ * Draw the sign of an agent.
+ * @param {{context: CanvasRenderingContext2D, palette: import("./palette.js").Palette}} canvas
+ * @param {import("./marks.js").AgentMark} mark
+ * @param {number} x px @param {number} y px
+ * @returns {string} the colour of its label
+ */
+export function drawAgentSign({ context, palette }, mark, x, y) {
+  const colour = colourOfAgent(mark, palette);
+  context.strokeStyle = colour;
+  context.fillStyle = colour;
+  context.lineWidth = 2;
+  context.beginPath();
+  if (mark.kind === "static") {
+    context.moveTo(x, y - 7);
+    context.lineTo(x + 6, y + 5);
+    context.lineTo(x - 6, y + 5);
+    context.closePath();
+    context.fill();
+  } else {
+    context.arc(x, y, 6.5, 0, 7);
+    context.stroke();
+  }
+  if (mark.down) cross(context, x, y, 10, palette.ink);
+  if (mark.adversaries.length) {
+    context.strokeStyle = palette.adversary;
+    context.lineWidth = mark.lying ? 2.5 : 1.2;
+    context.setLineDash(mark.lying ? [] : [3, 3]);
+    context.beginPath();
+    context.arc(x, y, 12, 0, 7);
+    context.stroke();
+    context.setLineDash([]);
+  }
+  return mark.adversaries.length ? palette.adversary : colour;
+}
+
+/**
+ * Places for the label of an agent: behind it first, not on its way.
+ * @returns {Places}
+ */
+function behindOf(x, y, heading) {
+  return (wide, high) => {
+    const behind = [Math.cos(heading) > 0 ? -wide - 15 : 15, Math.sin(heading) > 0 ? 8 : -high - 8];
+    const places = [behind, [15, -high - 4], [15, 6], [-wide - 15, -high - 4], [-wide - 15, 6], [-wide / 2, 16], [-wide / 2, -high - 16]];
+    return places.map(([dx, dy]) => /** @type {[number, number]} */ ([x + dx, y + dy]));
+  };
+}
+
+/** @param {CanvasRenderingContext2D} context @param {number} size px, half of its height */
+export function drawDiamond(context, x, y, size, colour) {
+  context.strokeStyle = colour;
+  context.lineWidth = 1.8;
+  context.beginPath();
+  context.moveTo(x, y - size);
+  context.lineTo(x + size, y);
+  context.lineTo(x, y + size);
+  context.lineTo(x - size, y);
+  context.closePath();
+  context.stroke();
+}
+
+/** @param {CanvasRenderingContext2D} context */
+export function cross(context, x, y, size, colour) {
+  context.strokeStyle = colour;
+  context.lineWidth = 2;
+  context.beginPath();
+  context.moveTo(x - size / 2, y - size / 2);
+  context.lineTo(x + size / 2, y + size / 2);
+  context.moveTo(x - size / 2, y + size / 2);
+  context.lineTo(x + size / 2, y - size / 2);
+  context.stroke();
+}

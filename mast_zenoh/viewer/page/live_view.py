@@ -1,0 +1,198 @@
+"""Shows a running run in browsers, one block a frame, until it has ended; then all of it."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
+from mast_zenoh.errors import ConfigurationError, MastError
+from mast_zenoh.metrics.record import ESTIMATORS
+from mast_zenoh.scenes.recording import truth_states
+from mast_zenoh.viewer.events import spans
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.live.observed import ObservedRun, is_starting
+from mast_zenoh.viewer.live.observer import POLL_S, Observer
+from mast_zenoh.viewer.page.block import Surroundings, Truth, boxes_of, motion_of, pack_frames
+from mast_zenoh.viewer.page.columns import Packer
+from mast_zenoh.viewer.page.live_server import Feed, LiveServer
+from mast_zenoh.viewer.page.page import policy, viewer_page
+from mast_zenoh.viewer.routes import TRUTH
+from mast_zenoh.viewer.run import RunRecord
+
+#: Niceness of the viewer, the greatest: no frame waits for it. An environment variable changes it.
+_NICENESS, NICENESS = 19, "MAST_VIEWER_NICENESS"
+#: s in which a finished run must have its results.
+_RESULTS_S = 60.0
+#: s after which a page that does not read is taken as stopped.
+_PATIENCE_S = 2.0
+#: Parts of the header that rarely change: the page gets them once, and again when they change.
+LASTING = (
+    *("format", "id", "label", "ego", "scored", "gate_m", "range_m", "classes", "colours", "estimates"),
+    *("buildings", "tops", "agents", "states", "flags", "judged", "effects", "recorded"),
+)
+
+
+@dataclass
+class LiveBlocks:
+    """Makes blocks of the frames of an observed run.
+
+    poses: by agent, its latest position (3,) m and rotation (3, 3), which later frames may not repeat
+    """
+
+    observer: Observer
+    poses: dict[str, tuple[Floats, Floats]]
+
+    @classmethod
+    def of(cls, observer: Observer) -> LiveBlocks:
+        """Of a run that is being observed."""
+        scene = observer.run.scene
+        if scene is None:
+            return cls(observer, {})
+        first = zip(scene.agent_names, scene.agent_position[0], scene.agent_rotation[0], strict=True)
+        return cls(observer, {name: (position, rotation) for name, position, rotation in first})
+
+    def header_and_block(self, frame: Frame) -> tuple[dict[str, Any], bytes]:
+        """The lasting part of the header of a frame, and the block with everything else.
+
+        Raises ValueError if a number is too large for a block.
+        """
+        down = [{"node": node, "action": "kill", "frame": frame.index} for node in self.observer.down]
+        run = replace(frame.run, run={**frame.run.run, "steps": down})
+        body = frame.bodies.get(TRUTH) if run.recording is not None else None
+        states = ObjectStates.empty() if body is None else truth_states(body)
+        truth = Truth(np.full(len(states), frame.index), states)
+        boxes = boxes_of(run.read_objects(), truth)
+        tracks = [body for series, body in frame.bodies.items() if series.estimator in ESTIMATORS]
+        motion = motion_of(boxes, truth, ((frame.index, body) for body in tracks))
+        packer = Packer()
+        time_s = frame.time_ns * 1e-9
+        packer.add("time", np.array([time_s]), scale=1e-3)
+        frames = range(frame.index, frame.index + 1)
+        header = pack_frames(packer, run, boxes, motion, self._surroundings(frame), frames)
+        header |= {"label": run.label, "recorded": True, "scored": None}
+        header |= self._happening(run, frame, time_s)
+        lasting = {name: header.pop(name) for name in LASTING}
+        return lasting, packer.block(header)
+
+    def _happening(self, run: RunRecord, frame: Frame, time_s: float) -> dict[str, Any]:
+        """What is said of the run as a whole, up to this frame."""
+        observer = self.observer
+        periods = spans(run, np.array([time_s]))
+        for each in observer.insertions:
+            until = time_s if each.until_s is None else each.until_s
+            wires = ", ".join(each.wires)
+            words = {"begins": f"{each.node} inserted on {wires}", "ends": f"{each.node} removed from {wires}"}
+            period = {"from_s": each.since_s, "until_s": until, **words, "nodes": [each.node]}
+            periods.append({"label": f"{each.node} inserted live", "kind": "interception", **period})
+        return {
+            "number": frame.index,
+            "spans": sorted(periods, key=lambda each: (each["from_s"], each["label"])),
+            "newest": observer.frame,
+            "refused": frame.refused,
+            "down": observer.down,
+            "notes": observer.meter.notes,
+            "wires": [
+                {"key": wire.key, "legs": [leg._asdict() for leg in wire.legs], "to": wire.subscribers}
+                for wire in observer.wires()
+            ],
+        }
+
+    def _surroundings(self, frame: Frame) -> Surroundings | None:
+        """The agents as the messages have them."""
+        scene = frame.run.recording
+        if scene is None:
+            return None
+        self.poses.update({name: pose for name, pose in frame.poses.items() if name in self.poses})
+        position, rotation = (np.array([[self.poses[name][part] for name in scene.agent_names]]) for part in (0, 1))
+        number = min(frame.index, len(scene) - 1)  # a shorter scene keeps its last sweeps
+        return Surroundings(position, rotation, tuple(sweep[number : number + 1] for sweep in scene.sweeps))
+
+
+def yield_processors() -> None:
+    """Let every other process go first. Only for a process with a session of its own.
+
+    Linux shares processors between sessions before it looks at the niceness of processes, so the session's own
+    niceness counts.
+    """
+    value = os.environ.get(NICENESS, str(_NICENESS))
+    if not value.isdigit() or int(value) > _NICENESS:
+        raise ConfigurationError(f"{NICENESS}: found {value!r}, expected a number from 0 to {_NICENESS}")
+    niceness = int(value)
+    os.nice(niceness)
+    if niceness == _NICENESS and hasattr(os, "SCHED_IDLE"):  # any node that wakes up takes the processor at once
+        with suppress(PermissionError):  # a container may forbid it
+            for thread in os.listdir("/proc/self/task"):
+                os.sched_setscheduler(int(thread), os.SCHED_IDLE, os.sched_param(0))
+    with suppress(OSError):  # not on every system
+        Path("/proc/self/autogroup").write_text(str(niceness))
+
+
+def show(run: ObservedRun, session: zenoh.Session, server: LiveServer, stop: threading.Event) -> None:
+    """Show a running run on a server until `stop` is set, also after its end.
+
+    session: a client of the run's router
+    """
+    observer = Observer(run, session)
+    try:
+        _follow(observer, server.feed, stop)
+    finally:
+        observer.close()
+    if stop.is_set():
+        return
+    if run.folder is None or (page := _finished_page(run.folder, stop)) is None:
+        server.feed.close(reload=False)
+    else:
+        server.show_finished(page, policy())
+    stop.wait()
+
+
+def _follow(observer: Observer, feed: Feed, stop: threading.Event) -> None:
+    """Publish frames until the run is over; receives nothing but the clock while no page reads them."""
+    blocks = LiveBlocks.of(observer)
+    wanted = time.monotonic()
+    while not stop.is_set():
+        if feed.is_wanted:
+            wanted = time.monotonic()
+        observer.listen(everything=time.monotonic() - wanted < _PATIENCE_S)
+        if not feed.is_wanted:
+            observer.keep_up()
+        elif (frame := observer.advance()) is not None:
+            try:
+                feed.publish(*blocks.header_and_block(frame))
+            except Exception as error:  # such as numbers that no page can draw: one frame is lost, and the page says so
+                observer.note(f"frame {frame.index} cannot be shown: {error!r:.200}")
+        feed.note(observer.meter.notes)
+        if observer.is_over():
+            return
+        stop.wait(POLL_S)
+
+
+def _finished_page(folder: Path, stop: threading.Event) -> bytes | None:
+    """The page of the finished run; None: its results do not arrive."""
+    deadline = time.monotonic() + _RESULTS_S
+    while time.monotonic() < deadline and not stop.is_set():
+        with suppress(MastError):
+            return viewer_page([folder])
+        stop.wait(1.0)
+    return None
+
+
+def await_start(folder: Path, timeout_s: float, stop: threading.Event, allowed: AllowedCode = SHIPPED) -> ObservedRun:
+    """The run of a folder, once it has started its nodes; raises NotRunning if it does not, or cannot be viewed.
+
+    allowed: which of the code that it names may run
+    """
+    deadline = time.monotonic() + timeout_s
+    while is_starting(folder) and time.monotonic() < deadline and not stop.is_set():
+        stop.wait(0.1)
+    return ObservedRun.of_folder(folder, allowed)

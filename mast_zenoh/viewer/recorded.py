@@ -1,0 +1,112 @@
+"""A finished run with its recording: frame by frame, with everything that messages hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from pathlib import Path
+
+import pyarrow
+
+from mast_zenoh.errors import MessageError, RunFolderError
+from mast_zenoh.launch import liveness, measurement
+from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.messagelog.reader import Recorded, file_of, read
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
+from mast_zenoh.metrics.record import Series
+from mast_zenoh.run_files import read_object
+from mast_zenoh.viewer.frame import Evaluated, Frame, FramedRun
+from mast_zenoh.viewer.routes import CLOCK, TRUTH, routes
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedRun(FramedRun):
+    """A finished run whose messages were recorded; `missing` is complete when all frames have been read."""
+
+    @classmethod
+    def load(cls, path: Path) -> RecordedRun:
+        """Open the folder of a finished run.
+
+        Raises RunFolderError if the folder is not that of a recorded run, if the run is still in progress, or if its
+        recording is damaged before its end.
+        """
+        file_of(path)
+        if path.is_file():
+            raise RunFolderError(f"{path}: found a file, expected the folder of a run")
+        record = liveness.finished_record(path, read_object(path / "run.json"))
+        notes = [] if record.get("status") == "ok" else [f"the run is {record.get('status')}: {record.get('message')}"]
+        if record.get("status") == RUNNING:
+            notes = ["run.json says that the run is in progress; whether it is cannot be known from here"]
+        if (incomplete := measurement.incomplete_recording(path)) is not None:
+            notes.append(f"messages.mcap: {incomplete}: later frames are missing")
+        run = super().load(path)
+        run.missing[:0] = notes
+        if not run.agents:
+            raise RunFolderError(f"{path}: found no agent in the wiring of the run, expected one at least")
+        return run
+
+    @cached_property
+    def evaluated(self) -> Evaluated:
+        """The evaluator's tables by frame; without outcomes if objects.parquet cannot be used."""
+        try:
+            if self.objects is not None:  # it is among what is missing
+                return super().evaluated
+        except (OSError, ValueError, KeyError, RunFolderError, pyarrow.ArrowException) as error:
+            self.note(f"objects.parquet cannot be read ({error}): no object is marked as matched, missed or false.")
+        return Evaluated(None, self.counts, self.effects, {})
+
+    def __iter__(self) -> Iterator[Frame]:
+        """All frames in order, read from the recording one after the other.
+
+        Raises RunFolderError if there is none.
+        """
+        count = dropped = without_truth = 0
+        series_by_key = [(frame, routes(wiring, self.agents)) for frame, wiring in self.wirings]
+        for (time_ns, index), group in groupby(read(self.path), key=lambda message: (message.time_ns, message.frame)):
+            bodies, refused = _first_valid(list(group), series_by_key)
+            dropped += refused
+            if CLOCK not in bodies and TRUTH not in bodies:
+                dropped += len(bodies)  # not of a frame of this run: receivers refuse them
+                continue
+            count += 1
+            without_truth += TRUTH not in bodies
+            yield Frame(self, index, time_ns, bodies)
+        if not count:
+            raise RunFolderError(f"{file_of(self.path)}: found no whole frame, expected one at least")
+        if dropped:
+            self.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {dropped}")
+        if without_truth:
+            self.note(f"messages.mcap: frames without truth: {without_truth}")
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence about something that the record lacks, once."""
+        if sentence not in self.missing:
+            self.missing.append(sentence)
+
+
+def _first_valid(
+    messages: Sequence[Recorded], series_by_key: Sequence[tuple[int, Mapping[str, Sequence[Series]]]]
+) -> tuple[dict[Series, Body], int]:
+    """The first valid message of each series, and how many invalid ones there are.
+
+    series_by_key: from each frame of the run on
+    """
+    by_series: dict[Series, list[Recorded]] = {}
+    refused = 0
+    for message in messages:
+        refused += message.malformed
+        known = next(of for frame, of in reversed(series_by_key) if frame < message.step or frame < 0)
+        for series in known.get(message.key, ()):
+            by_series.setdefault(series, []).append(message)
+    bodies: dict[Series, Body] = {}
+    for series, candidates in by_series.items():
+        for message in sorted(candidates, key=lambda each: (each.step, each.rank, each.seq)):
+            try:
+                bodies[series] = codec.decode(message.payload, message.type).body
+                break
+            except MessageError:
+                refused += 1
+    return bodies, refused
