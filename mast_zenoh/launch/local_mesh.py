@@ -192,7 +192,11 @@ def join(context: RunContext, stack: ExitStack, endpoint: str | None, listen: st
         if endpoint:
             raise BackendError(f"hosts need their own router: they cannot join the mesh of {endpoint}")
         return _join_hosts(context, stack)
-    return (_join_router(context, stack, endpoint) if endpoint else _open_router(context, stack, listen)), None
+    if not endpoint:
+        return _open_router(context, stack, listen), None
+    context.record["endpoint"] = endpoint
+    session = stack.enter_context(open_client(endpoint, patient=context.resolved.patient))
+    return Mesh(session, Processes(context.folder, context.run_id, endpoint)), None
 
 
 def _join_hosts(context: RunContext, stack: ExitStack) -> tuple[Mesh, Hosts]:
@@ -201,13 +205,6 @@ def _join_hosts(context: RunContext, stack: ExitStack) -> tuple[Mesh, Hosts]:
     context.record["endpoint"] = hosts.endpoint
     session = stack.enter_context(open_client(hosts.endpoint))
     return Mesh(session, Processes(context.folder, context.run_id, hosts.inside, hosts.command)), hosts
-
-
-def _join_router(context: RunContext, stack: ExitStack, endpoint: str) -> Mesh:
-    """Join an existing router."""
-    context.record["endpoint"] = endpoint
-    session = stack.enter_context(open_client(endpoint, patient=context.resolved.patient))
-    return Mesh(session, Processes(context.folder, context.run_id, endpoint))
 
 
 def _open_router(context: RunContext, stack: ExitStack, listen: str) -> Mesh:
