@@ -46,8 +46,7 @@ def play(adversary: Bench, wire: str, frames: int, places=PLACES) -> list[tuple[
     """(input, output on the wire in the same frame) of some frames."""
     pairs = []
     for frame in range(frames):
-        adversary.clock(frame)
-        adversary.send("pose", pose(), frame)
+        adversary.play(frame, pose=pose())
         key = adversary.key(wire)
         message = adversary.message(key, body_on(wire, *places), frame)
         published = adversary.deliver(key, message)
@@ -130,8 +129,7 @@ def test_a_message_without_a_pose_is_forwarded_unchanged_at_the_next_clock(world
 def test_a_late_message_is_not_lost(worlds, wire: str) -> None:
     adversary = bench(worlds, wire)
     play(adversary, wire, 3)
-    adversary.clock(3)
-    adversary.send("pose", pose(), 3)
+    adversary.play(3, pose=pose())
     adversary.clock(4)
     published = adversary.send(wire, body_on(wire, *PLACES), 3, step=4)
     assert [message.header.frame for key, message in published if key == out_key(wire)] == [3]
@@ -140,8 +138,7 @@ def test_a_late_message_is_not_lost(worlds, wire: str) -> None:
 @pytest.mark.parametrize("wire", WIRES)
 def test_two_messages_of_one_frame_stay_separate(worlds, wire: str) -> None:
     adversary = bench(worlds, wire)
-    adversary.clock(0)
-    adversary.send("pose", pose(), 0)
+    adversary.play(0, pose=pose())
     for _ in range(2):
         adversary.send(wire, body_on(wire, *PLACES), 0)
     assert [message.header.seq for message in adversary.heard(out_key(wire))] == [0, 1]
@@ -348,10 +345,7 @@ def test_a_late_directive_takes_effect_in_the_frame_after_its_arrival(worlds, di
 def test_observations_show_the_objects_before_any_change(worlds) -> None:
     adversary = coordinated(worlds)
     for frame in range(3):
-        adversary.clock(frame)
-        adversary.send("directive", directive((12.0, 12.0)), frame)
-        adversary.send("pose", pose(x=3.0), frame)
-        adversary.send("tracks", tracks(*PLACES), frame)
+        adversary.play(frame, directive=directive((12.0, 12.0)), pose=pose(x=3.0), tracks=tracks(*PLACES))
     seen = adversary.heard("attack/adversary_1/observation")
     assert [message.header.frame for message in seen] == [0, 1, 2]
     assert [message.header.time_ns for message in seen] == [0, PERIOD_NS, 2 * PERIOD_NS]
@@ -364,9 +358,7 @@ def test_forged_tracks_are_in_the_frame_of_reference_of_the_message(worlds) -> N
     adversary = coordinated(worlds)
     reference = {"origin": np.array([100.0, 0.0, 0.0]), "rotation": np.array([0.0, 0.0, 0.0, 1.0])}  # half a turn
     for frame in range(2):
-        adversary.clock(frame)
-        adversary.send("directive", directive((90.0, 5.0)), frame)
-        adversary.send("pose", pose(x=100.0), frame)
+        adversary.play(frame, directive=directive((90.0, 5.0)), pose=pose(x=100.0))
         adversary.send("tracks", tracks((20.0, 0.0)) | reference, frame)
     body = adversary.heard(out_key("tracks"))[-1].body
     np.testing.assert_allclose(body["position"][1, :2], [10.0, -5.0], atol=1e-9)

@@ -116,8 +116,7 @@ def test_a_view_agrees_with_the_tracks_of_its_frame_in_any_order_of_arrival(reso
     blocked = np.full((16, 180), 40.0)
     blocked[:, 88:92] = 8.0
     for frame in range(2):
-        adversary.clock(frame)
-        adversary.send("pose", pose(), frame)
+        adversary.play(frame, pose=pose())
         if view_first:
             assert adversary.send("view", view(free=blocked), frame) == []
         adversary.send("tracks", tracks(*PLACES), frame)
@@ -157,8 +156,7 @@ def test_an_attack_may_forge_everything_in_a_view() -> None:
 
 def test_a_view_without_tracks_is_forwarded_unchanged_at_the_next_clock(resolved) -> None:
     adversary = Bench(resolved, "adversary_1")
-    adversary.clock(0)
-    adversary.send("pose", pose(), 0)
+    adversary.play(0, pose=pose())
     assert adversary.send("view", view(), 0) == []
     published = adversary.clock(1)
     assert [key for key, _ in published] == ["agent/infra_1/view"]
@@ -176,9 +174,7 @@ def test_a_view_without_tracks_is_forwarded_unchanged_at_the_next_clock(resolved
 )
 def test_an_implausible_view_is_forwarded_unchanged(resolved, flaw: dict[str, np.ndarray]) -> None:
     adversary = Bench(resolved, "adversary_1")
-    adversary.clock(0)
-    adversary.send("pose", pose(), 0)
-    adversary.send("tracks", tracks(*PLACES), 0)
+    adversary.play(0, pose=pose(), tracks=tracks(*PLACES))
     ((_, sent),) = adversary.send("view", view(**flaw), 0)
     for name, column in flaw.items():
         np.testing.assert_array_equal(sent.body[name], column)
@@ -192,9 +188,7 @@ finite = st.floats(-1e9, 1e9)
 @settings(max_examples=60, deadline=None)
 def test_no_view_that_passes_the_checks_of_its_type_makes_an_adversary_fail(resolved, data: st.DataObject) -> None:
     adversary = Bench(resolved, "adversary_1")
-    adversary.clock(0)
-    adversary.send("pose", pose(), 0)
-    adversary.send("tracks", tracks(*PLACES), 0)
+    adversary.play(0, pose=pose(), tracks=tracks(*PLACES))
     shape = data.draw(st.tuples(st.integers(0, 5), st.integers(0, 7)))
     flaws = dict(
         position=data.draw(arrays.arrays(np.float64, 3, elements=finite)),

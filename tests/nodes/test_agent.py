@@ -46,9 +46,7 @@ def frames_of(messages: list[Message]) -> list[int]:
 def test_every_frame_has_one_message_of_each_estimate_even_if_empty(resolved) -> None:
     ego = bench(resolved)
     for frame in range(4):
-        ego.clock(frame)
-        ego.send("pose", pose(), frame)
-        ego.send("detections", detections(), frame)
+        ego.play(frame, pose=pose(), detections=detections())
     for key in (TRACKS, MISSION):
         assert frames_of(ego.heard(key)) == [0, 1, 2, 3]
         assert [len(message.body["id"]) for message in ego.heard(key)] == [0, 0, 0, 0]
@@ -113,9 +111,7 @@ def test_the_order_within_a_frame_does_not_matter(resolved, data: st.DataObject)
 def test_tracks_are_in_the_world_frame(resolved) -> None:
     ego = bench(resolved)
     for frame in range(5):
-        ego.clock(frame)
-        ego.send("pose", pose(x=100.0, y=50.0, yaw=np.pi / 2), frame)
-        ego.send("detections", detections((10.0, 0.0)), frame)
+        ego.play(frame, pose=pose(x=100.0, y=50.0, yaw=np.pi / 2), detections=detections((10.0, 0.0)))
     last = ego.heard(TRACKS)[-1].body
     np.testing.assert_allclose(last["position"], [[100.0, 60.0, 0.8]], atol=1e-6)
     np.testing.assert_array_equal(last["origin"], np.zeros(3))
@@ -127,9 +123,7 @@ def test_tracks_in_the_body_frame_include_its_origin_and_rotation(resolved) -> N
     ego = bench(resolved, pipeline=body_frame)
     where = pose(x=100.0, y=50.0, yaw=np.pi / 2)
     for frame in range(5):
-        ego.clock(frame)
-        ego.send("pose", where, frame)
-        ego.send("detections", detections((10.0, 0.0)), frame)
+        ego.play(frame, pose=where, detections=detections((10.0, 0.0)))
     last = ego.heard(TRACKS)[-1].body
     np.testing.assert_allclose(last["position"], [[10.0, 0.0, 0.8]], atol=1e-6)
     np.testing.assert_array_equal(last["origin"], where["position"])
@@ -149,8 +143,7 @@ def test_in_the_body_frame_of_a_turning_agent_a_parked_car_appears_to_move(resol
         ego = bench(resolved, pipeline=config)
         for frame in range(12):
             yaw = 0.04 * frame
-            ego.clock(frame)
-            ego.send("pose", pose(yaw=yaw), frame)
+            ego.play(frame, pose=pose(yaw=yaw))
             seen = detections((30 * np.cos(yaw), -30 * np.sin(yaw)))
             ego.send("detections", seen | {"yaw": np.array([-yaw])}, frame)
         body = ego.heard(TRACKS)[-1].body
@@ -191,9 +184,7 @@ def test_a_late_picture_is_used_from_the_frame_after_its_arrival(resolved) -> No
 def test_the_picture_is_propagated_to_the_frame_and_dropped_when_too_old(resolved) -> None:
     ego = bench(resolved, picture_age_s=0.3)
     for frame in range(7):
-        ego.clock(frame)
-        ego.send("pose", pose(), frame)
-        ego.send("detections", detections(), frame)
+        ego.play(frame, pose=pose(), detections=detections())
         if frame == 1:
             ego.send("picture", picture((50.0, 0.0), velocity=(10.0, 0.0)), frame)
     places = [message.body["position"][:, 0].tolist() for message in ego.heard(MISSION)]
@@ -219,9 +210,7 @@ def test_a_picture_from_the_future_is_not_used(resolved) -> None:
     for frame in range(3):
         if frame == 1:
             ego.send("picture", picture(FAR), 50, step=-1)
-        ego.clock(frame)
-        ego.send("pose", pose(), frame)
-        ego.send("detections", detections(), frame)
+        ego.play(frame, pose=pose(), detections=detections())
     assert [len(message.body["id"]) for message in ego.heard(MISSION)] == [0, 0, 0]
 
 
@@ -308,9 +297,7 @@ def test_an_estimator_that_looks_gets_the_agents_own_sweep(swept: bool) -> None:
 
     ego = bench(tiny(edit=veto))
     for frame in range(3):
-        ego.clock(frame)
-        ego.send("pose", pose(), frame)
-        ego.send("detections", detections(), frame)
+        ego.play(frame, pose=pose(), detections=detections())
         if swept:
             ego.send("sweep", {"free": np.full((16, 180), 100.0)}, frame)
         if frame == 0:

@@ -148,8 +148,7 @@ def measured(agent: Bench, frame: int, body: dict[str, np.ndarray], part: str = 
 
 
 def begin(agent: Bench, frame: int) -> None:
-    agent.clock(frame)
-    agent.send("pose", pose(), frame)
+    agent.play(frame, pose=pose())
 
 
 def tracks_of(agent: Bench) -> list[Message]:

@@ -35,8 +35,7 @@ def test_each_batch_gives_one_picture_about_the_same_frame(resolved) -> None:
 def test_tracks_of_one_object_by_two_agents_become_one_object_with_support_two(resolved) -> None:
     centre = Bench(resolved, "command_center")
     for frame in range(5):
-        centre.clock(frame)
-        centre.send("collated", batch(((0.0, 0.0), (30.0, 0.0)), ((0.4, 0.0),)), frame)
+        centre.play(frame, collated=batch(((0.0, 0.0), (30.0, 0.0)), ((0.4, 0.0),)))
     picture = centre.heard("cc/picture")[-1].body
     by_x = np.argsort(picture["position"][:, 0])
     np.testing.assert_allclose(picture["position"][by_x, 0], [0.2, 30.0], atol=0.05)
@@ -84,8 +83,7 @@ def test_implausible_tracks_still_give_a_picture(resolved, seed: int, scale: flo
         }
         body = honest | {name: np.concatenate([honest[name], column]) for name, column in forged.items()}
         body |= {"agents": text(["a", "b", "mallory"]), "age_ns": np.zeros(3, np.int64)}
-        centre.clock(frame)
-        centre.send("collated", body, frame)
+        centre.play(frame, collated=body)
     assert not centre.host.failures
     pictures = centre.heard("cc/picture")
     assert len(pictures) == 8

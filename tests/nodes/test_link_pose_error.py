@@ -20,8 +20,7 @@ def bench(*up: dict[str, Any]) -> Bench:
         content["keyexpr"] = dict(map="testbed.toml", rewrites=["views.toml"])
 
     link = Bench(tiny("baseline", edit=edit, infrastructure=1), "link_ego")
-    link.clock(0)
-    link.send("pose", pose(40.0, -30.0), 0)
+    link.play(0, pose=pose(40.0, -30.0))
     link.clock(1)
     return link
 

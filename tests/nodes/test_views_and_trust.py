@@ -99,35 +99,30 @@ def test_the_command_centre_waits_for_batch_and_views_in_either_order(resolved, 
 
 def test_a_batch_whose_views_are_lost_is_processed_at_the_next_clock(resolved) -> None:
     centre = Bench(resolved, "command_center")
-    centre.clock(0)
-    centre.send("collated", batch(), 0)
+    centre.play(0, collated=batch())
     assert [(key, message.header.frame) for key, message in centre.clock(1)] == [("cc/picture", 0), ("cc/trust", 0)]
 
 
 def test_views_wait_for_a_batch_that_is_delayed_but_not_for_ever(resolved) -> None:
     centre = Bench(resolved, "command_center")
-    centre.clock(0)
-    centre.send("views", views(), 0)
+    centre.play(0, views=views())
     centre.clock(1)
     assert [key for key, _ in centre.send("collated", batch(), 0)] == ["cc/picture", "cc/trust"]
     for frame in range(2, 200):
-        centre.clock(frame)
-        centre.send("views", views(), frame)
+        centre.play(frame, views=views())
     assert len(centre.host.node.views) == MAX_WAITING
 
 
 def test_views_with_impossible_grids_cost_one_message_not_the_picture(resolved) -> None:
     centre = Bench(resolved, "command_center")
-    centre.clock(0)
-    centre.send("views", views() | {"grid": np.array([[10**9, 10**9]])}, 0)
+    centre.play(0, views=views() | {"grid": np.array([[10**9, 10**9]])})
     assert [key for key, _ in centre.send("collated", batch(), 0)] == ["cc/picture", "cc/trust"]
     assert centre.host.rejected["cc/views", "malformed"] == 1
 
 
 def test_trust_names_every_agent_with_a_known_state(resolved) -> None:
     centre = Bench(resolved, "command_center")
-    centre.clock(0)
-    centre.send("views", views(), 0)
+    centre.play(0, views=views())
     _, (_, trust) = centre.send("collated", batch(), 0)
     assert trust.body["agents"].tolist() == ["ego"]
     assert all(state < len(STATES) for state in trust.body["state"])
@@ -141,9 +136,7 @@ def test_invalid_trust_is_a_failure_of_the_command_centre_not_a_lost_message(res
 
     centre = Bench(resolved, "command_center")
     centre.host.node.pipeline._integrity = Percent()
-    centre.clock(0)
-    centre.send("views", views(), 0)
-    centre.send("collated", batch(), 0)
+    centre.play(0, views=views(), collated=batch())
     (failure,) = centre.host.failures.values()
     assert "Percent.assess: agents.mean is not from 0 to 1" in failure.exception
 

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import Header, Message, text
+from mast_zenoh.messages.schemas import Header, text
 from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
 from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.waiting import Limit
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, Input, Ports
 
@@ -58,16 +57,16 @@ OUTPUTS = {
 }
 
 
-def listening(
-    node: Node | None = None,
-    *,
-    clocked: bool = True,
-    encode: bool = True,
-    emit: Callable[[Outgoing], None] = lambda out: None,
-) -> Host:
-    """A host of a node that hears the clock and the tracks of `a` and `b`."""
-    ports = Ports((CLOCK if clocked else {}) | TRACKS, OUTPUTS)
-    return Host("listener", node or Listener(), ports, seed=7, encode=encode, emit=emit)
+class Hosting(Host):
+    """A host of a node that hears the clock and the tracks of `a` and `b`; outbox: what it has sent."""
+
+    def __init__(self, node: Node, ports: Ports, encode: bool) -> None:
+        self.outbox: list[Outgoing] = []
+        super().__init__("listener", node, ports, seed=7, encode=encode, emit=self.outbox.append)
+
+
+def listening(node: Node | None = None, *, clocked: bool = True, encode: bool = True) -> Hosting:
+    return Hosting(node or Listener(), Ports((CLOCK if clocked else {}) | TRACKS, OUTPUTS), encode)
 
 
 def tracks(n: int = 1, **columns: np.ndarray) -> dict[str, np.ndarray]:
@@ -120,12 +119,11 @@ def test_a_node_without_a_clock_handles_messages_immediately() -> None:
 
 
 def test_a_node_without_a_clock_sends_in_the_step_of_the_received_message() -> None:
-    outbox: list[Outgoing] = []
     relay = Listener(lambda received, context: context.relay("tracks_out", received))
-    host = listening(relay, clocked=False, emit=outbox.append)
+    host = listening(relay, clocked=False)
     for step in (0, 1):
         host.deliver("agent/a/tracks", tracks_payload("a", step), step)
-    assert [out.step for out in outbox] == [0, 1], "otherwise the next node would not wait for its clock"
+    assert [out.step for out in host.outbox] == [0, 1], "otherwise the next node would not wait for its clock"
 
 
 def test_a_node_without_a_clock_cannot_publish_without_a_frame() -> None:
@@ -137,13 +135,12 @@ def test_a_node_without_a_clock_cannot_publish_without_a_frame() -> None:
         problems.append(str(caught.value))
         context.publish("tracks_out", received.body, subject=received.subject, frame=received.frame, time_ns=0)
 
-    outbox: list[Outgoing] = []
-    host = listening(Listener(publish), clocked=False, emit=outbox.append)
+    host = listening(Listener(publish), clocked=False)
     host.deliver("agent/a/tracks", tracks_payload("a", 3), 3)
     assert problems == [
         "listener: tracks_out: published before the first clock; a node that publishes needs an input of type clock"
     ]
-    assert len(outbox) == 1
+    assert len(host.outbox) == 1
 
 
 @given(st.data())
@@ -223,8 +220,7 @@ def test_a_handler_that_raises_loses_one_message_and_is_logged_once(caplog: pyte
             raise ZeroDivisionError(f"in frame {received.frame}")
         context.publish("status", status())
 
-    outbox: list[Outgoing] = []
-    host = listening(Listener(fail_on_even), emit=outbox.append)
+    host = listening(Listener(fail_on_even))
     with caplog.at_level(logging.ERROR):
         for frame in range(6):
             host.deliver("clock", clock(frame), frame)
@@ -235,7 +231,7 @@ def test_a_handler_that_raises_loses_one_message_and_is_logged_once(caplog: pyte
     assert entry["exception"] == "ZeroDivisionError: in frame 0"
     assert entry["where"].partition(":")[0] == __file__
     assert host.handled["agent/a/tracks"] == 6
-    assert len(outbox) == 3
+    assert len(host.outbox) == 3
     assert ["in frame 0" in record.exc_text for record in caplog.records] == [True]
 
 
@@ -243,49 +239,33 @@ def status() -> dict[str, np.ndarray]:
     return {"mobile": np.array([0]), "detections": np.array([1]), "tracks": np.array([2])}
 
 
-def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mast_zenoh.runtime.waiting.HELD", Limit(5, 10**6))
-    host = listening()
-    for frame in range(1, 9):
-        host.deliver("agent/a/tracks", tracks_payload("a", frame), frame)
-    assert sum(host.rejected.values()) == 3
-    host.deliver("clock", clock(8), 8)
-    assert [source for source, _ in host.node.got] == ["clock", *"aaaaa"]
-    host.deliver("agent/a/tracks", tracks_payload("a", 9), 9)
-    host.deliver("clock", clock(9), 9)
-    assert host.node.got[-1] == ("a", 9), "there is space again"
-
-
 def test_a_relayed_message_keeps_its_bytes() -> None:
-    outbox: list[Outgoing] = []
-    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)), emit=outbox.append)
+    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
     payload = tracks_payload("a", 0)
     host.deliver("agent/a/tracks", payload, -1)
-    assert outbox == [Outgoing("out/a", payload, -1)]
+    assert host.outbox == [Outgoing("out/a", payload, -1)]
     assert host.sent == {"out/a": 1}
 
 
 @pytest.mark.parametrize("encode", [True, False])
 def test_a_message_relayed_in_a_later_frame_is_unchanged(encode: bool) -> None:
     kept: list[Received] = []
-    outbox: list[Outgoing] = []
-    host = listening(Listener(lambda received, context: kept.append(received)), encode=encode, emit=outbox.append)
+    host = listening(Listener(lambda received, context: kept.append(received)), encode=encode)
     payload = tracks_payload("a", 0)
     host.deliver("clock", clock(0), 0)
     host.deliver("agent/a/tracks", payload if encode else codec.decode(payload, "tracks"), 0)
     host.deliver("clock", clock(1), 1)
     host.relay("tracks_out", kept[0])
-    (out,) = outbox
+    (out,) = host.outbox
     assert (out.payload if encode else codec.encode(out.payload)) == payload
     assert out.step == 1, "it is sent with the current step"
 
 
 def test_a_relayed_message_with_another_body_keeps_its_header() -> None:
-    outbox: list[Outgoing] = []
-    host = listening(emit=outbox.append)
+    host = listening()
     received = Received(codec.decode(tracks_payload("b", 3), "tracks"), "b")
     host.relay("tracks_out", received, tracks(4))
-    (out,) = outbox
+    (out,) = host.outbox
     changed = codec.decode(out.payload, "tracks")
     assert out.key == "out/b"
     assert changed.header == received.message.header
@@ -299,12 +279,11 @@ def test_a_message_cannot_be_relayed_on_a_port_of_another_type() -> None:
 
 
 def test_messages_are_numbered_for_each_key() -> None:
-    outbox: list[Outgoing] = []
-    host = listening(emit=outbox.append)
+    host = listening()
     for port, subject in (("tracks_out", "a"), ("tracks_out", "b"), ("tracks_out", "a"), ("status", None)):
         body = status() if port == "status" else tracks()
         host.publish(port, body, subject=subject, frame=0)
-    numbers = [(out.key, codec.decode(out.payload, schema_of(out)).header.seq) for out in outbox]
+    numbers = [(out.key, codec.decode(out.payload, schema_of(out)).header.seq) for out in host.outbox]
     assert numbers == [("out/a", 0), ("out/b", 0), ("out/a", 1), ("out/status", 0)]
 
 
@@ -313,32 +292,29 @@ def schema_of(out: Outgoing) -> str:
 
 
 def test_an_invalid_message_takes_no_sequence_number() -> None:
-    outbox: list[Outgoing] = []
-    host = listening(emit=outbox.append)
+    host = listening()
     with pytest.raises(MessageError, match=r"status: columns missing: \['mobile'\]"):
         host.publish("status", {"detections": np.zeros(1), "tracks": np.zeros(1)}, frame=0)
     host.publish("status", status(), frame=0)
-    assert codec.decode(outbox[0].payload, "status").header.seq == 0
+    assert codec.decode(host.outbox[0].payload, "status").header.seq == 0
 
 
 def test_a_message_is_about_the_current_frame_by_default() -> None:
-    outbox: list[Outgoing] = []
-    host = listening(emit=outbox.append)
+    host = listening()
     host.deliver("clock", clock(4), 4)
     host.publish("status", status())
     host.publish("status", status(), frame=2, time_ns=5)
-    headers = [codec.decode(out.payload, "status").header for out in outbox]
+    headers = [codec.decode(out.payload, "status").header for out in host.outbox]
     assert [(h.frame, h.time_ns, h.source) for h in headers] == [(4, 4 * 10**8, "listener"), (2, 5, "listener")]
-    assert [out.step for out in outbox] == [4, 4]
+    assert [out.step for out in host.outbox] == [4, 4]
 
 
 def test_messages_to_an_unconnected_port_are_discarded() -> None:
-    outbox: list[Outgoing] = []
-    host = listening(emit=outbox.append)
+    host = listening()
     host.publish("nowhere", status())
     host.publish("tracks_out", tracks(), subject="nobody")
     host.relay("tracks_out", Received(codec.decode(tracks_payload("c", 0), "tracks"), "c"))
-    assert outbox == []
+    assert host.outbox == []
     assert not host.sent
     assert not host.connected("nowhere")
     assert not host.connected("tracks_out", "nobody")
@@ -506,11 +482,6 @@ def test_a_node_needs_a_handler_for_every_input() -> None:
 
     with pytest.raises(TypeError, match="Deaf has no on_tracks"):
         handler_names(Deaf)
-
-
-def test_a_message_knows_its_frame_time_and_columns() -> None:
-    received = Received(Message(Header("clock", "simulator", 3, 9, 0), {}), "")
-    assert (received.frame, received.time_ns, received.body) == (3, 9, {})
 
 
 class Ear(Node):

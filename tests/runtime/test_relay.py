@@ -14,9 +14,7 @@ from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime import host as host_module
 from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.waiting import Limit
 from mast_zenoh.wiring.model import Input, Ports
 
 PERIOD_NS = 10**8
@@ -325,15 +323,3 @@ def test_a_node_without_a_clock_cannot_delay_messages() -> None:
     host, _ = hosting(relaying(), node=Deaf)
     with pytest.raises(ConfigurationError, match="does not receive the clock"):
         host.relay("status_out", Received(status(0), "a"), after_s=0.2)
-
-
-def test_the_number_of_delayed_messages_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host_module, "DELAYED", Limit(3, 10**6))
-    host, outbox = hosting(relaying(after_s=0.1))
-    clock(host, 0)
-    for seq in range(5):
-        send(host, status(0, seq=seq))
-    assert host.rejected == {("in", "delayed"): 2}
-    assert not host.failures, "receiving too much is not the node's own fault"
-    clock(host, 1)
-    assert sent_messages(outbox) == [(1, 0), (1, 1), (1, 2)]

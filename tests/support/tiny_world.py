@@ -214,6 +214,13 @@ class Bench:
         """Begin a frame."""
         return self.send("clock", {}, frame)
 
+    def play(self, frame: int, **bodies: dict[str, Any]) -> list[tuple[str, Message]]:
+        """Begin a frame, then send a message to each of these ports in order."""
+        published = self.clock(frame)
+        for port, body in bodies.items():
+            published += self.send(port, body, frame)
+        return published
+
     def heard(self, key: str) -> list[Message]:
         """All messages that the node has published on a key."""
         return [message for said, message in self.said if said == key]

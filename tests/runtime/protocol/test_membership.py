@@ -21,20 +21,27 @@ def note(membership: Membership, *changes: Presence) -> str:
     return [membership.note("a", change, 3, MEMBERS) for change in changes][-1]
 
 
-def churn(membership: Membership) -> list[str]:
-    return [event["what"] for event in membership.churn]
-
-
 def test_changes_that_nobody_has_taken_combine_to_whether_it_went_and_whether_it_is_there() -> None:
     assert THERE.followed_by(GONE) == GONE
     assert GONE.followed_by(THERE) == REPLACED
     assert REPLACED.followed_by(GONE).followed_by(THERE) == REPLACED
 
 
-def test_a_node_that_goes_and_returns_before_the_driver_notices_was_lost_and_came_back(membership: Membership) -> None:
-    note(membership, REPLACED)
-    assert churn(membership) == ["lost", "back"]
-    assert membership.alive == {"driver", "a"}
+@pytest.mark.parametrize(
+    ("changes", "leaving", "events"),
+    [
+        ((REPLACED,), set(), ["lost", "back"]),
+        ((GONE, REPLACED, GONE), set(), ["lost", "back", "lost", "back", "lost"]),
+        ((GONE,), {"a"}, []),  # the scenario ends it
+    ],
+)
+def test_losses_and_returns_are_noted_in_pairs(
+    membership: Membership, changes: tuple[Presence, ...], leaving: set[str], events: list[str]
+) -> None:
+    membership.leaving |= leaving
+    assert note(membership, *changes) == ""
+    assert [event["what"] for event in membership.churn] == events
+    assert ("a" in membership.alive) == changes[-1].present
 
 
 def test_a_new_process_of_a_node_joins_in_an_epoch_after_one_without_it(membership: Membership) -> None:
@@ -46,19 +53,6 @@ def test_a_new_process_of_a_node_joins_in_an_epoch_after_one_without_it(membersh
     second = membership.begin_epoch()
     assert second == MEMBERS
     assert not membership.differs(second)
-
-
-def test_a_node_that_goes_again_before_the_driver_notices_its_return_is_not_lost_twice_in_a_row(
-    membership: Membership,
-) -> None:
-    note(membership, GONE, REPLACED, GONE)
-    assert churn(membership) == ["lost", "back", "lost", "back", "lost"]
-
-
-def test_a_node_that_the_scenario_ends_is_not_lost(membership: Membership) -> None:
-    membership.leaving.add("a")
-    assert note(membership, GONE) == ""
-    assert churn(membership) == []
 
 
 def test_a_node_that_constantly_goes_and_returns_ends_the_run_and_is_named(membership: Membership) -> None:

@@ -1,6 +1,9 @@
 """The next frame begins exactly when no message is in transit."""
 
 import itertools
+from typing import Any
+
+import pytest
 
 from mast_zenoh.runtime.protocol.pacer import Pacer
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
@@ -19,155 +22,149 @@ WIRING = Wiring(
     )
 )
 MEMBERS = {name: name for name in ("simulator", "agent", "broker")}
+LISTENED = MEMBERS | {"evaluator": "evaluator"}
+Counts = dict[str, Any]  # by node: what it has sent and handled, by key
 
 
-def new_pacer() -> Pacer:
-    pacer = Pacer(WIRING)
-    pacer.begin_epoch(MEMBERS)
+def pacer_after(counts: Counts, members: dict[str, str] = MEMBERS, wiring: Wiring = WIRING) -> Pacer:
+    pacer = Pacer(wiring)
+    pacer.begin_epoch(members)
+    for node, (sent, handled) in counts.items():
+        assert pacer.report(node, 1, sent, handled) == ""
     return pacer
 
 
-def test_the_mesh_is_not_quiet_until_all_nodes_have_reported() -> None:
-    pacer = new_pacer()
-    pacer.report("simulator", 1, {}, {})
-    pacer.report("agent", 1, {}, {})
-    assert not pacer.quiet()
-    assert pacer.silent == {"broker"}
-    pacer.report("broker", 1, {}, {})
-    assert pacer.quiet()
+def counts(simulator: Any, agent: Any, broker: Any, **more: Any) -> Counts:
+    return {"simulator": ({"clock": simulator}, {}), "agent": agent, "broker": broker, **more}
 
 
-def test_with_a_message_in_transit_the_mesh_is_not_quiet_in_any_order_of_reports() -> None:
-    pacer = new_pacer()
-    pacer.report("simulator", 1, {"clock": 1}, {})
-    pacer.report("broker", 1, {}, {"clock": 1})
-    pacer.report("agent", 1, {"tracks": 1}, {"clock": 1})
-    assert not pacer.quiet()
-    assert list(pacer.unsettled()) == ["broker has handled 0 of 1 messages of agent on tracks"]
-    pacer.report("broker", 1, {}, {"clock": 1, "tracks": 1})
-    assert pacer.quiet()
+DONE = counts(1, ({"tracks": 1}, {"clock": 1}), ({"collated": 1}, {"clock": 1, "tracks": 1}))
+
+
+@pytest.mark.parametrize(
+    ("reports", "quiet", "unsettled"),
+    [
+        (DONE, True, []),
+        ({name: DONE[name] for name in ("simulator", "agent")}, False, ["broker has not reported"]),
+        (
+            DONE | {"broker": ({}, {"clock": 1})},
+            False,
+            ["broker has handled 0 of 1 messages of agent on tracks"],
+        ),
+        (
+            counts(2, ({}, {"clock": 1}), ({}, {"clock": 1})),
+            False,
+            ["simulator reports 2 messages sent on clock, of which all its subscribers have handled 1 (agent, broker)"],
+        ),
+    ],
+    ids=["all is handled", "no report of a node", "one message in transit", "all subscribers are behind"],
+)
+def test_the_mesh_is_quiet_when_all_have_handled_what_was_sent_to_them(
+    reports: Counts, quiet: bool, unsettled: list[str]
+) -> None:
+    for order in itertools.permutations(reports):
+        pacer = pacer_after({node: reports[node] for node in order})
+        assert pacer.quiet() == quiet
+        assert list(pacer.unsettled()) == unsettled
+        assert pacer.silent == MEMBERS.keys() - reports.keys()
 
 
 def test_reports_of_another_epoch_or_of_non_members_are_ignored() -> None:
-    pacer = new_pacer()
+    pacer = pacer_after({})
     pacer.begin_epoch(MEMBERS)
     for name in MEMBERS:
         pacer.report(name, 1, {}, {})
-    pacer.report("stranger", 2, {"clock": 5}, {})
+    assert pacer.report("stranger", 2, {"clock": 5}, {}) == ""
     assert pacer.silent == set(MEMBERS)
 
 
 def test_dead_nodes_are_not_waited_for() -> None:
-    pacer = new_pacer()
-    pacer.report("simulator", 1, {"clock": 1}, {})
-    pacer.report("broker", 1, {}, {"clock": 1})
+    pacer = pacer_after({"simulator": ({"clock": 1}, {}), "broker": ({}, {"clock": 1})})
+    assert not pacer.quiet()
     pacer.drop(["agent"])
     assert pacer.quiet()
 
 
 def test_listeners_are_waited_for_only_on_request() -> None:
-    pacer = Pacer(WIRING)
-    pacer.begin_epoch({**MEMBERS, "evaluator": "evaluator"})
-    pacer.report("simulator", 1, {"clock": 1}, {})
-    pacer.report("agent", 1, {}, {"clock": 1})
-    pacer.report("broker", 1, {"collated": 1}, {"clock": 1})
+    pacer = pacer_after(DONE, LISTENED)
     assert pacer.quiet()
     assert not pacer.quiet(include_listeners=True)
     pacer.report("evaluator", 1, {}, {"clock": 1, "collated": 1})
     assert pacer.quiet(include_listeners=True)
 
 
-def test_a_key_that_a_node_neither_publishes_nor_receives_is_refused_and_named() -> None:
-    pacer = new_pacer()
-    assert pacer.report("agent", 1, {"tracks": 1}, {"clock": 1}) == ""
-    reason = pacer.report("agent", 1, {"collated": 1}, {})
-    assert reason == "agent reports messages sent on 'collated', which it does not publish on"
-    reason = pacer.report("agent", 1, {}, {"tracks": 1})
-    assert reason == "agent reports messages handled on 'tracks', which it does not receive"
-    assert pacer.report("stranger", 1, {"tracks": 1}, {}) == "", "reports of non-members are ignored"
-    pacer.report("simulator", 1, {"clock": 1}, {})
-    pacer.report("broker", 1, {}, {"clock": 1, "tracks": 1})
+@pytest.mark.parametrize(
+    ("sent", "handled", "reason"),
+    [
+        ({"collated": 1}, {}, "agent reports messages sent on 'collated', which it does not publish on"),
+        ({}, {"tracks": 1}, "agent reports messages handled on 'tracks', which it does not receive"),
+    ],
+)
+def test_a_key_that_a_node_neither_publishes_nor_receives_is_refused_and_named(
+    sent: dict[str, int], handled: dict[str, int], reason: str
+) -> None:
+    pacer = pacer_after(DONE)
+    assert pacer.report("agent", 1, sent, handled) == reason
     assert pacer.quiet(), "refused reports change nothing"
 
 
 def test_messages_of_the_previous_wiring_may_still_be_reported() -> None:
-    pacer = new_pacer()
+    pacer = pacer_after({})
     pacer.rewire(Wiring(WIRING.wires[:1]))
     pacer.begin_epoch(MEMBERS)
     assert pacer.report("agent", 2, {"tracks": 1}, {}) == ""
     assert pacer.report("broker", 2, {}, {"tracks": 1}) == ""
 
 
-def test_a_node_that_has_handled_more_than_was_sent_is_named() -> None:
-    pacer = new_pacer()
-    pacer.report("simulator", 1, {"clock": 3}, {})
-    pacer.report("agent", 1, {"tracks": 3}, {"clock": 3})
-    pacer.report("broker", 1, {"collated": 3}, {"clock": 3, "tracks": 10**9})
-    assert not pacer.quiet()
-    assert pacer.implausible() == (
-        "agent reports 3 messages sent on tracks, broker 1000000000 handled: one of the two reports is false"
-    )
+HEARD = ({}, {"clock": 2})
+UPSTREAM_DONE = counts(
+    2,
+    ({"tracks": 1}, {"clock": 2}),
+    ({"collated": 1}, {"clock": 2, "tracks": 1}),
+    evaluator=({}, {"clock": 2, "collated": 2}),
+)
 
 
-def test_a_node_that_has_handled_more_than_the_driver_sent_is_the_one_that_is_named() -> None:
-    pacer = Pacer(Wiring((*WIRING.wires[1:], wire("clock", "simulator", "agent"))))
-    pacer.begin_epoch(MEMBERS)
-    pacer.report("simulator", 1, {"clock": 3}, {})
-    pacer.report("agent", 1, {}, {"clock": 4})
-    pacer.report("broker", 1, {}, {})
+@pytest.mark.parametrize(
+    ("reports", "reason"),
+    [
+        (
+            counts(3, ({"tracks": 3}, {"clock": 3}), ({"collated": 3}, {"clock": 3, "tracks": 10**9})),
+            "agent reports 3 messages sent on tracks, broker 1000000000 handled: one of the two reports is false",
+        ),
+        (
+            counts(0, HEARD, HEARD, evaluator=HEARD),
+            "simulator reports 0 messages sent on clock, of which more have been handled "
+            "(agent 2, broker 2, evaluator 2)",
+        ),
+        (
+            counts(0, HEARD, HEARD, evaluator=({}, {"clock": 0})),
+            "agent reports 2 messages of simulator handled on clock, of which 0 were sent",
+        ),
+        (
+            UPSTREAM_DONE,
+            "broker reports 1 messages sent on collated, evaluator 2 handled: one of the two reports is false",
+        ),
+        # the agent may have sent more since its report; the broker may have handled that
+        (counts(1, ({}, {}), ({}, {"clock": 1, "tracks": 1})), ""),
+        (UPSTREAM_DONE | {"agent": ({"tracks": 1}, {"clock": 1})}, ""),
+    ],
+)
+def test_an_impossible_report_is_named_once_no_node_upstream_is_busy(reports: Counts, reason: str) -> None:
+    members = {name: LISTENED[name] for name in reports}
+    assert pacer_after(reports, members).implausible() == reason
+
+
+def test_the_drivers_report_counts_as_true() -> None:
+    wiring = Wiring((*WIRING.wires[1:], wire("clock", "simulator", "agent")))
+    pacer = pacer_after(counts(3, ({}, {"clock": 4}), ({}, {})), wiring=wiring)
     assert pacer.implausible() == "agent reports 4 messages of simulator handled on clock, of which 3 were sent"
-
-
-def test_the_count_of_a_busy_publisher_is_not_final_and_no_node_is_accused() -> None:
-    pacer = new_pacer()
-    pacer.report("simulator", 1, {"clock": 1}, {})
-    pacer.report("agent", 1, {}, {})
-    pacer.report("broker", 1, {}, {"clock": 1, "tracks": 1})
-    assert not pacer.quiet()
-    assert pacer.implausible() == ""
-
-
-def test_a_publisher_that_reports_too_few_messages_is_named() -> None:
-    pacer = Pacer(WIRING)
-    pacer.begin_epoch({**MEMBERS, "evaluator": "evaluator"})
-    pacer.report("simulator", 1, {"clock": 0}, {})
-    for name in ("agent", "broker", "evaluator"):
-        pacer.report(name, 1, {}, {"clock": 2})
-    assert pacer.implausible().startswith("simulator reports 0 messages sent on clock, of which more have been handled")
-    pacer.report("evaluator", 1, {}, {"clock": 0})
-    assert pacer.implausible().startswith(
-        "agent reports 2 messages of simulator handled on clock, of which 0 were sent"
-    )
 
 
 def test_missing_reports_of_a_correct_mesh_accuse_no_node() -> None:
     """Each node's last report may be of any of three frames; the driver's is new."""
-    pacer = new_pacer()
-    pacer.report("simulator", 1, {"clock": 3}, {})
     for of_agent, of_broker in itertools.product(range(4), repeat=2):
-        pacer.report("agent", 1, {"tracks": of_agent}, {"clock": of_agent})
-        pacer.report("broker", 1, {}, {"clock": of_broker, "tracks": of_broker})
+        agent, broker = ({"tracks": of_agent}, {"clock": of_agent}), ({}, {"clock": of_broker, "tracks": of_broker})
+        pacer = pacer_after(counts(3, agent, broker))
         assert pacer.implausible() == ""
         assert pacer.quiet() == ((of_agent, of_broker) == (3, 3))
-
-
-def test_no_node_is_blamed_while_an_upstream_node_is_busy() -> None:
-    """Agent and broker are still working; the broker's report may be outdated."""
-    pacer = new_pacer()
-    pacer.report("simulator", 1, {"clock": 2}, {})
-    pacer.report("agent", 1, {"tracks": 1}, {"clock": 1})
-    pacer.report("broker", 1, {"collated": 1}, {"clock": 2, "tracks": 1})
-    pacer.members["evaluator"] = "evaluator"
-    pacer.report("evaluator", 1, {}, {"clock": 2, "collated": 2})
-    assert pacer.implausible() == "", "the broker may have handled later messages of the agent"
-    pacer.report("agent", 1, {"tracks": 1}, {"clock": 2})
-    assert pacer.implausible() != "", "no node is busy, so one of the two reports is false"
-
-
-def test_a_node_that_reports_more_than_all_others_have_handled_is_named_first() -> None:
-    pacer = new_pacer()
-    pacer.report("simulator", 1, {"clock": 2}, {})
-    pacer.report("agent", 1, {}, {"clock": 1})
-    pacer.report("broker", 1, {}, {"clock": 1})
-    message = "simulator reports 2 messages sent on clock, of which all its subscribers have handled 1 (agent, broker)"
-    assert list(pacer.unsettled()) == [message]
