@@ -70,60 +70,41 @@ def mesh() -> Finding:
     return Finding("zenoh", True, f"{version('eclipse-zenoh')}, a router came up at {endpoint}")
 
 
-def docker() -> Finding:
-    """Whether this user can use a Docker engine."""
+def optional(name: str, look: Callable[[], str], fix: str) -> Finding:
+    """Whether an optional part is usable, as `look` describes it."""
     try:
-        return Finding("docker", True, f"engine {engine.check()}")
-    except EngineError as error:
-        return Finding("docker", None, str(error), "apt install docker.io; usermod -aG docker $USER")
+        return Finding(name, True, look())
+    except (EngineError, BackendError) as error:
+        return Finding(name, None, str(error), fix)
 
 
-def compose() -> Finding:
-    """Whether docker-compose is installed."""
+def _compose() -> str:
+    words = command()
+    return f"{' '.join(words)} {engine.run([*words, 'version', '--short'], timeout=30.0).strip()}"
+
+
+def _swarm() -> str:
+    engine.check()
+    check_manager()
+    usable = [machine.name for machine in machines() if machine.usable]
+    return f"{len(usable)} machine(s) take nodes: {', '.join(usable)}"
+
+
+def _image() -> str:
+    engine.check_image()
+    return engine.TAG
+
+
+def _ssh() -> str:
     try:
-        words = command()
-        version_text = engine.run([*words, "version", "--short"], timeout=30.0).strip()
-    except EngineError as error:
-        return Finding("compose", None, str(error), "apt install docker-compose")
-    return Finding("compose", True, f"{' '.join(words)} {version_text}")
-
-
-def swarm() -> Finding:
-    """Whether this machine manages a swarm."""
-    try:
-        engine.check()
-        check_manager()
-        usable = [machine.name for machine in machines() if machine.usable]
-    except EngineError as error:
-        return Finding("swarm", None, str(error), "docker swarm init --advertise-addr 127.0.0.1")
-    return Finding("swarm", True, f"{len(usable)} machine(s) take nodes: {', '.join(usable)}")
-
-
-def node_image() -> Finding:
-    """Whether the image exists and was built from these sources."""
-    try:
-        engine.check_image()
-    except EngineError as error:
-        return Finding("image", None, str(error), "mast deploy image")
-    return Finding("image", True, engine.TAG)
-
-
-def ssh() -> Finding:
-    """Whether other hosts can be reached by SSH."""
-    try:
-        return Finding("ssh", True, f"asyncssh {version('asyncssh')}")
+        return f"asyncssh {version('asyncssh')}"
     except ModuleNotFoundError:
-        return Finding("ssh", None, "asyncssh is not installed", "pip install 'mast-zenoh[deploy]'")
+        raise EngineError("asyncssh is not installed") from None
 
 
-def namespaces() -> Finding:
-    """Whether hosts of a scenario can be network namespaces of this machine."""
-    try:
-        wanted = {need: ["hosts"] for need in ("partition", "loss", "bandwidth", "delay")}
-        means = shaping.delays_by(wanted, Owner.this_process())
-    except BackendError as error:
-        return Finding("namespaces", None, str(error), "see docs/network.md")
-    return Finding("namespaces", True, f"yes, delays by {means}")
+def _namespaces() -> str:
+    wanted = {need: ["hosts"] for need in ("partition", "loss", "bandwidth", "delay")}
+    return f"yes, delays by {shaping.delays_by(wanted, Owner.this_process())}"
 
 
 def disk_space() -> Finding:
@@ -138,11 +119,11 @@ CHECKS: list[Callable[[], Finding]] = [
     python,
     compiled_kernels,
     mesh,
-    docker,
-    compose,
-    swarm,
-    node_image,
-    ssh,
-    namespaces,
+    lambda: optional("docker", lambda: f"engine {engine.check()}", "apt install docker.io; usermod -aG docker $USER"),
+    lambda: optional("compose", _compose, "apt install docker-compose"),
+    lambda: optional("swarm", _swarm, "docker swarm init --advertise-addr 127.0.0.1"),
+    lambda: optional("image", _image, "mast deploy image"),
+    lambda: optional("ssh", _ssh, "pip install 'mast-zenoh[deploy]'"),
+    lambda: optional("namespaces", _namespaces, "see docs/network.md"),
     disk_space,
 ]

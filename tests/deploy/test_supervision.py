@@ -18,7 +18,7 @@ from mast_zenoh.deploy import documents, swarm
 from mast_zenoh.deploy.compose import Compose, Containers, connected_as
 from mast_zenoh.deploy.ssh.attachment import Attachment
 from mast_zenoh.deploy.ssh.engine import RemoteNodes
-from mast_zenoh.deploy.ssh.hostsfile import Host, Hosts
+from mast_zenoh.deploy.ssh.hostsfile import Host, Hosts, Router
 from mast_zenoh.deploy.swarm import Services, Swarm, Task
 from mast_zenoh.errors import EngineError
 
@@ -119,7 +119,7 @@ class Alpha(Attachment):
     """A connection to a host that answers at once; the test sets its processes."""
 
     def __init__(self) -> None:
-        self.host = Host("alpha", "192.0.2.1")
+        self.host = Host(name="alpha", address="192.0.2.1")
         self.gone = False
         self.exits: dict[str, int] = {}
 
@@ -136,7 +136,7 @@ class Alpha(Attachment):
 def test_a_router_that_ended_on_a_host_is_named_with_its_host_instead_of_a_node(tmp_path: Path) -> None:
     alpha, specs = Alpha(), {"broker": SPEC, "ego": SPEC}
     with ExitStack() as stack:
-        hosts = Hosts("hosts.toml", {"alpha": alpha.host}, router_on="alpha")
+        hosts = Hosts("hosts.toml", {"alpha": alpha.host}, Router("alpha"))
         nodes = RemoteNodes(hosts, context(tmp_path, nodes=specs), stack)
         nodes.attachments, nodes.router_start = {"alpha": alpha}, (alpha, "1")
         nodes._command = lambda node, host: {}  # type: ignore[method-assign]

@@ -212,7 +212,7 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         self.installed: dict[str, Installed] = {}
         self.reached_from: dict[str, str] = {}  # our address, as each host sees it
         self.endpoints: dict[str, str] = {}
-        self.port = hosts_file.port
+        self.port = hosts_file.router.port
         self.router_start: tuple[Attachment, str] | None = None  # its host, and id of the command that started it
 
     # -- startup -------------------------------------------------------------------------------------------------
@@ -221,11 +221,11 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder:
             packages = Packages(Path(folder))
             self._on_all(lambda host, ssh: self._install(host, ssh, packages))
-        on = self.hosts_file.router_on
+        on = self.hosts_file.router.on
         self.port = self.port or free_port()
         for name in self.hosts:
             reached = self.reached_from[name] if on == LAUNCHER else self.hosts[on].address
-            address = self.hosts_file.address or reached
+            address = self.hosts_file.router.address or reached
             socket_ = f"tcp/{f'[{address}]' if ':' in address else address}:{self.port}"
             self.endpoints[name] = levels.endpoint(self.context.secure, socket_)
         return {"hosts": {name: self._place(name) for name in self.hosts}}
@@ -249,7 +249,7 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         reach = asdict(self.hosts[name])
         reach |= {key: str(Path(reach[key]).expanduser().resolve()) for key in ("key", "known_hosts") if reach[key]}
         nodes = [node for node, host in self.placed.items() if host == name]
-        nodes += [ROUTER] if self.hosts_file.router_on == name else []
+        nodes += [ROUTER] if self.hosts_file.router.on == name else []
         return {
             "reach": reach | {"nodes": [], "roles": []},
             "run_folder": self._folder(name),
@@ -265,8 +265,8 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         self._on_all(self._start_warden, whole=True)
         self._attach()
         self._until(lambda: all(a.attached for a in self.attachments.values()), _ATTACH_S, self._not_attached)
-        if self.hosts_file.router_on != LAUNCHER:
-            self._start_router_on(self.hosts_file.router_on, deployment)
+        if self.hosts_file.router.on != LAUNCHER:
+            self._start_router_on(self.hosts_file.router.on, deployment)
         return next(iter(self.endpoints.values()))
 
     async def _start_warden(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
@@ -319,10 +319,10 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
             raise EngineError(f"{host.called}: the router did not start: {lines[-1] if lines else 'no output'}")
 
     def open_session(self, endpoint: str, deployment: Deployment) -> zenoh.Session:
-        if self.hosts_file.router_on != LAUNCHER:
+        if self.hosts_file.router.on != LAUNCHER:
             return super().open_session(endpoint, deployment)
         endpoints = list(dict.fromkeys(self.endpoints.values()))
-        if self.hosts_file.address and not _is_local(self.hosts_file.address):  # such as a gateway's
+        if self.hosts_file.router.address and not _is_local(self.hosts_file.router.address):  # such as a gateway's
             endpoints = [levels.endpoint(self.context.secure, f"tcp/0.0.0.0:{self.port}")]
         try:
             return open_router(*endpoints, security=deployment.router)[0]

@@ -15,6 +15,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.wiring.endpoints import ROLES
@@ -24,41 +25,55 @@ LAUNCHER = "launcher"
 
 _WILD = re.compile(r"[*?\[]")
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
-_REACH: dict[str, type] = {"user": str, "port": int, "key": str, "known_hosts": str, "python": str, "folder": str}
-_PLACE: dict[str, type] = {"nodes": list, "roles": list, "spread": bool}
-_KINDS: dict[type, str] = {
-    str: "a string",
-    int: "a whole number",
-    float: "a number",
-    bool: "true or false",
-    list: "a list of strings",
-}
 
 
-@dataclass(frozen=True)
-class Host:
-    """How to reach a host, and which nodes run there.
+@dataclass(frozen=True, kw_only=True)
+class Reach:
+    """How to reach a host.
 
-    address:     name or address, port: of its SSH server
     user:        login name; empty: the name of the user who runs `mast`
+    port:        of its SSH server
     key:         file of the private key; empty: keys of the SSH agent and the usual files
     known_hosts: file with the keys of known hosts; a host whose key is not in it is refused
     python:      its Python, 3.11 or newer; folder: for installed files, below the home directory unless absolute
-    nodes: names of nodes, with * and ?; roles: it runs a share of the nodes with these roles; spread: whether it also
-           runs a share of the remaining nodes
     """
 
-    name: str
-    address: str
     user: str = ""
     port: int = 22
     key: str = ""
     known_hosts: str = "~/.ssh/known_hosts"
     python: str = "python3"
     folder: str = ".mast-zenoh"
+
+    def __post_init__(self) -> None:
+        check_port(self.port, 1)
+        for name in ("folder", "python", "known_hosts"):
+            value = getattr(self, name)
+            if not value or "\0" in value:
+                raise ValueError(f"{name}: found {value!r}, expected a path or a program")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Host(Reach):
+    """A host, and which nodes run there.
+
+    address: name or address
+    nodes: names of nodes, with * and ?; roles: it runs a share of the nodes with these roles; spread: whether it also
+           runs a share of the remaining nodes
+    """
+
+    name: str
+    address: str
     nodes: tuple[str, ...] = ()
     roles: tuple[str, ...] = ()
     spread: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not _NAME.fullmatch(self.name) or self.name == LAUNCHER:
+            raise ValueError(f"expected a name of letters, digits, - and _ other than {LAUNCHER!r}")
+        if not self.address:
+            raise ValueError("address: missing; expected a name or an address")
 
     @property
     def called(self) -> str:
@@ -67,18 +82,30 @@ class Host:
 
 
 @dataclass(frozen=True)
+class Router:
+    """Where the router is.
+
+    on: name of a host, or LAUNCHER; address: as seen from the hosts, empty: detected; port: 0: any
+    """
+
+    on: str = LAUNCHER
+    address: str = ""
+    port: int = 7447
+
+    def __post_init__(self) -> None:
+        check_port(self.port, 0 if self.on == LAUNCHER else 1)
+
+
+@dataclass(frozen=True)
 class Hosts:
     """The content of hosts.toml.
 
-    router_on: name of a host, or LAUNCHER; address: the router's, as seen from the hosts, empty: detected; port: 0: any
-    patience_s: how long nodes and the host's supervisor run without a launcher
+    place: of the file; patience_s: how long nodes and the host's supervisor run without a launcher
     """
 
     place: str
     hosts: dict[str, Host] = field(default_factory=dict)
-    router_on: str = LAUNCHER
-    address: str = ""
-    port: int = 7447
+    router: Router = Router()
     patience_s: float = 30.0
 
     def placed(self, nodes: Mapping[str, NodeSpec]) -> dict[str, str]:
@@ -113,7 +140,7 @@ class Hosts:
 
     def used(self, nodes: Mapping[str, NodeSpec]) -> dict[str, Host]:
         """The hosts that run nodes or the router."""
-        names = {*self.placed(nodes).values(), self.router_on}
+        names = {*self.placed(nodes).values(), self.router.on}
         return {name: host for name, host in self.hosts.items() if name in names}
 
     def _claims(self, nodes: Mapping[str, NodeSpec]) -> dict[str, list[str]]:
@@ -144,59 +171,34 @@ def parse(text: str, place: str) -> Hosts:
         data = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{place}: {error}") from None
-    _known(data, {"hosts": dict, "defaults": dict, "router": dict, "patience_s": float}, place, "")
-    hosts: dict[str, Any] = data.get("hosts", {})
-    if not hosts:
+    known = ("hosts", "defaults", "router", "patience_s")
+    for key in data:
+        if key not in known:
+            raise ConfigurationError(f"{place}: {key}: unknown{nearest(key, known)}")
+
+    def table(key: str) -> dict[str, Any]:
+        values: dict[str, Any] = registry.built(data.get(key, {}), dict[str, Any], f"{place}: {key}")
+        return values
+
+    if not table("hosts"):
         raise ConfigurationError(f"{place}: hosts: found none, expected a table for each: [hosts.NAME]")
-    defaults = _known(data.get("defaults", {}), _REACH, place, "defaults.")
-    router = _known(data.get("router", {}), {"on": str, "address": str, "port": int}, place, "router.")
-    read_hosts = {name: _host(name, table, defaults, place) for name, table in hosts.items()}
-    on = router.get("on", LAUNCHER)
-    if on not in (LAUNCHER, *read_hosts):
-        raise ConfigurationError(f"{place}: router.on: no host {on!r}{nearest(on, [LAUNCHER, *read_hosts])}")
-    _port(router, place, "router.", least=0 if on == LAUNCHER else 1)
-    patience_s = float(data.get("patience_s", Hosts.patience_s))
+    defaults = table("defaults")
+    registry.construct(Reach, defaults, f"{place}: defaults")
+    hosts = {}
+    for name, settings in table("hosts").items():
+        path = f"{place}: hosts.{name}"
+        own = registry.built(settings, dict[str, Any], path)
+        hosts[name] = registry.construct(Host, {**defaults, "address": "", **own, "name": name}, path)
+    router = registry.construct(Router, table("router"), f"{place}: router")
+    if router.on not in (LAUNCHER, *hosts):
+        raise ConfigurationError(f"{place}: router.on: no host {router.on!r}{nearest(router.on, [LAUNCHER, *hosts])}")
+    patience_s = registry.built(data.get("patience_s", Hosts.patience_s), float, f"{place}: patience_s")
     if not (math.isfinite(patience_s) and patience_s > 0):
         raise ConfigurationError(f"{place}: patience_s: found {patience_s}, expected seconds > 0")
-    return Hosts(
-        place, read_hosts, on, router.get("address", ""), router.get("port", Hosts.port), patience_s=patience_s
-    )
+    return Hosts(place, hosts, router, patience_s)
 
 
-def _host(name: str, table: Any, defaults: Mapping[str, Any], place: str) -> Host:
-    where = f"hosts.{name}."
-    if not _NAME.fullmatch(name) or name == LAUNCHER:
-        raise ConfigurationError(
-            f"{place}: hosts.{name}: expected a name of letters, digits, - and _ other than {LAUNCHER!r}"
-        )
-    if not isinstance(table, dict):
-        raise ConfigurationError(f"{place}: hosts.{name}: found {table!r}, expected a table: [hosts.{name}]")
-    entries = _known(table, {"address": str, **_REACH, **_PLACE}, place, where)
-    if not entries.get("address"):
-        raise ConfigurationError(f"{place}: {where}address: missing; expected a name or an address")
-    merged: dict[str, Any] = {**defaults, **entries}
-    _port(merged, place, where, least=1)
-    for key in ("folder", "python", "known_hosts"):
-        if merged.get(key) == "" or "\0" in merged.get(key, ""):
-            raise ConfigurationError(f"{place}: {where}{key}: found {merged[key]!r}, expected a path or a program")
-    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in merged.items()}
-    return Host(name, **values)
-
-
-def _known(table: Mapping[str, Any], kinds: Mapping[str, type], place: str, where: str) -> dict[str, Any]:
-    for key, value in table.items():
-        if key not in kinds:
-            raise ConfigurationError(f"{place}: {where}{key}: unknown{nearest(key, kinds)}")
-        kind = kinds[key]
-        fits = isinstance(value, (int, float) if kind is float else kind) and (kind is bool or type(value) is not bool)
-        if kind is list:
-            fits = fits and all(isinstance(item, str) for item in value)
-        if not fits:
-            expected = _KINDS.get(kind, "a table")
-            raise ConfigurationError(f"{place}: {where}{key}: found {value!r}, expected {expected}")
-    return dict(table)
-
-
-def _port(table: Mapping[str, Any], place: str, where: str, *, least: int) -> None:
-    if not least <= (port := table.get("port", 22)) <= 65535:
-        raise ConfigurationError(f"{place}: {where}port: found {port}, expected {least} to 65535")
+def check_port(port: int, least: int) -> None:
+    """Raise ValueError for an impossible port."""
+    if not least <= port <= 65535:
+        raise ValueError(f"port: found {port}, expected {least} to 65535")
