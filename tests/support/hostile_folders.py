@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -76,26 +77,23 @@ def _named(name: str, spoil: Case) -> None:
 
 
 def edit(place: Place, file: str, change: Callable[[Any], Any]) -> None:
-    """Change a JSON file of the folder; `change` returns the new content, or None if it changed the old one."""
+    """Change the content of a JSON file of the folder."""
     path = place.folder / file
     content = json.loads(path.read_text())
-    changed = change(content)
-    path.write_text(json.dumps(content if changed is None else changed))
+    change(content)
+    path.write_text(json.dumps(content))
 
 
 def set_in(place: Place, file: str, keys: str, value: Any) -> None:
-    """Set a dotted key of a JSON file."""
-    path = place.folder / file
-    content = json.loads(path.read_text())
-    *parents, last = keys.split("/")
-    inner = content
-    for key in parents:
-        inner = inner[int(key)] if isinstance(inner, list) else inner[key]
-    if isinstance(inner, list):
-        inner[int(last)] = value
-    else:
+    """Set a key of a JSON file, given as a path."""
+
+    def change(inner: Any) -> None:
+        *parents, last = (int(key) if key.isdigit() else key for key in keys.split("/"))
+        for key in parents:
+            inner = inner[key]
         inner[last] = value
-    path.write_text(json.dumps(content))
+
+    edit(place, file, change)
 
 
 def lacks_metrics(place: Place) -> None:
@@ -117,29 +115,20 @@ def _code_at(place: Place, where: str) -> str:
     return str(path)
 
 
-def _module(where: str) -> Case:
+def _code_named_by(keys: str, where: str, *, listed: bool = False) -> Case:
     def spoil(place: Place) -> None:
-        set_in(place, "scenario.json", "modules", [_code_at(place, where)])
+        name = _code_at(place, where)
+        set_in(place, "scenario.json", keys, [name] if listed else name)
         lacks_metrics(place)
 
     return spoil
 
 
 for _where in ("inside", "outside", "deep"):
-    _named(f"module_{_where}", _module(_where))
-
-
-def _node_file(node: str, where: str) -> Case:
-    def spoil(place: Place) -> None:
-        set_in(place, "scenario.json", f"nodes/{node}/file", _code_at(place, where))
-        lacks_metrics(place)
-
-    return spoil
-
-
+    _named(f"module_{_where}", _code_named_by("modules", _where, listed=True))
 for _node in ("evaluator", "command_center", "broker", "simulator", "ego", "adversary_1", "recorder"):
-    _named(f"file_of_{_node}", _node_file(_node, "inside"))
-_named("file_of_evaluator_outside", _node_file("evaluator", "outside"))
+    _named(f"file_of_{_node}", _code_named_by(f"nodes/{_node}/file", "inside"))
+_named("file_of_evaluator_outside", _code_named_by("nodes/evaluator/file", "outside"))
 
 
 @case
@@ -293,9 +282,7 @@ def _link(name: str, *, folder: bool = False) -> Case:
     def spoil(place: Place) -> None:
         path = place.folder / name
         if path.is_dir() and not path.is_symlink():
-            for file in sorted(path.rglob("*"), reverse=True):
-                file.rmdir() if file.is_dir() else file.unlink()
-            path.rmdir()
+            shutil.rmtree(path)
         path.unlink(missing_ok=True)
         path.symlink_to(place.outside / ("folder" if folder else "precious"))
 
@@ -334,11 +321,6 @@ def name_of_the_run(place: Place) -> None:
     set_in(place, "run.json", "id", _ESCAPE)
 
 
-@case
-def name_of_the_scenario(place: Place) -> None:
-    set_in(place, "scenario.json", "name", _ESCAPE)
-
-
 def _renamed(name: str, *, absolute: bool = False) -> Case:
     def spoil(place: Place) -> None:
         new = str(place.outside / "escaped") if absolute else _ESCAPE
@@ -366,11 +348,6 @@ def names_in_the_recording(place: Place) -> None:
 @case
 def recording_of_a_replay_elsewhere(place: Place) -> None:
     set_in(place, "scenario.json", "nodes/recorder/config/log", str(place.outside / "escaped.mcap"))
-
-
-@case
-def recording_of_a_replay_above(place: Place) -> None:
-    set_in(place, "scenario.json", "nodes/recorder/config/log", "../outside/escaped.mcap")
 
 
 @case
@@ -435,6 +412,16 @@ _FIELDS: dict[str, tuple[str, ...]] = {
 }
 
 
+def _setting(file: str, keys: str, value: Any) -> Case:
+    return lambda place: set_in(place, file, keys, value)
+
+
+_named("name_of_the_scenario", _setting("scenario.json", "name", _ESCAPE))
+_RECORDER, _SIMULATOR = "nodes/recorder/config/log", "nodes/simulator/config/recording"
+_named("recording_of_a_replay_above", _setting("scenario.json", _RECORDER, "../outside/escaped.mcap"))
+_named("scene_of_a_device", _setting("scenario.json", _SIMULATOR, "/dev/zero"))
+
+
 def wrong_types() -> Iterator[tuple[str, Case]]:
     """A case for each field of each file, with one wrong value, and for values in turn."""
     number = 0
@@ -442,11 +429,8 @@ def wrong_types() -> Iterator[tuple[str, Case]]:
         for keys in fields:
             value = _WRONG[number % len(_WRONG)]
             number += 1
-
-            def spoil(place: Place, file: str = file, keys: str = keys, value: Any = value) -> None:
-                set_in(place, file, keys, value)
-
-            yield f"{file.removesuffix('.json')}_{keys.replace('/', '_')}_{number % len(_WRONG)}", spoil
+            name = f"{file.removesuffix('.json')}_{keys.replace('/', '_')}_{number % len(_WRONG)}"
+            yield name, _setting(file, keys, value)
 
 
 # -- special files -----------------------------------------------------------------------------------------------------
@@ -454,69 +438,45 @@ def wrong_types() -> Iterator[tuple[str, Case]]:
 _ALL_FILES = (*JSON_FILES, "messages.mcap", "scene.npz", "metrics.parquet", "objects.parquet", "attacks.parquet")
 
 
-def _pipe(file: str) -> Case:
+def _bind(path: Path) -> None:
+    here = Path.cwd()
+    os.chdir(path.parent)  # the path of a socket is short
+    try:
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(path.name)
+    finally:
+        os.chdir(here)
+
+
+def _replaced(file: str, make: Callable[[Path], object]) -> Case:
     def spoil(place: Place) -> None:
         (place.folder / file).unlink(missing_ok=True)
-        os.mkfifo(place.folder / file)
+        make(place.folder / file)
 
     return spoil
 
 
-def _folder_as(file: str) -> Case:
-    def spoil(place: Place) -> None:
-        (place.folder / file).unlink(missing_ok=True)
-        (place.folder / file).mkdir()
-
-    return spoil
-
-
-def _socket(file: str) -> Case:
-    def spoil(place: Place) -> None:
-        (place.folder / file).unlink(missing_ok=True)
-        here = Path.cwd()
-        os.chdir((place.folder / file).parent)  # the path of a socket is short
-        try:
-            with socket.socket(socket.AF_UNIX) as server:
-                server.bind(Path(file).name)
-        finally:
-            os.chdir(here)
-
-    return spoil
-
-
-def _device(file: str) -> Case:
-    def spoil(place: Place) -> None:
-        (place.folder / file).unlink(missing_ok=True)
-        (place.folder / file).symlink_to("/dev/zero")
-
-    return spoil
-
-
-for _file in (*_ALL_FILES, "targets.parquet", "trust.parquet", "report.html", "logs/ego.log", "figures/birdseye.png"):
-    _named(f"pipe_as_{_file.replace('/', '_').replace('.', '_')}", _pipe(_file))
-for _file in (*_ALL_FILES, "report.html", "logs/ego.log"):
-    _named(f"folder_as_{_file.replace('/', '_').replace('.', '_')}", _folder_as(_file))
-for _file in ("run.json", "metrics.json", "messages.mcap", "scene.npz", "metrics.parquet"):
-    _named(f"device_as_{_file.replace('.', '_')}", _device(_file))
-    _named(f"socket_as_{_file.replace('.', '_')}", _socket(_file))
+_OUTPUTS = ("report.html", "logs/ego.log")
+_SOME = ("run.json", "metrics.json", "messages.mcap", "scene.npz", "metrics.parquet")
+for _kind, _make, _files in (
+    ("pipe", os.mkfifo, (*_ALL_FILES, *_OUTPUTS, "targets.parquet", "trust.parquet", "figures/birdseye.png")),
+    ("folder", Path.mkdir, (*_ALL_FILES, *_OUTPUTS)),
+    ("device", lambda path: path.symlink_to("/dev/zero"), _SOME),
+    ("socket", _bind, _SOME),
+):
+    for _file in _files:
+        _named(f"{_kind}_as_{_file.replace('/', '_').replace('.', '_')}", _replaced(_file, _make))
 for _file in ("messages.mcap", "scene.npz", "metrics.parquet", "objects.parquet", "attacks.parquet"):
     _named(f"text_as_{_file.replace('.', '_')}", _content(_file, "text" * 100))
 
 
-@case
-def scene_of_a_device(place: Place) -> None:
-    set_in(place, "scenario.json", "nodes/simulator/config/recording", "/dev/zero")
+def _text_as_folder(name: str) -> Case:
+    def spoil(place: Place) -> None:
+        shutil.rmtree(place.folder / name)
+        (place.folder / name).write_text("text")
+
+    return spoil
 
 
-@case
-def logs_as_a_file(place: Place) -> None:
-    _link("logs")(place)
-    (place.folder / "logs").unlink()
-    (place.folder / "logs").write_text("text")
-
-
-@case
-def figures_as_a_file(place: Place) -> None:
-    _link("figures")(place)
-    (place.folder / "figures").unlink()
-    (place.folder / "figures").write_text("text")
+for _folder in ("logs", "figures"):
+    _named(f"{_folder}_as_a_file", _text_as_folder(_folder))
