@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 from containers import built, mast, remnants_of
+from equal_runs import assert_equal
 from launched import MAST, Launched, eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.runtime.mesh.hosting import UP
 
@@ -53,10 +53,7 @@ def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) 
     plain = here("uncoordinated", SMALL, 5, tmp_path / "here")
     code, output = run.end()
     assert code == 0, output
-    assert json.loads((run.out / "metrics.json").read_text()) == json.loads((plain.folder / "metrics.json").read_text())
-    difference = compare(plain.folder, run.out, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
-    assert difference.equal > 0
+    assert_equal(plain.folder, run.out)
     record = run.record()
     assert record["security"] == "acl"
     assert all(node["exit"] == 0 and node["container"] and node["clock"] for node in record["nodes"].values())
@@ -71,24 +68,29 @@ def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> No
     assert code == 0, output
     assert [step["action"] for step in run.record()["steps"]] == ["kill", "start"]
     assert run.record()["nodes"]["infra_2"]["restarts"] == 1
-    difference = compare(plain.folder, run.out, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
+    assert_equal(plain.folder, run.out)
     assert not remnants_of(run.record()["id"])
 
 
-PAUSED = """
+FAULTY = """
 from mast_zenoh import scenario as scenarios
 
 
 def scenario():
     _, loaded = scenarios.load("baseline", ["n_infrastructure=1"])
-    return loaded | dict(faults=[dict(type="Pause", at=0.5, until=2.0, node="infra_1")])
+    return loaded | dict(faults=[{fault}])
 """
 
 
+def faulty(folder: Path, kind: str, **times: float) -> str:
+    """The file of a scenario with a fault of infra_1."""
+    path = folder / "faulty.py"
+    path.write_text(FAULTY.format(fault=dict(type=kind, node="infra_1", **times)))
+    return str(path)
+
+
 def test_a_paused_node_stops_and_continues(up, tmp_path: Path) -> None:
-    (tmp_path / "paused.py").write_text(PAUSED)
-    run = up(str(tmp_path / "paused.py"), "--mode", "realtime", "--frames", "40")
+    run = up(faulty(tmp_path, "Pause", at=0.5, until=2.0), "--mode", "realtime", "--frames", "40")
     code, output = run.end()
     assert code == 0, output
     assert [step["action"] for step in run.record()["steps"]] == ["pause", "resume"]
@@ -97,19 +99,8 @@ def test_a_paused_node_stops_and_continues(up, tmp_path: Path) -> None:
     assert not remnants_of(run.record()["id"])
 
 
-UNPLUGGED = """
-from mast_zenoh import scenario as scenarios
-
-
-def scenario():
-    _, loaded = scenarios.load("baseline", ["n_infrastructure=1"])
-    return loaded | dict(faults=[dict(type="Unplug", at={at}, until={until}, node="infra_1")])
-"""
-
-
 def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
-    (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=2.0, until=5.0))
-    run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--frames", "110")
+    run = up(faulty(tmp_path, "Unplug", at=2.0, until=5.0), "--mode", "realtime", "--frames", "110")
     code, output = run.end()
     assert code == 0, output
     record = run.record()
@@ -126,8 +117,7 @@ def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
 
 
 def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path: Path) -> None:
-    (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=1.0, until=60.0))
-    run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--patience", "5")
+    run = up(faulty(tmp_path, "Unplug", at=1.0, until=60.0), "--mode", "realtime", "--patience", "5")
     where = run.started()["nodes"]["infra_1"]["container"]
     networks = "{{len .NetworkSettings.Networks}}"
     eventually(
@@ -156,32 +146,21 @@ def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up)
     assert reached.strip() == "true", "nodes reach only the router"
     status = mast("deploy", "status", str(run.out)).stdout
     assert all(name in status for name in (*record["nodes"], "router")), status
-    run.process.send_signal(signal.SIGINT)
-    code, output = run.end()
-    assert code == 130, output
-    assert not remnants_of(record["id"])
-    assert run.record()["status"] == "interrupted"
-    assert json.loads((run.out / "metrics.json").read_text())["frames"] > 0
-    assert sum(1 for _ in read(recording)) > 0
-    assert not [path for path in run.out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
-    assert not (run.out / "credentials").exists()
-
-
-def test_a_foreign_container_on_a_network_of_a_run_does_not_prevent_its_removal(up) -> None:
-    run = up("baseline", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
-    run.until(run.recorded, "the run continues")
-    record = run.record()
-    project = f"mast-{record['id']}"
-    words = ("--network", f"{project}_wired", "--entrypoint", "sleep", built(), "600")
+    words = ("--network", f"mast-{record['id']}_wired", "--entrypoint", "sleep", built(), "600")
     foreign = docker("run", "--detach", "--name", f"foreign-{os.getpid()}", *words).strip()
     try:
         run.process.send_signal(signal.SIGINT)
         code, output = run.end()
         assert code == 130, output
-        assert not remnants_of(record["id"])
+        assert not remnants_of(record["id"]), "also with a foreign container on a network of the run"
         assert docker("inspect", "--format", "{{.State.Running}}", foreign).strip() == "true", "it is not ours to end"
     finally:
         docker("rm", "--force", foreign)
+    assert run.record()["status"] == "interrupted"
+    assert json.loads((run.out / "metrics.json").read_text())["frames"] > 0
+    assert sum(1 for _ in read(recording)) > 0
+    assert not [path for path in run.out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
+    assert not (run.out / "credentials").exists()
 
 
 def test_nodes_of_a_killed_launcher_exit_and_down_removes_the_remainder(up) -> None:

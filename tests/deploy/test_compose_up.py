@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 from containers import built, mast, remnants_of
+from equal_runs import assert_equal
 
 from mast_zenoh import scenario
 from mast_zenoh.deploy.compose import command
 from mast_zenoh.deploy.compose_inside import EXAMPLES
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare, explain
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]
 
@@ -75,8 +75,7 @@ def test_docker_compose_up_on_a_shipped_file_ends_by_itself_with_results(
     assert (out / "report.html").is_file()
     path, loaded = scenario.load(EXAMPLES[name][0])
     here = launcher.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), tmp_path / "here", runtime="inproc")
-    difference = compare(here.folder, out, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
+    assert_equal(here.folder, out)
     assert not [path for path in out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
 
 
@@ -94,8 +93,7 @@ def test_a_node_that_the_scenario_kills_starts_again_in_its_container(compose: C
     assert record["nodes"]["infra_2"]["restarts"] == 1
     path, loaded = scenario.load("attack_during_partition", words)
     here = launcher.run(scenario.resolve(path, loaded, frames=10, record=True), tmp_path / "here", runtime="inproc")
-    difference = compare(here.folder, out, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
+    assert_equal(here.folder, out)
 
 
 def test_the_exit_code_of_the_launcher_is_that_of_compose(compose: Compose) -> None:

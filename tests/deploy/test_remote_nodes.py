@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import Any
 
 import failing
 import pytest
+from equal_runs import assert_equal
 from launched_apart import Beside
 
 from mast_zenoh import scenario
@@ -15,7 +16,6 @@ from mast_zenoh.errors import HandlerFailed, VersionMismatch
 from mast_zenoh.launch import conclusion
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.file_server import files_for_node
-from mast_zenoh.messagelog.difference import compare, explain
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
@@ -31,11 +31,7 @@ def test_a_run_with_remote_nodes_equals_the_one_in_one_process(tmp_path: Path, l
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     there = launcher.run(resolved, tmp_path / "there", engine=Beside(), secure=level)
     assert there.error is None
-    difference = compare(here.folder, there.folder, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
-    assert difference.equal > 0
-    metrics = [json.loads((run.folder / "metrics.json").read_text()) for run in (here, there)]
-    assert metrics[0] == metrics[1]
+    assert_equal(here.folder, there.folder)
     for node in there.record["nodes"].values():
         assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
         assert node["versions"]["numpy"] == there.record["versions"]["numpy"]
@@ -94,8 +90,17 @@ def test_a_users_files_and_their_imports_reach_the_nodes(tmp_path: Path) -> None
     }
     there = launcher.run(resolved, tmp_path / "there", engine=Beside())
     assert there.error is None, there.error
-    difference = compare(here.folder, there.folder)
-    assert difference.first is None, "\n".join(explain(difference))
+    assert_equal(here.folder, there.folder)
+
+
+def outcome_of(run: launcher.Run) -> tuple[Any, ...]:
+    """Failures by node, notices, and files of results."""
+    failed = {
+        node: [failure | {"where": Path(failure["where"]).name} for failure in failures]
+        for node, failures in run.failures.items()
+    }
+    files = {path.relative_to(run.folder): path.read_bytes() for path in run.folder.glob("results/*/*")}
+    return failed, [notice["text"] for notice in run.record["notices"]], files
 
 
 def test_remote_nodes_have_the_same_failures_and_results_as_in_one_process(tmp_path: Path) -> None:
@@ -107,23 +112,9 @@ def test_remote_nodes_have_the_same_failures_and_results_as_in_one_process(tmp_p
         runs["there"] = launcher.run(resolved, tmp_path / f"{name}_there", engine=Beside(), secure="acl")
         for run in runs.values():
             assert type(run.error) is (error or type(None)), run.error
-        here, there = (
-            {
-                node: [entry | {"where": Path(entry["where"]).name} for entry in entries]
-                for node, entries in failed.items()
-            }
-            for failed in (run.failures for run in runs.values())
-        )
+        here, there = (outcome_of(run) for run in runs.values())
         assert here == there
-        assert [notice["text"] for notice in runs["here"].record["notices"]] == [
-            notice["text"] for notice in runs["there"].record["notices"]
-        ]
-        files = [
-            {path.relative_to(run.folder): path.read_bytes() for path in run.folder.glob("results/*/*")}
-            for run in runs.values()
-        ]
-        assert files[0] == files[1]
-    assert {path.as_posix() for path in files[0]} >= {"results/counter/metrics.parquet", "results/counter/results.json"}
+    assert {path.as_posix() for path in here[2]} >= {"results/counter/metrics.parquet", "results/counter/results.json"}
 
 
 #: The process of a node ends at once when it has handed in its results; files that grow are not sent before.
@@ -140,9 +131,7 @@ def test_a_node_that_has_handed_in_its_results_has_handed_in_all_its_files(tmp_p
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     there = launcher.run(resolved, tmp_path / "there", engine=Beside({"recorder": ENDS_WITH_ITS_RESULTS}))
     assert there.error is None
-    difference = compare(here.folder, there.folder, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
-    assert difference.equal > 0
+    assert_equal(here.folder, there.folder)
 
 
 def test_arrival_times_on_a_clock_that_is_ahead_are_corrected() -> None:

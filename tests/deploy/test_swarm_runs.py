@@ -8,11 +8,11 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import swarm_launch
 import swarms
+from equal_runs import assert_equal
 from launched import Launched, eventually
 
 from mast_zenoh import scenario
@@ -22,8 +22,6 @@ from mast_zenoh.deploy.engine import CREDENTIALS
 from mast_zenoh.deploy.swarm import Swarm, remaining_parts, remove_stack
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.launch.run import Run
-from mast_zenoh.messagelog.difference import compare, explain
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(420)]
 
@@ -52,23 +50,12 @@ def nothing_is_left_behind(image: str) -> Iterator[None]:
     assert not (left := stacked() - before), f"left behind: {left}"
 
 
-def metrics(run: Run) -> Any:
-    return json.loads((run.folder / "metrics.json").read_text())
-
-
-def same(here: Run, there: Run) -> None:
-    assert there.error is None, there.error
-    assert metrics(here) == metrics(there)
-    difference = compare(here.folder, there.folder, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
-    assert difference.equal > 0
-
-
 def test_a_secure_run_equals_the_one_in_one_process_and_reveals_no_key(tmp_path: Path, image: str) -> None:
     resolved = swarm_launch.resolved()
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     there = launcher.run(resolved, tmp_path / "there", engine=Swarm(image), secure="acl")
-    same(here, there)
+    assert there.error is None, there.error
+    assert_equal(here.folder, there.folder)
     for name, node in there.record["nodes"].items():
         assert node["service"] == f"{there.record['deployment']['stack']}_{name}"
         assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
@@ -82,7 +69,8 @@ def test_a_killed_node_stays_down_until_started_and_messages_are_unchanged(tmp_p
     resolved = swarm_launch.resolved(frames=14, faults=[kill])
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     there = launcher.run(resolved, tmp_path / "there", engine=Swarm(image))
-    same(here, there)
+    assert there.error is None, there.error
+    assert_equal(here.folder, there.folder)
     assert there.record["nodes"]["infra_2"]["restarts"] == 1
     assert there.record["steps"] == [
         {"frame": 5, "action": "kill", "node": "infra_2"},
