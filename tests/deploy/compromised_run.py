@@ -33,6 +33,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.report import html
 from mast_zenoh.runtime.mesh.session import open_session
+from mast_zenoh.runtime.protocol.driver import DriverProtocol, DriverState, Phase
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.levels import client_settings
 
@@ -179,12 +180,31 @@ def _be_the_insiders(
         thread.join()
 
 
+def hold(frame: int, go: str, stall_timeout_s: float) -> None:
+    """Make this process's driver wait before a frame until the file `go` exists.
+
+    stall_timeout_s: its limit for waiting until the mesh is quiet
+    """
+    carry_out, init = DriverProtocol._carry_out, DriverProtocol.__init__
+
+    def waiting(self: DriverProtocol) -> Phase:
+        while self.frames == frame and not Path(go).exists() and not self._end_reason:
+            yield from self._wait(DriverState.PACING, self._now_s + 0.02)
+        return (yield from carry_out(self))
+
+    def hasty(self: DriverProtocol, *arguments: Any, **more: Any) -> None:
+        init(self, *arguments, **{**more, "stall_timeout_s": stall_timeout_s})
+
+    DriverProtocol._carry_out = waiting  # type: ignore[method-assign]
+    DriverProtocol.__init__ = hasty  # type: ignore[method-assign]
+
+
 def main(folder: Path) -> None:
     """The process that carries out the run."""
     run, held = resolved(folder / "scenario"), f"hold({HELD_BEFORE}, {str(folder / 'go')!r}, 6.0)"
     driver = next(name for name, spec in run.nodes.items() if spec.role == "simulator")
     here = str(Path(__file__).parent)
-    engine = Beside({driver: f"__import__('sys').path.append({here!r}); __import__('compromised').{held}"})
+    engine = Beside({driver: f"__import__('sys').path.append({here!r}); __import__('compromised_run').{held}"})
     peaks: dict[str, float] = {}
     over = threading.Event()
     watchers: list[threading.Thread] = []
