@@ -1,7 +1,4 @@
-"""Explains why a certificate is refused.
-
-`look` collects the facts, `reasons` explains them. `reasons` is pure.
-"""
+"""Explains why a certificate is refused."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import ssl
 import stat
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -28,58 +24,6 @@ _VERDICT_S = 0.5
 #: Zenoh's router pauses for 0.1 s after each failed handshake, and accepts no others meanwhile (zenoh#2685).
 _BUSY = "it is busy or does not speak TLS"
 
-
-@dataclass(frozen=True)
-class Certificate:
-    """The relevant parts of a certificate.
-
-    trusted: signed by our authority; names: hosts that it is valid for
-    """
-
-    common_name: str
-    not_before: datetime
-    not_after: datetime
-    trusted: bool
-    names: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Router:
-    """Observations of the router.
-
-    silent:  why it did not answer; a later attempt may succeed; plain: whether its answer is not TLS
-    verdict: the alert that it sent us, in OpenSSL's words
-    """
-
-    silent: str = ""
-    plain: bool = False
-    certificate: Certificate | None = None
-    verdict: str = ""
-
-
-@dataclass(frozen=True)
-class Facts:
-    """The facts about a process's credentials and the router that it should join.
-
-    where:     the folder, or a description
-    unusable:  files that are missing or not PEM, and why
-    too_wide:  files or folders that others may read, and their permissions
-    key_fits:  whether the key belongs to the certificate; None if one of them is missing
-    host:      the host of the endpoint; scheme: "tls"
-    """
-
-    now: datetime
-    where: str = "the credentials"
-    unusable: tuple[tuple[str, str], ...] = ()
-    too_wide: tuple[tuple[str, int], ...] = ()
-    authority: Certificate | None = None
-    certificate: Certificate | None = None
-    key_fits: bool | None = None
-    scheme: str = "tls"
-    host: str = ""
-    router: Router | None = None
-
-
 #: Meaning of a router's alert, by OpenSSL's name for it.
 _VERDICTS = {
     "CERTIFICATE_REQUIRED": "it requires a certificate, and none was presented",
@@ -92,154 +36,126 @@ _VERDICTS = {
 
 
 def explain(credentials: Credentials | Path, endpoint: str | None = None) -> list[str]:
-    """Reasons why these credentials would be refused at this endpoint, as sentences.
+    """Reasons why these credentials would be refused at this endpoint, as sentences, the most direct cause first.
 
     endpoint: of the router, tls/HOST:PORT; without it only the credentials are checked
+
+    Takes at most about 3 s.
     """
-    return list(reasons(look(credentials, endpoint)))
-
-
-def reasons(facts: Facts) -> Iterator[str]:
-    """Explain the facts in sentences, the most direct cause first."""
-    for file, why in facts.unusable:
-        yield f"{file}: {why}"
-    for file, mode in facts.too_wide:
-        yield f"{file}: others may read it (mode {mode:04o}), expected {0o700 if mode & 0o100 else 0o600:04o}"
-    if facts.authority is not None:
-        yield from _validity("the authority's certificate", facts.where, facts.authority, facts.now)
-    own = facts.certificate
-    if own is not None:
-        yield from _validity("the certificate", facts.where, own, facts.now)
-        if not own.trusted:
-            yield f"{facts.where}: the certificate of {own.common_name!r} was issued by another authority"
-    if facts.key_fits is False:
-        yield f"{facts.where}: the key does not belong to the certificate"
-    if facts.scheme != "tls":
-        yield f"{facts.scheme}/{facts.host}: not encrypted; with credentials an endpoint is tls/HOST:PORT"
-    elif facts.router is not None:
-        yield from _router_reasons(facts, facts.router)
-
-
-def _router_reasons(facts: Facts, router: Router) -> Iterator[str]:
-    if router.silent:
-        yield f"the router at {facts.host} {UNREACHED}: {router.silent}"
-    if router.plain:
-        yield f"the router at {facts.host} does not speak TLS"
-    certificate = router.certificate
-    if certificate is not None:
-        yield from _validity("the router's certificate", facts.host, certificate, facts.now)
-        if not certificate.trusted:
-            yield f"the router at {facts.host} has a certificate from another authority: it may be a rogue"
-        elif facts.host not in certificate.names:
-            text = ", ".join(certificate.names) or "no host at all"
-            yield f"the router's certificate is not for {facts.host!r}, but for {text}"
-    if router.verdict:
-        text = next((words for word, words in _VERDICTS.items() if word in router.verdict), router.verdict)
-        yield f"the router at {facts.host} refuses us: {text}"
-
-
-def _validity(what: str, where: str, certificate: Certificate, now: datetime) -> Iterator[str]:
-    if now > certificate.not_after:
-        yield f"{where}: {what} expired at {_utc_text(certificate.not_after)}, now it is {_utc_text(now)}"
-    if now < certificate.not_before:
-        yield f"{where}: {what} is not valid before {_utc_text(certificate.not_before)}, now it is {_utc_text(now)}"
-
-
-def _utc_text(time: datetime) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S UTC")
-
-
-# -- collecting the facts ----------------------------------------------------------------------------------------------
-
-
-def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
-    """Collect the facts about credentials and a router; takes at most about 3 s."""
     where, unusable, too_wide = "the credentials", [], []
     if isinstance(credentials, Path):
         folder, where = credentials, str(credentials)
         for path in (folder, folder / KEY):
             if path.exists() and (mode := stat.S_IMODE(path.stat().st_mode)) & 0o077:
-                too_wide.append((str(path), mode))
+                expected_mode = 0o700 if mode & 0o100 else 0o600
+                too_wide.append(f"{path}: others may read it (mode {mode:04o}), expected {expected_mode:04o}")
         present = [name for name in (AUTHORITY, CERTIFICATE, KEY) if (folder / name).is_file()]
         expected = (AUTHORITY,) if present == [AUTHORITY] else (AUTHORITY, CERTIFICATE, KEY)
-        unusable = [(str(folder / name), "is missing") for name in expected if name not in present]
+        unusable = [f"{folder / name}: is missing" for name in expected if name not in present]
         try:
             credentials = Credentials.read(folder)
         except CredentialsError as error:
-            if not unusable:
-                unusable.append((str(folder), str(error)))
+            unusable = unusable or [f"{folder}: {error}"]
             credentials = Credentials(b"")
-    authority, certificate = _parsed(credentials.authority), _parsed(credentials.certificate)
+    authority, own = _parsed(credentials.authority), _parsed(credentials.certificate)
     for name, content, parsed in (
         (AUTHORITY, credentials.authority, authority),
-        (CERTIFICATE, credentials.certificate, certificate),
+        (CERTIFICATE, credentials.certificate, own),
     ):
         if content and parsed is None:
-            unusable.append((f"{where}/{name}", "is not a PEM certificate"))
-    key_fits = None
+            unusable.append(f"{where}/{name}: is not a PEM certificate")
+    reasons = [*_validity("the authority's certificate", where, authority), *_validity("the certificate", where, own)]
+    if own is not None and not _is_from(authority, own):
+        reasons.append(f"{where}: the certificate of {_common_name(own)!r} was issued by another authority")
+    key_fits = True
     if credentials.key:
         try:
             key = serialization.load_pem_private_key(credentials.key, None)
-            key_fits = None if certificate is None else key.public_key() == certificate.public_key()
+            key_fits = own is None or key.public_key() == own.public_key()
         except (ValueError, TypeError):
-            unusable.append((f"{where}/{KEY}", "is not a PEM private key"))
-    scheme, host, router = "tls", "", None
-    if endpoint is not None:
-        scheme, _, address = endpoint.partition("/")
-        host, _, port = address.rpartition(":")
-        host = host.strip("[]")
-        if scheme == "tls":
-            usable = authority is not None and not unusable and key_fits is not False
-            router = _router(host, int(port), credentials if usable else None, authority)
-    return Facts(
-        datetime.now(UTC),
-        where,
-        tuple(unusable),
-        tuple(too_wide),
-        _summary(authority, authority),
-        _summary(certificate, authority),
-        key_fits,
-        scheme,
-        host,
-        router,
-    )
+            unusable.append(f"{where}/{KEY}: is not a PEM private key")
+    if not key_fits:
+        reasons.append(f"{where}: the key does not belong to the certificate")
+    reasons = [*unusable, *too_wide, *reasons]
+    if endpoint is None:
+        return reasons
+    scheme, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]")
+    if scheme != "tls":
+        return [*reasons, f"{scheme}/{host}: not encrypted; with credentials an endpoint is tls/HOST:PORT"]
+    usable = authority is not None and not unusable and key_fits
+    problem, certificate = handshake(host, int(port), credentials if usable else None)
+    return [*reasons, *_of_router(host, authority, certificate), *([problem] if problem else [])]
 
 
-def _router(host: str, port: int, credentials: Credentials | None, authority: x509.Certificate | None) -> Router:
-    """Try a TLS handshake as a client would, but accept any certificate for inspection."""
+def _of_router(host: str, authority: x509.Certificate | None, certificate: x509.Certificate | None) -> Iterator[str]:
+    yield from _validity("the router's certificate", host, certificate)
+    if certificate is None:
+        return
+    if not _is_from(authority, certificate):
+        yield f"the router at {host} has a certificate from another authority: it may be a rogue"
+    elif host not in (names := _hosts(certificate)):
+        yield f"the router's certificate is not for {host!r}, but for {', '.join(names) or 'no host at all'}"
+
+
+def handshake(host: str, port: int, credentials: Credentials | None) -> tuple[str, x509.Certificate | None]:
+    """Try a TLS handshake as a client would, but accept any certificate for inspection.
+
+    Returns why the router did not answer or refuses us, or "", and its certificate.
+    """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if credentials is not None and credentials.certificate:
         with tempfile.TemporaryDirectory(prefix="mast-") as folder:  # OpenSSL takes files only
             credentials.write(Path(folder))
             context.load_cert_chain(Path(folder) / CERTIFICATE, Path(folder) / KEY)
+    silent = f"the router at {host} {UNREACHED}"
     try:
         raw = socket.create_connection((host, port), _CONNECT_S)
     except OSError as error:
-        return Router(silent=error.strerror or str(error))
+        return f"{silent}: {error.strerror or error}", None
     with raw:
-        certificate, verdict = None, ""
+        certificate = None
         try:
             with context.wrap_socket(raw, server_hostname=host) as link:
                 der = link.getpeercert(binary_form=True)
-                certificate = _summary(x509.load_der_x509_certificate(der), authority) if der else None
+                certificate = x509.load_der_x509_certificate(der) if der else None
                 link.settimeout(_VERDICT_S)
                 link.recv(1)  # in TLS 1.3 the server's refusal comes after the handshake
         except TimeoutError:
             if certificate is None:
                 problem = f"it accepted the connection, but did not complete the TLS handshake within {_CONNECT_S:g} s"
-                return Router(silent=f"{problem}: {_BUSY}")
+                return f"{silent}: {problem}: {_BUSY}", None
         except ssl.SSLEOFError:
             if certificate is None:
-                return Router(silent=f"it closed the connection during the TLS handshake: {_BUSY}")
+                return f"{silent}: it closed the connection during the TLS handshake: {_BUSY}", None
         except ssl.SSLError as error:
             verdict = error.reason or str(error)
             if certificate is None and "ALERT" not in verdict:
-                return Router(plain=True)
+                return f"the router at {host} does not speak TLS", None
+            return f"the router at {host} refuses us: {meaning(verdict)}", certificate
         except OSError as error:
             if certificate is None:
-                return Router(silent=error.strerror or str(error))
-        return Router(certificate=certificate, verdict=verdict)
+                return f"{silent}: {error.strerror or error}", None
+        return "", certificate
+
+
+def meaning(verdict: str) -> str:
+    """A router's alert in words; by OpenSSL's name for it if it is unknown."""
+    return next((words for word, words in _VERDICTS.items() if word in verdict), verdict)
+
+
+def _validity(what: str, where: str, certificate: x509.Certificate | None) -> Iterator[str]:
+    now = datetime.now(UTC)
+    if certificate is not None and now > certificate.not_valid_after_utc:
+        yield f"{where}: {what} expired at {_utc(certificate.not_valid_after_utc)}, now it is {_utc(now)}"
+    if certificate is not None and now < certificate.not_valid_before_utc:
+        yield f"{where}: {what} is not valid before {_utc(certificate.not_valid_before_utc)}, now it is {_utc(now)}"
+
+
+def _utc(time: datetime) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _parsed(pem: bytes) -> x509.Certificate | None:
@@ -249,25 +165,24 @@ def _parsed(pem: bytes) -> x509.Certificate | None:
         return None
 
 
-def _summary(certificate: x509.Certificate | None, authority: x509.Certificate | None) -> Certificate | None:
-    if certificate is None:
-        return None
-    trusted = authority is not None
-    if authority is not None:
-        try:
-            certificate.verify_directly_issued_by(authority)
-        except (ValueError, TypeError, InvalidSignature):
-            trusted = False
-    common_names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+def _is_from(authority: x509.Certificate | None, certificate: x509.Certificate) -> bool:
     try:
-        alternative_names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-        names = tuple(str(name.value) for name in alternative_names)
+        if authority is not None:
+            certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return authority is not None
+
+
+def _common_name(certificate: x509.Certificate) -> str:
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def _hosts(certificate: x509.Certificate) -> list[str]:
+    """The hosts that a router's certificate is valid for."""
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
-        names = ()
-    return Certificate(
-        str(common_names[0].value) if common_names else "",
-        certificate.not_valid_before_utc,
-        certificate.not_valid_after_utc,
-        trusted,
-        names,
-    )
+        return []
+    return [str(name.value) for name in names]

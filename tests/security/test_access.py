@@ -47,7 +47,7 @@ def rules(wiring: Wiring) -> dict:
     return access_control(wiring, NAMES, prefix=PREFIX, driver=DRIVER)
 
 
-WORDS = (
+WORDS = [
     "mast",
     "r",
     "other",
@@ -64,7 +64,7 @@ WORDS = (
     "epoch",
     "stop",
     "alive",
-)
+]
 CHUNKS = st.sampled_from([*WORDS, *NODES])
 EXPRESSIONS = st.one_of(
     st.lists(CHUNKS, min_size=1, max_size=6).map("/".join),

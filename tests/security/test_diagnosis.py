@@ -2,85 +2,90 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from cryptography import x509
 
 from mast_zenoh.security import diagnosis, explain
 from mast_zenoh.security.authority import Authority
-from mast_zenoh.security.credentials import UNREACHED, Credentials
-from mast_zenoh.security.diagnosis import Certificate, Facts, Router, reasons
+from mast_zenoh.security.credentials import ROUTER, UNREACHED, Credentials
 
-NOW = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
 HOUR = timedelta(hours=1)
-SOUND = Certificate("infra_1.r", NOW - HOUR, NOW + HOUR, trusted=True)
-THEIRS = replace(SOUND, common_name="@router.r", names=("router", "10.0.0.1"))
-FACTS = Facts(
-    NOW, "/keys", authority=SOUND, certificate=SOUND, key_fits=True, host="router", router=Router(certificate=THEIRS)
-)
-
-
-def test_valid_credentials_have_no_reasons() -> None:
-    assert list(reasons(FACTS)) == []
+NOW = datetime.now(UTC)
+OURS, OTHER = Authority("r"), Authority("r")
+GOOD, FOREIGN = OURS.issue("a"), OTHER.issue("a")
+OLD, EARLY = OURS.issue("a", begins=NOW - 2 * HOUR, ends=NOW - HOUR), OURS.issue("a", begins=NOW + HOUR)
+PAST = f"expired at {NOW - HOUR:%Y-%m-%d %H:%M:%S} UTC, now it is "
 
 
 @pytest.mark.parametrize(
-    ("changed", "reason"),
+    ("credentials", "reason"),
     [
-        ({"certificate": replace(SOUND, not_after=NOW - HOUR)}, "expired at 2026-11-20 11:00:00 UTC, now it is"),
-        ({"certificate": replace(SOUND, not_before=NOW + HOUR)}, "not valid before 2026-11-20 13:00:00 UTC"),
-        ({"certificate": replace(SOUND, trusted=False)}, "'infra_1.r' was issued by another authority"),
-        ({"authority": replace(SOUND, not_after=NOW - HOUR)}, "the authority's certificate expired at"),
-        ({"key_fits": False}, "the key does not belong to the certificate"),
-        ({"unusable": (("/keys/key.pem", "is missing"),)}, "/keys/key.pem: is missing"),
-        ({"too_wide": (("/keys/key.pem", 0o644),)}, "others may read it (mode 0644), expected 0600"),
-        ({"too_wide": (("/keys", 0o755),)}, "others may read it (mode 0755), expected 0700"),
-        ({"scheme": "tcp"}, "tcp/router: not encrypted"),
-        ({"host": "elsewhere"}, "not for 'elsewhere', but for router, 10.0.0.1"),
-        ({"router": Router(silent="Connection refused")}, "cannot be reached: Connection refused"),
-        ({"router": Router(plain=True)}, "does not speak TLS"),
-        ({"router": Router(certificate=replace(THEIRS, trusted=False))}, "it may be a rogue"),
-        ({"router": Router(certificate=replace(THEIRS, not_after=NOW - HOUR))}, "router's certificate expired at"),
-        ({"router": Router(certificate=THEIRS, verdict="TLSV1_ALERT_UNKNOWN_CA")}, "does not trust the authority"),
-        ({"router": Router(certificate=THEIRS, verdict="TLSV13_ALERT_CERTIFICATE_REQUIRED")}, "none was presented"),
-        ({"router": Router(certificate=THEIRS, verdict="SSLV3_ALERT_CERTIFICATE_EXPIRED")}, "compare the clocks"),
-        ({"router": Router(certificate=THEIRS, verdict="SOMETHING_NEW")}, "SOMETHING_NEW"),
+        (OLD, f"the certificate {PAST}"),
+        (EARLY, f"the certificate is not valid before {NOW + HOUR:%Y-%m-%d %H:%M:%S} UTC, now it is "),
+        (
+            Credentials(OURS.pem, FOREIGN.certificate, FOREIGN.key),
+            "certificate of 'a.r' was issued by another authority",
+        ),
+        (Credentials(OURS.pem, GOOD.certificate, FOREIGN.key), "the key does not belong to the certificate"),
+        (Credentials(OURS.pem, b"nonsense", GOOD.key), "certificate.pem: is not a PEM certificate"),
+        (Credentials(OURS.pem, GOOD.certificate, b"nonsense"), "key.pem: is not a PEM private key"),
+        (Credentials(OURS.pem, GOOD.certificate), "key.pem: is missing"),
+        (Credentials(OLD.certificate), f"the authority's certificate {PAST}"),
+        (GOOD, None),
     ],
 )
-def test_each_fault_is_explained_once(changed: dict, reason: str) -> None:
-    (sentence,) = reasons(replace(FACTS, **changed))
-    assert reason in sentence
+def test_each_fault_of_a_folder_is_explained_once(tmp_path: Path, credentials: Credentials, reason: str | None) -> None:
+    reasons = explain(credentials.write(tmp_path / "keys"))
+    if reason is None:
+        assert reasons == []
+    else:
+        (sentence,) = reasons
+        assert sentence.startswith(str(tmp_path / "keys"))
+        assert reason in sentence
 
 
-def test_valid_files_have_no_reasons(tmp_path: Path) -> None:
-    assert explain(Authority("r").issue("a").write(tmp_path / "a")) == []
-
-
-def test_faults_of_files_are_found(tmp_path: Path) -> None:
-    authority, now = Authority("r"), datetime.now(UTC)
-
-    def of(credentials: Credentials) -> list[str]:
-        return explain(credentials.write(tmp_path / os.urandom(4).hex()))
-
-    good, other = authority.issue("a"), Authority("r").issue("a")
-    assert "expired at" in "".join(of(authority.issue("a", begins=now - 2 * HOUR, ends=now - HOUR)))
-    assert "not valid before" in "".join(of(authority.issue("a", begins=now + HOUR)))
-    assert "another authority" in "".join(of(Credentials(authority.pem, other.certificate, other.key)))
-    assert "does not belong" in "".join(of(Credentials(authority.pem, good.certificate, other.key)))
-    assert "not a PEM certificate" in "".join(of(Credentials(authority.pem, b"nonsense", good.key)))
-    assert "not a PEM private key" in "".join(of(Credentials(authority.pem, good.certificate, b"nonsense")))
-    assert "key.pem: is missing" in "".join(of(Credentials(authority.pem, good.certificate)))
-    assert "ca.pem: is missing" in "".join(explain(tmp_path / "nowhere"))
-    folder = good.write(tmp_path / "wide")
+def test_permissions_and_missing_folders_are_explained(tmp_path: Path) -> None:
+    folder = GOOD.write(tmp_path / "wide")
     (folder / "key.pem").chmod(0o640)
-    assert "mode 0640" in "".join(explain(folder))
+    folder.chmod(0o755)
+    key, place = f"{folder / 'key.pem'}", f"{folder}"
+    assert explain(folder) == [
+        f"{place}: others may read it (mode 0755), expected 0700",
+        f"{key}: others may read it (mode 0640), expected 0600",
+    ]
+    assert "ca.pem: is missing" in "".join(explain(tmp_path / "nowhere"))
+
+
+THEIRS = OURS.issue(ROUTER, ["router", "10.0.0.1"])
+STALE = OURS.issue(ROUTER, ["router"], begins=NOW - 2 * HOUR, ends=NOW - HOUR)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "problem", "certificate", "reason"),
+    [
+        ("tls/router:1", "", THEIRS, None),
+        ("tcp/router:1", "", None, "tcp/router: not encrypted"),
+        ("tls/elsewhere:1", "", THEIRS, "not for 'elsewhere', but for router, 10.0.0.1"),
+        ("tls/router:1", "it refuses us", THEIRS, "it refuses us"),
+        ("tls/router:1", "", OTHER.issue(ROUTER, ["router"]), "it may be a rogue"),
+        ("tls/router:1", "", STALE, f"the router's certificate {PAST}"),
+    ],
+)
+def test_each_fault_of_a_router_is_explained_once(
+    monkeypatch: pytest.MonkeyPatch, endpoint: str, problem: str, certificate: Credentials | None, reason: str | None
+) -> None:
+    parsed = certificate and x509.load_pem_x509_certificate(certificate.certificate)
+    monkeypatch.setattr(diagnosis, "handshake", lambda *_: (problem, parsed))
+    reasons = explain(GOOD, endpoint)
+    assert len(reasons) == (reason is not None)
+    assert all(reason in sentence for sentence in reasons)
 
 
 @pytest.fixture
@@ -127,7 +132,19 @@ def test_a_router_without_tls_is_diagnosed(port: Callable[..., str], answer: byt
     assert explain(Authority("r").issue("a"), port(answer)) == ["the router at 127.0.0.1 does not speak TLS"]
 
 
-def test_a_tls_alert_is_a_final_refusal(port: Callable[..., str]) -> None:
-    alert = bytes([21, 3, 3, 0, 2, 2, 48])  # fatal, unknown_ca
-    (reason,) = explain(Authority("r").issue("a"), port(alert))
-    assert "refuses us: it does not trust the authority that issued" in reason
+@pytest.mark.parametrize(
+    ("alert", "meaning"),
+    [
+        (48, "it does not trust the authority that issued"),
+        (45, "compare the clocks"),
+        (80, "TLSV1_ALERT_INTERNAL_ERROR"),
+    ],
+)
+def test_a_tls_alert_is_a_final_refusal(port: Callable[..., str], alert: int, meaning: str) -> None:
+    (reason,) = explain(GOOD, port(bytes([21, 3, 3, 0, 2, 2, alert])))
+    assert "refuses us: " in reason
+    assert meaning in reason
+
+
+def test_a_router_that_requires_a_certificate_says_so() -> None:
+    assert "none was presented" in diagnosis.meaning("TLSV13_ALERT_CERTIFICATE_REQUIRED")
