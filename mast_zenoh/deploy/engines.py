@@ -1,4 +1,4 @@
-"""Finds deployment engines: built-in ones by name, a user's by its file.
+"""Finds deployment engines: built-in ones by name, one of a plugin by its class, a user's by its file.
 
 A built-in engine is loaded only when it is used: its dependencies may be missing. One of a
 user is a subclass of `Engine` in a file: FILE.py, or FILE.py:CLASS if there are several.
@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from mast_zenoh.config import loading, registry, settings
+from mast_zenoh.config import loading, plugins, registry, settings
 from mast_zenoh.errors import ConfigurationError, EngineError, nearest
 from mast_zenoh.launch.engine import Engine
 
@@ -23,8 +23,8 @@ _FILE = re.compile(r"(.*\.py)(?::(\w+))?")
 
 
 def names() -> tuple[str, ...]:
-    """The names of our engines."""
-    return tuple(_BUILT_IN)
+    """The names of our engines and of those in plugins."""
+    return (*_BUILT_IN, *_of_plugins())
 
 
 def load(name: str) -> type[Engine]:
@@ -34,11 +34,20 @@ def load(name: str) -> type[Engine]:
     """
     if match := _FILE.fullmatch(name):
         return _of_file(Path(match[1]), match[2])
-    if name not in names():
-        raise EngineError(f"there is no engine {name!r}{nearest(name, names())}")
-    module, kind = _BUILT_IN[name]
-    engine: type[Engine] = getattr(import_module(f"mast_zenoh.deploy.{module}"), kind)
-    return engine
+    if name in _BUILT_IN:
+        module, kind = _BUILT_IN[name]
+        engine: type[Engine] = getattr(import_module(f"mast_zenoh.deploy.{module}"), kind)
+        return engine
+    found = _of_plugins()
+    if name not in found:
+        raise EngineError(f"there is no engine {name!r}{nearest(name, (*_BUILT_IN, *found))}")
+    found[name].name = name
+    return found[name]
+
+
+def _of_plugins() -> dict[str, type[Engine]]:
+    plugins.load()
+    return {name: kind for name, kind in registry.known_types(Engine).items() if plugins.plugin_of(kind)}
 
 
 def _of_file(file: Path, name: str | None) -> type[Engine]:

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh import kernels, scenario
+from mast_zenoh.config import plugins
 from mast_zenoh.deploy import doctor, engines, swarm
 from mast_zenoh.deploy.engine import check_space, needed_space, numeric_environment
 from mast_zenoh.deploy.swarm import Machine
@@ -110,6 +111,23 @@ def test_an_engine_is_found_by_its_name_or_in_its_defining_file(engine_file: Pat
     assert engines.load(kind.name) is kind
     engine = engines.make(kind, engines.options(kind, ["racks=3"]))
     assert engine.racks == 3  # type: ignore[attr-defined]
+
+
+def test_an_engine_of_a_plugin_is_found_by_the_name_of_its_class(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "racks_of_somebody.py").write_text(ENGINES.replace("Rack", "Shelf").replace("Blade", "Board"))
+    monkeypatch.syspath_prepend(tmp_path)
+    installed = (plugins.Plugin("racks", "racks_of_somebody", "racks 1.0"),)
+    monkeypatch.setattr(plugins, "installed", lambda: installed)
+    plugins.load.cache_clear()
+    try:
+        assert engines.load("Shelf").name == "Shelf"
+        assert set(engines.names()) == {"compose", "ssh", "swarm", "Shelf", "Board"}
+        with pytest.raises(EngineError, match="no engine 'Shelv'; did you mean 'Shelf'"):
+            engines.load("Shelv")
+    finally:
+        plugins.load.cache_clear()
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,12 @@ _WILD = re.compile(r"[*?\[]")
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
+def check_port(port: int, least: int) -> None:
+    """Raise ValueError for an impossible port."""
+    if not least <= port <= 65535:
+        raise ValueError(f"port: found {port}, expected {least} to 65535")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Reach:
     """How to reach a host.
@@ -196,9 +202,3 @@ def parse(text: str, place: str) -> Hosts:
     if not (math.isfinite(patience_s) and patience_s > 0):
         raise ConfigurationError(f"{place}: patience_s: found {patience_s}, expected seconds > 0")
     return Hosts(place, hosts, router, patience_s)
-
-
-def check_port(port: int, least: int) -> None:
-    """Raise ValueError for an impossible port."""
-    if not least <= port <= 65535:
-        raise ValueError(f"port: found {port}, expected {least} to 65535")
