@@ -19,7 +19,7 @@ from mast_zenoh import attacks, fusion, integrity, links, metrics, scenes, sensi
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
-from mast_zenoh.faults.network import HOST_FAULTS
+from mast_zenoh.faults.network import HostPartition
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.node import Node
 from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline
@@ -193,7 +193,10 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "sensors of agents": scenes.Sensor,
     },
     "links": {"rules: effects of a link on messages": links.Rule},
-    "faults": {"faults of nodes and of their messages": Fault},
+    "faults": {
+        "faults of hosts' networks, in real time": HostPartition,
+        "faults of nodes and of their messages": Fault,
+    },
     "metrics": {
         "optional metrics, listed in evaluator=dict(metrics=[…])": metrics.Metric,
         "assigners: match tracks to true objects": metrics.Assigner,
@@ -222,21 +225,6 @@ _MEASURES = {
     "amota": "Tracking accuracy averaged over levels of recall, with the tracks ranked by their scores, at most 1",
     "samota": "The same, with the accuracy at each level relative to the best one possible there, 0 to 1",
     "amotp_m": "Mean distance of the centres of matched pairs, averaged over levels of recall, in m",
-}
-_HOST_FAULTS = {
-    "HostPartition": "Nothing gets through the links of these hosts, either way",
-    "HostLoss": "A share of the packets of these hosts is lost, in addition to other losses",
-    "HostDelay": "Packets of these hosts take longer",
-    "HostBandwidth": "The links of these hosts carry no more than this",
-}
-_HOST_FAULT_PARAMETERS = {
-    "at": "s of scene time at which it begins",
-    "until": "s of scene time at which it is healed; None: it lasts to the end",
-    "hosts": "names of hosts, or '*' for all",
-    "probability": "share of the packets, 0 to 1",
-    "delay_ms": "added to each packet, in each direction",
-    "jitter_ms": "random deviation of the delay, in either direction",
-    "bits_per_s": "in each direction",
 }
 
 
@@ -355,21 +343,12 @@ def list_kind(kind: str) -> Listing:
 
 
 def _special(kind: str) -> Iterator[Entry]:
-    """Entries that are not classes: link profiles, host faults, built-in metrics."""
+    """Entries that are not classes: link profiles, built-in metrics."""
     if kind == "links":
         for name, ways in links.PROFILES.items():
             rules = ", then ".join(_rule(rule) for rule in ways["up"]) or "no rule"
             both = "up and down" if ways["up"] == ways["down"] else "up"
             yield Entry(name, "profiles of an agent's link", f"{both}: {rules}")
-    if kind == "faults":
-        for name, (required, optional) in HOST_FAULTS.items():
-            names_and_defaults = [("at", ""), ("hosts", ""), *((parameter, "") for parameter in required)]
-            names_and_defaults += [("until", "None"), *((parameter, "0.0") for parameter in optional)]
-            parameters = [
-                Parameter(n, default, unit_of(n, _HOST_FAULT_PARAMETERS[n]), _HOST_FAULT_PARAMETERS[n])
-                for n, default in names_and_defaults
-            ]
-            yield Entry(name, "faults of hosts' networks, in real time", _HOST_FAULTS[name], tuple(parameters))
     if kind == "metrics":
         for measure in MEASURES:
             yield Entry(measure.key, "always computed, for every estimate of every agent", _MEASURES[measure.key])

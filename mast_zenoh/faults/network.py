@@ -12,29 +12,106 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError, nearest
 
-#: Types of faults of hosts' links, and their parameters: required ones, and ones with a default.
-HOST_FAULTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "HostPartition": ((), ()),
-    "HostLoss": (("probability",), ()),
-    "HostDelay": (("delay_ms",), ("jitter_ms",)),
-    "HostBandwidth": (("bits_per_s",), ()),
-}
-
-#: Mechanisms that can delay a host's link.
-DELAY_BY = ("netem", "relay")
-
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
-_TIMES = ("at", "until")
-_HOST_PARAMETERS = ("delay_ms", "jitter_ms", "loss", "bits_per_s")
 _MAX_HOSTS = 200
-_MIN_BITS_PER_S = 8_000.0
 
 #: A connection without an acknowledgement for 1.5 s ends (runtime/mesh/session.py); a round trip must take less.
 _MAX_DELAY_MS = 500.0
+
+#: Valid ranges of parameters.
+_RANGES = {
+    "loss": (0.0, 1.0),
+    "probability": (0.0, 1.0),
+    "bits_per_s": (8_000.0, 1e11),
+    "delay_ms": (0.0, _MAX_DELAY_MS),
+    "jitter_ms": (0.0, _MAX_DELAY_MS),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _InRange:
+    """Checks its numbers; raises ValueError."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            low, high = _RANGES.get(name, (0.0, 1e9))
+            if isinstance(value, float) and not low <= value <= high:
+                raise ValueError(f"{name}: found {value!r}, expected a number from {low:g} to {high:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Host(_InRange):
+    """A host as in a scenario. delay_by: what can delay its link"""
+
+    nodes: list[str]
+    delay_ms: float = 0.0
+    jitter_ms: float = 0.0
+    loss: float = 0.0
+    bits_per_s: float | None = None
+    delay_by: Literal["netem", "relay"] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class HostPartition(_InRange):
+    """Lets nothing through the links of hosts, either way.
+
+    at:    s of scene time at which it begins
+    until: s of scene time at which it is healed; None: it lasts to the end
+    hosts: names of hosts, or '*' for all
+    """
+
+    at: float
+    until: float | None = None
+    hosts: str | tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.until is not None and self.until <= self.at:
+            raise ValueError(f"until: found {self.until!r}, expected a time after `at` ({self.at!r})")
+        if not self.hosts or (isinstance(self.hosts, str) and self.hosts != "*"):
+            raise ValueError(f"hosts: found {self.hosts!r}, expected a list of hosts, or '*'")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HostLoss(HostPartition):
+    """Loses a share of the packets of hosts, in addition to other losses.
+
+    probability: share of the packets, 0 to 1
+    """
+
+    probability: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class HostDelay(HostPartition):
+    """Delays the packets of hosts.
+
+    delay_ms: added to each packet, in each direction;  jitter_ms: random deviation of the delay, in either direction
+    """
+
+    delay_ms: float
+    jitter_ms: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class HostBandwidth(HostPartition):
+    """Limits what the links of hosts carry.
+
+    bits_per_s: in each direction
+    """
+
+    bits_per_s: float
+
+
+#: The faults of hosts' links, by type.
+HOST_FAULTS: dict[str, type[HostPartition]] = {
+    cls.__name__: cls for cls in (HostPartition, HostLoss, HostDelay, HostBandwidth)
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +181,9 @@ def resolve(
         where = f"{place}: hosts.{name}"
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise ConfigurationError(f"{place}: hosts: found the name {name!r}, expected letters, digits, _ and -")
-        resolved[name] = _host(spec, where)
-        for node in _claimed(spec["nodes"], known, where):
+        host: Host = registry.construct(Host, registry.built(spec, Mapping, where), where)
+        resolved[name] = vars(host) | {"delayed": bool(host.delay_ms or host.jitter_ms)}  # whether it ever delays
+        for node in _claimed(host.nodes, known, where):
             if home.setdefault(node, name) != name:
                 raise ConfigurationError(f"{where}.nodes: {node!r} is already on host {home[node]!r}")
     for node, agent in (beside or {}).items():
@@ -184,33 +262,13 @@ def needs(network: Mapping[str, Any]) -> dict[str, list[str]]:
     return capabilities
 
 
-def _host(spec: object, where: str) -> dict[str, Any]:
-    """Validate one host; `delayed`: whether its link ever has a delay."""
-    if not isinstance(spec, Mapping):
-        raise ConfigurationError(f"{where}: found {spec!r}, expected a dict(nodes=[…])")
-    _reject_unknown(spec, ("nodes", *_HOST_PARAMETERS, "delay_by"), where)
-    if "nodes" not in spec:
-        raise ConfigurationError(f"{where}: found no `nodes`, expected the names of the nodes on this host")
-    chosen = spec.get("delay_by")
-    if chosen is not None and chosen not in DELAY_BY:
-        raise ConfigurationError(f"{where}.delay_by: found {chosen!r}{nearest(str(chosen), DELAY_BY)}")
-    numbers = {name: _number(name, spec.get(name, 0.0), where) for name in ("delay_ms", "jitter_ms", "loss")}
-    bits_per_s = spec.get("bits_per_s")
-    if bits_per_s is not None:
-        bits_per_s = _number("bits_per_s", bits_per_s, where)
-    delayed = bool(numbers["delay_ms"] or numbers["jitter_ms"])
-    return {**numbers, "bits_per_s": bits_per_s, "delay_by": chosen, "delayed": delayed}
-
-
-def _claimed(patterns: object, known: Sequence[str], where: str) -> list[str]:
+def _claimed(patterns: Iterable[str], known: Sequence[str], where: str) -> list[str]:
     """The nodes that match a host's `nodes`."""
-    if not isinstance(patterns, (list, tuple)):
-        raise ConfigurationError(f"{where}.nodes: found {patterns!r}, expected a list of names")
     claimed = []
     for pattern in patterns:
-        matching = [node for node in known if fnmatchcase(node, str(pattern))]
+        matching = [node for node in known if fnmatchcase(node, pattern)]
         if not matching:
-            raise ConfigurationError(f"{where}.nodes: no node {pattern!r} in this run{nearest(str(pattern), known)}")
+            raise ConfigurationError(f"{where}.nodes: no node {pattern!r} in this run{nearest(pattern, known)}")
         claimed += matching
     return claimed
 
@@ -223,42 +281,10 @@ def _fault(fault: Mapping[str, Any], where: str, hosts: Sequence[str], mode: str
             f"{where}: {kind} acts on the host's network, on the wall clock: in lock-step the mesh would wait until it "
             "ends. Use run.mode 'realtime', or a fault of nodes (Partition, Loss, …), which is exact in lock-step"
         )
-    required, optional = HOST_FAULTS[kind]
-    _reject_unknown(fault, ("type", "hosts", *_TIMES, *required, *optional), where)
-    for name in ("at", "hosts", *required):
-        if name not in fault:
-            raise ConfigurationError(f"{where}: {kind} needs {name}")
-    at, until = _number("at", fault["at"], where), fault.get("until")
-    if until is not None:
-        until = _number("until", until, where)
-        if until <= at:
-            raise ConfigurationError(f"{where}.until: found {until!r}, expected a time after `at` ({at!r})")
-    targets = list(hosts) if fault["hosts"] == "*" else fault["hosts"]
-    if not isinstance(targets, (list, tuple)) or not targets:
-        raise ConfigurationError(f"{where}.hosts: found {targets!r}, expected a list of hosts, or '*'")
+    parameters = {key: value for key, value in fault.items() if key != "type"}
+    checked: HostPartition = registry.construct(HOST_FAULTS[kind], parameters, where)
+    targets = hosts if checked.hosts == "*" else checked.hosts
     for name in targets:
         if name not in hosts:
-            raise ConfigurationError(f"{where}.hosts: no host {name!r}{nearest(str(name), hosts)}")
-    numbers = {name: _number(name, fault[name], where) for name in required}
-    numbers |= {name: _number(name, fault.get(name, 0.0), where) for name in optional}
-    return {"type": kind, "at": at, "until": until, "hosts": list(dict.fromkeys(targets)), **numbers}
-
-
-def _reject_unknown(mapping: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
-    for key in mapping:
-        if key not in known:
-            raise ConfigurationError(f"{where}.{key}: unknown{nearest(str(key), known)}")
-
-
-def _number(name: str, value: object, where: str) -> float:
-    """A number in the valid range of the parameter `name`."""
-    low, high = {
-        "loss": (0.0, 1.0),
-        "probability": (0.0, 1.0),
-        "bits_per_s": (_MIN_BITS_PER_S, 1e11),
-        "delay_ms": (0.0, _MAX_DELAY_MS),
-        "jitter_ms": (0.0, _MAX_DELAY_MS),
-    }.get(name, (0.0, 1e9))
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise ConfigurationError(f"{where}.{name}: found {value!r}, expected a number from {low:g} to {high:g}")
-    return float(value)
+            raise ConfigurationError(f"{where}.hosts: no host {name!r}{nearest(name, hosts)}")
+    return {"type": kind, **vars(checked), "hosts": list(dict.fromkeys(targets))}
