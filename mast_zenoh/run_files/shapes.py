@@ -34,7 +34,7 @@ _NODE: dict[str, Any] = {
     **dict.fromkeys(("role", "ended", "log"), str),
     **dict.fromkeys(("last_frame", "restarts", "pid", "exit"), int),
     **{name: {} for name in ("rejected", "first_rejected", "foreign", "invalid_control")},
-    "failures": (list, dict),  # numbers by handler in runs of older versions
+    "failures": [{}],
 }
 _LEG = {"key": str, "from": _Name, "from_port": str, "to": [_Name], "to_ports": [str], "before": str}
 _WIRE: dict[str, Any] = {
@@ -121,7 +121,6 @@ def _check(value: Any, shape: Any, place: str) -> None:
         expected = None if is_name(value) else f"a name: {EXPECTED_NAME.removeprefix('expected ')}"
     elif not isinstance(value, shape) or (isinstance(value, bool) and shape is not bool):
         words = {str: "a string", bool: "true or false", int: "a whole number", (str, list): "a string or a list"}
-        words[list, dict] = "a list"
         expected = words.get(shape, "a number")
     elif isinstance(value, int) and not -_MAX_INT <= value < _MAX_INT:
         expected = "a number of 64 bits"
