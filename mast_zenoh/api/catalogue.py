@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, overload
 
 from mast_zenoh import attacks, fusion, integrity, links, metrics, scenes, sensing, tracking
-from mast_zenoh.config import bundle, loading, registry
+from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HostPartition
@@ -334,12 +334,20 @@ def list_kind(kind: str) -> Listing:
         return Listing(kind, list(_files(kind, _FILES[kind])))
     if kind == "messages":
         return Listing(kind, list(_messages()))
+    plugins.load()
     entries = list(_special(kind))
     for group, base in _BASES[kind].items():
         entries += [
-            Entry(name, group, summary(cls), parameters_of(cls)) for name, cls in registry.known_types(base).items()
+            Entry(name, group, _description(cls), parameters_of(cls))
+            for name, cls in registry.known_types(base).items()
         ]
     return Listing(kind, entries)
+
+
+def _description(cls: type) -> str:
+    """What a class is, and the plugin that brings it."""
+    plugin = plugins.plugin_of(cls)
+    return summary(cls) if plugin is None else f"{summary(cls)} (plugin {plugin.distribution})"
 
 
 def _special(kind: str) -> Iterator[Entry]:

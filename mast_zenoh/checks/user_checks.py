@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mast_zenoh.checks.base import Check
-from mast_zenoh.config import loading
+from mast_zenoh.config import loading, plugins
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.failures import described, location
 
@@ -30,8 +30,9 @@ class RunCheck(ABC):
 
 
 def of_scenario(resolved: Resolved) -> list[type[RunCheck]]:
-    """The concrete subclasses of RunCheck in the files of a scenario."""
-    return loading.concrete([loading.module(Path(file)) for file in resolved.modules], RunCheck)
+    """The concrete subclasses of RunCheck in the files of a scenario and in the plugins that it uses."""
+    of_files = loading.concrete([loading.module(Path(file)) for file in resolved.modules], RunCheck)
+    return of_files + plugins.classes_for(resolved.plugins, RunCheck)
 
 
 def apply(check_class: type[RunCheck], folder: Path) -> Check:

@@ -9,12 +9,13 @@ that may be that of its class is a PluginError.
 from __future__ import annotations
 
 import importlib
+import inspect
 import logging
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mast_zenoh.errors import ConfigurationError, PluginError
 
@@ -89,6 +90,13 @@ def used_by(names: Iterable[str]) -> dict[str, str]:
         return {}
     known = {cls.__name__: plugin.distribution for plugin in load().plugins for cls in _classes_of(plugin)}
     return {name: known[name] for name in sorted(set(names) & known.keys())}
+
+
+def classes_for(used: Mapping[str, str], base: type) -> list[Any]:
+    """The concrete classes of a base in the plugins of a run; used: as from `used_by`"""
+    plugins = [plugin for plugin in load().plugins if plugin.distribution in used.values()] if used else []
+    classes = [cls for plugin in plugins for cls in _classes_of(plugin)]
+    return [cls for cls in classes if issubclass(cls, base) and not inspect.isabstract(cls)]
 
 
 #: By name of a class, the distribution of its plugin, from the run that uses it.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from mast_zenoh.config import loading, registry
+from mast_zenoh.config import loading, plugins, registry
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.errors import RunFolderError
@@ -71,6 +71,7 @@ class Resolved:
     messages: the message types that its nodes declare; the codec must know them (`user_types.use`) when nodes are built
     idle: a sentence for each part of the scenario that matches nothing in this run, or begins after it
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
+    plugins: by name, the classes of plugins that it uses, each with its distribution and version
     max_rows: limits on the rows of a message by type, see `row_limits`; none in earlier versions
     """
 
@@ -91,6 +92,7 @@ class Resolved:
     messages: tuple[Schema, ...] = ()
     idle: tuple[str, ...] = ()
     max_rows: dict[str, int] = field(default_factory=dict)
+    plugins: dict[str, str] = field(default_factory=dict)
     recording: Recording | None = field(default=None, compare=False)
 
     @property
@@ -124,6 +126,7 @@ class Resolved:
             **{name: getattr(self, name) for name in names},
             "modules": [str(module) for module in self.modules],
             **declared,
+            **({"plugins": self.plugins} if self.plugins else {}),
             **idle,
             "steps": steps,
             "nodes": nodes,
@@ -148,8 +151,11 @@ class Resolved:
         steps = tuple(ProcessStep(**step) for step in data["steps"])
         lists = {name: tuple(data[name]) for name in ("modules", "timeline")}
         lists["idle"] = tuple(data.get("idle", ()))
+        used = {str(name): str(text) for name, text in dict(data.get("plugins", {})).items()}
         messages = tuple(user_types.from_json(schema) for schema in data.get("messages", ()))
-        return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages})
+        return cls(
+            **{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages, "plugins": used}
+        )
 
     @classmethod
     def read(cls, run_folder: Path, allowed: AllowedCode = SHIPPED, node: str = "") -> Resolved:
@@ -181,7 +187,11 @@ class Resolved:
         )
 
     def load_modules(self) -> None:
-        """Load the user's Python files that define algorithms; raises UntrustedCode before any is loaded."""
+        """Load the user's Python files that define algorithms; raises UntrustedCode before any is loaded.
+
+        Plugins are loaded when a class of theirs is built; an error names those that are not installed here.
+        """
+        plugins.expect(self.plugins)
         for file in [Path(module) for module in self.modules]:
             loading.module(file)
 

@@ -106,6 +106,7 @@ def build_image(tag: str = TAG, base: str = BASE, *, launcher: bool = False) -> 
             for path in wheel.third_party(wheel.cache(python, machine), python, machine, required):
                 shutil.copyfile(path, context / part / path.name)
         wheel.build(context)
+        wheel.build_plugins(context)
         (context / "deploy").mkdir()
         for name in ("Dockerfile", wheel.REQUIREMENTS):
             shutil.copyfile(bundle.ROOT / "deploy" / name, context / "deploy" / name)

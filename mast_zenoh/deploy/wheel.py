@@ -11,11 +11,12 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
+from importlib.util import find_spec
 from pathlib import Path
 
-from mast_zenoh.config import bundle
+from mast_zenoh.config import bundle, plugins
 from mast_zenoh.errors import EngineError
 from mast_zenoh.version import __version__
 
@@ -24,12 +25,40 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 _KINDS = ("nodes", "keyexpr_maps", "scenarios", "studies", "deploy")
 #: Compiled kernels are included with their sources; an interpreter that they do not fit ignores them.
 _SUFFIXES = (".py", ".j2", ".js", ".css", ".html", ".toml", ".txt", ".yml", ".json", ".pyx", ".pxd", ".so")
+_WHEEL = "Wheel-Version: 1.0\nGenerator: mast-zenoh\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
 _OLDEST = (1980, 1, 1, 0, 0, 0)  # earliest time in a zip file: equal content gives equal bytes
 
 
 def build(folder: Path) -> Path:
     """Build a wheel of a checkout or installation in a folder, without a build tool."""
-    name = f"mast_zenoh-{__version__}"
+    return _written(folder, f"mast_zenoh-{__version__}", _content(), _metadata())
+
+
+def build_plugins(folder: Path) -> list[Path]:
+    """Build a wheel of each installed distribution with plugins; their own requirements are not among them."""
+    packages: dict[str, set[str]] = {}
+    for plugin in plugins.installed():
+        packages.setdefault(plugin.distribution.partition(" ")[0], set()).add(plugin.package)
+    return [_plugin_wheel(folder, name, tops) for name, tops in packages.items()]
+
+
+def _plugin_wheel(folder: Path, name: str, packages: set[str]) -> Path:
+    """A wheel of the packages of an installed distribution, also if its sources are elsewhere."""
+    content: list[tuple[str, Path]] = []
+    for package in sorted(packages):
+        spec = find_spec(package)
+        for root in spec.submodule_search_locations or () if spec else ():
+            files = [path for path in Path(root).rglob("*") if path.is_file() and path.suffix != ".pyc"]
+            content += [(f"{package}/{path.relative_to(root).as_posix()}", path) for path in files]
+        if spec and spec.origin and not spec.submodule_search_locations:
+            content.append((f"{package}.py", Path(spec.origin)))
+    installed = distribution(name)
+    metadata = {file: installed.read_text(file) or "" for file in ("METADATA", "entry_points.txt")}
+    return _written(folder, f"{re.sub('[-_.]+', '_', name)}-{installed.version}", content, metadata | {"WHEEL": _WHEEL})
+
+
+def _written(folder: Path, name: str, content: Iterable[tuple[str, Path]], metadata: Mapping[str, str]) -> Path:
+    """Write a wheel. content: places in it, and files;  metadata: the dist-info files except RECORD"""
     target = folder / f"{name}-py3-none-any.whl"
     records = []
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -41,9 +70,9 @@ def build(folder: Path) -> Path:
             digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).rstrip(b"=").decode()
             records.append(f"{path},sha256={digest},{len(content)}")
 
-        for path, file in sorted(_content()):
+        for path, file in sorted(content):
             add(path, file.read_bytes())
-        for path, text in _metadata().items():
+        for path, text in metadata.items():
             add(f"{name}.dist-info/{path}", text.encode())
         records.append(f"{name}.dist-info/RECORD,,")
         archive.writestr(zipfile.ZipInfo(f"{name}.dist-info/RECORD", _OLDEST), "\n".join(records) + "\n")
@@ -139,12 +168,11 @@ def _content() -> Iterator[tuple[str, Path]]:
 
 def _metadata() -> dict[str, str]:
     """The dist-info files except RECORD, from pyproject.toml or else the installation."""
-    wheel = "Wheel-Version: 1.0\nGenerator: mast-zenoh\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
     project = bundle.ROOT / "pyproject.toml"
     if not project.is_file():
         installed = distribution("mast-zenoh")
         texts = {name: installed.read_text(name) or "" for name in ("METADATA", "entry_points.txt")}
-        return texts | {"WHEEL": wheel}
+        return texts | {"WHEEL": _WHEEL}
     project_table = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
     lines = ["Metadata-Version: 2.1", f"Name: {project_table['name']}", f"Version: {project_table['version']}"]
     lines += [
@@ -152,4 +180,4 @@ def _metadata() -> dict[str, str]:
         *(f"Requires-Dist: {requirement}" for requirement in project_table["dependencies"]),
     ]
     scripts = "".join(f"{name} = {target}\n" for name, target in project_table["scripts"].items())
-    return {"METADATA": "\n".join(lines) + "\n", "entry_points.txt": f"[console_scripts]\n{scripts}", "WHEEL": wheel}
+    return {"METADATA": "\n".join(lines) + "\n", "entry_points.txt": f"[console_scripts]\n{scripts}", "WHEEL": _WHEEL}

@@ -214,10 +214,11 @@ def _load_modules(resolved: Resolved) -> UntrustedCode | None:
 
 def _node_of(text: str, config: dict[str, Any]) -> tuple[Path, dict[str, Any]]:
     """(file, parameters) of the node that `--with` names; of an attack, those of the shipped adversary."""
-    shipped = registry.known_types(Attack)
-    attack, (file, _, name) = text if text in shipped else "", text.partition(":")
+    file, _, name = text.partition(":")
+    path = bundle.find("nodes", file, Path.cwd())
+    shipped = registry.known_types(Attack, None if path else text)
+    attack = text if text in shipped else ""
     if not attack:
-        path = bundle.find("nodes", file, Path.cwd())
         if path is None:
             known = [*bundle.names("nodes", Path.cwd()), *shipped]
             raise NodeFileError(f"no node file or attack {file!r}{nearest(file, known)}")

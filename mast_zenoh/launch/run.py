@@ -182,7 +182,7 @@ def run(
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "command": command or [os.path.basename(sys.argv[0]), *sys.argv[1:]],
             "launcher": liveness.identity(),
-            "versions": run_folder.versions(),
+            "versions": run_folder.versions() | dict(each.rsplit(" ", 1) for each in resolved.plugins.values()),
             "timings": {},
             "nodes": {},
             "churn": [],

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh import scenes
-from mast_zenoh.config import bundle, loading, registry
+from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, NodeFileError, WiringError, nearest
@@ -92,6 +92,7 @@ def resolve(
         messages=messages,
         idle=timeline.idle,
         max_rows=_max_rows(recording, options["max_rows"]),
+        plugins=plugins.used_by([*registry.type_names(scenario), *registry.type_names(scene_spec)]),
         recording=recording,
     )
 
@@ -104,7 +105,8 @@ def modules_of(path: Path, scenario: Mapping[str, Any], builders: Iterable[Path]
     others = [loading.class_defined_elsewhere(name, path) for name in names if not isinstance(name, registry.ClassName)]
     for cls in [*classes, *(cls for cls in others if cls is not None)]:
         file = loading.file_of_class(cls)
-        if file is not None and not cls.__module__.startswith("mast_zenoh.") and not issubclass(cls, Node):
+        ours = cls.__module__.startswith("mast_zenoh.") or plugins.plugin_of(cls) is not None
+        if file is not None and not ours and not issubclass(cls, Node):
             files.append(file)
     return tuple(dict.fromkeys(map(str, [*files, *builders])))
 

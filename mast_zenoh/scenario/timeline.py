@@ -11,7 +11,7 @@ from typing import Any
 
 from mast_zenoh import links
 from mast_zenoh.attacks import Attack
-from mast_zenoh.config import registry
+from mast_zenoh.config import plugins, registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
@@ -155,9 +155,11 @@ def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tu
         if kind in network.HOST_FAULTS:
             host_faults.append((place, spec))
             continue
-        if isinstance(spec, Mapping) and (not isinstance(kind, str) or kind not in known):
+        if isinstance(spec, Mapping) and (
+            not isinstance(kind, str) or kind not in (known := registry.known_types(Fault, kind))
+        ):
             hint = nearest(str(kind or ""), {*known, *network.HOST_FAULTS})
-            raise ConfigurationError(f"{place}.type: unknown fault {kind!r}{hint}")
+            raise plugins.not_found(f"{place}.type: unknown fault {kind!r}{hint}", str(kind))
         fault = registry.build(spec, Fault, place)
         for rule in fault.rules(True):
             registry.build({**rule, "at": fault.at, "until": fault.over}, links.Rule, place)

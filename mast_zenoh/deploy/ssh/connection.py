@@ -220,12 +220,12 @@ class Installed:
 
 
 class Packages:
-    """The packages to install: our wheel, built into a folder, and the others' names."""
+    """The packages to install: wheels of ours and of plugins, built into a folder, and the others' names."""
 
     def __init__(self, folder: Path) -> None:
         self.version = release.version_string()  # of the sources in the wheel
-        self.wheel = wheel.build(folder)
-        self.release = hashlib.sha256(self.wheel.read_bytes()).hexdigest()[:12]
+        self.wheels = [wheel.build(folder), *wheel.build_plugins(folder)]
+        self.release = hashlib.sha256(b"".join(path.read_bytes() for path in self.wheels)).hexdigest()[:12]
         self._requirements = wheel.requirements()
 
     def environment(self, python: str, machine: str) -> str:
@@ -271,7 +271,7 @@ async def install(ssh: asyncssh.SSHClientConnection, host: Host, packages: Packa
         )
         await _copy_and_unpack(ssh, host, wheels, environment, venv=True)
     if "release" in facts["lacks"]:
-        await _copy_and_unpack(ssh, host, [packages.wheel], target, venv=False)
+        await _copy_and_unpack(ssh, host, packages.wheels, target, venv=False)
     if facts["lacks"]:
         answer = await ask(ssh, host, "verify", environment, target)
         _compare(host, packages, answer["version"], folder)

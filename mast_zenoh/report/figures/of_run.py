@@ -11,7 +11,7 @@ from typing import Any
 
 from matplotlib.figure import Figure as MatplotlibFigure
 
-from mast_zenoh.config import loading
+from mast_zenoh.config import loading, plugins
 from mast_zenoh.control.failures import described, location
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.figures.diagram import draw_wiring
@@ -224,13 +224,15 @@ class UserFigure:
 def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[UserFigure]:
     """The figures of users for the report of a run, by their names.
 
-    files: files to load; the scenario's files that are already loaded are searched too
+    files: files to load; loaded files of the scenario, and the plugins that it uses, are searched too
     Raises ConfigurationError for a file that cannot be loaded.
     """
     named = context.run.scenario.get("modules", ())
     modules = [loading.loaded_module(Path(name)) for name in named if isinstance(name, str)]
     modules += [loading.module(file) for file in files]
     kinds = loading.concrete((module for module in modules if module is not None), RunFigure)
+    used = context.run.scenario.get("plugins")
+    kinds += plugins.classes_for(used if isinstance(used, dict) else {}, RunFigure)
     if kinds:
         context = copy.deepcopy(context)  # so that no figure can change the rest of the page
     drawn: dict[str, UserFigure] = {}

@@ -86,7 +86,9 @@ def adversary_base(choice: Choice) -> type:
         file, _, name = text.partition(":")
         classes = loading.concrete([loading.module(Path(file))], Coordination)
         return Coordination if any(name in ("", cls.__name__) for cls in classes) else Attack
-    return Coordination if text in registry.known_types(Coordination) else Attack
+    if text in registry.known_types(Attack):  # ours: no plugin needs to be loaded
+        return Attack
+    return Coordination if text in registry.known_types(Coordination, text) else Attack
 
 
 def has_budget(choice: Choice) -> bool:
@@ -95,7 +97,7 @@ def has_budget(choice: Choice) -> bool:
         return False
     base = adversary_base(choice)
     spec = resolve_choice(choice, base)
-    known = registry.known_types(base).get(spec["type"])
+    known = registry.known_types(base, spec["type"]).get(spec["type"])
     return known is not None and "budget" not in spec and "budget" in inspect.signature(known).parameters
 
 

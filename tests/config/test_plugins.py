@@ -1,0 +1,171 @@
+"""Installed packages bring classes; ours win, and a broken plugin stops only what needs it."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import mast_datasets
+import pytest
+
+from mast_zenoh.config import plugins, registry, scene_names
+from mast_zenoh.scenes import Scene
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
+FILES = dict(re.findall(r"^```\w+ file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+
+
+def installed(site: Path, name: str, code: str) -> Path:
+    """A distribution of one module with an entry point, as an installer leaves it."""
+    info = site / f"{name}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[mast_zenoh.plugins]\n{name} = {name}\n")
+    (site / f"{name}.py").write_text(code)
+    return site
+
+
+def mast(site: Path, *words: str, code: int = 0, cwd: Path | None = None) -> str:
+    """Everything that a command prints, with the packages of a folder."""
+    process = subprocess.run(
+        [sys.executable, "-m", "mast_zenoh", *words],
+        env=os.environ | {"PYTHONPATH": f"{site}{os.pathsep}{ROOT}", "COLUMNS": "1000"},
+        cwd=cwd or site,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert process.returncode == code, process.stdout + process.stderr
+    return process.stdout + process.stderr
+
+
+@pytest.fixture(scope="module")
+def roadside(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The plugin of the page, installed with pip into a folder of its own."""
+    source, site = tmp_path_factory.mktemp("mast-roadside"), tmp_path_factory.mktemp("site")
+    for name, text in FILES.items():
+        (source / name).write_text(text)
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(site)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(source)], check=True, capture_output=True)
+    return site
+
+
+RUN = (
+    *("run", "uncoordinated", "--frames", "20", "--no-report", "--set", "scene=convoy:5", "--set", "n_adversaries=1"),
+    *(
+        "--set",
+        "adversaries.adversary_1.attack={'type': 'Nudge'}",
+        "--set",
+        "evaluator.metrics=[{'type': 'QuietShare'}]",
+    ),
+)
+
+
+@pytest.mark.parametrize("runtime", ["inproc", pytest.param("mesh", marks=[pytest.mark.heavy, pytest.mark.mesh])])
+def test_a_plugin_installed_with_pip_brings_a_scene_an_attack_and_a_metric(
+    roadside: Path, tmp_path: Path, runtime: str
+) -> None:
+    mast(roadside, *RUN, "--runtime", runtime, "--out", str(tmp_path / "run"))
+    scenario = json.loads((tmp_path / "run" / "scenario.json").read_text())
+    assert scenario["plugins"] == dict.fromkeys(("Convoy", "Nudge", "QuietShare"), "mast-roadside 1.0")
+    assert not scenario["modules"], "plugins are found by name, not as files of the user"
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["versions"]["mast-roadside"] == "1.0"
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert "quiet_share" in metrics["agents"]["ego"]["picture"]
+    assert mast(roadside, "list", "scenes", "Convoy").strip() in PAGE
+
+
+BROKEN = "import nowhere\n"
+NAMESAKE = "from mast_zenoh.attacks import Attack\nclass {name}(Attack):\n    def step(self, *arguments): ...\n"
+
+
+def test_a_broken_plugin_is_warned_about_once_and_stops_only_what_may_need_it(tmp_path: Path) -> None:
+    site = installed(tmp_path, "broken", BROKEN)
+    cause = "the plugin broken of broken 1.0 cannot be imported: ModuleNotFoundError: No module named 'nowhere'"
+    listed = mast(site, "list")
+    assert listed.count(cause) == 1
+    assert "AV2Log" in listed, "other plugins work"
+    run = ("run", "baseline", "--frames", "3", "--runtime", "inproc", "--no-report")
+    assert "cannot be imported" not in mast(site, *run)
+    assert cause in mast(site, *run, "--set", "scene.type=Elsewhere", code=35)
+
+
+def test_classes_with_one_name_are_refused(tmp_path: Path) -> None:
+    site = installed(tmp_path, "like_ours", NAMESAKE.format(name="CoordinatedAttack"))
+    for name in ("one", "other"):
+        installed(tmp_path, name, NAMESAKE.format(name="Twice"))
+    listed = mast(site, "list", "attacks")
+    assert (
+        "the plugin like_ours of like_ours 1.0 has a class CoordinatedAttack, as there is in mast_zenoh.att" in listed
+    )
+    assert "the plugin one of one 1.0 has a class Twice, as there is in other.Twice: expected different names" in listed
+    assert "the plugin other of other 1.0 has a class Twice, as there is in one.Twice" in listed
+    assert "\nTwice" not in listed
+    assert listed.count("\nCoordinatedAttack\n") == 1
+
+
+def test_a_missing_plugin_is_named(tmp_path: Path) -> None:
+    code = (
+        "from importlib.metadata import distributions\n"
+        "from mast_zenoh.config import plugins, registry, scene_names\n"
+        "from mast_zenoh.errors import PluginError\nfrom mast_zenoh.scenes import Scene\n"
+        "plugins.entry_points = lambda group: []\nplugins.expect({'Nudge': 'mast-roadside 1.0'})\n"
+        "for build in (lambda: scene_names.parse_scene('av2:PATH'),\n"
+        "              lambda: registry.build({'type': 'AV2Log', 'path': 'x'}, Scene, 'scene'),\n"
+        "              lambda: registry.build({'type': 'Nudge'}, Scene, 'attack')):\n"
+        "    try: build()\n    except PluginError as error: print(error)\n"
+    )
+    lines = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    needs = "reading Argoverse 2 needs the plugin mast-zenoh-datasets, expected: pip install 'mast-zenoh[datasets]'"
+    first, second, third = lines.splitlines()
+    assert first == f"scene 'av2:PATH': {needs}"
+    assert second.startswith("scene.type: no Scene named 'AV2Log'")
+    assert second.endswith(needs)
+    assert third.endswith("it is in the plugin mast-roadside 1.0, which this host does not have: install it here")
+
+
+def test_the_errors_know_all_data_sets() -> None:
+    assert set(plugins.DATA_SETS) == set(mast_datasets.__all__)
+    known = {short: cls.__name__ for short, cls in scene_names.short_names().items() if plugins.plugin_of(cls)}
+    assert known == scene_names._DATA_SETS
+
+
+def test_plugins_are_imported_for_unknown_names_only() -> None:
+    code = (
+        "import sys, mast_zenoh\nfrom mast_zenoh import scenario\nfrom mast_zenoh.config import scene_names\n"
+        "scenario.resolve(*scenario.load('coordinated'), frames=2)\nprint('mast_datasets' in sys.modules)\n"
+        "scene_names.parse_scene('av2:x')\nprint('mast_datasets' in sys.modules)\n"
+    )
+    printed = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert printed.split() == ["False", "True"]
+
+
+def test_a_plugin_does_not_change_the_default_of_a_part_with_one_class() -> None:
+    class Part:
+        pass
+
+    class OfPlugin(Part):
+        pass
+
+    OfPlugin.__module__ = "mast_datasets.parts"
+    assert type(registry.build({}, Part, "part")) is Part
+    assert plugins.plugin_of(OfPlugin) is not None
+    assert plugins.plugin_of(Scene) is None
+
+
+def test_the_plugin_for_data_sets_uses_names_of_the_page_only() -> None:
+    rows = re.findall(r"^\| `(mast_zenoh[\w.]*)` \| (.*) \|$", PAGE, flags=re.M)
+    public = {f"{module}.{name}" for module, names in rows for name in re.findall(r"`(\w+)`", names)}
+    others = []
+    for path in Path(mast_datasets.__file__ or "").parent.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [f"{node.module}.{each.name}" for each in node.names] if isinstance(node, ast.ImportFrom) else []
+            names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            others += [f"{path.name}: {name}" for name in names if name.startswith("mast_zenoh") and name not in public]
+    assert not others
