@@ -231,6 +231,7 @@ WALK_THROUGHS = (
     "extending.md",
     "interception.md",
     "replay.md",
+    "plugins.md",
     "stone_soup.md",
     "tutorial.md",
     "tutorial_defence.md",
