@@ -19,7 +19,7 @@ Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """
 
 from mast_zenoh.attacks import phantoms, real_objects  # noqa: F401 (their classes are found by name)
-from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter, apply
+from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter
 from mast_zenoh.attacks.campaign import Propagation
 from mast_zenoh.attacks.coordination import Coordination
 from mast_zenoh.attacks.imitation import Imitation
@@ -41,5 +41,4 @@ __all__ = [
     "UncoordinatedAttack",
     "UncoordinatedSelection",
     "alter",
-    "apply",
 ]

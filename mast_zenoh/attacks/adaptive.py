@@ -8,13 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, canonical_order, propagate
-from mast_zenoh.attacks.attack import Attack
-from mast_zenoh.attacks.campaign import NANOSECONDS, check_start
-from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.imitation import ForgedIds
-from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, unlimited
-from mast_zenoh.attacks.targets import ALTERED, MOVED, Changes, Tampering, Targets, ViewForger
-from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.attacks.attack import ObservingAttack
+from mast_zenoh.attacks.campaign import NANOSECONDS
+from mast_zenoh.attacks.surroundings import Coverage
+from mast_zenoh.attacks.targets import ALTERED, MOVED, Changes, Tampering, Targets
 from mast_zenoh.streams import stream
 from mast_zenoh.tracking.view import SensorView
 
@@ -94,8 +91,12 @@ class Moment:
     seen: ObjectStates
     established: Bools
     coverage: Coverage
-    view: SensorView
     position: Floats
+
+    @property
+    def view(self) -> SensorView:
+        """The victim's field of view."""
+        return self.coverage.victims[0]
 
     @property
     def time_s(self) -> float:
@@ -124,7 +125,7 @@ class Lies:
     changed_number: Ints = field(default_factory=_no_rows)
 
 
-class AdaptiveAttack(Attack):
+class AdaptiveAttack(ObservingAttack):
     """Base of attacks with a budget, whose claimed views agree with their lies.
 
     A subclass says in `lie` what to claim in a message, at most as many lies as `budget.admit` allows; it may learn in
@@ -138,28 +139,15 @@ class AdaptiveAttack(Attack):
     dormant = False
 
     def __init__(self, *, budget: float = 2.0, start_s: float = 4.0) -> None:
-        check_start(start_s)
-        self._start_ns = round(start_s * NANOSECONDS)
+        super().__init__(start_s, GATE_M, ID_GAP)
         self.budget = Budget(budget)
-        self._ids = ForgedIds(ID_GAP)
-        self._follower = Follower(GATE_M)
-        self._forger = ViewForger()
-        self._surroundings = UNKNOWN
-        self._view: SensorView | None = None
-        self._fused = False
         self._seed, self._name = 0, ""
         self._last_ns: int | None = None
         self._picture: tuple[int, ObjectStates] | None = None
         self._numbers_used = 0
 
-    def inform(self, surroundings: Surroundings) -> None:
-        self._surroundings = surroundings
-
     def bind(self, seed: int, name: str) -> None:
         self._seed, self._name = seed, name
-
-    def look(self, view: SensorView, *, fused: bool) -> None:
-        self._view, self._fused = view, fused
 
     def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:
         self._picture = time_ns, objects.select(canonical_order(objects))
@@ -178,10 +166,8 @@ class AdaptiveAttack(Attack):
         self._last_ns = time_ns
         self._ids.observe(objects.id)
         self._follower.observe(seen, time_ns)
-        view = unlimited(agent_position) if self._view is None else self._view
-        coverage = Coverage(self._surroundings, (view,), time_ns / NANOSECONDS, self._fused)
-        established = self._follower.established(ESTABLISHED)
-        moment = Moment(frame, time_ns, elapsed_s, seen, established, coverage, view, agent_position)
+        established, coverage = self._follower.established(ESTABLISHED), self._coverage(time_ns, agent_position)
+        moment = Moment(frame, time_ns, elapsed_s, seen, established, coverage, agent_position)
         self.observe(moment)
         if time_ns < self._start_ns:
             return Tampering.nothing(len(objects))
@@ -193,9 +179,6 @@ class AdaptiveAttack(Attack):
         self.budget.spend(len(tampering.report))
         self._forger.remember(frame, objects, tampering)
         return tampering
-
-    def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
-        return self._forger.forge(frame, swept)
 
     def observe(self, moment: Moment) -> None:
         """Learn from a message, also before the attack begins."""

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import within_range
-from mast_zenoh.arrays.matching import greedy_matching, neighbours
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, canonical_order
-from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation, check_start
+from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike, typical
-from mast_zenoh.attacks.knowledge import Trust
+from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
+from mast_zenoh.attacks.knowledge import Adversary
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Changes, Tampering, Targets, ViewForger
@@ -22,36 +23,14 @@ from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.tracking.view import SensorView
 
 
-class Attack(ABC):
+class Attack(Adversary):
     """Base class of attacks: tampers with the messages of a victim."""
 
-    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: attacks without random numbers need no streams)
-        """Set the seed and the node's name, which identify the random streams."""
-
-    def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
-        """Set the attacker's prior knowledge of the scene; called before `bind`."""
-
-    def look(self, view: SensorView, *, fused: bool) -> None:  # noqa: B027 (a hook)
+    def look(self, view: SensorView, *, fused: bool) -> None:
         """Set the victim's field of view for the next step.
 
         fused: whether the objects are those of several agents
         """
-
-    def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:  # noqa: B027 (a hook)
-        """Take note of a picture that arrived in an earlier frame: n fused objects, world frame.
-
-        For adversaries that listen to the picture (`keyexpr_maps/knowledge_picture.toml`).
-        """
-
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:  # noqa: B027 (a hook)
-        """Take note of the command centre's trust, which arrived in an earlier frame.
-
-        For adversaries that listen to it (`keyexpr_maps/knowledge_trust.toml`).
-        """
-
-    def counts(self) -> dict[str, int]:
-        """Numbers of selected targets (`Campaign.counts`); {} for attacks without any."""
-        return {}
 
     @abstractmethod
     def step(
@@ -124,32 +103,6 @@ def alter(
     return carry_out(targets, targets.add, objects, np.arange(len(objects)), hidden, moved)
 
 
-def apply(
-    targets: Targets,
-    objects: ObjectStates,
-    agent_position: Floats,
-    *,
-    max_range_m: float = 70.0,
-    assign_radius_m: float = 6.0,
-) -> Tampering:
-    """Insert, hide and displace objects of a victim at `agent_position` (3,) m.
-
-    For attacks with targets at known positions; all positions are in the world frame. False objects farther than
-    `max_range_m` from the victim (bird's-eye view) are withheld. Each target to hide or displace is matched to the
-    nearest object within `assign_radius_m`, nearest pair first. False objects get a typical covariance and score.
-    """
-    order = canonical_order(objects)
-    seen = objects.select(order)
-    target_positions = np.concatenate([targets.remove.position, targets.move.position])
-    i, j, dx, dy = neighbours(target_positions, seen.position, np.full(len(target_positions), assign_radius_m))
-    matches = greedy_matching(i, j, dx * dx + dy * dy)
-    row = np.full(len(target_positions), -1, np.int64)
-    row[i[matches]] = j[matches]
-    inserted = targets.add.select(within_range(targets.add.position, agent_position, max_range_m))
-    n = len(targets.remove)
-    return carry_out(targets, typical(inserted, seen), seen, order, row[:n], row[n:])
-
-
 def carry_out(
     targets: Targets, inserted: ObjectStates, objects: ObjectStates, order: Ints, remove_row: Ints, move_row: Ints
 ) -> Tampering:
@@ -191,7 +144,40 @@ ESTABLISHED = 3
 LEAD_S = 1.0
 
 
-class _TargetedAttack(Attack):
+class ObservingAttack(Attack):
+    """Base of attacks that follow the victim's objects, and whose claimed views agree with their lies.
+
+    start_s: s of scene time at which the attack begins; gate_m: m, the widest gate in which an object is followed
+    id_gap:  difference between the victim's highest track id and the first id of a false object
+    """
+
+    def __init__(self, start_s: float, gate_m: float, id_gap: int) -> None:
+        check("finite, 0 or more", start_s=start_s)
+        self._start_ns = round(start_s * NANOSECONDS)
+        self._ids = ForgedIds(id_gap)
+        self._follower = Follower(gate_m)
+        self._forger = ViewForger()
+        self._surroundings = UNKNOWN
+        self._view: SensorView | None = None
+        self._fused = False
+
+    def inform(self, surroundings: Surroundings) -> None:
+        self._surroundings = surroundings
+
+    def look(self, view: SensorView, *, fused: bool) -> None:
+        self._view, self._fused = view, fused
+
+    def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
+        return self._forger.forge(frame, swept)
+
+    def _coverage(self, time_ns: int, agent_position: Floats) -> Coverage:
+        """What the victim covers at a time."""
+        view = unlimited(agent_position) if self._view is None else self._view
+        return Coverage(self._surroundings, (view,), time_ns / NANOSECONDS, self._fused)
+
+
+@dataclass(kw_only=True, eq=False)
+class TargetedAttack(ObservingAttack):
     """Base of attacks that follow targets and imitate the victim's objects.
 
     start_s:          s of scene time at which the attack begins
@@ -202,34 +188,21 @@ class _TargetedAttack(Attack):
     id_gap:           difference between the victim's highest track id and the first id of a false object
     """
 
-    def __init__(
-        self,
-        *,
-        start_s: float,
-        max_range_m: float,
-        assign_radius_m: float,
-        imitation: Imitation | None,
-        id_gap: int,
-    ) -> None:
-        check_start(start_s)
-        self._start_ns = round(start_s * NANOSECONDS)
-        self._max_range_m = max_range_m
-        self._imitation = imitation or VictimLike()
-        self._ids = ForgedIds(id_gap)
-        self._follower = Follower(assign_radius_m)
-        self._surroundings = UNKNOWN
-        self._view: SensorView | None = None
-        self._fused = False
-        self._forger = ViewForger()
+    #: m, see `Follower.follow`.
+    attach_m: ClassVar[float]
 
-    def inform(self, surroundings: Surroundings) -> None:
-        self._surroundings = surroundings
+    start_s: float = 4.0
+    max_range_m: float = 70.0
+    assign_radius_m: float = 6.0
+    imitation: Imitation | None = None
+    id_gap: int = 1000
+
+    def __post_init__(self) -> None:
+        super().__init__(self.start_s, self.assign_radius_m, self.id_gap)
+        self._imitation = self.imitation or VictimLike()
 
     def bind(self, seed: int, name: str) -> None:
         self._imitation.bind(seed, self._surroundings.scene, name)
-
-    def look(self, view: SensorView, *, fused: bool) -> None:
-        self._view, self._fused = view, fused
 
     def step(
         self,
@@ -245,23 +218,19 @@ class _TargetedAttack(Attack):
         self._imitation.observe(seen, time_ns, agent_position)
         if time_ns >= self._start_ns - LEAD_S * NANOSECONDS:
             self._follower.observe(seen, time_ns)
-        view = unlimited(agent_position) if self._view is None else self._view
-        coverage = Coverage(self._surroundings, (view,), time_ns / NANOSECONDS, self._fused)
+        coverage = self._coverage(time_ns, agent_position)
         targets = self._targets_at(frame, time_ns, seen, coverage, directive)
         if targets is None:
             return Tampering.nothing(len(objects))
-        targets, remove_row, move_row = self._follower.follow(targets, self._attach_m)
-        in_range, near = targets.add, within_range(targets.add.position, agent_position, self._max_range_m)
+        targets, remove_row, move_row = self._follower.follow(targets, self.attach_m)
+        in_range, near = targets.add, within_range(targets.add.position, agent_position, self.max_range_m)
         if not near.all():
             in_range = in_range.select(near)
-        false_objects = self._imitation.show(frame, in_range, seen, coverage, view)
+        false_objects = self._imitation.show(frame, in_range, seen, coverage, coverage.victims[0])
         tampering = carry_out(targets, false_objects, seen, order, remove_row, move_row)
         self._store_targets(tampering.targets, time_ns)
         self._forger.remember(frame, objects, tampering)
         return replace(tampering, added=false_objects.with_(id=self._ids.of(false_objects.id)))
-
-    def forge_view(self, frame: int, time_ns: int, swept: SweptView) -> SweptView:
-        return self._forger.forge(frame, swept)
 
     @abstractmethod
     def _targets_at(
@@ -273,42 +242,28 @@ class _TargetedAttack(Attack):
     def _store_targets(self, targets: Targets, time_ns: int) -> None:
         """Store the current targets."""
 
-    #: m, see `Follower.follow`.
-    _attach_m: float
 
-
-class UncoordinatedAttack(_TargetedAttack):
+@dataclass(kw_only=True, eq=False)
+class UncoordinatedAttack(TargetedAttack):
     """Deceives trackers (on detections) or the broker (on tracks) independently.
 
     selection:        which objects to add, hide and move; None: UncoordinatedSelection()
     propagation:      motion of false objects; None: TrajectoryPropagation()
     reselect_every_s: s, interval between selections of new targets; None: select once
-    The other parameters come from _TargetedAttack: start_s, max_range_m, assign_radius_m, imitation, id_gap.
+    The other parameters come from TargetedAttack: start_s, max_range_m, assign_radius_m, imitation, id_gap.
     """
 
-    _attach_m = OWN_TARGET_M
+    attach_m = OWN_TARGET_M
 
-    def __init__(
-        self,
-        *,
-        selection: Selection | None = None,
-        propagation: Propagation | None = None,
-        reselect_every_s: float | None = 20.0,
-        start_s: float = 4.0,
-        max_range_m: float = 70.0,
-        assign_radius_m: float = 6.0,
-        imitation: Imitation | None = None,
-        id_gap: int = 1000,
-    ) -> None:
-        super().__init__(
-            start_s=start_s,
-            max_range_m=max_range_m,
-            assign_radius_m=assign_radius_m,
-            imitation=imitation,
-            id_gap=id_gap,
-        )
-        self._selection = selection or UncoordinatedSelection()
-        self._campaign = Campaign(self._selection, propagation or TrajectoryPropagation(), reselect_every_s, start_s)
+    selection: Selection | None = None
+    propagation: Propagation | None = None
+    reselect_every_s: float | None = 20.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._selection = self.selection or UncoordinatedSelection()
+        motion = self.propagation or TrajectoryPropagation()
+        self._campaign = Campaign(self._selection, motion, self.reselect_every_s, self.start_s)
 
     def bind(self, seed: int, name: str) -> None:
         super().bind(seed, name)
@@ -329,7 +284,8 @@ class UncoordinatedAttack(_TargetedAttack):
         self._campaign.store(targets, time_ns)
 
 
-class CoordinatedAttack(_TargetedAttack):
+@dataclass(kw_only=True, eq=False)
+class CoordinatedAttack(TargetedAttack):
     """Follows the newest directive of a coordinator.
 
     A directive's targets are predicted to the current time at constant velocity. Without a newer one the adversary
@@ -338,24 +294,10 @@ class CoordinatedAttack(_TargetedAttack):
     Parameters: start_s, max_range_m, assign_radius_m, imitation, id_gap, as for UncoordinatedAttack.
     """
 
-    _attach_m = ATTACH_M
+    attach_m = ATTACH_M
 
-    def __init__(
-        self,
-        *,
-        start_s: float = 4.0,
-        max_range_m: float = 70.0,
-        assign_radius_m: float = 6.0,
-        imitation: Imitation | None = None,
-        id_gap: int = 1000,
-    ) -> None:
-        super().__init__(
-            start_s=start_s,
-            max_range_m=max_range_m,
-            assign_radius_m=assign_radius_m,
-            imitation=imitation,
-            id_gap=id_gap,
-        )
+    def __post_init__(self) -> None:
+        super().__post_init__()
         self._directive: Targets | None = None
         self._directive_ns = 0
         self._targets = Targets.empty()

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Floats, ObjectStates, propagate
 from mast_zenoh.attacks.regions import MAX_ACCELERATION_MPS2
@@ -49,6 +50,7 @@ class StaticPropagation(Propagation):
         return states.with_(velocity=np.zeros_like(states.velocity))
 
 
+@dataclass(kw_only=True, eq=False)
 class MarkovPropagation(Propagation):
     """A random walk of the velocity: v += a·dt, a ~ N(0, `sigma_mps2`) on x and y.
 
@@ -59,9 +61,8 @@ class MarkovPropagation(Propagation):
     bounded by MAX_ACCELERATION_MPS2 and never reverses the object; the lateral one turns it by MAX_YAW_RATE at most.
     """
 
-    def __init__(self, *, sigma_mps2: float = 0.5, max_speed_mps: float = 30.0) -> None:
-        self.sigma_mps2 = sigma_mps2
-        self.max_speed_mps = max_speed_mps
+    sigma_mps2: float = 0.5
+    max_speed_mps: float = 30.0
 
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
         change = rng.normal(0.0, 1.0, (len(states), 2)) * (self.sigma_mps2 * elapsed_s)
@@ -77,6 +78,7 @@ class MarkovPropagation(Propagation):
         return _move_along(states, yaw, speed, speed * elapsed_s)
 
 
+@dataclass(kw_only=True, eq=False)
 class TrajectoryPropagation(Propagation):
     """A planned path: constant velocity for `duration_s`, then braking to a stop.
 
@@ -87,11 +89,11 @@ class TrajectoryPropagation(Propagation):
 
     draws = False
 
-    def __init__(self, *, duration_s: float = 10.0, braking_mps2: float = MAX_ACCELERATION_MPS2) -> None:
-        if not braking_mps2 > 0.0:
-            raise ValueError(f"braking_mps2: found {braking_mps2}, expected more than 0")
-        self.duration_s = duration_s
-        self.braking_mps2 = braking_mps2
+    duration_s: float = 10.0
+    braking_mps2: float = MAX_ACCELERATION_MPS2
+
+    def __post_init__(self) -> None:
+        check("more than 0", braking_mps2=self.braking_mps2)
 
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
         if age_s > 0.0 and age_s + elapsed_s <= self.duration_s:
@@ -137,12 +139,6 @@ COUNTS = ("selected", "placed", "wanted")
 _UNUSED = np.random.default_rng(0)  # for models without random numbers: creating a stream is slow
 
 
-def check_start(start_s: float) -> None:
-    """Raise ValueError for a start before the start of the scene."""
-    if not 0.0 <= start_s < np.inf:
-        raise ValueError(f"start_s: found {start_s}, expected 0 or more")
-
-
 class Campaign:
     """Selects and propagates targets for an uncoordinated adversary or a coordinator.
 
@@ -159,7 +155,7 @@ class Campaign:
     ) -> None:
         if reselect_every_s is not None and not reselect_every_s > 0.0:
             raise ValueError(f"reselect_every_s: found {reselect_every_s}, expected more than 0, or None")
-        check_start(start_s)
+        check("finite, 0 or more", start_s=start_s)
         self._selection = selection
         self._propagation = propagation
         self._every_ns = None if reselect_every_s is None else round(reselect_every_s * NANOSECONDS)

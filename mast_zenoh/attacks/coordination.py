@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, canonical_order
 from mast_zenoh.attacks.adaptive import Budget
 from mast_zenoh.attacks.attack import OWN_TARGET_M
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.knowledge import Trust, TrustWatch
+from mast_zenoh.attacks.knowledge import Adversary, Trust, TrustWatch
 from mast_zenoh.attacks.phantoms import BOX
 from mast_zenoh.attacks.regions import REGIONS, Shape
-from mast_zenoh.attacks.selection import CoordinatedSelection, Selection, cluster_centres, ground_height
+from mast_zenoh.attacks.selection import CoordinatedSelection, Selection, ground_height
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, boxes_of, unlimited
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.tracking.view import SensorView
@@ -25,36 +27,20 @@ EGO_M = 3.0
 ESTABLISHED = 10
 
 
-class Coordination(ABC):
+class Coordination(Adversary):
     """Base class of coordinators: directs adversaries, in every frame for the next."""
 
-    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: without random numbers it needs no streams)
-        """Set the random streams, named by (seed, scene, name, purpose, frame)."""
-
-    def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
-        """Set the attackers' prior knowledge of the scene; called before `bind`."""
-
-    def look(self, views: tuple[SensorView, ...]) -> None:  # noqa: B027 (a hook)
+    def look(self, views: tuple[SensorView, ...]) -> None:
         """Set the victims' fields of view for the next step.
 
         In the order of `agent_positions` of `step`.
         """
 
-    def locate(self, rotations: Floats, velocities: Floats) -> None:  # noqa: B027 (a hook)
+    def locate(self, rotations: Floats, velocities: Floats) -> None:
         """Set the victims' orientations (a, 3, 3) and velocities (a, 3) m/s for the next step, world frame.
 
         Rotations are active, agent to world. The order is that of `agent_positions` of `step`.
         """
-
-    def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:  # noqa: B027 (a hook)
-        """Take note of a picture that arrived in an earlier frame, see `Attack.hear_picture`."""
-
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:  # noqa: B027 (a hook)
-        """Take note of the command centre's trust from an earlier frame, see `Attack.hear_trust`."""
-
-    def counts(self) -> dict[str, int]:
-        """Numbers of selected targets, see `Campaign.counts`; {} if unknown."""
-        return {}
 
     @abstractmethod
     def step(
@@ -71,6 +57,7 @@ class Coordination(ABC):
         """
 
 
+@dataclass(kw_only=True, eq=False)
 class Coordinator(Coordination):
     """Directs every adversary to the same false objects and the same hidden objects.
 
@@ -84,18 +71,17 @@ class Coordinator(Coordination):
     assign_radius_m:  m, maximum distance between a target and its object
     """
 
-    def __init__(
-        self,
-        *,
-        selection: Selection | None = None,
-        propagation: Propagation | None = None,
-        reselect_every_s: float | None = 20.0,
-        start_s: float = 4.0,
-        assign_radius_m: float = 6.0,
-    ) -> None:
-        self._selection = selection or CoordinatedSelection()
-        self._campaign = Campaign(self._selection, propagation or TrajectoryPropagation(), reselect_every_s, start_s)
-        self._follower = Follower(assign_radius_m)
+    selection: Selection | None = None
+    propagation: Propagation | None = None
+    reselect_every_s: float | None = 20.0
+    start_s: float = 4.0
+    assign_radius_m: float = 6.0
+
+    def __post_init__(self) -> None:
+        self._selection = self.selection or CoordinatedSelection()
+        motion = self.propagation or TrajectoryPropagation()
+        self._campaign = Campaign(self._selection, motion, self.reselect_every_s, self.start_s)
+        self._follower = Follower(self.assign_radius_m)
         self._surroundings = UNKNOWN
         self._views: tuple[SensorView, ...] = ()
 
@@ -155,6 +141,7 @@ def ego_among(agent_positions: Floats, surroundings: Surroundings, time_s: float
 CLUSTER_M = 3.0
 
 
+@dataclass(kw_only=True, eq=False)
 class ColludingSelection(Selection):
     """Selects false objects and objects to hide where the compromised agents outnumber the honest ones that look.
 
@@ -167,15 +154,14 @@ class ColludingSelection(Selection):
     """
 
     until_found = True
+    cluster_radius_m = CLUSTER_M
 
-    def __init__(self, *, budget: float = 4.0, speed_mps: float = 5.0) -> None:
-        Budget(budget)
-        if not 0.0 <= speed_mps < np.inf:
-            raise ValueError(f"speed_mps: found {speed_mps}, expected 0 or more")
-        self.budget, self.speed_mps = budget, speed_mps
+    budget: float = 4.0
+    speed_mps: float = 5.0
 
-    def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
-        return objects if source is None else cluster_centres(objects, source, CLUSTER_M)
+    def __post_init__(self) -> None:
+        Budget(self.budget)
+        check("finite, 0 or more", speed_mps=self.speed_mps)
 
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
         objects = objects.select(canonical_order(objects))
@@ -184,16 +170,8 @@ class ColludingSelection(Selection):
         hidden = np.argsort(cost, kind="stable")[: total // 2]
         hidden = np.sort(hidden[np.isfinite(cost[hidden])])
         wanted = total - total // 2 if coverage.victims else 0
-        position, velocity = REGIONS["outnumbered"].place(
-            wanted, Shape(30.0, self.speed_mps, BOX), objects, ground_height(objects), coverage, rng
-        )
-        false = ObjectStates.of(
-            position,
-            velocity=velocity,
-            size=np.tile(BOX, (len(position), 1)),
-            yaw=np.arctan2(velocity[:, 1], velocity[:, 0]),
-            class_id=np.full(len(position), 1, np.uint8),
-        )
+        shape = Shape(30.0, self.speed_mps, BOX)
+        false = REGIONS["outnumbered"].objects(wanted, shape, objects, ground_height(objects), coverage, rng)
         none = ObjectStates.empty()
         found = len(false) + len(hidden) > 0
         targets = Targets(false, objects.select(hidden), none, np.zeros((0, 3)), wanted=wanted if found else 0)
@@ -237,14 +215,9 @@ class Collusion(Coordinator):
         selection = ColludingSelection(budget=budget, speed_mps=speed_mps)
         super().__init__(selection=selection, reselect_every_s=reselect_every_s, start_s=start_s)
         self._watch = TrustWatch(tolerance)
-        self._victims: tuple[str, ...] = ()
-
-    def inform(self, surroundings: Surroundings) -> None:
-        super().inform(surroundings)
-        self._victims = surroundings.victims
 
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        self._watch.hear(trust, self._victims)
+        self._watch.hear(trust, self._surroundings.victims)
 
     def step(
         self, frame: int, time_ns: int, objects: ObjectStates, source: Ints, agent_positions: Floats

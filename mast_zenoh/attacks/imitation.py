@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
+from dataclasses import dataclass
 from math import erf, sqrt
 from statistics import median
 
@@ -188,6 +189,7 @@ def typical(false: ObjectStates, real: ObjectStates) -> ObjectStates:
     return false.with_(covariance=np.repeat(covariance[None], len(false), 0), score=np.full(len(false), score))
 
 
+@dataclass(kw_only=True, eq=False)
 class VictimLike(Imitation):
     """Gives false objects the noise, misses and scores of the victim's own rows.
 
@@ -199,9 +201,10 @@ class VictimLike(Imitation):
     misses, noise: whether to simulate them
     """
 
-    def __init__(self, *, misses: bool = True, noise: bool = True) -> None:
-        self._misses = misses
-        self._noise = noise
+    misses: bool = True
+    noise: bool = True
+
+    def __post_init__(self) -> None:
         self._statistics = VictimStatistics()
         self._numbers: Ints = np.zeros(0, np.int64)
         self._errors = np.zeros((0, _COLUMNS))
@@ -228,7 +231,7 @@ class VictimLike(Imitation):
         range_m = np.sqrt(offset[:, 0] * offset[:, 0] + offset[:, 1] * offset[:, 1])
         false = self._resemble_victim(false, errors, real, range_m, view)
         visible = coverage.plausible(false, real, view)
-        if self._misses:
+        if self.misses:
             visible &= miss_draws < self._statistics.share_detected(range_m)
         return false if visible.all() else false.select(visible)
 
@@ -266,7 +269,7 @@ class VictimLike(Imitation):
             position, covariance, score = view.position[None], np.diag(DEFAULT_STD**2)[None], np.array([DEFAULT_SCORE])
         columns = imitate_rows(
             (false.position, false.velocity, false.size, false.yaw),
-            errors if self._noise else np.concatenate([np.zeros((len(false), 10)), errors[:, 10:]], axis=1),
+            errors if self.noise else np.concatenate([np.zeros((len(false), 10)), errors[:, 10:]], axis=1),
             range_m,
             (position, covariance, score, view.position),
             self._statistics.std,

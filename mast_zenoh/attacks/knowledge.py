@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from abc import ABC
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.attacks.surroundings import Surroundings
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.wiring.received import Received
@@ -37,18 +40,34 @@ class Trust:
         return cls(tuple(map(str, columns["agents"])), *(columns[name] for name in names))
 
 
-class Listener(Protocol):
-    """An attack, or a coordination of several."""
+class Adversary(ABC):  # noqa: B024 (attacks and coordinators have their own `step`)
+    """What attacks and coordinators of several have in common: random streams and knowledge."""
 
-    def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:
-        """The command centre's picture."""
+    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: without random numbers it needs no streams)
+        """Set the seed and the node's name, which identify the random streams."""
 
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        """The command centre's trust."""
+    def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
+        """Set the prior knowledge of the scene; called before `bind`."""
+
+    def hear_picture(self, frame: int, time_ns: int, objects: ObjectStates) -> None:  # noqa: B027 (a hook)
+        """Take note of a picture that arrived in an earlier frame: n fused objects, world frame.
+
+        For adversaries that listen to the picture (`keyexpr_maps/knowledge_picture.toml`).
+        """
+
+    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:  # noqa: B027 (a hook)
+        """Take note of the command centre's trust, which arrived in an earlier frame.
+
+        For adversaries that listen to it (`keyexpr_maps/knowledge_trust.toml`).
+        """
+
+    def counts(self) -> dict[str, int]:
+        """Numbers of selected targets (`Campaign.counts`); {} for adversaries without any."""
+        return {}
 
 
 def tell_newest(
-    listener: Listener,
+    listener: Adversary,
     heard: dict[str, int],
     frame: int,
     pictures: LatestBefore[Received],
@@ -78,8 +97,7 @@ class TrustWatch:
     """
 
     def __init__(self, tolerance: float) -> None:
-        if not 0.0 <= tolerance <= 1.0:
-            raise ValueError(f"tolerance: found {tolerance}, expected 0 to 1")
+        check("0 to 1", tolerance=tolerance)
         self._tolerance = tolerance
         self._highest: dict[str, float] = {}
         self.fallen = False

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates, concatenate
+from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.attacks.attack import Attack
 from mast_zenoh.attacks.campaign import TrajectoryPropagation
@@ -50,8 +51,7 @@ class PhantomAttack(AdaptiveAttack):
 
     def __init__(self, *, budget: float, start_s: float, speed_mps: float) -> None:
         super().__init__(budget=budget, start_s=start_s)
-        if not 0.0 <= speed_mps < np.inf:
-            raise ValueError(f"speed_mps: found {speed_mps}, expected 0 or more")
+        check("finite, 0 or more", speed_mps=speed_mps)
         self._shape = Shape(30.0, speed_mps, BOX)
         self._imitation = VictimLike()
         self._propagation = TrajectoryPropagation()
@@ -78,15 +78,13 @@ class PhantomAttack(AdaptiveAttack):
         self._keep(~self._given_up(moment, self._phantoms))
         allowed = self.budget.admit(len(self._phantoms), MAX_PHANTOMS)
         self._keep(np.arange(len(self._phantoms)) < allowed)
-        if allowed > len(self._phantoms) and self._due(moment):
+        due = self._searched_ns is None or moment.time_ns - self._searched_ns >= SEARCH_S * 1e9
+        if allowed > len(self._phantoms) and due:
             self._searched_ns = moment.time_ns
             self._place(allowed - len(self._phantoms), moment)
         return Lies(
             inserted=self._imitation.show(moment.frame, self._phantoms, moment.seen, moment.coverage, moment.view)
         )
-
-    def _due(self, moment: Moment) -> bool:
-        return self._searched_ns is None or moment.time_ns - self._searched_ns >= SEARCH_S * 1e9
 
     def _advance(self, moment: Moment) -> None:
         """Move each phantom; it brakes when the way that was free at its placing ends."""
@@ -105,20 +103,11 @@ class PhantomAttack(AdaptiveAttack):
     def _place(self, count: int, moment: Moment) -> None:
         real = concatenate([moment.seen, self.known_objects(moment)])
         rng = self.stream("places", moment.frame)
-        position, velocity = self.region.place(
+        placed = self.region.objects(
             count, self._shape, concatenate([real, self._phantoms]), ground_height(moment.seen), moment.coverage, rng
         )
-        k = len(position)
-        placed = ObjectStates.of(
-            position,
-            id=self.numbers(k),
-            velocity=velocity,
-            size=np.tile(BOX, (k, 1)),
-            yaw=np.arctan2(velocity[:, 1], velocity[:, 0]),
-            class_id=np.full(k, CLASS_INDEX["car"], np.uint8),
-        )
-        self._phantoms = concatenate([self._phantoms, placed])
-        self._born_ns = np.concatenate([self._born_ns, np.full(k, moment.time_ns, np.int64)])
+        self._phantoms = concatenate([self._phantoms, placed.with_(id=self.numbers(len(placed)))])
+        self._born_ns = np.concatenate([self._born_ns, np.full(len(placed), moment.time_ns, np.int64)])
 
 
 #: s before an honest agent would see a phantom, at which it is withdrawn.
@@ -328,6 +317,7 @@ class Mimic(AdaptiveAttack):
         return row.with_(position=row.position + row.velocity * ((path_ns - time_ns) * 1e-9))
 
 
+@dataclass(kw_only=True, eq=False)
 class Sleeper(Attack):
     """Lets another attack act in bursts, with honest periods between them.
 
@@ -342,23 +332,19 @@ class Sleeper(Attack):
     start_s:   s of scene time of the first burst
     """
 
-    def __init__(
-        self,
-        *,
-        attack: Attack | None = None,
-        honest_s: float = 3.0,
-        lying_s: float = 1.5,
-        tolerance: float = 0.05,
-        start_s: float = 4.0,
-    ) -> None:
-        for name, value in (("honest_s", honest_s), ("lying_s", lying_s)):
-            if not 0.0 < value < 1e6:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
-        if not 0.0 <= start_s < 1e6:
-            raise ValueError(f"start_s: found {start_s}, expected 0 or more")
-        self._attack = attack or BlindSpot(start_s=start_s)
-        self._honest_ns, self._lying_ns, self._start_ns = (round(s * 1e9) for s in (honest_s, lying_s, start_s))
-        self._watch = TrustWatch(tolerance)
+    attack: Attack | None = None
+    honest_s: float = 3.0
+    lying_s: float = 1.5
+    tolerance: float = 0.05
+    start_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        check("finite, more than 0", honest_s=self.honest_s, lying_s=self.lying_s)
+        check("finite, 0 or more", start_s=self.start_s)
+        self._attack = self.attack or BlindSpot(start_s=self.start_s)
+        periods = self.honest_s, self.lying_s, self.start_s
+        self._honest_ns, self._lying_ns, self._start_ns = (round(seconds * 1e9) for seconds in periods)
+        self._watch = TrustWatch(self.tolerance)
         self._victims: tuple[str, ...] = ()
         self._lying_frame = -1
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate, propagate
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Budget, Lies, Moment
 from mast_zenoh.attacks.attack import OWN_TARGET_M, Attack
-from mast_zenoh.attacks.campaign import NANOSECONDS, check_start
+from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.knowledge import Trust, TrustWatch
 from mast_zenoh.attacks.surroundings import AgentSensor, Surroundings, boxes_of
@@ -80,16 +83,37 @@ class ChosenObjects:
         return row[rows]
 
 
-def distance_to_ego(moment: Moment) -> Floats:
-    """(n,) m from the ego on its route, from the victim without a route; infinite for the ego itself."""
-    ego = moment.coverage.surroundings.ego_sensor
-    centre = moment.position if ego is None else ego.route.at(moment.time_s)[0]
-    offset = moment.seen.position[:, :2] - centre[:2]
-    distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
-    return distance if ego is None else np.where(distance < 3.0, np.inf, distance)
+class ChangingAttack(AdaptiveAttack):
+    """Base of attacks that change real objects, by default those nearest to the ego."""
+
+    def __init__(self, *, budget: float, start_s: float) -> None:
+        super().__init__(budget=budget, start_s=start_s)
+        self._chosen = ChosenObjects(self._follower, self.budget, self.numbers)
+
+    def rest(self) -> None:
+        self._chosen.clear()
+
+    def lie(self, moment: Moment) -> Lies:
+        numbers, rows = self._chosen.update(moment, self._cost(moment))
+        claims = self._claims(moment, numbers, moment.seen.select(rows))
+        if claims is None:
+            return Lies(hidden=rows, hidden_number=numbers)
+        return Lies(changed=rows, claims=claims, changed_number=numbers)
+
+    def _cost(self, moment: Moment) -> Floats:
+        """(n,) m from the ego on its route, from the victim without a route; infinite for the ego itself."""
+        ego = moment.coverage.surroundings.ego_sensor
+        centre = moment.position if ego is None else ego.route.at(moment.time_s)[0]
+        offset = moment.seen.position[:, :2] - centre[:2]
+        distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
+        return distance if ego is None else np.where(distance < 3.0, np.inf, distance)
+
+    @abstractmethod
+    def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates | None:
+        """What to claim instead of the chosen objects (k); None: that they are not there. numbers: (k,)"""
 
 
-class SlowDrift(AdaptiveAttack):
+class SlowDrift(ChangingAttack):
     """Moves the objects nearest to the ego by an offset that grows so slowly that no single message is suspicious.
 
     Each object drifts in a direction drawn once; its velocity agrees with the drift. While the trust in the victim is
@@ -114,25 +138,18 @@ class SlowDrift(AdaptiveAttack):
         start_s: float = 4.0,
     ) -> None:
         super().__init__(budget=budget, start_s=start_s)
-        for name, value in (("rate_mps", rate_mps), ("limit_m", limit_m)):
-            if not 0.0 < value < np.inf:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
+        check("finite, more than 0", rate_mps=rate_mps, limit_m=limit_m)
         self._rate_mps, self._limit_m = rate_mps, limit_m
         self._watch = TrustWatch(tolerance)
-        self._chosen = ChosenObjects(self._follower, self.budget, self.numbers)
         self._offset_m: dict[int, float] = {}  # by number
         self._direction: dict[int, float] = {}
 
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
         self._watch.hear(trust, self._surroundings.victims)
 
-    def rest(self) -> None:
-        self._chosen.clear()
-
-    def lie(self, moment: Moment) -> Lies:
-        numbers, rows = self._chosen.update(moment, distance_to_ego(moment))
+    def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates:
         rate = -self._rate_mps if self._watch.fallen else self._rate_mps
-        offset, speed, angle = np.zeros((3, len(rows)))
+        offset, speed, angle = np.zeros((3, len(real)))
         for i, number in enumerate(numbers.tolist()):
             before = self._offset_m.get(number, 0.0)
             after = min(max(before + rate * moment.elapsed_s, 0.0), self._limit_m)
@@ -141,16 +158,14 @@ class SlowDrift(AdaptiveAttack):
             if number not in self._direction:
                 self._direction[number] = float(self.stream("direction", number).uniform(-np.pi, np.pi))
             angle[i] = self._direction[number]
-        real = moment.seen.select(rows)
         direction = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
         moves = np.where(real.velocity.any(axis=1), speed, 0.0)  # detections have no velocity
-        claims = real.with_(
+        return real.with_(
             position=real.position + direction * offset[:, None], velocity=real.velocity + direction * moves[:, None]
         )
-        return Lies(changed=rows, claims=claims, changed_number=numbers)
 
 
-class StatePerturbation(AdaptiveAttack):
+class StatePerturbation(ChangingAttack):
     """Changes all about the objects nearest to the ego but their positions.
 
     A false velocity spoils predictions, a small covariance gives the victim more weight in the fusion, a low score less
@@ -181,35 +196,24 @@ class StatePerturbation(AdaptiveAttack):
             "covariance_factor": covariance_factor,
             "score_factor": score_factor,
         }
-        for name, value in factors.items():
-            if not 0.0 < value <= 1e3:
-                raise ValueError(f"{name}: found {value}, expected more than 0 and at most 1000")
-        for name, value in (("velocity_mps", velocity_mps), ("heading_rad", heading_rad)):
-            if not abs(value) <= 1e3:
-                raise ValueError(f"{name}: found {value}, expected -1000 to 1000")
+        check("more than 0 and at most 1000", **factors)
+        check("-1000 to 1000", velocity_mps=velocity_mps, heading_rad=heading_rad)
         self._velocity_mps, self._heading_rad = velocity_mps, heading_rad
         self._size, self._covariance, self._score = factors.values()
-        self._chosen = ChosenObjects(self._follower, self.budget, self.numbers)
 
-    def rest(self) -> None:
-        self._chosen.clear()
-
-    def lie(self, moment: Moment) -> Lies:
-        numbers, rows = self._chosen.update(moment, distance_to_ego(moment))
-        real = moment.seen.select(rows)
-        heading = np.column_stack([np.cos(real.yaw), np.sin(real.yaw), np.zeros(len(rows))])
+    def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates:
+        heading = np.column_stack([np.cos(real.yaw), np.sin(real.yaw), np.zeros(len(real))])
         moves = np.any(real.velocity, axis=1, keepdims=True)
-        claims = real.with_(
+        return real.with_(
             velocity=real.velocity + self._velocity_mps * heading * moves,
             yaw=wrap_angle(real.yaw + self._heading_rad),
             size=real.size * self._size,
             covariance=real.covariance * self._covariance,
             score=np.minimum(real.score * self._score, 1.0),
         )
-        return Lies(changed=rows, claims=claims, changed_number=numbers)
 
 
-class Overconfidence(AdaptiveAttack):
+class Overconfidence(ChangingAttack):
     """Moves objects a little and claims to be certain about them, so that a fusion by covariances believes it alone.
 
     All objects move alike, in a direction drawn once; the offset is too small for them to be other objects. Fusion
@@ -226,29 +230,20 @@ class Overconfidence(AdaptiveAttack):
         self, *, offset_m: float = 1.9, covariance_factor: float = 1e-6, budget: float = 2.0, start_s: float = 4.0
     ) -> None:
         super().__init__(budget=budget, start_s=start_s)
-        if not 0.0 <= offset_m < np.inf:
-            raise ValueError(f"offset_m: found {offset_m}, expected 0 or more")
-        if not 0.0 < covariance_factor <= 1e3:
-            raise ValueError(f"covariance_factor: found {covariance_factor}, expected more than 0 and at most 1000")
+        check("finite, 0 or more", offset_m=offset_m)
+        check("more than 0 and at most 1000", covariance_factor=covariance_factor)
         self._offset_m, self._factor = offset_m, covariance_factor
         self._direction = np.zeros(3)
-        self._chosen = ChosenObjects(self._follower, self.budget, self.numbers)
 
     def bind(self, seed: int, name: str) -> None:
         super().bind(seed, name)
         angle = float(self.stream("direction").uniform(-np.pi, np.pi))
         self._direction = np.array([np.cos(angle), np.sin(angle), 0.0])
 
-    def rest(self) -> None:
-        self._chosen.clear()
-
-    def lie(self, moment: Moment) -> Lies:
-        numbers, rows = self._chosen.update(moment, distance_to_ego(moment))
-        real = moment.seen.select(rows)
-        claims = real.with_(
+    def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates:
+        return real.with_(
             position=real.position + self._offset_m * self._direction, covariance=real.covariance * self._factor
         )
-        return Lies(changed=rows, claims=claims, changed_number=numbers)
 
 
 #: m; an object this near to the framed agent is the agent itself.
@@ -259,7 +254,7 @@ OFFSET_M = 4.0
 WITNESS_M = 1000.0
 
 
-class Framing(AdaptiveAttack):
+class Framing(ChangingAttack):
     """Contradicts one honest agent, about objects that few others see.
 
     Objects in the view of both the victim and the framed agent are hidden, or moved, those with the fewest further
@@ -284,19 +279,29 @@ class Framing(AdaptiveAttack):
     ) -> None:
         super().__init__(budget=budget, start_s=start_s)
         self._framed, self._action = framed, action
-        self._chosen = ChosenObjects(self._follower, self.budget, self.numbers)
 
-    def rest(self) -> None:
-        self._chosen.clear()
+    def _cost(self, moment: Moment) -> Floats:
+        """(n,) m from the framed agent, more for further witnesses; infinite for what one of both misses."""
+        seen, coverage, sensor = moment.seen, moment.coverage, self._framed_sensor(moment)
+        if sensor is None:
+            return np.full(len(seen), np.inf)
+        boxes = boxes_of(seen)
+        pose = sensor.route.at(moment.time_s)
+        offset = seen.position[:, :2] - pose[0][:2]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        own = moment.position[:2] - seen.position[:, :2]
+        both = coverage.visible(sensor.view(*pose), boxes, boxes) & coverage.visible(moment.view, boxes)
+        both &= (distance > SELF_M) & (np.hypot(own[:, 0], own[:, 1]) > SELF_M)
+        return np.where(both, distance + WITNESS_M * coverage.honest_viewers(seen, both), np.inf)
 
-    def lie(self, moment: Moment) -> Lies:
+    def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates | None:
         sensor = self._framed_sensor(moment)
-        cost = np.full(len(moment.seen), np.inf) if sensor is None else _cost(moment, sensor)
-        numbers, rows = self._chosen.update(moment, cost)
         if self._action == "hide" or sensor is None:
-            return Lies(hidden=rows, hidden_number=numbers)
-        real = moment.seen.select(rows)
-        return Lies(changed=rows, claims=_moved_away(real, sensor, moment.time_s), changed_number=numbers)
+            return None
+        away = real.position - sensor.route.at(moment.time_s)[0]
+        away[:, 2] = 0.0
+        length = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
+        return real.with_(position=real.position + away * (OFFSET_M / length)[:, None])
 
     def _framed_sensor(self, moment: Moment) -> AgentSensor | None:
         """The sensor of the framed agent; None if nobody can be framed."""
@@ -309,27 +314,6 @@ class Framing(AdaptiveAttack):
             ]
             self._framed = others[int(np.argmin(distance))] if others else None
         return None if self._framed is None else sensors.get(self._framed)
-
-
-def _cost(moment: Moment, sensor: AgentSensor) -> Floats:
-    """(n,) m from the framed agent, more for further witnesses; infinite if it or the victim does not see an object."""
-    seen, coverage = moment.seen, moment.coverage
-    boxes = boxes_of(seen)
-    pose = sensor.route.at(moment.time_s)
-    offset = seen.position[:, :2] - pose[0][:2]
-    distance = np.hypot(offset[:, 0], offset[:, 1])
-    own = moment.position[:2] - seen.position[:, :2]
-    both = coverage.visible(sensor.view(*pose), boxes, boxes) & coverage.visible(moment.view, boxes)
-    both &= (distance > SELF_M) & (np.hypot(own[:, 0], own[:, 1]) > SELF_M)
-    return np.where(both, distance + WITNESS_M * coverage.honest_viewers(seen, both), np.inf)
-
-
-def _moved_away(real: ObjectStates, sensor: AgentSensor, time_s: float) -> ObjectStates:
-    """The objects, OFFSET_M farther from a sensor's agent."""
-    away = real.position - sensor.route.at(time_s)[0]
-    away[:, 2] = 0.0
-    length = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
-    return real.with_(position=real.position + away * (OFFSET_M / length)[:, None])
 
 
 class Replay(AdaptiveAttack):
@@ -413,6 +397,7 @@ def _same_ids(old: ObjectStates, now: ObjectStates) -> tuple[Ints, Ints]:
     return old_row[i], now_row[j]
 
 
+@dataclass(kw_only=True, eq=False)
 class PoseDrift(Attack):
     """Moves the pose that an agent believes by an offset that grows slowly; on the wire `pose`.
 
@@ -424,12 +409,13 @@ class PoseDrift(Attack):
     start_s:  s of scene time at which the attack begins
     """
 
-    def __init__(self, *, rate_mps: float = 0.2, limit_m: float = 2.0, start_s: float = 4.0) -> None:
-        check_start(start_s)
-        for name, value in (("rate_mps", rate_mps), ("limit_m", limit_m)):
-            if not 0.0 < value < np.inf:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
-        self._rate_mps, self._limit_m, self._start_s = rate_mps, limit_m, start_s
+    rate_mps: float = 0.2
+    limit_m: float = 2.0
+    start_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        check("finite, 0 or more", start_s=self.start_s)
+        check("finite, more than 0", rate_mps=self.rate_mps, limit_m=self.limit_m)
         self._direction = np.array([1.0, 0.0, 0.0])
         self._scene = ""
 
@@ -451,5 +437,5 @@ class PoseDrift(Attack):
         return Tampering.nothing(len(objects))
 
     def forge_pose(self, frame: int, time_ns: int, position: Floats) -> Floats:
-        offset_m = min(self._rate_mps * (time_ns / NANOSECONDS - self._start_s), self._limit_m)
+        offset_m = min(self.rate_mps * (time_ns / NANOSECONDS - self.start_s), self.limit_m)
         return position if offset_m <= 0.0 else position + offset_m * self._direction

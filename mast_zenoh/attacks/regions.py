@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
-from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
+from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, ObjectStates
 from mast_zenoh.attacks.surroundings import Coverage, touching
 
 #: m, range of distances ahead of the ego on its path.
@@ -89,13 +89,14 @@ VEHICLE_M = 2.5
 class Shape:
     """False objects: σ of position (m, per axis) and velocity (m/s), and l w h (m).
 
-    max_distance_m: m from the agent, for the region "paper"
+    max_distance_m: m from the agent, for the region "paper";  class_id: index into CLASSES
     """
 
     position_std_m: float
     velocity_std_mps: float
     box: Floats
     max_distance_m: float = np.inf
+    class_id: int = CLASS_INDEX["car"]
 
 
 @dataclass(slots=True)
@@ -121,6 +122,19 @@ class Region(ABC):
 
         All are in the world frame. real: the objects that the victims see, in canonical order; ground: m, its z
         """
+
+    def objects(
+        self, count: int, shape: Shape, real: ObjectStates, ground: float, coverage: Coverage, rng: np.random.Generator
+    ) -> ObjectStates:
+        """The false objects at the places and with the velocities of `place`, which give their headings."""
+        position, velocity = self.place(count, shape, real, ground, coverage, rng)
+        return ObjectStates.of(
+            position,
+            velocity=velocity,
+            size=np.tile(shape.box, (len(position), 1)),
+            yaw=np.arctan2(velocity[:, 1], velocity[:, 0]),
+            class_id=np.full(len(position), shape.class_id, np.uint8),
+        )
 
 
 class Paper(Region):

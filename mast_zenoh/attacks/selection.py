@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import merge_pairs, pairs_near
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates, canonical_order
 from mast_zenoh.attacks.regions import REGIONS, Shape
@@ -47,16 +49,20 @@ class Selection(ABC):
     """Base class of target selections.
 
     until_found: whether it selects in every frame until it has a target
+    cluster_radius_m: m, maximum distance between rows of different adversaries for the same object; None: not merged
     """
 
     until_found: ClassVar[bool] = False
+    cluster_radius_m: float | None = None
 
     def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
         """Possible targets among the objects seen; source: (n,) adversary that saw each.
 
-        By default all objects; a selection may merge the observations of several adversaries.
+        By default all objects; with a `cluster_radius_m`, the observations of several adversaries are merged.
         """
-        return objects
+        if source is None or self.cluster_radius_m is None:
+            return objects
+        return cluster_centres(objects, source, self.cluster_radius_m)
 
     @abstractmethod
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
@@ -68,6 +74,7 @@ class Selection(ABC):
         """
 
 
+@dataclass(kw_only=True, eq=False)
 class UncoordinatedSelection(Selection):
     """Selects false objects, and objects to hide and move, for one adversary.
 
@@ -91,43 +98,31 @@ class UncoordinatedSelection(Selection):
     Raises ValueError for invalid values.
     """
 
-    def __init__(
-        self,
-        *,
-        n_false_positives: float = 5.0,
-        region: RegionName = "in_view",
-        fraction_false_negatives: float = 0.2,
-        fraction_translations: float = 0.0,
-        position_std_m: float = 30.0,
-        velocity_std_mps: float = 10.0,
-        box: tuple[float, float, float] = (4.0, 2.0, 2.0),
-        object_class: str = "car",
-        translation_m: float = 5.0,
-        max_distance_m: float = 70.0,
-    ) -> None:
-        self.n_false_positives = n_false_positives
-        self.region = REGIONS[region]
-        self.fraction_false_negatives = fraction_false_negatives
-        self.fraction_translations = fraction_translations
-        self.position_std_m = position_std_m
-        self.velocity_std_mps = velocity_std_mps
-        self.box = np.asarray(box, np.float64)
-        self.translation_m = translation_m
-        self.max_distance_m = max_distance_m
-        for name in ("n_false_positives", "position_std_m", "velocity_std_mps", "translation_m", "max_distance_m"):
-            self._check(name, getattr(self, name) >= 0.0, "0 or more")
-        self._check("n_false_positives", n_false_positives <= MAX_FALSE_OBJECTS, f"at most {MAX_FALSE_OBJECTS}")
-        for name in ("fraction_false_negatives", "fraction_translations"):
-            self._check(name, 0.0 <= getattr(self, name) <= 1.0, "0 to 1")
-        self._check("box", self.box.shape == (3,) and bool(np.all(self.box > 0.0)), "three positive lengths in m")
-        if object_class not in CLASS_INDEX:
-            hint = nearest(object_class, CLASS_INDEX)
-            raise ValueError(f"object_class: found {object_class!r}, expected a class of object{hint}")
-        self.class_id = CLASS_INDEX[object_class]
+    n_false_positives: float = 5.0
+    region: RegionName = "in_view"
+    fraction_false_negatives: float = 0.2
+    fraction_translations: float = 0.0
+    position_std_m: float = 30.0
+    velocity_std_mps: float = 10.0
+    box: tuple[float, float, float] = (4.0, 2.0, 2.0)
+    object_class: str = "car"
+    translation_m: float = 5.0
+    max_distance_m: float = 70.0
 
-    def _check(self, name: str, condition: bool, expected: str) -> None:
-        if not condition:
-            raise ValueError(f"{name}: found {getattr(self, name)}, expected {expected}")
+    def __post_init__(self) -> None:
+        not_negative = "n_false_positives", "position_std_m", "velocity_std_mps", "translation_m", "max_distance_m"
+        check("0 or more", **{name: getattr(self, name) for name in not_negative})
+        if not self.n_false_positives <= MAX_FALSE_OBJECTS:
+            raise ValueError(f"n_false_positives: found {self.n_false_positives}, expected at most {MAX_FALSE_OBJECTS}")
+        fractions = "fraction_false_negatives", "fraction_translations"
+        check("0 to 1", **{name: getattr(self, name) for name in fractions})
+        if not (len(self.box) == 3 and all(length > 0.0 for length in self.box)):
+            raise ValueError(f"box: found {self.box}, expected three positive lengths in m")
+        if self.object_class not in CLASS_INDEX:
+            hint = nearest(self.object_class, CLASS_INDEX)
+            raise ValueError(f"object_class: found {self.object_class!r}, expected a class of object{hint}")
+        box, class_id = np.asarray(self.box, np.float64), CLASS_INDEX[self.object_class]
+        self._shape = Shape(self.position_std_m, self.velocity_std_mps, box, self.max_distance_m, class_id)
 
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
         add_rng, rows_rng, offset_rng = rng.spawn(3)
@@ -140,27 +135,15 @@ class UncoordinatedSelection(Selection):
         offset = np.column_stack([np.cos(direction), np.sin(direction), np.zeros(moved)]) * self.translation_m
         count = int(add_rng.poisson(self.n_false_positives)) if coverage.victims else 0
         return Targets(
-            add=self._false_objects(count, objects, coverage, add_rng),
+            add=REGIONS[self.region].objects(count, self._shape, objects, ground_height(objects), coverage, add_rng),
             remove=objects.select(np.sort(rows[:removed])),
             move=objects.select(np.sort(rows[removed : removed + moved])),
             move_offset=offset,
             wanted=count,
         ).numbered(0)
 
-    def _false_objects(
-        self, count: int, real: ObjectStates, coverage: Coverage, rng: np.random.Generator
-    ) -> ObjectStates:
-        shape = Shape(self.position_std_m, self.velocity_std_mps, self.box, self.max_distance_m)
-        position, velocity = self.region.place(count, shape, real, ground_height(real), coverage, rng)
-        return ObjectStates.of(
-            position,
-            velocity=velocity,
-            size=np.tile(self.box, (len(position), 1)),
-            yaw=np.arctan2(velocity[:, 1], velocity[:, 0]),
-            class_id=np.full(len(position), self.class_id, np.uint8),
-        )
 
-
+@dataclass(kw_only=True, eq=False)
 class CoordinatedSelection(UncoordinatedSelection):
     """Selects false objects, and objects to hide and move, for all adversaries.
 
@@ -171,38 +154,11 @@ class CoordinatedSelection(UncoordinatedSelection):
     cluster_radius_m: maximum distance between rows of different adversaries for the same object
     """
 
-    def __init__(
-        self,
-        *,
-        n_false_positives: float = 5.0,
-        region: RegionName = "in_view",
-        fraction_false_negatives: float = 0.2,
-        fraction_translations: float = 0.0,
-        position_std_m: float = 30.0,
-        velocity_std_mps: float = 10.0,
-        box: tuple[float, float, float] = (4.0, 2.0, 2.0),
-        object_class: str = "car",
-        translation_m: float = 5.0,
-        max_distance_m: float = 70.0,
-        cluster_radius_m: float = 5.0,
-    ) -> None:
-        super().__init__(
-            n_false_positives=n_false_positives,
-            region=region,
-            fraction_false_negatives=fraction_false_negatives,
-            fraction_translations=fraction_translations,
-            position_std_m=position_std_m,
-            velocity_std_mps=velocity_std_mps,
-            box=box,
-            object_class=object_class,
-            translation_m=translation_m,
-            max_distance_m=max_distance_m,
-        )
-        self.cluster_radius_m = cluster_radius_m
-        self._check("cluster_radius_m", cluster_radius_m >= 0.0, "0 or more")
+    cluster_radius_m: float = 5.0
 
-    def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
-        return objects if source is None else cluster_centres(objects, source, self.cluster_radius_m)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check("0 or more", cluster_radius_m=self.cluster_radius_m)
 
 
 def ground_height(objects: ObjectStates) -> float:
@@ -231,6 +187,7 @@ NEAR_M = 20.0
 STEP_S = 0.25
 
 
+@dataclass(kw_only=True, eq=False)
 class ConflictSelection(Selection):
     """Hides the objects that come nearest to the ego; inserts nothing.
 
@@ -250,27 +207,15 @@ class ConflictSelection(Selection):
 
     until_found = True
 
-    def __init__(
-        self,
-        *,
-        n_objects: int = 1,
-        horizon_s: float = 6.0,
-        unseen_by_ego: bool = True,
-        near: tuple[float, float] | None = None,
-        cluster_radius_m: float = 5.0,
-    ) -> None:
-        if n_objects < 1:
-            raise ValueError(f"n_objects: found {n_objects}, expected 1 or more")
-        if not horizon_s > 0.0:
-            raise ValueError(f"horizon_s: found {horizon_s}, expected more than 0")
-        self.n_objects = n_objects
-        self.horizon_s = horizon_s
-        self.unseen_by_ego = unseen_by_ego
-        self.near = near
-        self.cluster_radius_m = cluster_radius_m
+    n_objects: int = 1
+    horizon_s: float = 6.0
+    unseen_by_ego: bool = True
+    near: tuple[float, float] | None = None
+    cluster_radius_m: float = 5.0
 
-    def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
-        return objects if source is None else cluster_centres(objects, source, self.cluster_radius_m)
+    def __post_init__(self) -> None:
+        check("1 or more", n_objects=self.n_objects)
+        check("more than 0", horizon_s=self.horizon_s)
 
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
         objects = objects.select(canonical_order(objects))

@@ -275,11 +275,6 @@ class Coverage:
         return np.asarray(~self.surroundings.inside_buildings(boxes) & ~touching(false_objects, real_objects))
 
 
-def coverage_of(position: Floats, time_s: float = 0.0) -> Coverage:
-    """Coverage of victims at (3,) or (a, 3) m with unknown sensors and surroundings."""
-    return Coverage(UNKNOWN, tuple(map(unlimited, np.atleast_2d(position))), time_s)
-
-
 def boxes_of(states: ObjectStates) -> Floats:
     """Boxes (n, 6) x y z l w h, m."""
     return np.concatenate([states.position, states.size], axis=1)

@@ -259,10 +259,7 @@ class PassageEffects:
             header, body = message.header, message.body
         except MessageError:
             return
-        bodies = {"received": body if received else None, "sent": None if received else body}
-        whole = rows.whole_message(
-            self._type, header.frame, header.seq, message.step, frames_late=frames_late, **bodies
-        )
+        whole = rows.whole_message(self._type, header, message.step, body, received=received, frames_late=frames_late)
         self.objects.append(whole)
 
 

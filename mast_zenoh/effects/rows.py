@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints, within_runs
-from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Schema
+from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Header, Schema
 from mast_zenoh.metrics.boxes import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
@@ -62,11 +62,6 @@ def _columns(schema: Schema) -> _Columns:
         and (schema.name in BUILT_IN or all(isinstance(size, int) for size in column.shape[1:]))
     )
     return _Columns(rows, tuple(name for name in names if name not in rows))
-
-
-def has_objects(message: str) -> bool:
-    """Whether messages of a type have a row with a position for each object."""
-    return bool(_columns(SCHEMAS[message]).rows)
 
 
 class Rows(NamedTuple):
@@ -394,33 +389,18 @@ def _positions(changes: Changes, rows: Ints) -> tuple[Ints, Floats, Floats, Floa
 
 
 def whole_message(
-    message: str, frame: int, seq: int, step: int, *, received: Body | None, sent: Body | None, frames_late: int = 0
+    message: str, header: Header, step: int, body: Body, *, received: bool, frames_late: int = 0
 ) -> ObjectChanges:
-    """All objects of a message that was not sent on in time, or not received.
+    """All objects of a message that was not sent on in time (`received`), or not received.
 
-    received, sent: its bodies; None: not received, or not sent in time
+    They are as of a message that is compared with the same one without objects.
     """
-    body, effect = (received, REMOVED) if sent is None else (sent, INSERTED)
-    assert body is not None
-    n = len(body["position"]) if has_objects(message) else 0
-    nowhere, reference = np.full((n, 3), np.nan), np.empty((2, n, len(_WORLD)))
-    reference[:] = _reference(body)
-    position = body["position"].copy() if n else nowhere
-    return ObjectChanges(
-        frame=np.full(n, frame, np.int64),
-        seq=np.full(n, seq, np.int64),
-        step=np.full(n, step, np.int64),
-        effect=np.full(n, effect, np.int64),
-        columns=np.full(n, "", object),
-        id=body["id"].copy() if n and "id" in body else np.full(n, -1, np.int64),
-        before=position if effect == REMOVED else nowhere,
-        after=position if effect == INSERTED else nowhere,
-        velocity=body["velocity"].copy() if n and "velocity" in body else nowhere,
-        references=reference,
-        of_agent=_of_agent(body),
-        whole=np.ones(n, bool),
-        frames_late=np.full(n, frames_late, np.int64),
-    )
+    rows = _columns(SCHEMAS[message]).rows
+    emptied = {name: column[:0] if name in rows else column for name, column in body.items()}
+    before, after = (body, emptied) if received else (emptied, body)
+    changes, _ = changed_objects(message, [ChangedMessage(header.frame, header.seq, step, before, after)])
+    n = len(changes.frame)
+    return changes._replace(whole=np.ones(n, bool), frames_late=np.full(n, frames_late, np.int64))
 
 
 def _reference(body: Body) -> Floats:

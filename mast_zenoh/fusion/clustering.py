@@ -5,15 +5,16 @@ Rows are first sorted by (agent, id), so the result does not depend on the order
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import greedy_matching, isolated_groups, merge_pairs_apart, neighbours, pairs_near
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, by_agent, within_runs
 from mast_zenoh.fusion.base import Clusterer, trusted_rows
 from mast_zenoh.tracking.covariances import make_positive_definite
-from mast_zenoh.tracking.parameters import check_positive
 from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
 
 #: Squared Mahalanobis distance that one in 10,000 of a chi-square distribution with six degrees of freedom exceeds.
@@ -41,7 +42,7 @@ class JointGate:
     """
 
     def __init__(self, gate: float, bias_m: float, bias_mps: float) -> None:
-        check_positive({"gate": gate, "bias_m": bias_m, "bias_mps": bias_mps})
+        check("more than 0", gate=gate, bias_m=bias_m, bias_mps=bias_mps)
         self.gate = gate
         self._bias = 2.0 * np.array([bias_m**2] * 3 + [bias_mps**2] * 3)
         #: (6,) 1/m² and s²/m²: with these weights, the sum of squared differences is at least the squared distance.
@@ -96,6 +97,7 @@ def squared_distance(difference: Floats, covariance: Floats) -> Floats:
     return np.asarray(np.vecdot(difference, np.linalg.solve(covariance, difference[:, :, None])[:, :, 0]))
 
 
+@dataclass(kw_only=True, eq=False)
 class SampledAssignmentClusterer(Clusterer):
     """Clusters tracks within a radius, nearest pairs first.
 
@@ -109,23 +111,19 @@ class SampledAssignmentClusterer(Clusterer):
     in the order of arrival, so its result depends on that order, and two tracks of one agent may merge.
     """
 
-    def __init__(
-        self,
-        *,
-        assign_radius: float = 2.0,
-        gate: float = SAME_ORIGIN_GATE,
-        bias_m: float = BIAS_M,
-        bias_mps: float = BIAS_MPS,
-    ) -> None:
-        if not assign_radius > 0.0:
-            raise ValueError(f"assign_radius: found {assign_radius}, expected more than 0")
-        self._radius = assign_radius
-        self._gate = JointGate(gate, bias_m, bias_mps)
+    assign_radius: float = 2.0
+    gate: float = SAME_ORIGIN_GATE
+    bias_m: float = BIAS_M
+    bias_mps: float = BIAS_MPS
+
+    def __post_init__(self) -> None:
+        check("more than 0", assign_radius=self.assign_radius)
+        self._gate = JointGate(self.gate, self.bias_m, self.bias_mps)
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
         order = by_agent(states, agent)
         motion, agent = motion_of(states).take(order, 0), agent.take(order)
-        root, isolated = isolated_groups(motion, agent, self._gate.inverse_bias, self._radius, self._gate.gate)
+        root, isolated = isolated_groups(motion, agent, self._gate.inverse_bias, self.assign_radius, self._gate.gate)
         # All other tracks are far from those of isolated groups, so they are clustered as if they were alone.
         contested = (~isolated).nonzero()[0]
         if len(contested):
@@ -137,16 +135,17 @@ class SampledAssignmentClusterer(Clusterer):
 
     def _merged(self, states: ObjectStates, rows: Ints, position: Floats, agent: Ints) -> Ints:
         """(k,) clusters of the tracks in `rows` (k,), by their pairs; position (k, 2), agent (k,): theirs."""
-        pairs = pairs_near(position, self._radius)
+        pairs = pairs_near(position, self.assign_radius)
         pairs = pairs.select((agent.take(pairs.i) != agent.take(pairs.j)).nonzero()[0])
         i, j = rows.take(pairs.i), rows.take(pairs.j)
 
         def cost(chosen: Ints) -> Floats:
             return self._gate.cost(states, i.take(chosen), j.take(chosen))
 
-        return merge_pairs_apart(position, agent, pairs, self._radius, self._gate.apart(states, i, j), cost)
+        return merge_pairs_apart(position, agent, pairs, self.assign_radius, self._gate.apart(states, i, j), cost)
 
 
+@dataclass(kw_only=True, eq=False)
 class DBSCANClusterer(Clusterer):
     """Density-based clusters, with at most one track of each agent.
 
@@ -162,30 +161,26 @@ class DBSCANClusterer(Clusterer):
     as in `SampledAssignmentClusterer`.
     """
 
-    def __init__(
-        self,
-        *,
-        eps: float = 2.0,
-        min_samples: int = 2,
-        gate: float = SAME_ORIGIN_GATE,
-        bias_m: float = BIAS_M,
-        bias_mps: float = BIAS_MPS,
-    ) -> None:
-        if not eps > 0.0 or min_samples < 1:
-            raise ValueError(f"eps, min_samples: found {eps}, {min_samples}, expected more than 0, and 1 or more")
-        self._eps = eps
-        self._min_samples = min_samples
-        self._gate = JointGate(gate, bias_m, bias_mps)
+    eps: float = 2.0
+    min_samples: int = 2
+    gate: float = SAME_ORIGIN_GATE
+    bias_m: float = BIAS_M
+    bias_mps: float = BIAS_MPS
+
+    def __post_init__(self) -> None:
+        check("more than 0", eps=self.eps)
+        check("1 or more", min_samples=self.min_samples)
+        self._gate = JointGate(self.gate, self.bias_m, self.bias_mps)
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
         order = by_agent(states, agent)
         position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
-        pairs = pairs_near(position, self._eps)
+        pairs = pairs_near(position, self.eps)
         apart = agent.take(pairs.i) != agent.take(pairs.j)
         apart &= self._gate.apart(states, order.take(pairs.i), order.take(pairs.j))
         near = (~apart).nonzero()[0]
         i, j, distance = pairs.select(near)
-        core = 1 + np.bincount(i, minlength=len(order)) + np.bincount(j, minlength=len(order)) >= self._min_samples
+        core = 1 + np.bincount(i, minlength=len(order)) + np.bincount(j, minlength=len(order)) >= self.min_samples
         linked = core[i] & core[j]
         linked[_to_nearest_core(i, j, distance, core)] = True
         considered = apart.copy()

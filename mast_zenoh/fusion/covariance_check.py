@@ -7,11 +7,11 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import trusted_rows
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.covariances import MAX_VARIANCE, symmetrise
-from mast_zenoh.tracking.parameters import check_positive
 
 #: Kept pairs of a track with later ones of its cluster: limits what a hostile source costs.
 _MAX_PARTNERS = 32
@@ -65,9 +65,6 @@ class CovarianceCheck(ABC):
 
 class ReportedCovariances(CovarianceCheck):
     """Believes every covariance as it is reported."""
-
-    def __init__(self) -> None:
-        pass
 
     def floored(self, states: ObjectStates) -> ObjectStates:
         return states
@@ -123,9 +120,8 @@ class CheckedCovariances(CovarianceCheck):
         averaging_s: float = 1.5,
     ) -> None:
         parameters = locals()
-        check_positive({name: parameters[name] for name in parameters.keys() - {"self", "limit"}})
-        if not limit >= 1.0:
-            raise ValueError(f"limit: found {limit}, expected at least 1")
+        check("more than 0", **{name: parameters[name] for name in parameters.keys() - {"self", "limit"}})
+        check("1 or more", limit=limit)
         position, size, speed = [least_position_std_m] * 2, [least_size_std_m] * 3, [least_speed_std_mps] * 3
         least = np.array([*position, least_height_std_m, *size, *speed])
         self._unit = least[:, None] * least

@@ -130,9 +130,6 @@ def covariance_intersection(covariance: Floats, state: Floats, weight: Floats, s
 class BestMemberFusion(Fusion):
     """Selects the member with the least horizontal position variance per weight."""
 
-    def __init__(self) -> None:
-        pass
-
     def fuse(self, states: ObjectStates, labels: Ints, weights: Floats | None = None) -> ObjectStates:
         members = Members.of(states, labels, weights)
         if len(members.start) == 0:

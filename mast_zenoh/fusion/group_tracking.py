@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import greedy_matching, neighbours
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.fusion.base import Fusion, GroupTracker
@@ -156,6 +158,7 @@ def _distinct(ids: list[int], tracker_ids: list[int]) -> list[int]:
 _BIPARTITE = BipartiteAssignment()
 
 
+@dataclass(kw_only=True, eq=False)
 class GroupTrackerWrapper(GroupTracker):
     """Fuses each cluster and tracks the fused states.
 
@@ -164,20 +167,21 @@ class GroupTrackerWrapper(GroupTracker):
         at all
     """
 
-    def __init__(self, *, fusion: Fusion, tracker: Tracker, id_memory_s: float = 4.0) -> None:
-        if not id_memory_s >= 0.0:
-            raise ValueError(f"id_memory_s: found {id_memory_s}, expected 0 or more")
-        self._fusion = fusion
-        self._tracker = tracker
-        self._returning = ReturningObjects(id_memory_s)
+    fusion: Fusion
+    tracker: Tracker
+    id_memory_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        check("0 or more", id_memory_s=self.id_memory_s)
+        self._returning = ReturningObjects(self.id_memory_s)
         self._clusters = np.zeros(0, np.int64)
 
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
-        fused = self._fusion.fuse(states, labels, weights)
-        picture = self._tracker.step_states(time_ns, fused)
-        self._clusters = _clusters(fused.id, self._tracker.matched)
+        fused = self.fusion.fuse(states, labels, weights)
+        picture = self.tracker.step_states(time_ns, fused)
+        self._clusters = _clusters(fused.id, self.tracker.matched)
         ids = self._returning.ids_for(time_ns, picture)
         if not np.array_equal(ids, picture.id):
             order = ids.argsort()
@@ -191,14 +195,15 @@ class GroupTrackerWrapper(GroupTracker):
 
     @property
     def innovations(self) -> Innovations | None:
-        return self._tracker.innovations
+        return self.tracker.innovations
 
     def reset(self) -> None:
-        self._tracker.reset()
+        self.tracker.reset()
         self._returning.reset()
         self._clusters = np.zeros(0, np.int64)
 
 
+@dataclass(kw_only=True, eq=False)
 class UnfilteredGroupTracker(GroupTracker):
     """Fuses each cluster and assigns ids by the nearest predicted object.
 
@@ -210,15 +215,14 @@ class UnfilteredGroupTracker(GroupTracker):
     assignment: how clusters are assigned to objects
     """
 
-    def __init__(
-        self, *, fusion: Fusion, gate_m: float = 4.0, memory_s: float = 1.0, assignment: Assignment = _BIPARTITE
-    ) -> None:
-        if not gate_m > 0.0:
-            raise ValueError(f"gate_m: found {gate_m}, expected more than 0")
-        self._fusion = fusion
-        self._gate_m = gate_m
-        self._memory_ns = round(memory_s * 1e9)
-        self._assignment = assignment
+    fusion: Fusion
+    gate_m: float = 4.0
+    memory_s: float = 1.0
+    assignment: Assignment = _BIPARTITE
+
+    def __post_init__(self) -> None:
+        check("more than 0", gate_m=self.gate_m)
+        self._memory_ns = round(self.memory_s * 1e9)
         self.reset()
 
     def reset(self) -> None:
@@ -230,12 +234,12 @@ class UnfilteredGroupTracker(GroupTracker):
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
-        fused = self._fusion.fuse(states, labels, weights)
+        fused = self.fusion.fuse(states, labels, weights)
         remembered = time_ns - self._seen_ns <= self._memory_ns
         objects, seen_ns = self._objects.select(remembered), self._seen_ns[remembered]
         predicted = objects.position[:, :2] + objects.velocity[:, :2] * ((time_ns - seen_ns) * 1e-9)[:, None]
-        i, j, dx, dy = neighbours(predicted, fused.position, np.full(len(predicted), self._gate_m))
-        chosen = self._assignment.match(i, j, np.hypot(dx, dy) - self._gate_m)
+        i, j, dx, dy = neighbours(predicted, fused.position, np.full(len(predicted), self.gate_m))
+        chosen = self.assignment.match(i, j, np.hypot(dx, dy) - self.gate_m)
         ids = np.full(len(fused), -1)
         ids[j[chosen]] = objects.id[i[chosen]]
         new = np.flatnonzero(ids < 0)

@@ -171,9 +171,6 @@ class NoIntegrity(Integrity):
 
     needs_views = False
 
-    def __init__(self) -> None:
-        pass
-
     def assess(self, batch: Batch) -> Assessment:
         confirming = batch.reported.sum(axis=1)
         none = np.zeros(batch.clusters, np.int64)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, by_agent
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED, Assessment, Batch, Integrity
 from mast_zenoh.integrity.fault_fit import (
@@ -28,6 +29,7 @@ FIT_PERIOD_BATCHES, SUSPECT_LOG_ODDS = 5, 2.0
 EXCUSE_NS = 60_000_000_000
 
 
+@dataclass(kw_only=True, eq=False)
 class FaultOrLie(Integrity):
     """Corrects what a pose error or a wrong clock explains, and leaves the rest to another stage.
 
@@ -52,22 +54,15 @@ class FaultOrLie(Integrity):
     two agents that nobody else sees are left as they are; errors beyond GATE_M are not found.
     """
 
-    def __init__(
-        self,
-        *,
-        stage: Integrity | None = None,
-        significance: float = 30.0,
-        least_m: float = 0.3,
-        share: float = 0.7,
-        memory_s: float = 1.5,
-    ) -> None:
-        if not memory_s > 0.0:
-            raise ValueError(f"memory_s: found {memory_s}, expected more than 0")
-        self._stage = stage or SequentialConsistency()
-        self._significance = significance
-        self._least_m = least_m
-        self._share = share
-        self._memory_s = memory_s
+    stage: Integrity | None = None
+    significance: float = 30.0
+    least_m: float = 0.3
+    share: float = 0.7
+    memory_s: float = 1.5
+
+    def __post_init__(self) -> None:
+        check("more than 0", memory_s=self.memory_s)
+        self._stage = self.stage or SequentialConsistency()
         self.reset()
 
     def reset(self) -> None:
@@ -90,7 +85,7 @@ class FaultOrLie(Integrity):
             self._apply_most_convincing(time_ns, agents, agree)
         for name in agents:
             # Once corrected, an agent stays so until nothing is left to correct.
-            self._estimates[name].applied &= displacement_m(self._estimates[name].fault) >= self._least_m
+            self._estimates[name].applied &= displacement_m(self._estimates[name].fault) >= self.least_m
         seen = {
             name: view_without_fault(view, self._estimates[name].fault) if self._applied(name) else view
             for name, view in views.items()
@@ -156,15 +151,15 @@ class FaultOrLie(Integrity):
                     estimate.known,
                 )
                 known = estimate.known
-                estimate.update(time_ns, found, self._memory_s)
+                estimate.update(time_ns, found, self.memory_s)
                 result[row] = set(agreeing(found, known, estimate.fault, corrected).tolist())
         return result
 
     def _convincing(self, estimate: FaultEstimate) -> bool:
         """Whether an agent that is not corrected looks faulty."""
-        significant = estimate.statistic >= self._significance and estimate.others >= 2
-        common = estimate.share >= self._share
-        return not estimate.applied and significant and common and displacement_m(estimate.fault) >= self._least_m
+        significant = estimate.statistic >= self.significance and estimate.others >= 2
+        common = estimate.share >= self.share
+        return not estimate.applied and significant and common and displacement_m(estimate.fault) >= self.least_m
 
     def _apply_most_convincing(self, time_ns: int, agents: tuple[str, ...], agree: Mapping[int, set[int]]) -> None:
         """Correct the agent with the most convincing fault; forget what the others looked like next to it.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
@@ -31,6 +34,7 @@ TRACK_BIAS, TRACK_THRESHOLD = 1.0, 0.4
 _ASSIGNMENT = BipartiteAssignment()
 
 
+@dataclass(kw_only=True, eq=False)
 class Mate(Integrity):
     """Trust of agents and objects by Bayesian updates, as published by MAST's authors.
 
@@ -55,23 +59,19 @@ class Mate(Integrity):
     it, whatever the claim's own history.
     """
 
-    def __init__(
-        self, *, assign_m: float = 3.0, return_s: float = 1.0, keep: float = 0.4, independent_s: float = 0.0
-    ) -> None:
-        for name, value in (("assign_m", assign_m), ("return_s", return_s)):
-            if not value > 0.0:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
-        if independent_s < 0.0:
-            raise ValueError(f"independent_s: found {independent_s}, expected 0 or more")
-        self._assign_m = assign_m
-        self._return_s = return_s
-        self._keep = keep
-        self._independent_s = independent_s
+    assign_m: float = 3.0
+    return_s: float = 1.0
+    keep: float = 0.4
+    independent_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        check("more than 0", assign_m=self.assign_m, return_s=self.return_s)
+        check("0 or more", independent_s=self.independent_s)
         self.reset()
 
     def reset(self) -> None:
-        self._objects = ObjectMemory(forget_s=self._return_s)
-        self._agents = AgentMemory(forget_s=self._return_s)
+        self._objects = ObjectMemory(forget_s=self.return_s)
+        self._agents = AgentMemory(forget_s=self.return_s)
         self._object_trust: Floats = np.zeros((0, 2))  # alpha, beta
         self._agent_trust: Floats = np.zeros((0, 2))
         self._frames_in_view: Ints = np.zeros((0, 0), np.int64)  # of each object, for each agent, without a break
@@ -89,13 +89,13 @@ class Mate(Integrity):
         itself = ~assigned & (seen.distance < SELF_M)
         silent = ~assigned & ~itself & seen.in_view & (seen.distance <= RANGE_M)
         weight = silence_weight(frames, seen.distance, self._objects.frames[objects])
-        scale = min(elapsed / self._independent_s, 1.0) if self._independent_s else 1.0
+        scale = min(elapsed / self.independent_s, 1.0) if self.independent_s else 1.0
 
         object_trust, agent_trust = self._object_trust[objects], self._agent_trust[agents]
         about_agents = agent_evidence(object_trust, assigned, silent, weight)
         about_objects = object_evidence(agent_trust, assigned, itself, silent, weight)
-        self._object_trust = forgotten(self._object_trust, elapsed / self._return_s)
-        self._agent_trust = forgotten(self._agent_trust, elapsed / self._return_s)
+        self._object_trust = forgotten(self._object_trust, elapsed / self.return_s)
+        self._agent_trust = forgotten(self._agent_trust, elapsed / self.return_s)
         self._agent_trust[agents] += scale * increments(*about_agents, AGENT_BIAS, AGENT_THRESHOLD, axis=0)
         # An object with a single piece of evidence is not updated: an agent must not confirm itself.
         several = (assigned | itself | silent).sum(axis=1) > 1
@@ -108,7 +108,7 @@ class Mate(Integrity):
             (assigned | itself | silent).sum(axis=1),
             (assigned | itself).sum(axis=1),
             silent.sum(axis=1),
-            np.asarray(trust < self._keep),
+            np.asarray(trust < self.keep),
         )
         return Assessment(None, AgentTrust.of(mean(self._agent_trust[agents])), judged)
 
@@ -126,9 +126,9 @@ class Mate(Integrity):
         c, a = batch.reported.shape
         order = np.lexsort((batch.agent, batch.labels))
         position, agent = batch.states.position[order], batch.agent[order]
-        i, j, dx, dy = neighbours(position, boxes.position, np.full(len(order), self._assign_m))
+        i, j, dx, dy = neighbours(position, boxes.position, np.full(len(order), self.assign_m))
         pair = j * a + agent[i]
-        chosen = _ASSIGNMENT.match(i, pair, np.hypot(dx, dy) - self._assign_m)
+        chosen = _ASSIGNMENT.match(i, pair, np.hypot(dx, dy) - self.assign_m)
         assigned = np.zeros(c * a, np.bool_)
         assigned[pair[chosen]] = True
         return assigned.reshape(c, a)

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import greedy_matching, neighbours
 from mast_zenoh.arrays.states import Floats, Ints
 
@@ -172,8 +173,7 @@ class BetaReputation:
     """
 
     def __init__(self, *, memory_s: float) -> None:
-        if not memory_s > 0.0:
-            raise ValueError(f"record_s: found {memory_s}, expected more than 0")
+        check("more than 0", record_s=memory_s)
         self._memory_s = memory_s
         self.reset()
 

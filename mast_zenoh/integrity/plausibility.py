@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
@@ -26,6 +28,7 @@ _START_S = 1.0
 _ALARMS, _MOST_ALARMS = 1.5, 3.0
 
 
+@dataclass(kw_only=True, eq=False)
 class Plausibility(Integrity):
     """Withholds objects that move, overlap or appear as no road user does.
 
@@ -53,25 +56,17 @@ class Plausibility(Integrity):
     `gap_s`; agents are never excluded.
     """
 
-    def __init__(
-        self,
-        *,
-        speed_mps: float = 40.0,
-        acceleration_mps2: float = 3.0,
-        braking_mps2: float = 4.5,
-        gap_s: float = 3.1,
-        approach_m: float = 8.0,
-        range_m: float = 40.0,
-        record_s: float = 30.0,
-    ) -> None:
-        for name, value in (("speed_mps", speed_mps), ("gap_s", gap_s), ("approach_m", approach_m)):
-            if not value > 0.0:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
-        self._speed = speed_mps
-        self._acceleration, self._braking = acceleration_mps2, braking_mps2
-        self._gap_s = gap_s
-        self._approach_m, self._range_m = approach_m, range_m
-        self._record = BetaReputation(memory_s=record_s)
+    speed_mps: float = 40.0
+    acceleration_mps2: float = 3.0
+    braking_mps2: float = 4.5
+    gap_s: float = 3.1
+    approach_m: float = 8.0
+    range_m: float = 40.0
+    record_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        check("more than 0", speed_mps=self.speed_mps, gap_s=self.gap_s, approach_m=self.approach_m)
+        self._record = BetaReputation(memory_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:
@@ -100,7 +95,7 @@ class Plausibility(Integrity):
         due |= self._objects.frames[rows] == 1
         self._state[rows[due]], self._checked_ns[rows[due]] = state[due], time_ns
         unexpected = self._appears(batch, boxes, rows)
-        self._sudden_ns[rows[unexpected]] = time_ns + round(self._gap_s * 1e9)
+        self._sudden_ns[rows[unexpected]] = time_ns + round(self.gap_s * 1e9)
         self._sudden_ns[rows[witnesses > 1]] = 0
         impossible = witnesses == 0
         withheld = impossible | (self._alarms[rows] > _ALARMS) | (self._sudden_ns[rows] > time_ns)
@@ -121,7 +116,7 @@ class Plausibility(Integrity):
         if self._first_ns is None:
             self._first_ns = self._last_ns = time_ns
         rows = self._objects.follow(time_ns, boxes.position, boxes.velocity)
-        leaked = (time_ns - self._last_ns) * 1e-9 / self._gap_s
+        leaked = (time_ns - self._last_ns) * 1e-9 / self.gap_s
         self._alarms = np.maximum(self._objects.carry(self._alarms, 0.0) - leaked, 0.0)
         self._checked_ns = self._objects.carry(self._checked_ns, time_ns)
         self._state = self._objects.carry(self._state, np.nan)
@@ -131,7 +126,7 @@ class Plausibility(Integrity):
 
     def _possible(self, states: ObjectStates) -> Bools:
         """(n,) tracks within the physical limits."""
-        slow = np.hypot(states.velocity[:, 0], states.velocity[:, 1]) <= self._speed
+        slow = np.hypot(states.velocity[:, 0], states.velocity[:, 1]) <= self.speed_mps
         return np.asarray(slow & possible(states))
 
     def _moves_oddly(self, state: Floats, elapsed: Floats, before: Floats) -> Bools:
@@ -140,11 +135,11 @@ class Plausibility(Integrity):
         variance = state[:, 4:] + before[:, 4:]
         gained = (np.hypot(state[:, 2], state[:, 3]) - np.hypot(before[:, 2], before[:, 3])) / dt
         noise = _SIGMAS * np.sqrt(variance[:, 2:].sum(axis=1)) / dt
-        odd = (gained > self._acceleration + noise) | (gained < -self._braking - noise)
+        odd = (gained > self.acceleration_mps2 + noise) | (gained < -self.braking_mps2 - noise)
         # Between the mean of both velocities and the fastest change from one to the other.
         offset = state[:, :2] - before[:, :2] - 0.5 * dt[:, None] * (state[:, 2:4] + before[:, 2:4])
         variance = variance[:, :2].sum(axis=1) + 0.25 * dt * dt * variance[:, 2:].sum(axis=1)
-        reach = 0.25 * self._braking * dt * dt + _SIGMAS * np.sqrt(variance)
+        reach = 0.25 * self.braking_mps2 * dt * dt + _SIGMAS * np.sqrt(variance)
         return np.asarray(odd | (np.hypot(offset[:, 0], offset[:, 1]) > reach))
 
     def _appears(self, batch: Batch, boxes: ClusterBoxes, rows: Ints) -> Bools:
@@ -154,7 +149,7 @@ class Plausibility(Integrity):
         new &= (batch.time_ns - self._first_ns) * 1e-9 >= _START_S
         result = np.zeros(len(rows), np.bool_)
         index = np.flatnonzero(new)
-        seen = surroundings_in_view(boxes.position[index], self._approach_m, self._range_m, batch.views)
+        seen = surroundings_in_view(boxes.position[index], self.approach_m, self.range_m, batch.views)
         seen &= ~batch.reported[index][..., None]
         result[index] = seen.any(axis=1).sum(axis=1) >= _IN_VIEW
         return result

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
 from mast_zenoh.integrity.memory import BetaReputation
@@ -19,6 +22,7 @@ _SMOOTHING_M = 0.1
 _LEAST_M2 = 1e-9
 
 
+@dataclass(kw_only=True, eq=False)
 class RobustFusion(Integrity):
     """Leaves out members far from the others of their cluster, and weighs the rest by their geometric median.
 
@@ -43,26 +47,18 @@ class RobustFusion(Integrity):
 
     needs_views = False
 
-    def __init__(
-        self,
-        *,
-        gate: float = 18.5,
-        bias_m: float = 0.3,
-        bias_mps: float = 0.5,
-        confidence: float = 4.0,
-        margin: float = 0.1,
-        record_s: float = 30.0,
-    ) -> None:
-        for name, value, least in (("gate", gate, 0.0), ("bias_m", bias_m, 0.0), ("bias_mps", bias_mps, 0.0)):
-            if not value > least:
-                raise ValueError(f"{name}: found {value}, expected more than {least:g}")
-        if confidence < 1.0:
-            raise ValueError(f"confidence: found {confidence}, expected 1 or more")
-        self._gate = gate
-        self._bias = np.diag([bias_m**2, bias_m**2, bias_mps**2, bias_mps**2])
-        self._confidence = confidence
-        self._margin = margin
-        self._record = BetaReputation(memory_s=record_s)
+    gate: float = 18.5
+    bias_m: float = 0.3
+    bias_mps: float = 0.5
+    confidence: float = 4.0
+    margin: float = 0.1
+    record_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        check("more than 0", gate=self.gate, bias_m=self.bias_m, bias_mps=self.bias_mps)
+        check("1 or more", confidence=self.confidence)
+        self._bias = np.diag([self.bias_m**2, self.bias_m**2, self.bias_mps**2, self.bias_mps**2])
+        self._record = BetaReputation(memory_s=self.record_s)
 
     def assess(self, batch: Batch) -> Assessment:
         reported: Bools = batch.reported
@@ -92,7 +88,7 @@ class RobustFusion(Integrity):
         while len(rows):
             distance = leave_one_out(kept[rows], state[rows], covariance[rows])
             worst = distance.argmax(axis=1)
-            beyond = distance[np.arange(len(rows)), worst] > self._gate
+            beyond = distance[np.arange(len(rows)), worst] > self.gate
             rows, worst = rows[beyond], worst[beyond]
             kept[rows, worst] = False
             rows = rows[kept[rows].sum(axis=1) > 2]
@@ -103,10 +99,10 @@ class RobustFusion(Integrity):
         rows = np.flatnonzero(kept.sum(axis=1) == 2)
         if len(rows) == 0:
             return kept
-        apart = leave_one_out(kept[rows], state[rows], covariance[rows]).max(axis=1) > self._gate
+        apart = leave_one_out(kept[rows], state[rows], covariance[rows]).max(axis=1) > self.gate
         rows = rows[apart]
         trusted = np.where(kept[rows], record, -np.inf)
-        worse = kept[rows] & (trusted < trusted.max(axis=1, keepdims=True) - self._margin)
+        worse = kept[rows] & (trusted < trusted.max(axis=1, keepdims=True) - self.margin)
         result = kept.copy()
         result[rows] &= ~worse
         return result
@@ -117,7 +113,7 @@ class RobustFusion(Integrity):
         ordered = np.sort(np.where(kept, variance, np.inf), axis=1)
         middle = np.maximum((kept.sum(axis=1) - 1) // 2, 0)
         median = np.take_along_axis(ordered, middle[:, None], axis=1)
-        limited = np.clip(variance, median / self._confidence, median * self._confidence)
+        limited = np.clip(variance, median / self.confidence, median * self.confidence)
         return np.asarray(np.where(kept, variance / limited, 0.0))
 
     def reset(self) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import (
     SUSPENDED,
@@ -38,6 +41,7 @@ OFFSET_TAIL = Tail(per_hour=4800.0, scale=4.4)
 FALSE_ALARMS_PER_HOUR = 0.1
 
 
+@dataclass(kw_only=True, eq=False)
 class SequentialConsistency(Integrity):
     """Suspends agents whose claims the others contradict for too long, or whose positions are off.
 
@@ -63,30 +67,22 @@ class SequentialConsistency(Integrity):
     Needs views for all but the offsets. A dispute between two agents without a third counts against neither.
     """
 
-    def __init__(
-        self,
-        *,
-        false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
-        allowance: float = 0.25,
-        offset_memory_s: float = 5.0,
-        release_s: float = 30.0,
-        contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale),
-        offset_tail: tuple[float, float] = (OFFSET_TAIL.per_hour, OFFSET_TAIL.scale),
-    ) -> None:
-        positive = {
-            "false_alarms_per_hour": false_alarms_per_hour,
-            "offset_memory_s": offset_memory_s,
-            "release_s": release_s,
-        }
-        for name, value in positive.items():
-            if not value > 0.0:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
-        self._per_hour = false_alarms_per_hour
-        self._allowance = allowance
-        self._release_s = release_s
-        self._tails = (Tail(*contradiction_tail), Tail(*offset_tail))
-        self._memory_s = offset_memory_s
-        self._sums = OffsetSums(offset_memory_s)
+    false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR
+    allowance: float = 0.25
+    offset_memory_s: float = 5.0
+    release_s: float = 30.0
+    contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale)
+    offset_tail: tuple[float, float] = (OFFSET_TAIL.per_hour, OFFSET_TAIL.scale)
+
+    def __post_init__(self) -> None:
+        check(
+            "more than 0",
+            false_alarms_per_hour=self.false_alarms_per_hour,
+            offset_memory_s=self.offset_memory_s,
+            release_s=self.release_s,
+        )
+        self._tails = (Tail(*self.contradiction_tail), Tail(*self.offset_tail))
+        self._sums = OffsetSums(self.offset_memory_s)
         self.reset()
 
     def reset(self) -> None:
@@ -139,14 +135,16 @@ class SequentialConsistency(Integrity):
         )
         count = contradictions.sum(axis=0)
         # An honest agent errs about one object at a time: several at once are much rarer.
-        total = accumulate(self._contradictions[rows], 0.5 * count * (count + 1), self._allowance, dt)
+        total = accumulate(self._contradictions[rows], 0.5 * count * (count + 1), self.allowance, dt)
         # Limited, so that it can be forgotten again.
         self._contradictions[rows] = np.minimum(total, 2.0 * self._alarm_at(0, len(rows)))
         self._last = self._contradictions[rows].copy(), offset
         self._offset[rows] = offset
         rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
-        alarms = rates <= self._per_hour / max(rates.size, 1)  # of suspended agents, which are tested for release alone
-        alarms[vote] = discoveries(rates[vote], self._per_hour)
+        alarms = rates <= self.false_alarms_per_hour / max(
+            rates.size, 1
+        )  # of suspended agents, which are tested for release alone
+        alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
         self._update_suspensions(batch, rows, alarms, dispute, dt)
         existence = self._existence.count(batch, boxes, seen, rays, dispute.impossible, ~self._suspended, rows)
         return self._assessment(batch, rows, rates, existence)
@@ -154,7 +152,7 @@ class SequentialConsistency(Integrity):
     def _alarm_at(self, statistic: int, agents: int) -> float:
         """The value from which one statistic alone, 0 contradictions or 1 offset, is an alarm."""
         tail = self._tails[statistic]
-        return max(tail.value_at(self._per_hour / max(2 * agents, 1)), tail.scale)
+        return max(tail.value_at(self.false_alarms_per_hour / max(2 * agents, 1)), tail.scale)
 
     def _median_weights(self, rows: Ints) -> Floats:
         """(a,) weight of each agent in the middle of its objects: the less, the nearer its own offset is to an alarm.
@@ -187,7 +185,7 @@ class SequentialConsistency(Integrity):
         alarmed = alarms.any(axis=1)
         self._quiet_ns[rows] = np.where(self._last[0] > 0.0, self._quiet_ns[rows], batch.time_ns)
         self._clean_s[rows] = np.where(alarmed | (self._last[0] > 0.0), 0.0, self._clean_s[rows] + dt)
-        patience = self._release_s * 2.0 ** np.maximum(self._suspensions[rows] - 1, 0)
+        patience = self.release_s * 2.0 ** np.maximum(self._suspensions[rows] - 1, 0)
         released = self._suspended[rows] & (self._clean_s[rows] >= patience)
         new = alarmed & ~self._suspended[rows]
         if new.any():
@@ -213,7 +211,7 @@ class SequentialConsistency(Integrity):
         assert self._time_ns is not None
         if lied:
             return int(self._quiet_ns[row]) - round(GRACE_S * 1e9)
-        return self._time_ns - round(2.0 * self._memory_s * 1e9)
+        return self._time_ns - round(2.0 * self.offset_memory_s * 1e9)
 
     def _reason(self, row: int, alarms: Bools, dispute: Disputes) -> str:
         """Why an agent is suspended."""
@@ -225,7 +223,7 @@ class SequentialConsistency(Integrity):
 
     def _assessment(self, batch: Batch, rows: Ints, rates: Floats, existence: Existence) -> Assessment:
         suspended = self._suspended[rows]
-        least = np.log(np.maximum(rates, 1e-300) / self._per_hour).min(axis=1)
+        least = np.log(np.maximum(rates, 1e-300) / self.false_alarms_per_hour).min(axis=1)
         log_odds = np.clip(least, -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)
         state = np.where(suspended, SUSPENDED, np.where(self._seen_s[rows] >= 1.0, TRUSTED, UNKNOWN))

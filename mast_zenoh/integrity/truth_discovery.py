@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import (
     SUSPENDED,
@@ -29,6 +32,7 @@ SILENCE = 0.3
 MAX_LOG_ODDS = 6.0
 
 
+@dataclass(kw_only=True, eq=False)
 class TruthDiscovery(Integrity):
     """Estimates jointly how reliable agents are and which objects exist, by expectation-maximisation.
 
@@ -49,28 +53,21 @@ class TruthDiscovery(Integrity):
     objects are believed; a liar whose claims are nearly all true stays trusted.
     """
 
-    def __init__(
-        self,
-        *,
-        anchors: tuple[str, ...] = (),
-        prior: float = 3.0,
-        honest_rate: float = 0.005,
-        liar_rate: float = 0.05,
-        memory_s: float = 60.0,
-        suspend_at: float = -4.6,
-    ) -> None:
-        if not 0.0 < honest_rate < liar_rate < 1.0:
+    anchors: tuple[str, ...] = ()
+    prior: float = 3.0
+    honest_rate: float = 0.005
+    liar_rate: float = 0.05
+    memory_s: float = 60.0
+    suspend_at: float = -4.6
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.honest_rate < self.liar_rate < 1.0:
             raise ValueError(
-                f"honest_rate, liar_rate: found {honest_rate}, {liar_rate}, expected 0 < first < second < 1"
+                f"honest_rate, liar_rate: found {self.honest_rate}, {self.liar_rate}, expected 0 < first < second < 1"
             )
-        if not memory_s > 0.0:
-            raise ValueError(f"memory_s: found {memory_s}, expected more than 0")
-        self._anchors = anchors
-        self._prior = prior
-        self._gain = np.log((1.0 - honest_rate) / (1.0 - liar_rate))
-        self._loss = np.log(liar_rate / honest_rate)
-        self._memory_s = memory_s
-        self._suspend_at = suspend_at
+        check("more than 0", memory_s=self.memory_s)
+        self._gain = np.log((1.0 - self.honest_rate) / (1.0 - self.liar_rate))
+        self._loss = np.log(self.liar_rate / self.honest_rate)
         self.reset()
 
     def reset(self) -> None:
@@ -85,20 +82,20 @@ class TruthDiscovery(Integrity):
             row = self._agents.names.index(agent)
             assert self._time_ns is not None
             if not self._suspended[row] or self._time_ns - self._suspended_ns[row] <= EXCUSED_S * 1e9:
-                self._log_odds[row], self._suspended[row] = self._prior, False
+                self._log_odds[row], self._suspended[row] = self.prior, False
 
     def assess(self, batch: Batch) -> Assessment:
         dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
         self._time_ns = batch.time_ns
         rows = self._agents.meet(batch.time_ns, batch.agents)
-        self._log_odds = self._agents.carry(self._log_odds, self._prior)
+        self._log_odds = self._agents.carry(self._log_odds, self.prior)
         self._suspended = self._agents.carry(self._suspended, False)
         self._suspended_ns = self._agents.carry(self._suspended_ns, 0)
-        anchored = np.isin(np.array(batch.agents), self._anchors)
+        anchored = np.isin(np.array(batch.agents), self.anchors)
         boxes = ClusterBoxes.of(batch)
         seen, own = lenient_sightings(batch, boxes)
         claims = votes(batch.reported, own, boxes.size, seen, rays_at(batch, boxes, current(batch.views)))
-        before = self._prior + (self._log_odds[rows] - self._prior) * np.exp(-dt / self._memory_s)
+        before = self.prior + (self._log_odds[rows] - self.prior) * np.exp(-dt / self.memory_s)
         before[anchored] = MAX_LOG_ODDS
         log_odds = before
         for _ in range(STEPS):
@@ -108,14 +105,14 @@ class TruthDiscovery(Integrity):
             change = dt * SAMPLES_PER_S * (self._gain * right - self._loss * wrong)
             log_odds = np.where(anchored, MAX_LOG_ODDS, np.clip(before + change, -MAX_LOG_ODDS, MAX_LOG_ODDS))
         self._log_odds[rows] = log_odds
-        low = log_odds < self._suspend_at
+        low = log_odds < self.suspend_at
         self._suspended_ns[rows[low & ~self._suspended[rows]]] = batch.time_ns
         self._suspended[rows] = low | (self._suspended[rows] & (log_odds < 0.0))
         return self._assessment(batch, rows, exists, claims, seen)
 
     def _assessment(self, batch: Batch, rows: Ints, exists: Floats, claims: Floats, seen: Sightings) -> Assessment:
         log_odds, suspended = self._log_odds[rows], self._suspended[rows]
-        trusted = np.where(log_odds >= 0.5 * self._prior, TRUSTED, UNKNOWN)
+        trusted = np.where(log_odds >= 0.5 * self.prior, TRUSTED, UNKNOWN)
         state = np.where(suspended, SUSPENDED, trusted).astype(np.uint8)
         reasons = tuple("its claims are refuted more often than an honest agent's" if s else "" for s in suspended)
         agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state, reasons, log_odds=log_odds)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.memory import AgentMemory, BetaReputation, ObjectMemory
@@ -141,6 +142,7 @@ class ExistenceVotes:
         self._known |= self._votes.objects.first_ns < before_ns
 
 
+@dataclass(kw_only=True, eq=False)
 class KOfN(Integrity):
     """Withholds objects that fewer than k of the agents that should see them report.
 
@@ -158,22 +160,22 @@ class KOfN(Integrity):
     object is accepted. Agents are never excluded.
     """
 
-    def __init__(self, *, k: int = 2, range_m: float = FAR_M, record_s: float = 30.0) -> None:
-        if k < 1:
-            raise ValueError(f"k: found {k}, expected 1 or more")
-        if not range_m > 0.0:
-            raise ValueError(f"range_m: found {range_m}, expected more than 0")
-        self._k = k
-        self._range_m = range_m
-        self._record = BetaReputation(memory_s=record_s)
+    k: int = 2
+    range_m: float = FAR_M
+    record_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        check("1 or more", k=self.k)
+        check("more than 0", range_m=self.range_m)
+        self._record = BetaReputation(memory_s=self.record_s)
 
     def assess(self, batch: Batch) -> Assessment:
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
-        expected = reported | (seen.in_view & (seen.distance <= boxes.sight_range(self._range_m)[:, None]))
+        expected = reported | (seen.in_view & (seen.distance <= boxes.sight_range(self.range_m)[:, None]))
         confirming, contradicting, should = (votes.sum(axis=1) for votes in (reported, seen.fully_clear, expected))
-        withheld = confirming - contradicting < np.minimum(self._k, should)
+        withheld = confirming - contradicting < np.minimum(self.k, should)
         corroborated = ~withheld & (confirming > 1)
         upheld, refuted = (
             (reported & each[:, None]).sum(axis=0, dtype=np.float64) for each in (corroborated, withheld)
@@ -188,6 +190,7 @@ class KOfN(Integrity):
         self._record.reset()
 
 
+@dataclass(kw_only=True, eq=False)
 class FreeSpace(Integrity):
     """Withholds objects whose place more agents see through than report or see occupied.
 
@@ -211,25 +214,25 @@ class FreeSpace(Integrity):
     claim free space at an object remove it where they outnumber its witnesses. Agents are never excluded.
     """
 
-    def __init__(self, *, memory_s: float = 2.0, range_m: float = FAR_M, record_s: float = 30.0) -> None:
-        for name, value in (("memory_s", memory_s), ("range_m", range_m)):
-            if not value > 0.0:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
-        self._memory_s = memory_s
-        self._range_m = range_m
-        self._record = BetaReputation(memory_s=record_s)
+    memory_s: float = 2.0
+    range_m: float = FAR_M
+    record_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        check("more than 0", memory_s=self.memory_s, range_m=self.range_m)
+        self._record = BetaReputation(memory_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:
         self._record.reset()
-        self._votes = VoteMemory(self._memory_s, forget_s=self._memory_s)
+        self._votes = VoteMemory(self.memory_s, forget_s=self.memory_s)
 
     def assess(self, batch: Batch) -> Assessment:
         boxes = ClusterBoxes.of(batch)
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
         reported = batch.reported
         rays = rays_at(batch, boxes, batch.views)
-        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, self._range_m)
+        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, self.range_m)
         claims = reported & ~clear
         confirming, contradicting = (claims | silent).sum(axis=1), clear.sum(axis=1)
         withheld = self._votes.vote(self._votes.follow(batch.time_ns, boxes), confirming - contradicting) < 0.0

@@ -69,6 +69,7 @@ class Pose:
     quaternion: Floats
 
 
+@dataclass(kw_only=True, eq=False)
 class AgentPipeline:
     """The stages of an agent, from detections to tracks.
 
@@ -77,12 +78,11 @@ class AgentPipeline:
            "body": detections are tracked in the agent's moving frame, as in the original MAST; only to show the effect.
     """
 
-    def __init__(
-        self, *, tracker: Tracker, mission: MissionEstimator, frame: Literal["world", "body"] = "world"
-    ) -> None:
-        self.tracker = tracker
-        self.mission = mission
-        self.frame = frame
+    tracker: Tracker
+    mission: MissionEstimator
+    frame: Literal["world", "body"] = "world"
+
+    def __post_init__(self) -> None:
         self._views: dict[LidarSensor, tuple[list[bytes], SensorView]] = {}
 
     def track(
@@ -102,7 +102,7 @@ class AgentPipeline:
         mount: of the sensor in the agent's frame; lidar, detection_probability: of the sensor; None: the tracker's
         """
         base = pose if self.frame == "world" else Pose(_NO_OFFSET, _NO_TURN)
-        view = self._view_from(base, mount, lidar)
+        view = self.view(base, mount, lidar)
         if detection_probability is not None:
             view = replace(view, detection_probability=detection_probability)
         tracks = self.tracker.step(time_ns, to_world(detections, view.position, view.rotation), view)
@@ -113,12 +113,8 @@ class AgentPipeline:
         reference = Pose(_NO_OFFSET, _NO_TURN) if self.frame == "world" else pose
         return reference.position, reference.quaternion
 
-    def view(self, pose: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
-        """The field of view of the sensor, world frame."""
-        return self._view_from(pose, mount, lidar)
-
-    def _view_from(self, base: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
-        """The sensor's field of view; cached, because most agents are stationary."""
+    def view(self, base: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
+        """The field of view of a sensor for a pose of the agent; cached, because most agents are stationary."""
         parts = base.position, base.quaternion, mount.position, mount.quaternion
         key = [part.tobytes() for part in parts]
         if key != self._views.get(lidar, _NO_VIEW)[0]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,7 @@ class Pipeline(ABC):
         """Return to the initial state."""
 
 
+@dataclass(kw_only=True, eq=False)
 class CommandCenterPipeline(Pipeline):
     """Clustering, then integrity, then fusion and tracking of the clusters.
 
@@ -65,25 +67,20 @@ class CommandCenterPipeline(Pipeline):
     An object that is withheld is tracked on, so that it is in the picture as soon as it is trusted.
     """
 
-    def __init__(
-        self,
-        *,
-        clustering: Clusterer,
-        group_tracking: GroupTracker,
-        integrity: Integrity | None = None,
-        covariances: CovarianceCheck | None = None,
-    ) -> None:
-        self._clustering = clustering
-        self._group_tracking = group_tracking
-        self._integrity = integrity
-        self._covariances = covariances or CheckedCovariances()
+    clustering: Clusterer
+    group_tracking: GroupTracker
+    integrity: Integrity | None = None
+    covariances: CovarianceCheck | None = None
+
+    def __post_init__(self) -> None:
+        self._covariances = self.covariances or CheckedCovariances()
         self._views: Mapping[str, SweptView] = {}
         self._withheld: dict[int, bool] = {}  # by id of the object
         self._suspended: set[str] = set()  # agents that cannot divide the objects of others
 
     @property
     def innovations(self) -> Innovations | None:
-        return self._group_tracking.innovations
+        return self.group_tracking.innovations
 
     def look(self, views: Mapping[str, SweptView]) -> None:
         self._views = views
@@ -96,19 +93,19 @@ class CommandCenterPipeline(Pipeline):
         rank = {name: row for row, name in enumerate(names)}
         agent = np.array([rank[name] for name in agents], np.int64)[agent]
         states = self._covariances.floored(states)
-        if self._integrity is None:
-            labels = self._clustering.cluster(states, agent)
+        if self.integrity is None:
+            labels = self.clustering.cluster(states, agent)
             return self._fused(time_ns, states, agent, names, labels, weights)
         states = states.with_(covariance=make_positive_definite(states.covariance))  # a stage may invert them
-        states, corrected_views = self._integrity.correct(time_ns, states, agent, names, self._views)
+        states, corrected_views = self.integrity.correct(time_ns, states, agent, names, self._views)
         self._views = {}
         believed = np.array([name not in self._suspended for name in names], np.bool_)[agent]
-        labels = believed_first(self._clustering, states, agent, believed)
+        labels = believed_first(self.clustering, states, agent, believed)
         views = tuple(corrected_views.get(name) for name in names)
         batch = Batch(time_ns, states, agent, labels, names, views)
-        assessment = self._integrity.assess(batch)
+        assessment = self.integrity.assess(batch)
         if problem := problem_of(assessment, len(states), len(names), batch.clusters):
-            raise ValueError(f"{type(self._integrity).__name__}.assess: {problem}")
+            raise ValueError(f"{type(self.integrity).__name__}.assess: {problem}")
         states_of = zip(names, assessment.agents.state.tolist(), strict=True)
         self._suspended = {name for name, state in states_of if state == SUSPENDED}
         weights = combined(weights, assessment.weights)
@@ -127,13 +124,13 @@ class CommandCenterPipeline(Pipeline):
         """The picture of clusters, without those that others contradict."""
         weights = without_contradicted(states, agent, labels, weights)
         states = self._covariances.inflated(time_ns, states, agent, names, labels, weights)
-        return self._group_tracking.step(time_ns, states, agent, labels, weights)
+        return self.group_tracking.step(time_ns, states, agent, labels, weights)
 
     def _published(
         self, picture: ObjectStates, support: Ints, names: tuple[str, ...], assessment: Assessment
     ) -> tuple[ObjectStates, Ints]:
         """The objects that are not withheld; updates `trust`."""
-        clusters = self._group_tracking.clusters
+        clusters = self.group_tracking.clusters
         before = np.array([self._withheld.get(id_, False) for id_ in picture.id.tolist()], np.bool_)
         withheld = before.copy()
         matched = clusters >= 0
@@ -147,14 +144,14 @@ class CommandCenterPipeline(Pipeline):
         return (picture.select(~withheld), support[~withheld]) if withheld.any() else (picture, support)
 
     def reset(self) -> None:
-        self._group_tracking.reset()
+        self.group_tracking.reset()
         self._covariances.reset()
         self._withheld = {}
         self._suspended = set()
         self._views = {}
         self.trust = None
-        if self._integrity is not None:
-            self._integrity.reset()
+        if self.integrity is not None:
+            self.integrity.reset()
 
 
 def combined(one: Floats | None, other: Floats | None) -> Floats | None:

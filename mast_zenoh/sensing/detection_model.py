@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.sensing.sensors import LidarSensor, in_view, to_sensor
 
 
@@ -49,6 +49,7 @@ class Detector(ABC):
         """
 
 
+@dataclass(kw_only=True, eq=False)
 class CleanDetector(Detector):
     """Reports every object with enough points exactly; for tests and upper bounds.
 
@@ -57,8 +58,7 @@ class CleanDetector(Detector):
     min_points: minimum number of lidar returns of a detected object
     """
 
-    def __init__(self, *, min_points: int = 5) -> None:
-        self.min_points = min_points
+    min_points: int = 5
 
     def detect(
         self,
@@ -111,6 +111,7 @@ def independent_draws(count: int, random: np.random.Generator) -> Draws:
     return Draws(detection, flip, wrong, score, noise, random.integers(1, len(CLASS_INDEX), count))
 
 
+@dataclass(kw_only=True, eq=False)
 class DetectionModel(Detector):
     """A statistical detector: misses, noise, wrong classes and clutter.
 
@@ -140,52 +141,32 @@ class DetectionModel(Detector):
     report_covariance: whether detections have a position covariance
     """
 
-    def __init__(
-        self,
-        *,
-        min_points: int = 5,
-        points_scale: float = 25.0,
-        position_noise_m: float = 0.28,
-        vertical_noise_m: float = 0.1,
-        size_noise_m: float = 0.1,
-        yaw_noise_deg: float = 3.0,
-        range_scale_m: float = 60.0,
-        few_points: float = 10.0,
-        flip_probability: float = 0.0,
-        wrong_class: float = 0.02,
-        clutter_rate: float = 2.5,
-        clutter_range_m: float = 80.0,
-        score: tuple[float, float] = (0.6, 1.0),
-        clutter_score: tuple[float, float] = (0.3, 0.8),
-        report_covariance: bool = True,
-    ) -> None:
-        for name, value in (("points_scale", points_scale), ("range_scale_m", range_scale_m)):
-            if not value > 0:
-                raise ConfigurationError(f"DetectionModel: {name} is {value}, expected more than 0")
-        noises = (position_noise_m, vertical_noise_m, size_noise_m, yaw_noise_deg, few_points, clutter_rate)
-        if not all(each >= 0 for each in (*noises, clutter_range_m)):  # false for NaN, too
-            raise ConfigurationError("DetectionModel: a noise, a rate or a range is negative, expected 0 or more")
-        for name, value in (("flip_probability", flip_probability), ("wrong_class", wrong_class)):
-            if not 0 <= value <= 1:
-                raise ConfigurationError(f"DetectionModel: {name} is {value}, expected 0 to 1")
-        for name, (low, high) in (("score", score), ("clutter_score", clutter_score)):
+    min_points: int = 5
+    points_scale: float = 25.0
+    position_noise_m: float = 0.28
+    vertical_noise_m: float = 0.1
+    size_noise_m: float = 0.1
+    yaw_noise_deg: float = 3.0
+    range_scale_m: float = 60.0
+    few_points: float = 10.0
+    flip_probability: float = 0.0
+    wrong_class: float = 0.02
+    clutter_rate: float = 2.5
+    clutter_range_m: float = 80.0
+    score: tuple[float, float] = (0.6, 1.0)
+    clutter_score: tuple[float, float] = (0.3, 0.8)
+    report_covariance: bool = True
+
+    def __post_init__(self) -> None:
+        scales = "points_scale", "range_scale_m"
+        check("more than 0", **{name: getattr(self, name) for name in scales})
+        noises = "position_noise_m", "vertical_noise_m", "size_noise_m", "yaw_noise_deg", "few_points"
+        clutter = "clutter_rate", "clutter_range_m"
+        check("0 or more", **{name: getattr(self, name) for name in (*noises, *clutter)})
+        check("0 to 1", flip_probability=self.flip_probability, wrong_class=self.wrong_class)
+        for name, (low, high) in (("score", self.score), ("clutter_score", self.clutter_score)):
             if not 0 <= low <= high <= 1:
-                raise ConfigurationError(f"DetectionModel: {name} is {(low, high)}, expected 0 <= low <= high <= 1")
-        self.min_points = min_points
-        self.points_scale = points_scale
-        self.position_noise_m = position_noise_m
-        self.vertical_noise_m = vertical_noise_m
-        self.size_noise_m = size_noise_m
-        self.yaw_noise_deg = yaw_noise_deg
-        self.range_scale_m = range_scale_m
-        self.few_points = few_points
-        self.flip_probability = flip_probability
-        self.wrong_class = wrong_class
-        self.clutter_rate = clutter_rate
-        self.clutter_range_m = clutter_range_m
-        self.score = score
-        self.clutter_score = clutter_score
-        self.report_covariance = report_covariance
+                raise ValueError(f"{name}: found {(low, high)}, expected 0 <= low <= high <= 1")
 
     def detect(
         self,
@@ -298,6 +279,7 @@ _MAX_STRENGTH = 1.5  # of an object's returns in the logit of its score, up and 
 _NEVER_S = 3600.0  # time constant of what stays the same for an object: its heading's reversal, its class
 
 
+@dataclass(kw_only=True, eq=False)
 class LastingErrors(DetectionModel):
     """`DetectionModel`, with errors, misses, scores and clutter that last.
 
@@ -315,47 +297,27 @@ class LastingErrors(DetectionModel):
     miss_s:             s, time constant of what decides whether an object is detected: misses come in episodes
     clutter_s:          s, mean duration of clutter, at the mean rate `clutter_rate`
     score_at_scale, clutter_score_mean, score_std: mean and standard deviation of the logit of scores
-    parameters:         the other ones of `DetectionModel`
+    The other parameters are those of `DetectionModel`, except for the scores.
     """
 
-    def __init__(
-        self,
-        *,
-        error_s: float = 1.0,
-        white_share: float = 0.4,
-        miss_s: float = 0.6,
-        clutter_s: float = 0.5,
-        score_at_scale: float = 0.6,
-        clutter_score_mean: float = -1.2,
-        score_std: float = 0.8,
-        clutter_rate: float = 4.0,
-        position_noise_m: float = 0.28,
-        points_scale: float = 30.0,
-        clutter_range_m: float = 80.0,
-        wrong_class: float = 0.02,
-        report_covariance: bool = False,
-    ) -> None:
-        super().__init__(
-            clutter_rate=clutter_rate,
-            position_noise_m=position_noise_m,
-            points_scale=points_scale,
-            clutter_range_m=clutter_range_m,
-            wrong_class=wrong_class,
-            report_covariance=report_covariance,
-        )
-        for name, value in (("error_s", error_s), ("miss_s", miss_s), ("clutter_s", clutter_s)):
-            if not value > 0:
-                raise ConfigurationError(f"LastingErrors: {name} is {value}, expected more than 0")
-        if not 0 <= white_share <= 1 or not score_std >= 0:
-            found = f"white_share is {white_share} and score_std is {score_std}"
-            raise ConfigurationError(f"LastingErrors: {found}, expected 0 to 1, and 0 or more")
-        self.error_s = error_s
-        self.white_share = white_share
-        self.miss_s = miss_s
-        self.clutter_s = clutter_s
-        self.score_at_scale = score_at_scale
-        self.clutter_score_mean = clutter_score_mean
-        self.score_std = score_std
+    error_s: float = 1.0
+    white_share: float = 0.4
+    miss_s: float = 0.6
+    clutter_s: float = 0.5
+    score_at_scale: float = 0.6
+    clutter_score_mean: float = -1.2
+    score_std: float = 0.8
+    clutter_rate: float = 4.0
+    points_scale: float = 30.0
+    report_covariance: bool = False
+    score: tuple[float, float] = field(default=(0.0, 1.0), init=False)
+    clutter_score: tuple[float, float] = field(default=(0.0, 1.0), init=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check("more than 0", error_s=self.error_s, miss_s=self.miss_s, clutter_s=self.clutter_s)
+        check("0 to 1", white_share=self.white_share)
+        check("0 or more", score_std=self.score_std)
         self._forget(0.1)
 
     def _forget(self, period_s: float) -> None:

@@ -285,9 +285,6 @@ class BipartiteAssignment(Assignment):
     Falls back to greedy assignment above MAX_PAIRS possible pairs; only a hostile source sends so many.
     """
 
-    def __init__(self) -> None:
-        pass
-
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
         if _count_distinct(row) * _count_distinct(column) > MAX_PAIRS:
             return greedy_matching(row, column, cost)
@@ -296,9 +293,6 @@ class BipartiteAssignment(Assignment):
 
 class GreedyAssignment(Assignment):
     """Chooses the cheapest pair first, see `matching.greedy_matching`."""
-
-    def __init__(self) -> None:
-        pass
 
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
         return greedy_matching(row, column, cost)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import CLASSES, Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking import classes, existence, kalman, parameters, tracks
+from mast_zenoh.tracking import classes, existence, kalman, tracks
 from mast_zenoh.tracking.association import (
     Assignment,
     AssociationModel,
@@ -199,6 +200,14 @@ PRIOR_FRAMES = 2.0
 #: Factor on the score of a newly reported state, to allow for transient errors of the source.
 FIRST_REPORT = 0.9
 _BIPARTITE = BipartiteAssignment()
+#: Parameters that must be probabilities, and others that must be positive.
+PROBABILITIES = (
+    "detection_probability", "report_probability", "confirm_probability", "min_probability", "jump_probability",
+)  # fmt: skip
+POSITIVE = (
+    "position_std_m", "vertical_std_m", "size_std_m", "yaw_std_rad", "clutter_per_m2", "birth_odds", "lifetime_s",
+    "memory_s", "max_std_m", "jump_std_m", "acceleration_scale",
+)  # fmt: skip
 
 
 class KalmanBoxTracker3D(Tracker):
@@ -253,7 +262,9 @@ class KalmanBoxTracker3D(Tracker):
         acceleration_scale: float = 1.0,
         assignment: Assignment = _BIPARTITE,
     ) -> None:
-        parameters.check(locals())
+        parameters = locals()
+        check("more than 0 and less than 1", **{name: parameters[name] for name in PROBABILITIES})
+        check("more than 0", **{name: parameters[name] for name in POSITIVE})
         self._variance = np.square([position_std_m] * 2 + [vertical_std_m] + [size_std_m] * 3)
         self._yaw_noise = yaw_std_rad**2
         self._detection_probability = detection_probability

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.tracking import kalman, parameters
+from mast_zenoh.tracking import kalman
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
 from mast_zenoh.tracking.tracks import COVARIANCE, ID, MEAN, YAW, classes_of, covariances
 
@@ -136,7 +137,7 @@ class InteractingModelsTracker3D(KalmanBoxTracker3D):
         turn_s: float = 3.0,
         **others: Any,
     ) -> None:
-        parameters.check_positive(dict(turn_rate_rad_s=turn_rate_rad_s, straight_s=straight_s, turn_s=turn_s))
+        check("more than 0", turn_rate_rad_s=turn_rate_rad_s, straight_s=straight_s, turn_s=turn_s)
         self._motion = turn_rate_rad_s, straight_s, turn_s
         super().__init__(**others)
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import COVARIANCE_ORDER, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.tracking.association import Measured
@@ -23,6 +25,7 @@ _COMPONENTS = ("initiator", "deleter", "data_associator", "updater")
 _KEYS = (*_COMPONENTS, "tracker", "predictor", "state")
 
 
+@dataclass(kw_only=True, eq=False)
 class StoneSoupTracker(Tracker):
     """Runs a tracker of the Stone Soup library; see docs/stone_soup.md.
 
@@ -36,25 +39,20 @@ class StoneSoupTracker(Tracker):
     Raises ConfigurationError if Stone Soup is not installed.
     """
 
-    def __init__(
-        self,
-        *,
-        builder: str = "",
-        options: Mapping[str, Any] | None = None,
-        position_std_m: float = 0.4,
-        vertical_std_m: float = 0.2,
-        size_std_m: float = 0.3,
-        score: float = 0.95,
-        seed: int = 0,
-    ) -> None:
-        for name, value in (("position", position_std_m), ("vertical", vertical_std_m), ("size", size_std_m)):
-            if not value > 0.0:
-                raise ValueError(f"{name}_std_m: found {value}, expected more than 0")
-        if not 0.0 < score < 1.0:
-            raise ValueError(f"score: found {score}, expected more than 0 and less than 1")
-        self._variance = np.square([position_std_m] * 2 + [vertical_std_m] + [size_std_m] * 3)
-        self._builder, self._options = builder, dict(options or {})
-        self._score, self._seed = score, seed
+    builder: str = ""
+    options: Mapping[str, Any] | None = None
+    position_std_m: float = 0.4
+    vertical_std_m: float = 0.2
+    size_std_m: float = 0.3
+    score: float = 0.95
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        deviations = "position_std_m", "vertical_std_m", "size_std_m"
+        check("more than 0", **{name: getattr(self, name) for name in deviations})
+        check("more than 0 and less than 1", score=self.score)
+        self._variance = np.square([self.position_std_m] * 2 + [self.vertical_std_m] + [self.size_std_m] * 3)
+        self._builder, self._options = self.builder, dict(self.options or {})
         self.reset()
 
     def build(self) -> Any:
@@ -64,7 +62,7 @@ class StoneSoupTracker(Tracker):
 
     def reset(self) -> None:
         stone_soup = _objects()
-        self._repeatable = stone_soup.Repeatable.seeded(self._seed)
+        self._repeatable = stone_soup.Repeatable.seeded(self.seed)
         with self._repeatable.used():
             built = self.build()
         parts = dict(built) if isinstance(built, Mapping) else {"tracker": built}
@@ -106,7 +104,7 @@ class StoneSoupTracker(Tracker):
             ]  # fmt: skip
         self._matched = stone_soup.matched_rows(tracks, self._steps)
         ids = np.array([self._ids[track.id] for track in tracks], np.int64)
-        states: ObjectStates = stone_soup.object_states(tracks, estimates, ids, self._state, self._score)
+        states: ObjectStates = stone_soup.object_states(tracks, estimates, ids, self._state, self.score)
         return states
 
     def _numbered(self, tracks: list[Any]) -> list[Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, unlimited
 
 
 def world(n: int, seed: int = 0, spread: float = 25.0) -> ObjectStates:
@@ -37,3 +38,8 @@ def equal(a: ObjectStates, b: ObjectStates) -> bool:
 
 ORIGIN = np.zeros(3)
 SECOND = 1_000_000_000
+
+
+def coverage_of(position: Floats, time_s: float = 0.0) -> Coverage:
+    """Coverage of victims at (3,) or (a, 3) m with unknown sensors and surroundings."""
+    return Coverage(UNKNOWN, tuple(map(unlimited, np.atleast_2d(position))), time_s)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.attacks import ACTIONS, Targets, alter, apply
+from mast_zenoh.attacks import ACTIONS, Targets, alter
 from mast_zenoh.attacks.attack import carry_out
 from mast_zenoh.messages.schemas import SCHEMAS
 
@@ -49,22 +49,6 @@ def test_a_displaced_object_changes_only_its_position_and_its_target_follows_the
     assert np.allclose(seen.position[2] - objects.position[2], [0.0, 3.0, 0.0])
     assert equal(seen.with_(position=objects.position), objects)
     assert np.array_equal(tampering.targets.move.position, goal.position)
-
-
-def test_targets_at_known_positions_take_the_nearest_objects():
-    typical = {"score": np.full(4, 0.7), "covariance": np.tile(np.eye(9), (4, 1, 1))}
-    objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0), (0.0, 90.0), **typical)
-    requested = targets(
-        add=at((10.0, 0.0), (200.0, 0.0)),
-        remove=at((3.0, 0.0), (1.5, 0.0), (40.0, 0.0)),
-        move=at((21.0, 0.0)),
-        offset=[[0.0, 5.0, 0.0]],
-    )
-    order = np.array([2, 0, 3, 1])
-    tampering = apply(requested, objects.select(order), np.zeros(3), assign_radius_m=3.0)
-    seen = tampering.applied_to(objects.select(order))
-    assert sorted(map(tuple, seen.position[:, :2].tolist())) == [(0.0, 90.0), (10.0, 0.0), (20.0, 5.0)]
-    assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the other objects"
 
 
 def test_the_report_has_positions_before_and_after_each_change():

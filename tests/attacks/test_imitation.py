@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from attack_worlds import ORIGIN, SECOND, at
+from attack_worlds import ORIGIN, SECOND, at, coverage_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, canonical_order
 from mast_zenoh.attacks import UncoordinatedAttack, UncoordinatedSelection
 from mast_zenoh.attacks.imitation import Exact, VictimLike, VictimStatistics
-from mast_zenoh.attacks.surroundings import coverage_of
 
 PERIOD = SECOND // 10
 PLACES = [(8.0 * i - 32.0, 8.0 * j - 32.0) for i in range(9) for j in range(9)]

@@ -252,5 +252,5 @@ def test_the_order_of_tracks_and_agents_does_not_matter(random):
 def test_invalid_parameters_are_refused():
     with pytest.raises(ValueError, match="least_speed_std_mps: found 0"):
         CheckedCovariances(least_speed_std_mps=0.0)
-    with pytest.raises(ValueError, match=r"limit: found 0\.5, expected at least 1"):
+    with pytest.raises(ValueError, match=r"limit: found 0\.5, expected 1 or more"):
         CheckedCovariances(limit=0.5)

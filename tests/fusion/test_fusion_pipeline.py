@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.config.registry import build
 from mast_zenoh.fusion import (
     BestMemberFusion,
     CovarianceIntersectionFusion,
@@ -13,7 +12,7 @@ from mast_zenoh.fusion import (
     SampledAssignmentClusterer,
     UnfilteredGroupTracker,
 )
-from mast_zenoh.pipelines import CommandCenterPipeline, Pipeline
+from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D
 
 NAMES = ("ego", "infra_1", "infra_2")
@@ -52,26 +51,6 @@ def tracks(xy, variance: float = 0.05, speed: float = 0.0) -> ObjectStates:
 def of_agents(*parts: ObjectStates) -> tuple[ObjectStates, np.ndarray]:
     columns = {name: np.concatenate([part.columns()[name] for part in parts]) for name in parts[0].columns()}
     return ObjectStates(**columns), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-
-
-def test_the_papers_configuration_runs():
-    pipeline = build(
-        dict(
-            type="CommandCenterPipeline",
-            clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
-            group_tracking=dict(
-                type="GroupTrackerWrapper",
-                fusion=dict(type="CovarianceIntersectionFusion"),
-                tracker=dict(type="KalmanBoxTracker3D"),
-            ),
-        ),
-        Pipeline,
-        "command_center.pipeline",
-    )
-    for frame in range(3):
-        picture, support = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0]), tracks([10.4, 0])), NAMES)
-    assert len(picture) == 1
-    assert support.tolist() == [2]
 
 
 @pytest.mark.parametrize("group", [wrapper, unfiltered])

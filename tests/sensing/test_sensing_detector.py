@@ -5,7 +5,6 @@ import pytest
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import Detections, Ints, ObjectStates
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.sensing import CleanDetector, DetectionModel, Detector, LidarSensor, in_view, to_world
 from mast_zenoh.streams import stream
 
@@ -112,9 +111,9 @@ def test_without_returns_and_clutter_there_are_no_detections() -> None:
 
 
 @pytest.mark.parametrize(
-    "parameters",
-    [{"points_scale": 0.0}, {"clutter_rate": -1.0}, {"wrong_class": 1.5}, {"score": (0.9, 0.3)}, {"few_points": -1.0}],
+    ("name", "value"),
+    [("points_scale", 0.0), ("clutter_rate", -1.0), ("wrong_class", 1.5), ("score", (0.9, 0.3)), ("few_points", -1.0)],
 )
-def test_invalid_parameters_are_refused_by_name(parameters: dict) -> None:
-    with pytest.raises(ConfigurationError, match=r"DetectionModel: .*expected"):
-        DetectionModel(**parameters)
+def test_invalid_parameters_are_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"{name}: found .*, expected"):
+        DetectionModel(**{name: value})

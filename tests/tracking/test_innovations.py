@@ -13,7 +13,7 @@ from tracking_worlds import STEP_S, detected, nanoseconds
 from mast_zenoh.arrays.states import Detections, Floats, ObjectStates
 from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
 from mast_zenoh.pipelines import CommandCenterPipeline
-from mast_zenoh.tracking import FilterpyBoxTracker3D, Innovations, KalmanBoxTracker3D, Tracker
+from mast_zenoh.tracking import Innovations, KalmanBoxTracker3D, Tracker
 from mast_zenoh.tracking.association import GATE
 
 STANDARD_M = KalmanBoxTracker3D.__init__.__kwdefaults__["position_std_m"]
@@ -76,13 +76,6 @@ def test_detections_with_other_noise_than_reported_are_found(std_m: float, verdi
 
 def test_a_tracker_adapts_to_noise_that_is_not_reported() -> None:
     assert summary(played(KalmanBoxTracker3D(), 3.0 * STANDARD_M))["factor"] < 1.6
-
-
-def test_the_filterpy_twin_tells_the_same() -> None:
-    one, other = (summary(played(kind(), 0.5, frames=15)) for kind in (KalmanBoxTracker3D, FilterpyBoxTracker3D))
-    assert one.keys() == other.keys()
-    for name, value in one.items():
-        assert other[name] == (value if value is None else pytest.approx(value, rel=1e-6)), name
 
 
 def test_sudden_displacements_are_counted_apart() -> None:

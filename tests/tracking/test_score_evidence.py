@@ -15,8 +15,8 @@ from mast_zenoh.tracking.existence import (
     DOUBTFUL,
     FIRST_DUE,
     INTERVALS,
-    MEMORY,
     MOVING,
+    SAMPLES_MEMORY,
     STAGES,
     STAGES_S,
     ScoreCalibration,
@@ -179,7 +179,7 @@ def test_any_numbers_are_survived_and_the_memory_is_bounded() -> None:
     probability = calibration.probability(rows(score[:50]))
     assert probability is not None
     assert np.isfinite(probability).all()
-    assert len(calibration._score) == MEMORY
+    assert len(calibration._score) == SAMPLES_MEMORY
     assert len(calibration._edges) < INTERVALS
 
 

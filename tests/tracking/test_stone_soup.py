@@ -298,11 +298,6 @@ def resolved(file: Path) -> Resolved:
     return scenario.resolve(path, loaded, frames=FRAMES, record=True)
 
 
-def test_stone_soup_is_imported_only_when_used() -> None:
-    code = "import sys, mast_zenoh.tracking; sys.exit('stonesoup' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
 @pytest.mark.parametrize("builder", ["", "my_tracker.py:nearest"])
 def test_a_run_without_stone_soup_is_refused_with_the_command_that_installs_it(
     mine: Callable[[str], Path], builder: str

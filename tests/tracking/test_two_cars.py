@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from ab3dmot_reference import Ab3dmot, Matching, merged, overlaps
+from ab3dmot_reference import Ab3dmot, Matching, merged
 from mast_datasets import AV2Log
 from reference_scene import FIRST, LAST, RANGE_M, Frames, data_folder, score
 
@@ -107,44 +107,3 @@ def mota(frames: Frames, tracks: list) -> float:
     ]
     objects = np.mean([mask.sum() for mask in near[FIRST:LAST]])
     return 1.0 - (numbers.fn + numbers.fp + numbers.id_switches / len(near[FIRST:LAST])) / objects
-
-
-def test_the_reference_reports_a_track_from_its_third_detection_to_its_second_miss() -> None:
-    tracker = Ab3dmot(Matching())
-    for _ in range(5):
-        tracker.step(np.zeros((0, 7)))
-    box = np.array([[0.0, 0.0, 0.75, 0.1, 4.5, 1.8, 1.5]])
-    reported = []
-    for frame in range(8):
-        boxes = box + 0.5 * frame * np.eye(7)[0]
-        ids, _ = tracker.step(boxes if frame < 5 else boxes[:0])
-        reported.append(len(ids))
-    assert reported == [0, 0, 1, 1, 1, 1, 0, 0]
-
-
-def test_the_reference_follows_a_constant_speed_and_reversed_headings() -> None:
-    tracker = Ab3dmot(Matching())
-    for frame in range(12):
-        box = np.array([[1.2 * frame, 3.0, 0.75, 0.0 if frame % 3 else np.pi, 4.5, 1.8, 1.5]])
-        ids, tracks = tracker.step(box)
-    assert ids.tolist() == [0]
-    np.testing.assert_allclose(tracks[0, :3], [1.2 * 11, 3.0, 0.75], atol=0.05)
-    ids, tracks = tracker.step(np.zeros((0, 7)))
-    np.testing.assert_allclose(tracks[0, 0], 1.2 * 12, atol=0.1)
-
-
-def test_merged_detections_keep_the_best_of_overlapping_boxes() -> None:
-    def car(x: float, score: float) -> Detections:
-        return Detections(
-            np.array([[x, 0.0, 0.75]]),
-            np.array([[4.0, 2.0, 1.5]]),
-            np.zeros(1),
-            np.array([score]),
-            np.zeros(1, np.uint8),
-            np.zeros((1, 3, 3)),
-        )
-
-    boxes = merged([car(0.0, 0.4), car(1.0, 0.9), car(20.0, 0.2)], Matching(overlap=0.1))
-    assert boxes[:, 0].tolist() == [1.0, 20.0]
-    assert merged([car(0.0, 0.4), car(20.0, 0.2)], Matching(), 0.3)[:, 0].tolist() == [0.0]
-    assert overlaps(boxes[:1], boxes[:1] + np.eye(7)[0])[0, 0] == pytest.approx(0.6)
