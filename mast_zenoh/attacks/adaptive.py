@@ -11,7 +11,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, canonica
 from mast_zenoh.attacks.attack import ObservingAttack
 from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.surroundings import Coverage
-from mast_zenoh.attacks.targets import ALTERED, MOVED, Changes, Tampering, Targets
+from mast_zenoh.attacks.targets import ALTERED, MOVED, Tampering, Targets
 from mast_zenoh.streams import stream
 from mast_zenoh.tracking.view import SensorView
 
@@ -209,24 +209,17 @@ class AdaptiveAttack(ObservingAttack):
     def _tampering(self, lies: Lies, seen: ObjectStates, order: Ints) -> Tampering:
         """The changes to a message; order: (n,) the row of each seen object in it."""
         told = _differs(seen.select(lies.changed), lies.claims)
-        before = seen.select(lies.changed[told])
+        changed = lies.changed[told]
+        before = seen.select(changed)
         claims = lies.claims.select(told).with_(id=before.id) if len(before) else before
-        keep = np.ones(len(order), bool)
-        keep[order[lies.hidden]] = False
         numbers = [lies.inserted.id, lies.hidden_number, lies.changed_number[told]]
-        report = Changes.of(lies.inserted, seen.select(lies.hidden), before, claims, numbers)
-        action = report.action.copy()
+        tampering = Tampering.of(seen, order, lies.inserted, lies.hidden, changed, before, claims, numbers)
+        action = tampering.report.action.copy()
         if len(before):
             same_place = np.abs(claims.position - before.position).max(axis=1) <= SAME_PLACE_M
             action[len(action) - len(before) :] = np.where(same_place, ALTERED, MOVED)
-        return Tampering(
-            keep=keep,
-            moved_index=order[lies.changed[told]],
-            moved=claims,
-            added=lies.inserted.with_(id=self._ids.of(lies.inserted.id)) if len(lies.inserted) else lies.inserted,
-            report=replace(report, action=action),
-            targets=Targets(lies.inserted, seen.select(lies.hidden), before, claims.position - before.position),
-        )
+        added = lies.inserted.with_(id=self._ids.of(lies.inserted.id)) if len(lies.inserted) else lies.inserted
+        return replace(tampering, added=added, report=replace(tampering.report, action=action))
 
 
 def _differs(before: ObjectStates, claims: ObjectStates) -> Bools:

@@ -18,7 +18,7 @@ from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
 from mast_zenoh.attacks.knowledge import Adversary
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, unlimited
-from mast_zenoh.attacks.targets import Changes, Tampering, Targets, ViewForger
+from mast_zenoh.attacks.targets import Tampering, Targets, ViewForger
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.tracking.view import SensorView
 
@@ -117,21 +117,11 @@ def carry_out(
     """
     hides, moves = remove_row >= 0, move_row >= 0
     hidden, displaced = remove_row[hides], move_row[moves]
-    before = objects.select(displaced)
-    moved = before
+    before = moved = objects.select(displaced)
     if len(displaced):
         moved = before.with_(position=before.position + targets.move_offset[moves])
-    keep = np.ones(len(objects), bool)
-    keep[order[hidden]] = False
     numbers = [inserted.id, targets.remove.id[hides], targets.move.id[moves]]
-    return Tampering(
-        keep=keep,
-        moved_index=order[displaced],
-        moved=moved,
-        added=inserted,
-        report=Changes.of(inserted, objects.select(hidden), before, moved, numbers),
-        targets=targets,
-    )
+    return Tampering.of(objects, order, inserted, hidden, displaced, before, moved, numbers, targets)
 
 
 #: m; an object within this distance of a coordinator's target (a mean of several agents' tracks) may be that target.

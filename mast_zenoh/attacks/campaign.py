@@ -178,7 +178,8 @@ class Campaign:
         """
         if time_ns < self._start_ns:
             return None
-        if self.due(time_ns):
+        selected_ns = self._selected_ns
+        if selected_ns is None or (self._every_ns is not None and time_ns - selected_ns >= self._every_ns):
             chosen = self._selection.select(*scene(), self._stream("selection", frame))
             targets = chosen.numbered(self._numbers_used)
             self._numbers_used += len(targets)
@@ -190,9 +191,8 @@ class Campaign:
                 self._selected_ns = time_ns
             elapsed, age = 0.0, 0.0
         else:
-            assert self._selected_ns is not None
             elapsed = (time_ns - self._time_ns) / NANOSECONDS
-            age = (self._time_ns - self._selected_ns) / NANOSECONDS
+            age = (self._time_ns - selected_ns) / NANOSECONDS
             stored = self._targets
             targets = replace(stored, remove=propagate(stored.remove, elapsed), move=propagate(stored.move, elapsed))
         rng = self._stream("propagation", frame) if self._propagation.draws else _UNUSED
@@ -202,14 +202,6 @@ class Campaign:
     def store(self, targets: Targets, time_ns: int) -> None:
         """Store the current targets, after they have followed their objects."""
         self._targets, self._time_ns = targets, time_ns
-
-    def due(self, time_ns: int) -> bool:
-        """Whether new targets are due at a time."""
-        if time_ns < self._start_ns:
-            return False
-        if self._selected_ns is None:
-            return True
-        return self._every_ns is not None and time_ns - self._selected_ns >= self._every_ns
 
     def _stream(self, purpose: str, frame: int) -> np.random.Generator:
         return stream(self._seed, self._scene, self._name, purpose, frame)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
-from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, ObjectStates
+from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, ObjectStates, concatenate
 from mast_zenoh.attacks.surroundings import Coverage, touching
 
 #: m, range of distances ahead of the ego on its path.
@@ -178,8 +178,7 @@ class _Checked(Region):
     def place(
         self, count: int, shape: Shape, real: ObjectStates, ground: float, coverage: Coverage, rng: np.random.Generator
     ) -> tuple[Floats, Floats]:
-        placed = ObjectStates.empty()
-        poses: list[tuple[Floats, Floats]] = []
+        placed, velocities = ObjectStates.empty(), list[Floats]()
         for stream in rng.spawn(count):
             candidates = self._candidates(shape, real, ground, coverage, stream)
             if candidates is None:
@@ -189,16 +188,11 @@ class _Checked(Region):
             chosen = self._choose(candidates, allowed.nonzero()[0], shape, coverage)
             if chosen is not None:
                 row, speed = chosen
-                yaw = candidates.yaw[row]
-                poses.append((candidates.position[row], speed * np.array([np.cos(yaw), np.sin(yaw), 0.0])))
-                placed = _objects(
-                    np.array([position for position, _ in poses]),
-                    np.array([np.arctan2(v[1], v[0]) for _, v in poses]),
-                    shape.box,
-                )
-        if not poses:
-            return np.zeros((0, 3)), np.zeros((0, 3))
-        return np.array([position for position, _ in poses]), np.array([velocity for _, velocity in poses])
+                velocity = speed * np.array([np.cos(candidates.yaw[row]), np.sin(candidates.yaw[row]), 0.0])
+                velocities.append(velocity)
+                heading = np.array([np.arctan2(velocity[1], velocity[0])])
+                placed = concatenate([placed, _objects(candidates.position[row : row + 1], heading, shape.box)])
+        return placed.position, np.array(velocities).reshape(-1, 3)
 
     @abstractmethod
     def _candidates(

@@ -152,6 +152,35 @@ class Tampering:
         targets = _NO_TARGETS if targets is None else targets
         return cls(np.ones(n, bool), no_objects.id, no_objects, no_objects, _NO_CHANGES, targets)
 
+    @classmethod
+    def of(
+        cls,
+        objects: ObjectStates,
+        order: Ints,
+        inserted: ObjectStates,
+        hidden: Ints,
+        changed: Ints,
+        before: ObjectStates,
+        claims: ObjectStates,
+        numbers: Sequence[Ints],
+        targets: Targets | None = None,
+    ) -> Tampering:
+        """Insert false objects, hide some of a victim's objects and change others.
+
+        objects:  the victim's n objects, in canonical order; order: (n,) the row of each in the message
+        inserted: false objects as they will appear
+        hidden, changed: (h,), (m,) rows of `objects`, none twice
+        before, claims: the m changed objects, and the states that replace them
+        numbers:  of the targets of the three kinds in turn; targets: None: those of these changes
+        """
+        removed = objects.select(hidden)
+        keep = np.ones(len(objects), bool)
+        keep[order[hidden]] = False
+        report = Changes.of(inserted, removed, before, claims, numbers)
+        if targets is None:
+            targets = Targets(inserted, removed, before, claims.position - before.position)
+        return cls(keep, order[changed], claims, inserted, report, targets)
+
     def applied_to(self, objects: ObjectStates) -> ObjectStates:
         """The objects that replace `objects` on the wire: kept rows, then added ones."""
         if len(self.moved_index):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -76,74 +75,9 @@ class Rows(NamedTuple):
     @classmethod
     def of(cls, bodies: Sequence[Body], names: Sequence[str]) -> Rows:
         """The named columns of messages."""
-        count = [len(body["position"]) for body in bodies]
+        count = [len(body["position"]) if names else 0 for body in bodies]
         message = np.repeat(np.arange(len(bodies)), count)
         return cls(message, {name: np.concatenate([body[name] for body in bodies]) for name in names})
-
-
-@dataclass(frozen=True, slots=True)
-class Changes:
-    """Differences between m messages of one type before and after an interposer.
-
-    sides:   the objects before and after
-    before, after: (k,) int64, rows of each object in either side; -1: none
-    effect:  (k,) index into KINDS; UNCHANGED: the row is unchanged
-    columns: (k,) the changed columns of the row, as bits in the order of `names`
-    names:   the columns with a row for each object
-    others:  for each message, the names of the other changed columns, such as the frame of reference of its rows
-    """
-
-    sides: tuple[Rows, Rows]
-    before: Ints
-    after: Ints
-    effect: Ints
-    columns: Ints
-    names: tuple[str, ...]
-    others: tuple[tuple[str, ...], ...]
-
-    @property
-    def message(self) -> Ints:
-        """(k,) message of each change."""
-        of_before, of_after = (np.append(side.message, -1) for side in self.sides)
-        return np.where(self.before >= 0, of_before[self.before], of_after[self.after])
-
-
-def compare(message: str, before: Sequence[Body], after: Sequence[Body]) -> Changes:
-    """Compare m bodies before and after an interposer.
-
-    The bodies are valid and of one message type.
-    Rows are the same object if they are equal; otherwise if they have the same id. Without ids, they must have the same
-    appearance (size and class, preferably also score and covariance) or be at most SAME_OBJECT_M apart; among several
-    matchings, the one with the least total distance is chosen. Remaining rows were removed or inserted. The order of
-    the rows does not matter.
-    """
-    names, message_columns = _columns(SCHEMAS[message])
-    others = tuple(
-        tuple(name for name in message_columns if not _equal(a[name], b[name]))
-        for a, b in zip(before, after, strict=True)
-    )
-    none = np.zeros(0, np.int64)
-    if not names:
-        empty = Rows(none, {})
-        return Changes((empty, empty), none, none, none, none, names, others)
-    a, b = Rows.of(before, names), Rows.of(after, names)
-    i, j = _identical(a, b, names)
-    left, right = _complement(len(a.message), i), _complement(len(b.message), j)
-    p, q = _changed(a, b, left, right, names)
-    effect, columns = _effects(a, b, p, q, names)
-    removed, inserted = left[~np.isin(left, p)], right[~np.isin(right, q)]
-    counts = [len(i), len(p), len(removed), len(inserted)]
-    return Changes(
-        sides=(a, b),
-        before=np.concatenate([i, p, removed, np.full(counts[3], -1)]),
-        after=np.concatenate([j, q, np.full(counts[2], -1), inserted]),
-        effect=np.concatenate(
-            [np.full(counts[0], UNCHANGED), effect, np.full(counts[2], REMOVED), np.full(counts[3], INSERTED)]
-        ),
-        columns=np.concatenate([np.zeros(counts[0], np.int64), columns, np.zeros(counts[2] + counts[3], np.int64)]),
-        names=names,
-        others=others,
-    )
 
 
 def _equal(a: NDArray[Any], b: NDArray[Any]) -> bool:
@@ -344,48 +278,77 @@ class ObjectChanges(NamedTuple):
 def changed_objects(
     message: str, messages: Sequence[ChangedMessage]
 ) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
-    """Changed objects in messages of one type, and their other changed columns.
+    """Changed objects in valid messages of one type, and the names of the other changed columns of each message.
 
-    The latter are names for each message.
-    If the frame of reference of a message was changed, all its objects count.
+    Rows are the same object if they are equal; otherwise if they have the same id. Without ids, they must have the same
+    appearance (size and class, preferably also score and covariance) or be at most SAME_OBJECT_M apart; among several
+    matchings, the one with the least total distance is chosen. Remaining rows were removed or inserted. The order of
+    the rows does not matter. If the frame of reference of a message was changed, all its objects count.
     """
     bodies = [item.before for item in messages], [item.after for item in messages]
-    changes = compare(message, *bodies)
-    reframed = np.array([any(name in pair for name in names for pair in _REFERENCES) for names in changes.others], bool)
-    message_row = changes.message
-    rows = np.flatnonzero((changes.effect != UNCHANGED) | reframed[message_row]) if len(message_row) else message_row
-    message_row = message_row[rows]
-    ids, before, after, velocity = _positions(changes, rows)
+    names, message_columns = _columns(SCHEMAS[message])
+    others = tuple(
+        tuple(name for name in message_columns if not _equal(a[name], b[name])) for a, b in zip(*bodies, strict=True)
+    )
+    sides, rows, effect, columns = _compared(*bodies, names)
+    of_before, of_after = (np.append(side.message, -1) for side in sides)
+    message_row = np.where(rows[0] >= 0, of_before[rows[0]], of_after[rows[1]])
+    reframed = np.array([any(name in pair for name in other for pair in _REFERENCES) for other in others], bool)
+    chosen = ((effect != UNCHANGED) | reframed[message_row]).nonzero()[0]
+    rows, effect, columns, message_row = rows[:, chosen], effect[chosen], columns[chosen], message_row[chosen]
+    positions, velocity = np.full((2, len(chosen), 3), np.nan), np.full((len(chosen), 3), np.nan)
+    ids = np.full(len(chosen), -1, np.int64)
+    for position, side, row in zip(positions, sides, rows, strict=True):
+        present = np.flatnonzero(row >= 0)
+        for name, column in (("position", position), ("velocity", velocity)):
+            column[present] = side.columns[name][row[present]] if name in side.columns else np.nan
+        unset = present[ids[present] < 0]  # the id as received takes precedence
+        ids[unset] = side.columns["id"][row[unset]] if "id" in side.columns else -1
     return ObjectChanges(
         frame=np.array([item.frame for item in messages], np.int64)[message_row],
         seq=np.array([item.seq for item in messages], np.int64)[message_row],
         step=np.array([item.step for item in messages], np.int64)[message_row],
-        effect=changes.effect[rows],
-        columns=_bit_names(changes.columns[rows], changes.names),
+        effect=effect,
+        columns=_bit_names(columns, names),
         id=ids,
-        before=before,
-        after=after,
+        before=positions[0],
+        after=positions[1],
         velocity=velocity,
         references=np.stack([np.stack([_reference(body) for body in side])[message_row] for side in bodies]),
         of_agent=_of_agent(bodies[0][0]),
-        whole=changes.effect[rows] == UNCHANGED,
-        frames_late=np.zeros(len(rows), np.int64),
-    ), changes.others
+        whole=effect == UNCHANGED,
+        frames_late=np.zeros(len(chosen), np.int64),
+    ), others
 
 
-def _positions(changes: Changes, rows: Ints) -> tuple[Ints, Floats, Floats, Floats]:
-    """Ids, positions before and after, and velocities of the changes in `rows`."""
-    positions, velocity = np.full((2, len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
-    ids = np.full(len(rows), -1, np.int64)
-    for side in (0, 1):
-        columns, row = changes.sides[side].columns, (changes.before, changes.after)[side][rows]
-        present = np.flatnonzero(row >= 0)
-        if len(present):
-            positions[side, present] = columns["position"][row[present]]
-            velocity[present] = columns["velocity"][row[present]] if "velocity" in columns else np.nan
-            unset = present[ids[present] < 0]  # the id as received takes precedence
-            ids[unset] = columns["id"][row[unset]] if "id" in columns else -1
-    return ids, positions[0], positions[1], velocity
+def _compared(
+    before: Sequence[Body], after: Sequence[Body], names: tuple[str, ...]
+) -> tuple[tuple[Rows, Rows], Ints, Ints, Ints]:
+    """The objects of m messages on both sides, and of k objects their rows (2, k) there, -1: none.
+
+    Also the effect (k,) on each, an index into KINDS or UNCHANGED, and its changed columns (k,), as bits of `names`.
+    """
+    a, b = Rows.of(before, names), Rows.of(after, names)
+    if not names:
+        none = np.zeros(0, np.int64)
+        return (a, b), np.zeros((2, 0), np.int64), none, none
+    i, j = _identical(a, b, names)
+    left, right = _complement(len(a.message), i), _complement(len(b.message), j)
+    p, q = _changed(a, b, left, right, names)
+    effect, columns = _effects(a, b, p, q, names)
+    removed, inserted = left[~np.isin(left, p)], right[~np.isin(right, q)]
+    counts = [len(i), len(p), len(removed), len(inserted)]
+    rows = np.stack(
+        [
+            np.concatenate([i, p, removed, np.full(counts[3], -1)]),
+            np.concatenate([j, q, np.full(counts[2], -1), inserted]),
+        ]
+    )
+    effects = np.repeat([UNCHANGED, UNCHANGED, REMOVED, INSERTED], counts)
+    bits = np.zeros(len(effects), np.int64)
+    pairs = slice(counts[0], counts[0] + counts[1])
+    effects[pairs], bits[pairs] = effect, columns
+    return (a, b), rows, effects, bits
 
 
 def whole_message(

@@ -56,6 +56,15 @@ class Batch:
         """(c, a) whether the agent reports the object."""
         return np.asarray(self.member >= 0)
 
+    def weights(self, believed: Bools) -> Floats:
+        """(n,) 1 for tracks that are believed, else 0.
+
+        believed: (c, a) which agents' tracks of each cluster. A cluster without any keeps all members, or it could
+        not be tracked on.
+        """
+        kept = believed | ~believed.any(axis=1, keepdims=True)
+        return kept[self.labels, self.agent].astype(np.float64)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentTrust:

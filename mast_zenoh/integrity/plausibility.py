@@ -108,8 +108,7 @@ class Plausibility(Integrity):
         trust = np.where(withheld, 0.25, np.where(witnesses > 1, 0.75, 0.5))
         members = reported.sum(axis=1)
         objects = ObjectTrust(trust, members, witnesses, members - witnesses, np.asarray(withheld))
-        kept = table | impossible[:, None]
-        return Assessment(kept[batch.labels, batch.agent].astype(np.float64), AgentTrust.of(mean), objects)
+        return Assessment(batch.weights(table), AgentTrust.of(mean), objects)
 
     def _follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
         """(c,) rows of the objects; carries what is remembered of them."""

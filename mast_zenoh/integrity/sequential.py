@@ -23,7 +23,7 @@ from mast_zenoh.integrity.disputes import Disputes, disputes
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.offsets import OffsetSums, offsets
 from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
-from mast_zenoh.integrity.voting import Existence, ExistenceVotes
+from mast_zenoh.integrity.voting import ExistenceVotes
 
 #: Names of agents that are remembered at most.
 MAX_NAMES = 1024
@@ -146,8 +146,8 @@ class SequentialConsistency(Integrity):
         )  # of suspended agents, which are tested for release alone
         alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
         self._update_suspensions(batch, rows, alarms, dispute, dt)
-        existence = self._existence.count(batch, boxes, seen, rays, dispute.impossible, ~self._suspended, rows)
-        return self._assessment(batch, rows, rates, existence)
+        judged, weights = self._existence.count(batch, boxes, seen, rays, dispute.impossible, ~self._suspended, rows)
+        return Assessment(weights, self._agent_trust(batch, rows, rates), judged)
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
         """The value from which one statistic alone, 0 contradictions or 1 offset, is an alarm."""
@@ -221,7 +221,7 @@ class SequentialConsistency(Integrity):
         most = max(kinds, key=lambda kind: int(kinds[kind][:, row].sum()))
         return f"{most}, {self._last[0][row]:.1f} object-seconds"
 
-    def _assessment(self, batch: Batch, rows: Ints, rates: Floats, existence: Existence) -> Assessment:
+    def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats) -> AgentTrust:
         suspended = self._suspended[rows]
         least = np.log(np.maximum(rates, 1e-300) / self.false_alarms_per_hour).min(axis=1)
         log_odds = np.clip(least, -MAX_LOG_ODDS, MAX_LOG_ODDS)
@@ -229,5 +229,4 @@ class SequentialConsistency(Integrity):
         state = np.where(suspended, SUSPENDED, np.where(self._seen_s[rows] >= 1.0, TRUSTED, UNKNOWN))
         named = zip(batch.agents, suspended.tolist(), strict=True)
         reasons = tuple(self._reasons.get(name, "") if bad else "" for name, bad in named)
-        agents = AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state.astype(np.uint8), reasons, log_odds=log_odds)
-        return Assessment(existence.kept, agents, existence.objects)
+        return AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state.astype(np.uint8), reasons, log_odds=log_odds)

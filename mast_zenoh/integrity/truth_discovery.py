@@ -125,8 +125,7 @@ class TruthDiscovery(Integrity):
             (claims <= -1.0).sum(axis=1),
             withheld,
         )
-        kept = believable | ~believable.any(axis=1, keepdims=True)
-        return Assessment(kept[batch.labels, batch.agent].astype(np.float64), agents, objects)
+        return Assessment(batch.weights(believable), agents, objects)
 
 
 def votes(reported: Bools, own: Bools, size: Floats, seen: Sightings, rays: RayEvidence) -> Floats:

@@ -20,17 +20,6 @@ WITNESSES = 2
 ESTABLISHED_S = 10.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Existence:
-    """What is believed of the c clusters of a batch.
-
-    objects: their trust; kept: (n,) weights of their tracks, 0 for those of agents that are not believed
-    """
-
-    objects: ObjectTrust
-    kept: Floats
-
-
 class VoteMemory:
     """Follows objects, and averages the votes about them.
 
@@ -105,8 +94,8 @@ class ExistenceVotes:
         impossible: Bools,
         believed: Bools,
         agent_rows: Ints,
-    ) -> Existence:
-        """The votes of a batch whose objects are followed.
+    ) -> tuple[ObjectTrust, Floats]:
+        """The trust in the objects of a batch, which are followed, and the weights (n,) of its tracks.
 
         boxes, seen, rays: of its clusters, see `visibility`; impossible: (c, a) reports that are none
         believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
@@ -124,7 +113,6 @@ class ExistenceVotes:
         recent = batch.time_ns - self._claimed_ns[rows] <= ESTABLISHED_S * 1e9
         established = self._known[rows] | (self._witnessed[rows] & believed).any(axis=1)
         withheld = (balance < 0.0) | ~(claimed | (established & recent))
-        kept = claims | ~claims.any(axis=1, keepdims=True)  # else the object could not be tracked on
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
             (seen.in_view | reported).sum(axis=1),
@@ -132,7 +120,7 @@ class ExistenceVotes:
             (clear & voter).sum(axis=1),
             withheld,
         )
-        return Existence(objects, kept[batch.labels, batch.agent].astype(np.float64))
+        return objects, batch.weights(claims)
 
     def keep_known(self, before_ns: int) -> None:
         """Believe the objects that were known before a time, regardless of which agents report them later.
@@ -249,7 +237,4 @@ class FreeSpace(Integrity):
         trust = (1.0 + confirming) / (2.0 + confirming + contradicting)
         expected = (seen.in_view | reported).sum(axis=1)
         objects = ObjectTrust(trust, expected, confirming, contradicting, withheld)
-        # A cluster that nobody's view supports keeps all members: it is tracked on, in case it is real.
-        kept = claims | ~claims.any(axis=1, keepdims=True)
-        weights = kept[batch.labels, batch.agent].astype(np.float64)
-        return Assessment(weights, AgentTrust.of(mean), objects)
+        return Assessment(batch.weights(claims), AgentTrust.of(mean), objects)

@@ -21,7 +21,7 @@ from mast_zenoh.tracking.association import (
     near_pairs,
 )
 from mast_zenoh.tracking.base import Innovations, Tracker
-from mast_zenoh.tracking.classes import FIRST_SPEED, first_covariance
+from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.existence import FIRST_DUE, ScoreEvidence, add_scores, report_columns, update_detected
 from mast_zenoh.tracking.kalman import constrain_lateral_speed
 from mast_zenoh.tracking.tracks import (
@@ -80,14 +80,6 @@ class DetectionNoise:
         if ratio > TOLERANCE:
             self.variance = self._default.copy()
             self.variance[:2] *= min(ratio, LARGEST)
-
-
-def created(explained: Bools, measured: Measured, first_id: int, yaw_variance: float, odds: float) -> Floats:
-    """New tracks (k, WIDTH) for the measurements that are not explained (m,).
-
-    first_id: of the first one, the others follow; yaw_variance: rad^2; odds: of existence
-    """
-    return new_tracks(explained, measured, first_id, (yaw_variance, odds, FIRST_DUE), FIRST_SPEED)
 
 
 @kernel
@@ -395,9 +387,10 @@ class KalmanBoxTracker3D(Tracker):
         if match.contested:
             i, j = match.near.track, match.near.measurement
             explained[j[duplicated(self._tracks, measurements.state, measurements.yaw, i, j, explained)]] = True
-        new_tracks = created(explained, measurements, self._next_id, self._yaw_noise, self._birth_odds)
-        self._next_id += len(new_tracks)
-        return new_tracks
+        constants = self._yaw_noise, self._birth_odds, FIRST_DUE
+        created = new_tracks(explained, measurements, self._next_id, constants, classes.FIRST_SPEED)
+        self._next_id += len(created)
+        return created
 
     def _states(self, reported: Floats, weight: Floats | None, least: float) -> ObjectStates:
         """The tracks to report that are likely to exist or established, with scores that rank them.

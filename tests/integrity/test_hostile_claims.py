@@ -152,7 +152,7 @@ def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, 
         votes.follow(given.time_ns, boxes)
         trusted = np.array([name not in lying for name in given.agents])
         seen = sightings(boxes.position, boxes.size, boxes.yaw, given.views)
-        existence = votes.count(
+        found, _ = votes.count(
             given,
             boxes,
             seen,
@@ -161,8 +161,8 @@ def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, 
             trusted,
             rows,
         )
-        assert not existence.objects.withheld[0] or lying
-    assert existence.objects.withheld.tolist() == [not believed]
+        assert not found.withheld[0] or lying
+    assert found.withheld.tolist() == [not believed]
 
 
 def test_a_view_that_is_too_old_to_be_held_against_its_agent_has_no_vote() -> None:
