@@ -142,7 +142,7 @@ class ObservingAttack(Attack):
     """
 
     def __init__(self, start_s: float, gate_m: float, id_gap: int) -> None:
-        check("finite, 0 or more", start_s=start_s)
+        check("0 or more, finite", start_s=start_s)
         self._start_ns = round(start_s * NANOSECONDS)
         self._ids = ForgedIds(id_gap)
         self._follower = Follower(gate_m)

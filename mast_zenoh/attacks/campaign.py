@@ -155,7 +155,7 @@ class Campaign:
     ) -> None:
         if reselect_every_s is not None and not reselect_every_s > 0.0:
             raise ValueError(f"reselect_every_s: found {reselect_every_s}, expected more than 0, or None")
-        check("finite, 0 or more", start_s=start_s)
+        check("0 or more, finite", start_s=start_s)
         self._selection = selection
         self._propagation = propagation
         self._every_ns = None if reselect_every_s is None else round(reselect_every_s * NANOSECONDS)

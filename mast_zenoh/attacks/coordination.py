@@ -161,7 +161,7 @@ class ColludingSelection(Selection):
 
     def __post_init__(self) -> None:
         Budget(self.budget)
-        check("finite, 0 or more", speed_mps=self.speed_mps)
+        check("0 or more, finite", speed_mps=self.speed_mps)
 
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
         objects = objects.select(canonical_order(objects))

@@ -51,7 +51,7 @@ class PhantomAttack(AdaptiveAttack):
 
     def __init__(self, *, budget: float, start_s: float, speed_mps: float) -> None:
         super().__init__(budget=budget, start_s=start_s)
-        check("finite, 0 or more", speed_mps=speed_mps)
+        check("0 or more, finite", speed_mps=speed_mps)
         self._shape = Shape(30.0, speed_mps, BOX)
         self._imitation = VictimLike()
         self._propagation = TrajectoryPropagation()
@@ -339,8 +339,8 @@ class Sleeper(Attack):
     start_s: float = 4.0
 
     def __post_init__(self) -> None:
-        check("finite, more than 0", honest_s=self.honest_s, lying_s=self.lying_s)
-        check("finite, 0 or more", start_s=self.start_s)
+        check("more than 0, finite", honest_s=self.honest_s, lying_s=self.lying_s)
+        check("0 or more, finite", start_s=self.start_s)
         self._attack = self.attack or BlindSpot(start_s=self.start_s)
         periods = self.honest_s, self.lying_s, self.start_s
         self._honest_ns, self._lying_ns, self._start_ns = (round(seconds * 1e9) for seconds in periods)

@@ -138,7 +138,7 @@ class SlowDrift(ChangingAttack):
         start_s: float = 4.0,
     ) -> None:
         super().__init__(budget=budget, start_s=start_s)
-        check("finite, more than 0", rate_mps=rate_mps, limit_m=limit_m)
+        check("more than 0, finite", rate_mps=rate_mps, limit_m=limit_m)
         self._rate_mps, self._limit_m = rate_mps, limit_m
         self._watch = TrustWatch(tolerance)
         self._offset_m: dict[int, float] = {}  # by number
@@ -230,7 +230,7 @@ class Overconfidence(ChangingAttack):
         self, *, offset_m: float = 1.9, covariance_factor: float = 1e-6, budget: float = 2.0, start_s: float = 4.0
     ) -> None:
         super().__init__(budget=budget, start_s=start_s)
-        check("finite, 0 or more", offset_m=offset_m)
+        check("0 or more, finite", offset_m=offset_m)
         check("more than 0 and at most 1000", covariance_factor=covariance_factor)
         self._offset_m, self._factor = offset_m, covariance_factor
         self._direction = np.zeros(3)
@@ -414,8 +414,8 @@ class PoseDrift(Attack):
     start_s: float = 4.0
 
     def __post_init__(self) -> None:
-        check("finite, 0 or more", start_s=self.start_s)
-        check("finite, more than 0", rate_mps=self.rate_mps, limit_m=self.limit_m)
+        check("0 or more, finite", start_s=self.start_s)
+        check("more than 0, finite", rate_mps=self.rate_mps, limit_m=self.limit_m)
         self._direction = np.array([1.0, 0.0, 0.0])
         self._scene = ""
 
