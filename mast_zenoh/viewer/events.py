@@ -133,25 +133,30 @@ def second(times: Floats, frame: int) -> float:
 
 def absences(run: RunRecord) -> list[tuple[str, float, float]]:
     """(node, frame of its loss, frame of its return) of lost nodes."""
-    lost, lost_since = [], dict[str, float]()
-    for each in run.lost:
-        if each["what"] == LOST:
-            lost_since.setdefault(each["node"], each["frame"])
-        elif each["node"] in lost_since:
-            lost.append((each["node"], lost_since.pop(each["node"]), float(each["frame"])))
-    return [*lost, *((node, start, np.inf) for node, start in lost_since.items())]
+    return _periods((each["node"], each["frame"], each["what"] == LOST) for each in run.lost)
 
 
 def node_absences(run: RunRecord) -> list[tuple[str, float, float]]:
     """(node, first frame without it, frame of its return or inf): stopped, paused, cut off or lost."""
-    result, down_since = absences(run), dict[str, float]()
-    for step in run.run.get("steps") or ():
-        node, frame = str(step["node"]), float(step["frame"])
-        if step["action"] not in ("start", "resume", "connect"):
-            down_since.setdefault(node, frame)
-        elif node in down_since:
-            result.append((node, down_since.pop(node), frame))
-    return [*result, *((node, since, float("inf")) for node, since in down_since.items())]
+    steps = run.run.get("steps") or ()
+    return absences(run) + _periods(
+        (str(step["node"]), float(step["frame"]), step["action"] not in ("start", "resume", "connect"))
+        for step in steps
+    )
+
+
+def _periods(changes: Iterable[tuple[str, float, bool]]) -> list[tuple[str, float, float]]:
+    """(node, frame of its first change to True, frame of the next change to False or inf).
+
+    changes: node, frame, and whether it is away from then on
+    """
+    periods, away_since = [], dict[str, float]()
+    for node, frame, away in changes:
+        if away:
+            away_since.setdefault(node, frame)
+        elif node in away_since:
+            periods.append((node, away_since.pop(node), float(frame)))
+    return [*periods, *((node, start, np.inf) for node, start in away_since.items())]
 
 
 def states_at(run: RunRecord, frame: int) -> dict[str, str]:

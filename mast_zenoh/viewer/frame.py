@@ -57,6 +57,12 @@ class Score(NamedTuple):
     rmse_m: float
     id_switches: int
 
+    @classmethod
+    def of(cls, counts: Table, row: int) -> Score:
+        """From a row of metrics.parquet."""
+        fn, fp, tp, rmse_m, id_switches = (float(counts[name][row]) for name in cls._fields)
+        return cls(int(fn), int(fp), int(tp), rmse_m, int(id_switches))
+
 
 class Changes(NamedTuple):
     """n measured effects of interposers on messages about a frame.
@@ -202,10 +208,7 @@ class Evaluated:
     def score(self, frame: int, series: Series) -> Score | None:
         """The score of an agent's estimate in a frame; None: not scored."""
         found = self._scores.get((frame, *series))
-        if found is None or self._counts is None:
-            return None
-        fn, fp, tp, rmse_m, id_switches = (float(self._counts[name][found[0]]) for name in Score._fields)
-        return Score(int(fn), int(fp), int(tp), rmse_m, int(id_switches))
+        return None if found is None or self._counts is None else Score.of(self._counts, int(found[0]))
 
     def changes(self, frame: int) -> Changes:
         """The changes of a frame."""

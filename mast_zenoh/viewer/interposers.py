@@ -168,7 +168,7 @@ def _objects(run: RunRecord, node: str, effects: Mapping[str, int]) -> dict[str,
 
 def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:
     """Number of frames with failures of the handler that failed most often."""
-    return max((int(str(entry.get("frames", entry["count"]))) for entry in failures), default=0)
+    return max((int(entry.get("frames", entry["count"])) for entry in failures), default=0)
 
 
 def _crash(run: RunRecord, node: str) -> str:
@@ -191,12 +191,8 @@ def exit_expected(node: Mapping[str, Any]) -> bool:
 
 
 def failures_of(node: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The failed handlers of a node of run.json; older runs hold only their number."""
-    failures = node.get("failures") or []
-    if isinstance(failures, Mapping):
-        unknown = "the exception is in the node's log, in a run of an older version"
-        return [{"handler": name, "count": count, "exception": unknown} for name, count in failures.items()]
-    return [dict(entry) for entry in failures]
+    """The failed handlers of a node of run.json."""
+    return [dict(entry) for entry in node.get("failures") or []]
 
 
 def node_row(run: RunRecord, name: str) -> dict[str, Any]:
@@ -226,15 +222,10 @@ def failure_lines(run: RunRecord) -> list[str]:
 
 def _troubles(record: Mapping[str, Any]) -> str:
     """Rejected messages and handler failures of a node; empty: none."""
-    refused, foreign = (_total(record.get(key)) for key in ("rejected", "foreign"))
+    refused, foreign = (sum((record.get(key) or {}).values()) for key in ("rejected", "foreign"))
     counts = (
         (refused, "messages rejected"),
         (foreign, "messages from outside the run"),
         (sum(entry["count"] for entry in failures_of(record)), "handler failures"),
     )
     return ", ".join(f"{number} {label}" for number, label in counts if number)
-
-
-def _total(counts: object) -> int:
-    """The sum of counts by key; older runs hold the sum itself."""
-    return sum(counts.values()) if isinstance(counts, Mapping) else int(str(counts or 0))

@@ -73,7 +73,6 @@ FAILED = {
         {"failures": [FAILURE | {"count": 1, "frames": 1, "last_frame": 1}], "exit": 0, "ended": "ok"},
         "failed in 1 frame",
     ),
-    "in a run of an older version": ({"failures": {"tracks": 4}, "exit": 0, "ended": "ok"}, "failed in 4 frames"),
 }
 CRASHES = {
     "its process ended": {"failures": [], "exit": 1, "ended": "exit code 1"},

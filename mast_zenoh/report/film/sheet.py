@@ -324,14 +324,14 @@ class Sheet:
             state.set_color(self._theme.adversary if on[index] else self._theme.faint)
 
     def _show_counts(self, index: int, frame: int) -> None:
-        texts, counts = self._counts[index], self.takes[index].counts(frame)
+        texts, counts = self._counts[index], self.takes[index].score(frame)
         if not texts:
             return
         if counts is None:
             values = ["not scored", "", "", ""]
         else:
             rmse = "" if math.isnan(counts.rmse_m) else f"RMSE {counts.rmse_m:.2f} m"
-            values = [f"{counts.missed} missed", f"{counts.false} false", f"{counts.matched} matched", rmse]
+            values = [f"{counts.fn} missed", f"{counts.fp} false", f"{counts.tp} matched", rmse]
         for text, value in zip(texts, values, strict=True):
             text.set_text(value)
 

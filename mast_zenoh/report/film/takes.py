@@ -17,7 +17,7 @@ from mast_zenoh.metrics.estimates import TRUTH
 from mast_zenoh.report.film.look import SHOWN, WindowChoice
 from mast_zenoh.viewer import events
 from mast_zenoh.viewer.events import spans
-from mast_zenoh.viewer.frame import Frame, ego_position, frame_at, has_boxes
+from mast_zenoh.viewer.frame import Frame, Score, ego_position, frame_at, has_boxes
 from mast_zenoh.viewer.interposers import interposers
 from mast_zenoh.viewer.run import RunRecord, Table, rows
 
@@ -31,15 +31,6 @@ TITLES = {
     "mission": "own tracks and picture",
     TRUTH: "all objects of the scene",
 }
-
-
-class Counts(NamedTuple):
-    """Scores of an estimate in a frame; rmse_m: m, NaN without a pair."""
-
-    missed: int
-    false: int
-    matched: int
-    rmse_m: float
 
 
 class Take:
@@ -97,14 +88,13 @@ class Take:
         table = self.run.counts_of(self.estimate)
         return self.run.counts_of(self.run.original(self.estimate)) if table is None else table
 
-    def counts(self, frame: int) -> Counts | None:
+    def score(self, frame: int) -> Score | None:
         """The scores of a frame; None: it has none."""
         table = self._counts
         row = -1 if table is None else int(np.searchsorted(table["frame"], frame))
         if table is None or row >= len(table["frame"]) or table["frame"][row] != frame:
             return None
-        missed, false, matched = (int(table[name][row]) for name in ("fn", "fp", "tp"))
-        return Counts(missed, false, matched, float(table["rmse_m"][row]))
+        return Score.of(table, row)
 
     def series(self) -> tuple[Floats, Floats, Floats] | None:
         """(times (n,) s, missed (n,), false (n,)) of all scored frames; None: there are none."""

@@ -11,10 +11,6 @@ export const MOST_ROWS = 100000;
  *            before: Int32Array, views: Map<string, number>}} Part one frame
  */
 
-const JOINED = ["x", "y", "z", "l", "w", "h", "yaw", "score", "known", "vx", "vy", "sx", "sy", "rho", "kind", "id", "truth"];
-const EFFECTS = ["effect", "downlink", "before_x", "before_y", "before_z", "after_x", "after_y", "after_z"];
-const WITHHELD = ["id", "x", "y", "z", "l", "w", "h", "yaw"];
-
 /** The kept frames of a running run. */
 export class LiveRun extends Run {
   /** @param {FrameHistory} frames */
@@ -22,10 +18,9 @@ export class LiveRun extends Run {
     const parts = [...frames.parts];
     const { header: newest } = parts[parts.length - 1];
     /** @type {any} */ const columns = { time: Float64Array.from(parts, (part) => part.columns.time[0]) };
-    for (const name of JOINED) columns[`box.${name}`] = chained(parts, `box.${name}`);
-    for (const name of EFFECTS) columns[`effects.${name}`] = chained(parts, `effects.${name}`);
-    for (const name of WITHHELD) columns[`withheld.${name}`] = chained(parts, `withheld.${name}`);
-    for (const group of ["box", "effects", "withheld"]) columns[`${group}.frame`] = numbered(parts, `${group}.frame`);
+    for (const name of Object.keys(parts[0].columns).filter((each) => /^(box|effects|withheld)\./.test(each))) {
+      columns[name] = name.endsWith(".frame") ? numbered(parts, name) : chained(parts, name);
+    }
     const adversaries = united(parts, "adversaries");
     const subscribers = united(parts, "subscribers");
     columns["effects.by"] = renamed(parts, "effects.by", "adversaries", adversaries);
